@@ -1,0 +1,122 @@
+"""Assembles one self-contained web page: no request to the network, a strict security policy."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import html
+import json
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from typing import Any
+
+_LICENCES = {
+    "vendor/three.min.js": "vendor/three.LICENSE.txt",
+    "vendor/uPlot.iife.min.js": "vendor/uPlot.LICENSE.txt",
+}
+
+
+def web_text(name: str) -> str:
+    """Return the text of a file of ``kneexo/view/web``. A library begins with its licence."""
+    folder = resources.files("kneexo.view") / "web"
+    text = (folder / name).read_text(encoding="utf-8")
+    if name in _LICENCES:
+        licence = (folder / _LICENCES[name]).read_text(encoding="utf-8")
+        text = f"/*!\n{licence.strip()}\n*/\n{text}"
+    return text
+
+
+def self_contained_page(
+    title: str,
+    body_html: str,
+    styles: Sequence[str],
+    scripts: Sequence[str],
+    data: Mapping[str, Any],
+    *,
+    worker: str | None = None,
+    wasm: bool = False,
+) -> str:
+    """Return an HTML page that holds all it needs.
+
+    The page allows only the given styles and scripts, by their hashes. It allows no connection, and
+    no style or handler in attributes of ``body_html``.
+
+    Parameters
+    ----------
+    title
+        Plain text.
+    body_html
+        HTML of the page's body. The caller escapes names of users.
+    styles, scripts
+        Texts of style sheets and classic scripts. The scripts run in this order, after the body
+        exists.
+    data
+        Dictionary from the ``id`` of an element to JSON data. A script reads the data by
+        ``JSON.parse(document.getElementById(id).textContent)``.
+    worker
+        Text of a worker's script. A script starts the worker from a blob URL of the text, which is
+        the JSON data of the element ``worker``.
+    wasm
+        Whether scripts and worker may compile WebAssembly.
+
+    Raises
+    ------
+    ValueError
+        A script or style would end its own element, so the browser would read another text.
+    """
+    styles = [_as_parsed(text, "style") for text in styles]
+    scripts = [_as_parsed(text, "script") for text in scripts]
+    elements = dict(data) | ({} if worker is None else {"worker": worker})
+    head = "".join(f"<style>{text}</style>\n" for text in styles)
+    blocks = [
+        f'<script type="application/json" id="{html.escape(name)}">{_json(value)}</script>'
+        for name, value in elements.items()
+    ]
+    blocks += [f"<script>{text}</script>" for text in scripts]
+    page = f"""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="{_policy(styles, scripts, worker, wasm)}">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{html.escape(title)}</title>
+{head}</head>
+<body>
+{body_html}
+{chr(10).join(blocks)}
+</body>
+</html>
+"""
+    return page.encode("utf-8", "replace").decode()  # names of files may have bytes without a text
+
+
+def _as_parsed(text: str, element: str) -> str:
+    """Return a text as a browser reads the text between the tags of ``element``."""
+    if f"</{element}" in text.lower() or "<!--" in text:
+        raise ValueError(f"a {element} must not contain </{element} or <!--")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _policy(styles: Sequence[str], scripts: Sequence[str], worker: str | None, wasm: bool) -> str:
+    """Return the content security policy that allows these texts and nothing else."""
+    script_sources = [*map(_hash, scripts), *(["'wasm-unsafe-eval'"] if wasm else [])]
+    rules = {
+        "default-src": ["'none'"],
+        "script-src": script_sources or ["'none'"],
+        "style-src": [*map(_hash, styles)] or ["'none'"],
+        "img-src": ["data:", "blob:"],
+        "worker-src": ["'none'" if worker is None else "blob:"],
+        "base-uri": ["'none'"],
+        "form-action": ["'none'"],
+    }
+    return "; ".join(f"{rule} {' '.join(sources)}" for rule, sources in rules.items())
+
+
+def _hash(text: str) -> str:
+    digest = hashlib.sha256(text.encode("utf-8", "replace")).digest()
+    return f"'sha256-{base64.b64encode(digest).decode()}'"
+
+
+def _json(value: Any) -> str:
+    """Return JSON that is also safe as the text of a script element."""
+    return json.dumps(value, separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
