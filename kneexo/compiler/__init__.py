@@ -37,6 +37,12 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
     from .c.source import CSource as CSource, source_of as source_of
     from .c.step_size import rk4_step_s as rk4_step_s
     from .c.vectors import Vectors as Vectors, recorded_vectors as recorded_vectors
+    from .c.wasm import (
+        WasmModule as WasmModule,
+        wasm_files as wasm_files,
+        wasm_module as wasm_module,
+        wasm_table as wasm_table,
+    )
     from .compiled_system import CompiledSystem as CompiledSystem
     from .diagram_equations import (
         DiagramEquations as DiagramEquations,
@@ -137,6 +143,7 @@ else:
         "c.source": ("CSource", "source_of"),
         "c.step_size": ("rk4_step_s",),
         "c.vectors": ("Vectors", "recorded_vectors"),
+        "c.wasm": ("WasmModule", "wasm_files", "wasm_module", "wasm_table"),
         "compiled_system": ("CompiledSystem",),
         "diagram_equations": ("DiagramEquations", "read_diagram"),
         "errors": (

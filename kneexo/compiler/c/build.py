@@ -95,9 +95,16 @@ def shared_library(name: str, files: Mapping[str, str], *compiler: str) -> bytes
     functions that the C code marks as visible, and hides all other functions. Raises `BuildError`
     if the build fails.
     """
-    options = ("-shared", "-fPIC", "-fvisibility=hidden", "-s")
+    return linked(name, files, *compiler, *FLAGS, "-shared", "-fPIC", "-fvisibility=hidden", "-s")
+
+
+def linked(name: str, files: Mapping[str, str], *command: str) -> bytes:
+    """Compile and link C files to the file ``name`` by a compiler with options. Return its bytes.
+
+    Raises `BuildError` if the build fails.
+    """
     with temporary_folder(files) as folder:
-        _run(folder, *compiler, *FLAGS, *options, *_sources(files), "-o", name, "-lm")
+        _run(folder, *command, *_sources(files), "-o", name, "-lm")
         return (folder / name).read_bytes()
 
 

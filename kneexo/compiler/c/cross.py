@@ -52,12 +52,21 @@ def require_platforms(platforms: str | Iterable[str]) -> tuple[str, ...]:
     if unknown or not names:
         problem = f"{shown(repr(unknown[0]))} is unknown" if unknown else "has no name"
         raise CompilationError(f"platforms: {problem}; must be all, or of {', '.join(PLATFORMS)}")
+    zig_command("platforms", ", or leave out platforms for the library of this machine alone")
+    return tuple(name for name in PLATFORMS if name in names)
+
+
+def zig_command(subject: str, alternative: str = "") -> tuple[str, ...]:
+    """Return the command of Zig's C compiler.
+
+    Raises `BuildError` if Zig is not installed. ``subject`` begins the message, and ``alternative``
+    ends the message.
+    """
     if find_spec("ziglang") is None:
         raise BuildError(
-            "platforms: the compiler Zig is not installed; pip install ziglang, or leave out "
-            "platforms for the library of this machine alone"
+            f"{subject}: the compiler Zig is not installed; pip install ziglang{alternative}"
         )
-    return tuple(name for name in PLATFORMS if name in names)
+    return sys.executable, "-m", "ziglang", "cc"
 
 
 def native_platform() -> str | None:
@@ -86,8 +95,9 @@ def shared_libraries(
     """
     commands: dict[str, tuple[str, ...]] = {}
     if platforms is not None:
-        zig = (sys.executable, "-m", "ziglang", "cc", "-target")
-        commands = {key: (*zig, PLATFORMS[key].target) for key in require_platforms(platforms)}
+        names = require_platforms(platforms)
+        zig = zig_command("platforms")
+        commands = {key: (*zig, "-target", PLATFORMS[key].target) for key in names}
     elif (native := native_platform()) and (compiler := native_compiler()):
         commands = {native: (compiler,)}
     return {

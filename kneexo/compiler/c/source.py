@@ -246,6 +246,19 @@ class CSource:
         templates[f"{self.name}_params.c"] = "params.c"
         return {file: rendered(__package__, name, **data) for file, name in templates.items()}
 
+    @property
+    def struct_values(self) -> dict[str, str]:
+        """Members of the C parameter struct in the order of the memory, with values as C text."""
+        values = {}
+        for leaf, members in self._leaves().items():
+            for member in members:
+                for i, text in enumerate(member.values):
+                    end = f"[{i}]" if member.is_array else ""
+                    values[f"{leaf}.{member.name}{end}"] = text
+        for key, texts in self._start().items():
+            values |= {f"initial_{key}[{i}]": text for i, text in enumerate(texts)}
+        return values
+
     def _start(self) -> dict[str, list[str]]:
         """Return the initial states as C text.
 

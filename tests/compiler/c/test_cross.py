@@ -7,30 +7,6 @@ from kneexo.compiler.c.cross import PLATFORMS, native_platform, require_platform
 from kneexo.compiler.errors import CompilationError
 
 FILES = {"m.c": "int m(void) { return 1; }\n", "m.h": ""}
-FAKE = """
-import sys
-
-arguments = sys.argv[1:]
-if "x86_64-windows-gnu" in arguments and FAILS:
-    sys.exit("m.c:1:1: error: odd")
-with open(arguments[arguments.index("-o") + 1], "w") as file:
-    file.write(" ".join(arguments))
-"""
-
-
-@pytest.fixture
-def zig(tmp_path, monkeypatch):
-    """``zig(fails)``: in the place of Zig a program that writes its arguments as library."""
-
-    def install(fails=False):
-        package = tmp_path / "ziglang"
-        package.mkdir()
-        (package / "__init__.py").touch()
-        (package / "__main__.py").write_text(FAKE.replace("FAILS", str(fails)))
-        monkeypatch.syspath_prepend(tmp_path)
-        monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-
-    return install
 
 
 def test_zig_gets_the_target_of_each_platform(zig):

@@ -1,0 +1,76 @@
+"""Compiles exported C to a WebAssembly module without imports, which runs in a browser.
+
+The module has the parameters as a vector that the host may write, and one call runs many ticks.
+``templates/wasm.c`` defines the functions of the module.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from typing import Any
+
+from ..errors import CompilationError
+from .build import REQUIRED_FLAGS, linked
+from .cross import zig_command
+from .source import CSource
+from .template import rendered
+
+_TARGET = ("-target", "wasm32-wasi", "-mexec-model=reactor")
+_FLAGS = (*REQUIRED_FLAGS, "-O3", "-s")
+
+
+@dataclass(frozen=True)
+class WasmModule:
+    """A model as WebAssembly module, and the names of its numbers."""
+
+    code: bytes
+    """The binary module. The same C and the same version of Zig give the same bytes."""
+    table: dict[str, Any]
+    """Dictionary of the module's layout; JSON can represent it.
+
+    ``sample_time_s`` is the time of a tick, and ``rk4_steps_per_tick`` the number of steps of RK4
+    in a tick. ``params``, ``inputs``, ``outputs``, ``states`` and ``discrete`` have names in the
+    order of the elements in memory. ``params`` ends with the initial states. ``defaults`` has the
+    values of ``params``. ``sha256`` is the checksum of the module.
+    """
+
+
+def wasm_files(source: CSource) -> dict[str, str]:
+    """Return the C files of a module as a dictionary from file name to text.
+
+    Raises `CompilationError` in single precision.
+    """
+    if source.precision != "double":
+        raise CompilationError(
+            f"precision = {source.precision!r}: must be double for a WebAssembly module"
+        )
+    data = source.template_data | {"params": max(1, len(source.struct_values))}
+    name = f"{source.name}_wasm.c"
+    return source.files() | {name: rendered(__package__, "wasm.c", **data)}
+
+
+def wasm_table(source: CSource) -> dict[str, Any]:
+    """Return the ``table`` of a `WasmModule` without the checksum of the module."""
+    schedule, equations = source.plan.schedule, source.equations
+    return {
+        "sample_time_s": schedule.tick_s,
+        "rk4_steps_per_tick": schedule.steps if equations.states else 0,
+        "params": list(source.struct_values),
+        "defaults": [float(text) for text in source.struct_values.values()],
+        "inputs": [field.name for field in source.plan.inputs],
+        "outputs": [field.name for field in source.plan.outputs],
+        "states": list(equations.states),
+        "discrete": list(equations.discrete),
+    }
+
+
+def wasm_module(source: CSource) -> WasmModule:
+    """Compile a model in C to a WebAssembly module by Zig.
+
+    Raises `CompilationError` in single precision, and its subclass `BuildError` if Zig is not
+    installed or fails.
+    """
+    files, name = wasm_files(source), f"{source.name}.wasm"
+    code = linked(name, files, *zig_command("WebAssembly"), *_TARGET, *_FLAGS)
+    return WasmModule(code, wasm_table(source) | {"sha256": hashlib.sha256(code).hexdigest()})
