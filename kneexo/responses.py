@@ -18,7 +18,8 @@ from kneexo.analysis.tracking import TrackingResult, track
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario, StepReference
 from kneexo.parameters.scenario_file import as_scenario
-from kneexo.result import Array, Result, axes_or_new, data_frame
+from kneexo.plotting import BLUE, GOLD, axes_or_new, decimal_ticks, phase_ticks
+from kneexo.result import Array, Result, data_frame
 
 STEP_TIME_S = 0.1
 """Time in s at which the reference of `step` jumps; until then the knee rests."""
@@ -99,23 +100,34 @@ class BodeResponse(Result):
 
     def plot(self, ax: Any = None) -> Any:
         """Plot magnitude and phase of both responses; return two Matplotlib axes."""
-        ax = axes_or_new(ax, 2, 1, sharex=True, figsize=(7, 6))
+        caption = (
+            "Bode plot of the linear closed loop, for sines inside the speed limit. "
+            "The response to the reference includes the feedforward. "
+            "The response of the feedback alone is L/(1 + L)."
+        )
+        ax = axes_or_new(ax, 2, 1, caption=caption, sharex=True, figsize=(7, 6))
         f = self.frequencies_hz
         for values, style, label in (
-            (self.response, "C0", "knee angle / reference"),
-            (self.complementary_sensitivity, "C1--", "L/(1 + L), feedback alone"),
+            (self.response, {"color": BLUE}, "knee angle / reference"),
+            (
+                self.complementary_sensitivity,
+                {"color": GOLD, "ls": "--"},
+                "L/(1 + L), feedback alone",
+            ),
         ):
-            ax[0].semilogx(f, 20.0 * np.log10(np.abs(values)), style, label=label)
-            ax[1].semilogx(f, _phase_deg(values), style, label=label)
+            ax[0].semilogx(f, 20.0 * np.log10(np.abs(values)), label=label, **style)
+            ax[1].semilogx(f, _phase_deg(values), label=label, **style)
         ax[0].axhline(20.0 * math.log10(MINUS_3_DB), color="0.6", lw=0.8, label="−3 dB")
         if math.isfinite(bandwidth := self.bandwidth_hz):
             for axis in ax:
                 label = f"bandwidth {bandwidth:.3g} Hz"
-                axis.axvline(bandwidth, color="C3", ls=":", lw=1, label=label)
+                axis.axvline(bandwidth, color="0.3", ls=":", lw=1, label=label)
         ax[0].set(ylabel="magnitude (dB)")
         ax[1].set(xlabel="frequency (Hz)", ylabel="phase (deg)")
         for axis in ax:
             axis.grid(alpha=0.3)
+        decimal_ticks(ax[1].xaxis)
+        phase_ticks(ax[1].yaxis)
         ax[0].legend(loc="lower left")
         return ax
 

@@ -1,4 +1,4 @@
-"""Base class of results, and functions for their short texts, Matplotlib axes and data frames."""
+"""Base class of results, and functions for their short texts and data frames."""
 
 from __future__ import annotations
 
@@ -67,16 +67,6 @@ def _counted(value: Mapping[Any, Any], left: str, right: str) -> str:
     names = ", ".join(str(name) for name in list(value)[:3])
     more = f", … {len(value)} names" if len(value) > 3 else ""
     return f"{left}{names}{more}{right}"
-
-
-def axes_or_new(ax: Any, *shape: int, **options: Any) -> Any:
-    """Return ``ax``, or new Matplotlib axes if ``ax`` is None.
-
-    ``shape`` and ``options`` are arguments of ``matplotlib.pyplot.subplots``.
-    """
-    import matplotlib.pyplot as plt
-
-    return plt.subplots(*shape, layout="constrained", **options)[1] if ax is None else ax
 
 
 def data_frame(columns: Mapping[str, Any], index: str | None = None) -> Any:

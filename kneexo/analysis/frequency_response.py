@@ -23,7 +23,8 @@ from kneexo.parameters import UNCERTAINTY, Scenario, SineReference, Uncertainty,
 from kneexo.parameters.paths import changed
 from kneexo.parameters.quantity import Parameters, ordered_limits, quantities, quantity
 from kneexo.parameters.uncertainty import draw
-from kneexo.result import Array, Result, axes_or_new, data_frame
+from kneexo.plotting import BLUE, TEAL, axes_or_new
+from kneexo.result import Array, Result, data_frame
 from kneexo.simulation import awaitable, needs_runs, simulate
 from kneexo.sweeps.parallel import parallel_map
 
@@ -179,7 +180,13 @@ class FrequencyResponse(Result):
 
     def plot(self, ax: Any = None) -> Any:
         """Plot trials, means and PCHIP of magnitude and phase; return two Matplotlib axes."""
-        ax = axes_or_new(ax, 1, 2, figsize=(10, 4))
+        count = len(self.response)
+        trials = f"{count} trial{'s' if count > 1 else ''}"
+        caption = (
+            "Gain and phase of the knee angle relative to its reference, measured with sines. "
+            f"The curve interpolates the mean of {trials} monotonically (PCHIP)."
+        )
+        ax = axes_or_new(ax, 1, 2, caption=caption, figsize=(10, 4))
         f = self.frequencies_hz
         fine = np.linspace(f[0], f[-1], 400)
         gains, phases = np.abs(self.response), _phase_deg(self.response)
@@ -194,23 +201,23 @@ class FrequencyResponse(Result):
             axis = ax[index]
             for trial in values:
                 axis.plot(f, trial, ".", color="0.6", ms=5)
-            axis.plot([], [], ".", color="0.6", label=f"{len(values)} trials")
-            axis.plot(f, mean, "C0o", ms=4, label="mean")
-            axis.plot(fine, curve, "C0", lw=1.2, label="PCHIP")
+            axis.plot([], [], ".", color="0.6", label=trials)
+            axis.plot(f, mean, "o", color=BLUE, ms=4, label="mean")
+            axis.plot(fine, curve, BLUE, lw=1.2, label="interpolation")
             axis.set(xlabel="frequency (Hz)", ylabel=label, xscale="log")
             ticks = [t for t in _TICKS_HZ if f[0] <= t <= f[-1]]
             axis.set_xticks(ticks, [f"{t:g}" for t in ticks])
             axis.minorticks_off()
             axis.grid(alpha=0.3)
         if math.isfinite(self.bandwidth_hz):
-            ax[0].axhline(20.0 * math.log10(MINUS_3_DB), color="C3", ls="--", lw=1)
+            ax[0].axhline(20.0 * math.log10(MINUS_3_DB), color="0.5", ls="--", lw=1)
             for axis in ax:
                 axis.axvline(
                     self.bandwidth_hz,
-                    color="C3",
+                    color=TEAL,
                     ls="--",
                     lw=1,
-                    label=f"−3 dB at {self.bandwidth_hz:.3f} Hz",
+                    label=f"−3 dB at {self.bandwidth_hz:.3g} Hz",
                 )
         ax[0].set_title("(a) magnitude")
         ax[1].set_title("(b) phase")

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kneexo.parameters import G1, LinkageParameters, RodPolynomialParameters
-from kneexo.result import Array, Result, axes_or_new, data_frame
+from kneexo.plotting import BLUE, GOLD, axes_or_new
+from kneexo.result import Array, Result, data_frame
 from kneexo.rod_polynomial import SAMPLES, quintic, rod_points
 
 if TYPE_CHECKING:
@@ -61,22 +62,40 @@ class PolynomialFit(Result):
         return data_frame({name: getattr(self, name) for name in names}, "angle_deg")
 
     def plot(self, ax: Any = None) -> Any:
-        """Plot linkage, fit and Table 1 for x(θ_p) and θ_p(x), as in Fig. 5; return two axes."""
-        ax = axes_or_new(ax, 1, 2, figsize=(9, 3.8))
+        """Plot linkage, fit and Table 1 for x(θ_p) and θ_p(x), as in Fig. 5, and their residuals.
+
+        Returns four axes (2, 2). The upper row has the maps, the lower row the linkage minus each
+        polynomial. ``ax`` has four Matplotlib axes. If it is None, a new figure is made.
+        """
+        caption = (
+            "Rod extension over knee angle (a) and its inverse (b). The three curves coincide. "
+            "The lower panels show the linkage minus each polynomial."
+        )
+        ax = axes_or_new(ax, 2, 2, caption=caption, sharex="col", figsize=(9, 5.6))
         table = self.table
         angle, rod = self.angle_deg, self.extension_mm
-        self._plot_map(ax[0], angle, rod, self.p_mm_deg, table.p_mm_deg)
-        ax[0].set(xlabel="knee angle θ_p (deg)", ylabel="rod extension x (mm)", title="(a)")
-        self._plot_map(ax[1], rod, angle, self.q_deg_mm, table.q_deg_mm)
-        ax[1].set(xlabel="rod extension x (mm)", ylabel="knee angle θ_p (deg)", title="(b)")
+        self._plot_map(ax[0, 0], angle, rod, self.p_mm_deg, table.p_mm_deg)
+        self._plot_map(ax[0, 1], rod, angle, self.q_deg_mm, table.q_deg_mm)
+        self._plot_errors(ax[1, 0], angle, self.p_error_mm, self.table_p_error_mm)
+        self._plot_errors(ax[1, 1], rod, self.q_error_deg, self.table_q_error_deg)
+        ax[0, 0].set(ylabel="rod extension x (mm)", title="(a)")
+        ax[0, 1].set(ylabel="knee angle θ_p (deg)", title="(b)")
+        ax[1, 0].set(xlabel="knee angle θ_p (deg)", ylabel="residual of x (mm)")
+        ax[1, 1].set(xlabel="rod extension x (mm)", ylabel="residual of θ_p (deg)")
         return ax
 
     @staticmethod
     def _plot_map(ax: Axes, argument: Array, value: Array, fit: Any, table: Any) -> None:
         ax.plot(argument[::30], value[::30], "ko", ms=3.5, mfc="none", label="linkage (Eq. 1–9)")
-        ax.plot(argument, np.polyval(fit, argument), "C0", lw=1.2, label="quintic fit")
-        ax.plot(argument, np.polyval(table, argument), "C3--", lw=1.2, label="Table 1")
+        ax.plot(argument, np.polyval(fit, argument), BLUE, lw=1.2, label="quintic fit")
+        ax.plot(argument, np.polyval(table, argument), GOLD, ls="--", lw=1.2, label="Table 1")
         ax.legend()
+
+    @staticmethod
+    def _plot_errors(ax: Axes, argument: Array, fit: Array, table: Array) -> None:
+        ax.plot(argument, fit, BLUE, lw=1.2, label="quintic fit")
+        ax.plot(argument, table, GOLD, ls="--", lw=1.2, label="Table 1")
+        ax.axhline(0.0, color="0.7", lw=0.8, zorder=0)
 
 
 def fit_polynomials(

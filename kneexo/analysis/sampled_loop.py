@@ -19,6 +19,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
+from kneexo.analysis.eigenvalue_plot import plot_eigenvalues
 from kneexo.analysis.frequency_response import MINUS_3_DB
 from kneexo.analysis.loop_equilibrium import command_and_live, find_equilibrium
 from kneexo.analysis.margins import Margins, stability_margins
@@ -31,7 +32,8 @@ from kneexo.analysis.plant_linearization import (
 from kneexo.compiler import Transfer, as_transfer
 from kneexo.errors import LinearizationError
 from kneexo.parameters import Scenario
-from kneexo.result import Array, Result, axes_or_new
+from kneexo.plotting import BLUE, GOLD, RED, TEAL, axes_or_new, decimal_ticks, phase_ticks
+from kneexo.result import Array, Result
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -272,7 +274,11 @@ class SampledLoop(Result):
         The phase is unwrapped and starts between −270° and 90°. For a stable loop the plot also
         shows gain and phase margin.
         """
-        ax = axes_or_new(ax, 2, 1, sharex=True, figsize=(7, 6))
+        caption = (
+            "Bode plot of the loop transfer L up to the Nyquist frequency. "
+            "Vertical bars show gain and phase margin of a stable loop."
+        )
+        ax = axes_or_new(ax, 2, 1, caption=caption, sharex=True, figsize=(7, 6))
         nyquist = 0.5 / self.sample_time_s
         f = self.frequency_grid()
         loop, margins = self.loop_response(f), self.margins()
@@ -281,25 +287,27 @@ class SampledLoop(Result):
         phase = np.degrees(np.unwrap(np.angle(loop)))
         phase -= 360.0 * math.floor((phase[0] + 270.0) / 360.0)
         for axis, values in zip(ax, (decibel, phase), strict=True):
-            axis.semilogx(f, values, "C0")
-            axis.axvline(nyquist, color="C3", ls="--", lw=1, label=f"Nyquist, {nyquist:g} Hz")
+            axis.semilogx(f, values, BLUE)
+            axis.axvline(nyquist, color="0.3", ls="--", lw=1, label=f"Nyquist, {nyquist:g} Hz")
             axis.grid(alpha=0.3)
         crossover = margins.phase_margin_frequency_hz
         if self.stable and math.isfinite(crossover):
             there = float(np.interp(crossover, f, phase))
-            ax[0].plot([crossover], [0.0], "C2.", label=f"crossover {crossover:.3g} Hz")
+            ax[0].plot([crossover], [0.0], ".", color=TEAL, label=f"crossover {crossover:.3g} Hz")
             ends = [there - margins.phase_margin_deg, there]
             label = f"phase margin {margins.phase_margin_deg:.3g}°"
-            ax[1].plot([crossover] * 2, ends, "C2.-", lw=2, label=label)
+            ax[1].plot([crossover] * 2, ends, ".-", color=TEAL, lw=2, label=label)
         if self.stable and math.isfinite(margins.gain_margin):
             at = margins.gain_margin_frequency_hz
             decibels = 20.0 * math.log10(margins.gain_margin)
             label = f"gain margin {margins.gain_margin:.3g} ({decibels:.3g} dB)"
-            ax[0].plot([at] * 2, [-decibels, 0.0], "C1.-", lw=2, label=label)
+            ax[0].plot([at] * 2, [-decibels, 0.0], ".-", color=GOLD, lw=2, label=label)
         ax[0].axhline(0.0, color="0.6", lw=0.8)
         ax[1].axhline(-180.0, color="0.6", lw=0.8)
         ax[0].set(ylabel="loop magnitude (dB)")
         ax[1].set(xlabel="frequency (Hz)", ylabel="loop phase (deg)")
+        phase_ticks(ax[1].yaxis)
+        decimal_ticks(ax[1].xaxis)
         for axis in ax:
             axis.legend(loc="lower left")
         return ax
@@ -325,19 +333,24 @@ class SampledLoop(Result):
         if L is multiplied by any complex factor inside the disk with the diameter 1/γ … γ. No disk
         is drawn if the loop is unstable or the disk margin is 2 or more.
         """
-        ax = axes_or_new(ax, figsize=(5.5, 5.5))
+        caption = (
+            "Nyquist plot of the loop transfer L. The curve touches the disk of the disk margin. "
+            "The ends of its diameter are the factors 1/γ and γ on the gain, drawn at −γ and −1/γ. "
+            "So its centre lies left of −1."
+        )
+        ax = axes_or_new(ax, caption=caption, figsize=(5.5, 5.5))
         loop = self.loop_response(self.frequency_grid())
-        ax.plot(loop.real, loop.imag, "C0", lw=1.2, label="L, f > 0")
-        ax.plot(loop.real, -loop.imag, "C0:", lw=0.8, label="L, f < 0")
+        ax.plot(loop.real, loop.imag, BLUE, lw=1.2, label="L, f > 0")
+        ax.plot(loop.real, -loop.imag, BLUE, ls=":", lw=0.8, label="L, f < 0")
         circle = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 361))
         ax.plot(circle.real, circle.imag, color="0.3", lw=0.8, label="|L| = 1")
-        ax.plot([-1.0], [0.0], "C3+", ms=9, mew=1.5, label="−1")
+        ax.plot([-1.0], [0.0], "+", color=RED, ms=9, mew=1.5, label="−1")
         reach = 0.5 * self.margins().disk_margin if self.stable else math.nan
         if reach < 1.0:  # otherwise the disk is no circle; nan: an unstable loop
             gain = (1.0 + reach) / (1.0 - reach)
             disk = -0.5 * (gain + 1.0 / gain) + 0.5 * (gain - 1.0 / gain) * circle
             label = f"disk margin {2.0 * reach:.3g}"
-            ax.fill(disk.real, disk.imag, color="C3", alpha=0.25, lw=0, label=label)
+            ax.fill(disk.real, disk.imag, color=RED, alpha=0.25, lw=0, label=label)
         ax.legend(loc="upper right", fontsize=8)
         ax.set(xlabel="real part of L", ylabel="imaginary part of L")
         ax.set_aspect("equal")
@@ -346,26 +359,18 @@ class SampledLoop(Result):
         return ax
 
     def plot_poles(self, ax: Axes | None = None) -> Axes:
-        """Plot the eigenvalues in the z-plane, with unit circle and lines of constant damping."""
-        ax = axes_or_new(ax, figsize=(5.5, 5.5))
-        for damping in (0.0, 0.1, 0.3, 0.5, 0.7, 0.9):
-            turn = np.linspace(0.0, np.pi, 200)  # damped frequency times T, up to Nyquist
-            line = np.exp((1j - damping / math.sqrt(1.0 - damping**2)) * turn)
-            for half in (line, line.conj()):
-                grey = "0.4" if damping == 0.0 else "0.75"
-                ax.plot(half.real, half.imag, color=grey, lw=0.8, zorder=0)
-            if damping:
-                at = line[60 if damping < 0.6 else 40]
-                ax.text(at.real, at.imag, f"ζ = {damping:g}", color="0.45", fontsize=7)
-        values = self.eigenvalues
-        inside = np.abs(values) < 1.0
-        ax.plot(values[inside].real, values[inside].imag, "C0x", ms=7, mew=1.5, label="stable")
-        if not inside.all():
-            outside = values[~inside]
-            ax.plot(outside.real, outside.imag, "C3x", ms=7, mew=1.5, label="unstable")
-        ax.set(xlabel="real part of z", ylabel="imaginary part of z")
-        ax.set_aspect("equal")
-        ax.legend(loc="upper left")
+        """Plot the eigenvalues in the z-plane, with unit circle and lines of constant damping.
+
+        An inset enlarges the neighbourhood of z = 1 if several eigenvalues lie there, and if the
+        inset hides no other eigenvalue.
+        """
+        caption = (
+            "Eigenvalues of the sampled loop in the z-plane. "
+            "Slow eigenvalues lie near z = 1, and the loop is stable if all lie inside the circle. "
+            "ζ is the damping ratio on each grey line."
+        )
+        ax = axes_or_new(ax, caption=caption, figsize=(5.5, 5.5))
+        plot_eigenvalues(ax, self.eigenvalues)
         return ax
 
 

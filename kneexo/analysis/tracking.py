@@ -17,7 +17,8 @@ from kneexo.analysis.verdict import Verdict, verdict_of
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario
 from kneexo.parameters.scenario_file import as_scenario
-from kneexo.result import Array, Result, axes_or_new, data_frame
+from kneexo.plotting import BLUE, PURPLE, RED, TEAL, axes_or_new
+from kneexo.result import Array, Result, data_frame
 from kneexo.simulation import Run, awaitable, needs_runs, simulate
 
 if TYPE_CHECKING:
@@ -319,12 +320,12 @@ class TrackingResult(Result):
 
     def plot_angle(self, ax: Axes | None = None) -> Axes:
         """Plot reference and knee angle over time."""
-        ax = axes_or_new(ax)
+        ax = axes_or_new(ax, caption="Knee angle and its reference over time.")
         time = self.run.time_s
         angle, reference = (
             np.degrees(self.run[name]) for name in ("knee_angle_rad", "knee_reference_rad")
         )
-        ax.plot(time, angle, "C0", lw=2.5, alpha=0.6, label="knee angle")
+        ax.plot(time, angle, BLUE, lw=2.5, alpha=0.6, label="knee angle")
         ax.plot(time, reference, "k--", lw=1, label="reference")
         ax.set(xlabel="time (s)", ylabel="knee angle (deg)")
         low, high = ax.get_ylim()
@@ -334,8 +335,8 @@ class TrackingResult(Result):
 
     def plot_error(self, ax: Axes | None = None) -> Axes:
         """Plot the tracking error over time."""
-        ax = axes_or_new(ax)
-        ax.plot(self.run.time_s, self.error_deg, "C3", lw=1)
+        ax = axes_or_new(ax, caption="Tracking error, reference minus knee angle, over time.")
+        ax.plot(self.run.time_s, self.error_deg, PURPLE, lw=1)
         ax.axhline(0.0, color="0.7", lw=0.8, zorder=0)
         ax.set(xlabel="time (s)", ylabel="tracking error (deg)")
         return ax
@@ -345,15 +346,19 @@ class TrackingResult(Result):
 
         ``ax`` contains three Matplotlib axes. If it is None, a new figure is made.
         """
-        ax = axes_or_new(ax, 3, 1, sharex=True, figsize=(7, 7))
+        caption = (
+            "Knee angle with its reference, tracking error (reference minus knee angle) and motor "
+            "speed command over time."
+        )
+        ax = axes_or_new(ax, 3, 1, caption=caption, sharex=True, figsize=(7, 7))
         self.plot_angle(ax[0])
         self.plot_error(ax[1])
         limit = to_rpm(self.scenario.command_limit_rad_s)
-        ax[2].plot(self.run.time_s, to_rpm(self.run["motor_speed_command_rad_s"]), "C2", lw=0.8)
+        ax[2].plot(self.run.time_s, to_rpm(self.run["motor_speed_command_rad_s"]), TEAL, lw=0.8)
         ax[2].set(xlabel="time (s)", ylabel="motor speed command (rpm)")
         if limit < 1e6:
             for sign, label in ((-1, None), (1, f"limit ±{limit:.0f} rpm")):
-                ax[2].axhline(sign * limit, color="0.4", ls=":", lw=1, label=label)
+                ax[2].axhline(sign * limit, color=RED, ls=":", lw=1.2, label=label)
             low, high = ax[2].get_ylim()
             ax[2].set_ylim(low, high + 0.25 * (high - low))  # room for the legend
             ax[2].legend(loc="upper right")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from typing import Any
 
@@ -10,9 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from numpy.typing import ArrayLike
 
+from kneexo.plotting import decimal_ticks
 from kneexo.result import Array
 
 CENTRED: dict[str, Any] = {"ha": "center", "va": "center"}
@@ -52,20 +52,6 @@ def plain_ticks(axis: Any, values: Any) -> None:
     axis.set_major_locator(FixedLocator([values[index] for index in labelled]))
     axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-
-
-def decimal_ticks(axis: Any) -> None:
-    """Label a logarithmic axis with plain numbers, at up to three positions in each decade.
-
-    The positions are 1, 2 and 5 if the axis shows less than 1.5 decades at the time of the call,
-    1 and 3 below 3 decades, and 1 otherwise.
-    """
-    low, high = sorted(axis.get_view_interval())
-    decades = math.log10(high / low) if low > 0.0 else 1.0
-    subs = (1.0, 2.0, 5.0) if decades < 1.5 else (1.0, 3.0) if decades < 3.0 else (1.0,)
-    axis.set_major_locator(LogLocator(subs=subs))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    axis.set_minor_locator(NullLocator())
 
 
 def heat_map(ax: Axes, x: ArrayLike, y: ArrayLike, values: Array, *, norm: Any, label: str) -> None:

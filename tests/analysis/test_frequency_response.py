@@ -192,11 +192,11 @@ def test_the_plot_marks_3_db_and_has_plain_ticks():
         lines = {line.get_label(): line.get_data() for line in axis.lines}
         np.testing.assert_allclose(lines["mean"], (f, values), atol=1e-12)
         np.testing.assert_allclose(axis.lines[0].get_data(), (f, values), atol=1e-12)
-        assert "1 trials" in lines
-        fine, curve = lines["PCHIP"]
+        assert "1 trial" in lines
+        fine, curve = lines["interpolation"]
         assert (fine[0], fine[-1]) == (0.2, 0.8)
         assert curve[[0, -1]] == pytest.approx(values[[0, -1]], abs=1e-9)
-        assert set(lines["−3 dB at 0.500 Hz"][0]) == {0.5}
+        assert set(lines["−3 dB at 0.5 Hz"][0]) == {0.5}
     (level,) = (line for line in magnitude.lines if len(set(line.get_ydata())) == 1)
     assert level.get_ydata()[0] == pytest.approx(-10.0 * math.log10(2.0))
     for axis in (magnitude, phase):

@@ -53,24 +53,30 @@ def test_errors_are_linkage_minus_polynomial():
     assert fit.q_sse_deg2 == pytest.approx(fit.q_error_deg @ fit.q_error_deg)
 
 
-def test_the_plot_has_the_two_maps_of_fig_5(curves):
+def test_the_plot_has_the_two_maps_of_fig_5_and_their_residuals(curves):
     fit, table = fit_polynomials(samples=91), RodPolynomialParameters()
     angle, rod = "knee angle θ_p (deg)", "rod extension x (mm)"
     axes = fit.plot()
-    assert [(ax.get_xlabel(), ax.get_ylabel()) for ax in axes] == [(angle, rod), (rod, angle)]
-    values = {angle: fit.angle_deg, rod: fit.extension_mm}
-    for ax, own, printed in (
-        (axes[0], fit.p_mm_deg, table.p_mm_deg),
-        (axes[1], fit.q_deg_mm, table.q_deg_mm),
+    upper, lower = axes
+    assert [ax.get_ylabel() for ax in upper] == [rod, angle]
+    assert [(ax.get_xlabel(), ax.get_ylabel()) for ax in lower] == [
+        (angle, "residual of x (mm)"),
+        (rod, "residual of θ_p (deg)"),
+    ]
+    for maps, errors, x, y, own, printed in (
+        (upper[0], lower[0], fit.angle_deg, fit.extension_mm, fit.p_mm_deg, table.p_mm_deg),
+        (upper[1], lower[1], fit.extension_mm, fit.angle_deg, fit.q_deg_mm, table.q_deg_mm),
     ):
-        x, y, lines = values[ax.get_xlabel()], values[ax.get_ylabel()], curves(ax)
-        for label, abscissa, ordinate in (
-            ("linkage (Eq. 1–9)", x[::30], y[::30]),
-            ("quintic fit", x, np.polyval(own, x)),
-            ("Table 1", x, np.polyval(printed, x)),
-        ):
-            assert lines[label][0] == pytest.approx(abscissa)
-            assert lines[label][1] == pytest.approx(ordinate)
+        lines, residuals = curves(maps), curves(errors)
+        assert lines["linkage (Eq. 1–9)"][0] == pytest.approx(x[::30])
+        assert lines["linkage (Eq. 1–9)"][1] == pytest.approx(y[::30])
+        for label, polynomial in (("quintic fit", own), ("Table 1", printed)):
+            assert lines[label][0] == pytest.approx(x)
+            assert lines[label][1] == pytest.approx(np.polyval(polynomial, x))
+            assert residuals[label][0] == pytest.approx(x)
+            # Of values up to 150 the difference keeps 13 digits.
+            assert residuals[label][1] == pytest.approx(y - np.polyval(polynomial, x), abs=1e-9)
+    assert "the linkage minus each polynomial" in upper[0].figure.get_label()
 
 
 def test_quintics_fitted_to_g4_leave_the_printed_errors_of_fig_5():

@@ -279,6 +279,7 @@ def test_a_loop_prints_its_margins_and_plots(loops):
     f, ends = lines[f"phase margin {m.phase_margin_deg:.3g}°"]
     assert f == pytest.approx([m.phase_margin_frequency_hz] * 2)
     assert ends == pytest.approx([-180.0, m.phase_margin_deg - 180.0], abs=0.01)
+    assert {-180.0, -90.0} <= set(phase.get_yticks())
     for ax, level in ((magnitude, 0.0), (phase, -180.0)):
         assert [line for line in ax.lines if set(line.get_ydata()) == {level}]
     line = magnitude.lines[0]

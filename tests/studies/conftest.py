@@ -1,6 +1,7 @@
 """Shared by the tests of studies: what a row must hold, from runs and margins without a study."""
 
 import math
+import re
 from unicodedata import combining
 
 import numpy as np
@@ -46,6 +47,20 @@ def in_numbers():
 def margins():
     """The function ``margins(scenario, angle_deg)``: of the sampled loop; nan if unstable."""
     return _margins
+
+
+@pytest.fixture(scope="session")
+def check_caption():
+    """The function ``check_caption(figure)``: its caption has sentences and no identifier."""
+
+    def check(figure):
+        caption = figure.get_label()
+        assert caption[:1].isupper() or caption[:1] in "ηλΦ"
+        assert caption.endswith(".")
+        assert "  " not in caption
+        assert not re.search(r"[a-z]_[a-z]|[;!]", caption), caption
+
+    return check
 
 
 @pytest.fixture(scope="session")

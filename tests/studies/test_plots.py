@@ -8,7 +8,6 @@ from matplotlib.colors import LogNorm, Normalize
 
 from kneexo.studies.plots import (
     cell_borders,
-    decimal_ticks,
     ecdf,
     heat_map,
     legend_below,
@@ -70,24 +69,6 @@ def test_ticks_that_would_overlap_are_left_out():
     ax.set(xscale="log", xlim=(300.0, 1400.0))
     plain_ticks(ax.xaxis, [330.0, 660.0, 690.0, 720.0, 1300.0])
     assert ax.get_xticks().tolist() == [330.0, 660.0, 1300.0]
-    plt.close(figure)
-
-
-@pytest.mark.parametrize(
-    ("limits", "ticks"),
-    [
-        ((0.9, 11.0), ["1", "2", "5", "10"]),
-        ((0.09, 11.0), ["0.1", "0.3", "1", "3", "10"]),
-        ((0.009, 110.0), ["0.01", "0.1", "1", "10", "100"]),
-    ],
-)
-def test_decimal_ticks_suit_the_decades(limits, ticks):
-    figure, ax = plt.subplots()
-    ax.set(xscale="log", xlim=limits)
-    decimal_ticks(ax.xaxis)
-    low, high = limits
-    shown = [t for t in ax.get_xticks() if low <= t <= high]
-    assert [f"{t:g}" for t in shown] == ticks
     plt.close(figure)
 
 

@@ -8,8 +8,9 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
+from kneexo.plotting import decimal_ticks
 from kneexo.studies.contest.study import INFEASIBLE_DEG, ContestResult, errors_of
-from kneexo.studies.plots import decimal_ticks, ecdf, legend_below
+from kneexo.studies.plots import ecdf, legend_below
 
 
 def outcome(result: ContestResult) -> Figure:

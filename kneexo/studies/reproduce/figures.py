@@ -10,6 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from kneexo.analysis import FrequencyResponse, Run, TrackingResult
+from kneexo.plotting import BLUE, PURPLE, SERIES
+from kneexo.studies.markdown import number
 from kneexo.studies.paper import PAPER_BANDWIDTH_HZ
 from kneexo.studies.reproduce.study import FIG_12_TITLES, ReproduceResult, rod_error_mm
 
@@ -20,7 +22,7 @@ if TYPE_CHECKING:
 def figures(reproduction: ReproduceResult) -> dict[str, Figure]:
     """Draw figures in the paper's layout. Return a dictionary of figures. The caller closes all."""
     return {
-        "fig05_polynomial_fit": reproduction.fit.plot()[0].figure,
+        "fig05_polynomial_fit": reproduction.fit.plot()[0, 0].figure,
         "fig09_ideal_smc": _plot_fig9(reproduction.fig9),
         "fig12_tracking": _plot_fig12(reproduction.fig12),
         "fig13_frequency_response": _plot_fig13(reproduction.fig13),
@@ -39,15 +41,19 @@ def motions(reproduction: ReproduceResult) -> dict[str, Motion]:
 
 def _plot_fig9(run: Run) -> Figure:
     figure, ax = plt.subplots(1, 2, figsize=(10, 3.8), layout="constrained")
+    figure.set_label(
+        "Ideal sliding mode from a wrong start, as in Fig. 9. "
+        "The rod extension reaches its reference (a), and the error decays exponentially (b)."
+    )
     ax[0].plot(run.time_s, 1e3 * run["rod_reference_m"], "k--", lw=1, label="reference")
-    ax[0].plot(run.time_s, 1e3 * run["rod_extension_m"], "C0", lw=1.2, label="rod extension")
+    ax[0].plot(run.time_s, 1e3 * run["rod_extension_m"], BLUE, lw=1.2, label="rod extension")
     ax[0].set(xlabel="time (s)", ylabel="rod extension x (mm)", title="(a)")
     ax[0].legend()
     error = rod_error_mm(run)
-    ax[1].plot(run.time_s, error, "C3", lw=1.2)
+    ax[1].plot(run.time_s, error, PURPLE, lw=1.2)
     ax[1].set(xlabel="time (s)", ylabel="tracking error x − x_d (mm)", title="(b)")
     inset = ax[1].inset_axes((0.45, 0.2, 0.5, 0.5))
-    inset.semilogy(run.time_s, np.maximum(np.abs(error), 1e-12), "C3", lw=1)
+    inset.semilogy(run.time_s, np.maximum(np.abs(error), 1e-12), PURPLE, lw=1)
     inset.set(xlabel="time (s)", ylabel="|error| (mm)")
     return figure
 
@@ -57,10 +63,15 @@ def _plot_fig12(cases: Mapping[str, TrackingResult]) -> Figure:
     figure, axes = plt.subplots(
         len(shown), 2, figsize=(10, 3 * len(shown)), sharex=True, layout="constrained"
     )
+    figure.set_label(
+        "Tracking of three controllers, as in Fig. 12. "
+        "Each row has knee angle and reference, and the tracking error on a scale of its own."
+    )
     for row, (name, tracked) in enumerate(shown.items()):
         tracked.plot_angle(axes[row, 0]).set_title(f"({'ace'[row]}) {FIG_12_TITLES[name]}")
         error = tracked.plot_error(axes[row, 1])
-        error.set_title(f"({'bdf'[row]}) max {tracked.metrics.max_error_deg:.2f}° after one period")
+        largest = number(tracked.metrics.max_error_deg)
+        error.set_title(f"({'bdf'[row]}) largest error after one period {largest}°")
         for ax in axes[row] if row < len(shown) - 1 else ():
             ax.set_xlabel("")
     return figure
@@ -70,21 +81,30 @@ def _plot_fig13(response: FrequencyResponse) -> Figure:
     ax = response.plot()
     ax[0].axvline(PAPER_BANDWIDTH_HZ, color="0.3", ls=":", label=f"paper {PAPER_BANDWIDTH_HZ} Hz")
     ax[0].legend(loc="lower left")
-    return ax[0].figure
+    figure: Figure = ax[0].figure
+    paper = f"The paper measured −3 dB at {PAPER_BANDWIDTH_HZ:g} Hz (Fig. 13)."
+    figure.set_label(f"{figure.get_label()} {paper}")
+    return figure
 
 
 def _plot_eq27(reproduction: ReproduceResult) -> Figure:
     figure, ax = plt.subplots(1, 2, figsize=(10, 3.8), layout="constrained")
-    for name, run in reproduction.eq27_exact.items():
-        ax[0].semilogy(run.time_s, np.abs(run["load_pressure_pa"]), ".", ms=1.5, label=name)
+    figure.set_label(
+        "Eq. 27 as printed, with a sample time of 2 ms. "
+        "With exact states a higher gain excites the hydraulic mode (a). "
+        "With differences of the encoder's counts the error is large with either gain (b)."
+    )
+    for colour, (name, run) in zip(SERIES, reproduction.eq27_exact.items(), strict=False):
+        pressure = np.abs(run["load_pressure_pa"])
+        ax[0].semilogy(run.time_s, pressure, ".", color=colour, ms=1.5, label=name)
     ax[0].set(
         xlabel="time (s)",
         ylabel="|load pressure| (Pa)",
         ylim=(1e-2, 1e4),
         title="(a) exact states: sampled hydraulic mode",
     )
-    for name, tracked in reproduction.eq27_differences.items():
-        ax[1].plot(tracked.run.time_s, tracked.error_deg, lw=0.8, label=name)
+    for colour, (name, tracked) in zip(SERIES, reproduction.eq27_differences.items(), strict=False):
+        ax[1].plot(tracked.run.time_s, tracked.error_deg, colour, lw=0.8, label=name)
     ax[1].set(
         xlabel="time (s)",
         ylabel="tracking error (deg)",

@@ -24,8 +24,9 @@ from kneexo.analysis.hardware import (
 )
 from kneexo.analysis.signals import to_rpm
 from kneexo.gait import gait_knee_flexion, gait_start_percent
+from kneexo.plotting import decimal_ticks
 from kneexo.result import Array
-from kneexo.studies.plots import CENTRED, decimal_ticks, heat_map, legend_below, plain_ticks
+from kneexo.studies.plots import CENTRED, heat_map, legend_below, plain_ticks
 from kneexo.studies.size.result import SizeResult
 
 if TYPE_CHECKING:

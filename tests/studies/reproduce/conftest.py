@@ -63,6 +63,11 @@ def oscillation(rate):
     return Run(time, columns, SimulationParameters())
 
 
+def _first(values):
+    """An error at the first angles alone."""
+    return np.append(values, np.zeros(ANGLES.size - len(values)))
+
+
 FIG_9 = {
     "rod_reference_m": np.array([0.10, 0.11, 0.12, 0.13]),
     "rod_extension_m": np.array([0.05, 0.10, 0.1198, 0.12999]),
@@ -81,10 +86,10 @@ def known():
             extension_mm=148.0 - ANGLES,
             p_mm_deg=p,
             q_deg_mm=q,
-            p_error_mm=np.array([3.0, -4.0]),
-            q_error_deg=np.array([0.6, -0.8]),
-            table_p_error_mm=np.array([0.5, -1.2]),
-            table_q_error_deg=np.array([8.0, -15.0]),
+            p_error_mm=_first([3.0, -4.0]),
+            q_error_deg=_first([0.6, -0.8]),
+            table_p_error_mm=_first([0.5, -1.2]),
+            table_q_error_deg=_first([8.0, -15.0]),
         ),
         fig9=Run(TIME, FIG_9, SimulationParameters()),
         fig12={name: tracked(case, n + 1) for n, (name, case) in enumerate(FIG_12.items())},

@@ -24,10 +24,10 @@ def test_the_view_shows_the_runs_of_fig_12(known):
         assert columns["time_s"] is tracked.run.time_s
 
 
-def test_every_line_of_the_figures_is_that_of_its_run(known, curves):
+def test_every_line_of_the_figures_is_that_of_its_run(known, curves, check_caption):
     drawn = figures(known)
     assert [name[:5] for name in drawn] == ["fig05", "fig09", "fig12", "fig13", "eq27_"]
-    left, right = drawn["fig05_polynomial_fit"].axes
+    left, right, *_ = drawn["fig05_polynomial_fit"].axes
     for ax, x, y, fit, table in (
         (left, ANGLES, 148.0 - ANGLES, known.fit.p_mm_deg, known.fit.table.p_mm_deg),
         (right, 148.0 - ANGLES, ANGLES, known.fit.q_deg_mm, known.fit.table.q_deg_mm),
@@ -50,7 +50,7 @@ def test_every_line_of_the_figures_is_that_of_its_run(known, curves):
         assert lines["knee angle"][1] == pytest.approx((n + 1) * np.array([40, 40, 44, 40.0]))
         assert lines["reference"][1] == pytest.approx((n + 1) * np.array([40, 41, 42, 43.0]))
         assert wrong.lines[0].get_ydata() == pytest.approx((n + 1) * np.array([0, 1, -2, 3.0]))
-        assert f"max {(n + 1) * 0.11:.2f}°" in wrong.get_title()
+        assert f"after one period {(n + 1) * 0.11:.3g}°" in wrong.get_title()
         assert ("PID" in angle.get_title()) == (n > 0)
     assert all(panels[0, 0].get_shared_x_axes().joined(panels[0, 0], ax) for ax in panels.flat)
     assert [ax.get_xlabel() for ax in panels.flat] == [""] * 4 + ["time (s)"] * 2
@@ -71,6 +71,7 @@ def test_every_line_of_the_figures_is_that_of_its_run(known, curves):
     for name, factor in zip(known.eq27_differences, (10, 20), strict=True):
         assert curves(counts)[name][1] == pytest.approx(factor * np.array([0, 1, -2, 3.0]))
     for figure in drawn.values():
+        check_caption(figure)
         assert all(ax.get_ylabel() for ax in figure.axes)
 
 
@@ -86,7 +87,7 @@ def test_fig_13_has_trials_means_our_crossing_and_the_papers(known, curves):
         lines = curves(ax)
         assert lines["mean"][0] == pytest.approx([0.1, 0.2, 0.4])
         assert lines["mean"][1] == pytest.approx(mean)
-        fine, values = lines["PCHIP"]
+        fine, values = lines["interpolation"]
         through = PchipInterpolator([0.1, 0.2, 0.4], 10.0 ** (mean / 20.0))(fine)
         if ax is gain:
             assert values == pytest.approx(20.0 * np.log10(through), abs=0.05)

@@ -43,7 +43,7 @@ def test_every_number_of_the_results_is_the_one_that_its_name_says(known, flat, 
         "refit_p_rmse_mm": pytest.approx(0.0296, abs=1e-4),
         "refit_q_rmse_deg": pytest.approx(0.0796, abs=1e-4),
     }
-    root = math.sqrt(2.0)
+    root = math.sqrt(91.0)  # of the number of angles
     # Eq. 10 with Table 1, term by term.
     x_10 = 148.0 - 6.195 - 3.192 + 0.4789 - 0.04164 + 0.001571
     x_70 = 148.0 - 43.365 - 156.408 + 164.2627 - 99.97764 + 26.403797

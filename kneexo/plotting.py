@@ -1,0 +1,58 @@
+"""Colours, captions, axes and ticks that all figures share.
+
+The caption of a figure is its Matplotlib label, one or more sentences that a page shows below the
+figure: ``figure.get_label()``.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+BLUE, GOLD, TEAL, PURPLE, BROWN = "#2166AC", "#B8860B", "#1B9E77", "#AA3377", "#5A3A22"
+RED = "#CC3311"
+"""Colour of limits, failures and unstable loops, and of nothing else."""
+SERIES = (BLUE, GOLD, TEAL, PURPLE, BROWN)
+"""Colours of curves. They stay apart, also with `RED`, for people with any colour blindness."""
+
+
+def axes_or_new(ax: Any, *shape: int, caption: str = "", **options: Any) -> Any:
+    """Return ``ax``, or the Matplotlib axes of a new figure with ``caption`` if ``ax`` is None.
+
+    ``shape`` and ``options`` are arguments of ``matplotlib.pyplot.subplots``.
+    """
+    if ax is not None:
+        return ax
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(*shape, layout="constrained", **options)
+    figure.set_label(caption)
+    return axes
+
+
+def phase_ticks(axis: Any) -> None:
+    """Put the ticks of a phase axis in deg at multiples of 45°, 90° or 180°, at most nine.
+
+    The limits of the axis at the time of the call decide between the three.
+    """
+    from matplotlib.ticker import MultipleLocator
+
+    low, high = sorted(axis.get_view_interval())
+    step = next((s for s in (45.0, 90.0) if (high - low) / s <= 8.0), 180.0)
+    axis.set_major_locator(MultipleLocator(step))
+
+
+def decimal_ticks(axis: Any) -> None:
+    """Label a logarithmic axis with plain numbers, at up to three positions in each decade.
+
+    The positions are 1, 2 and 5 if the axis shows less than 1.5 decades at the time of the call,
+    1 and 3 below 3 decades, and 1 otherwise.
+    """
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    low, high = sorted(axis.get_view_interval())
+    decades = math.log10(high / low) if low > 0.0 else 1.0
+    subs = (1.0, 2.0, 5.0) if decades < 1.5 else (1.0, 3.0) if decades < 3.0 else (1.0,)
+    axis.set_major_locator(LogLocator(subs=subs))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_locator(NullLocator())
