@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from kneexo.compiler import LoopMargins, Transfer, margins
 from kneexo.result import Result
 
+SOUND_DISK_MARGIN = 0.5
+"""Smallest disk margin of a sound loop. Assumption: 28° of phase or a gain of 0.6…1.67, alone."""
+
 
 @dataclass(frozen=True, repr=False)
 class Margins(Result, LoopMargins):

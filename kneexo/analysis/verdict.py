@@ -153,8 +153,8 @@ class Verdict(Result):
 
     @property
     def text(self) -> str:
-        """The `model_lines` and the three lines, for a terminal of 100 columns."""
-        return "\n".join((*self.model_lines, *map(wrapped, self.lines)))
+        """The three lines and the `model_lines`, for a terminal of 100 columns."""
+        return "\n".join((*map(wrapped, self.lines), *self.model_lines))
 
     def results(self) -> dict[str, Any]:
         """Return the verdict as plain data for JSON: ``lines``, and their values by name."""

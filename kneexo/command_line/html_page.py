@@ -24,33 +24,37 @@ if TYPE_CHECKING:
     from kneexo.studies.catalogue import Motion
 
 _STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; color: #1c1e21; max-width: 60rem; margin: auto;
-  padding: 1rem; }
+body { font: 16px/1.5 system-ui, sans-serif; color: #1c1e21; background: #fff; max-width: 60rem;
+  margin: auto; padding: 1rem; overflow-wrap: break-word; }
 h1, h2, h3 { line-height: 1.2; }
 .scroll { overflow-x: auto; }
-table { border-collapse: collapse; font-size: 0.9rem; margin: 1rem 0; }
+table { border-collapse: collapse; font-size: 0.9rem; margin: 1rem 0; overflow-wrap: normal; }
 th, td { border-bottom: 1px solid #d0d4d9; padding: 0.3rem 0.7rem; text-align: left;
   vertical-align: top; }
 figure { margin: 1.5rem 0; }
 figure label { display: block; overflow-x: auto; cursor: zoom-in; }
-figure svg { display: block; max-width: 100%; height: auto; }
+figure img { display: block; max-width: 100%; height: auto; }
 figure input { position: absolute; opacity: 0; }
-figure input:checked + svg { width: 90rem; max-width: none; cursor: zoom-out; }
-figure input:focus-visible + svg { outline: 2px solid #1a6fb5; }
+figure input:checked + img { width: 90rem; max-width: none; cursor: zoom-out; }
+figure input:focus-visible + img, .scroll:focus-visible { outline: 2px solid #1a6fb5; }
 .view button { font: inherit; padding: 0.5rem 1rem; }
 .view iframe { width: 100%; height: 70vh; border: 1px solid #d0d4d9; }
-figcaption { color: #5a6069; font-size: 0.85rem; }
-pre { overflow-x: auto; background: #f4f5f7; padding: 0.7rem; font-size: 0.85rem; }
-footer { color: #5a6069; border-top: 1px solid #d0d4d9; margin-top: 2rem; }
+figcaption { color: #50565e; font-size: 0.9rem; max-width: 44rem; }
+pre { background: #f4f5f7; padding: 0.7rem; font-size: 0.85rem; white-space: pre-wrap;
+  columns: 22rem; }
+footer { border-top: 1px solid #d0d4d9; margin-top: 2rem; }
 @media screen and (pointer: coarse) { figcaption::after { content: " (tap to enlarge)"; } }
 @media print {
   body { max-width: none; padding: 0; font-size: 11pt; }
+  h1, h2, h3 { break-after: avoid; }
   table { font-size: 7.5pt; }
   th, td { padding: 0.2rem 0.4rem; }
   .scroll, figure label { overflow: visible; }
-  details, .view { display: none; }
+  .view { display: none; }
   figure, tr { break-inside: avoid; }
-  figure input:checked + svg { width: 100%; }
+  figure img { max-height: 22cm; }
+  figure input:checked + img { width: auto; max-width: 100%; }
+  pre { font-size: 7pt; columns: 16rem; background: none; padding: 0; }
 }
 """
 
@@ -137,16 +141,12 @@ def html_page(
     from markdown_it import MarkdownIt
 
     body = MarkdownIt("commonmark", {"html": False}).enable("table").render(report)
-    body = body.replace("<table>", '<div class="scroll"><table>').replace(
+    body = body.replace("<table>", '<div class="scroll" tabindex="0"><table>').replace(
         "</table>", "</table></div>"
     )
     if not body.lstrip().startswith("<h1"):
         body = f"<h1>{html.escape(title)}</h1>\n{body}"
-    pictures = "\n".join(
-        f'<figure><label><input type="checkbox" aria-label="Enlarge {html.escape(name)}">'
-        f"{_svg(figure)}</label><figcaption>{html.escape(name)}</figcaption></figure>"
-        for name, figure in figures.items()
-    )
+    pictures = "\n".join(_picture(name, figure) for name, figure in figures.items())
     inputs = {key: value for key, value in origin.items() if key != "kneexo"}
     text = yaml.safe_dump(inputs, sort_keys=False, allow_unicode=True)
     return f"""<!DOCTYPE html>
@@ -162,8 +162,9 @@ def html_page(
 {pictures}
 {_view(view) if view else ""}
 <footer>
+<h2>Scenario and settings</h2>
 <p>kneexo {html.escape(str(origin["kneexo"]))}: <code>{html.escape(title)}</code></p>
-<details><summary>Scenario and settings</summary><pre>{html.escape(text)}</pre></details>
+<pre>{html.escape(text)}</pre>
 </footer>
 </body>
 </html>
@@ -180,6 +181,18 @@ def _view(page: str) -> str:
 <script type="application/octet-stream" id="view-data">{data}</script>
 <script>{_VIEW_SCRIPT}</script>
 </section>"""
+
+
+def _picture(name: str, figure: Figure) -> str:
+    """Return an HTML figure with the caption of a Matplotlib figure, else with its ``name``."""
+    caption = html.escape(str(figure.get_label()) or name.replace("_", " "))
+    label = html.escape(name.replace("_", " "))
+    data = base64.b64encode(_svg(figure).encode()).decode()
+    return (
+        f'<figure><label><input type="checkbox" aria-label="Enlarge {label}">'
+        f'<img src="data:image/svg+xml;base64,{data}" alt="{caption}"></label>'
+        f"<figcaption>{caption}</figcaption></figure>"
+    )
 
 
 def _svg(figure: Figure) -> str:

@@ -65,7 +65,7 @@ def simulate(choice: ScenarioChoice, out: Path, page: ReportPage | None = None) 
     from kneexo.command_line.output import to_json, write_csv
     from kneexo.parameters.scenario_file import dump_scenario
     from kneexo.rod_polynomial import completed
-    from kneexo.studies.markdown import document, markdown_table, number
+    from kneexo.studies.markdown import number
 
     if page is not None:
         page.require_replaceable()
@@ -84,23 +84,19 @@ def simulate(choice: ScenarioChoice, out: Path, page: ReportPage | None = None) 
     }
     figures = {"tracking": result.plot()[0].figure}
     if page is not None:
-        rows = [(name, number(value, ".6g")) for name, value in metrics.items()]
-        report = document(
-            _bullets(*verdict.lines, *verdict.model_lines),
-            "## Metrics",
-            markdown_table(("metric", "value"), rows),
-        )
+        from kneexo.command_line.run_reports import tracking_report
+
+        report = tracking_report(result)
         (name,) = run_names([choice.path] if choice.path else [], choice.preset)
         motions = {name: (scenario.plant.linkage, result.run.columns)}
         files |= page.file(report, figures, origin, motions)
     m = result.metrics
     lines = [
-        *verdict.model_lines,
+        verdict.text,
         f"  error (root mean square)  {number(m.rms_error_deg, '.3g')} deg",
         f"  change of the command     {number(m.mean_command_change_rpm, '.3g')} rpm per sample",
         f"  work of the motor         {m.shaft_energy_delivered_j:.3g} J, of which "
         f"{m.shaft_energy_delivered_j - m.shaft_energy_j:.3g} J flows back",
-        *map(wrapped, verdict.lines),
         wrapped(f"In {shown(out)}: {', '.join(file_names(files, figures))}"),
     ]
     return Outcome("\n".join(lines) + "\n", results, files=files, figures=figures)
@@ -131,7 +127,6 @@ def linearize(
     from kneexo.analysis.notices import model_lines, model_notices, wrapped
     from kneexo.analysis.verdict import loop_lines
     from kneexo.command_line.output import to_json
-    from kneexo.studies.markdown import document, markdown_table, number
 
     if page is not None:
         page.require_replaceable()
@@ -165,30 +160,14 @@ def linearize(
     figures = {name: ax.figure for name, ax in axes.items()}
     files = {"linearization.json": results}
     if page is not None:
-        numbers = {name: value for name, value in margins.items() if name != "stable"}
-        rows = [(name, number(value, ".6g")) for name, value in numbers.items()]
-        report = document(
-            _bullets(*lines, *model),
-            *_section("Plant", str(plant)),
-            *_section("Loop", str(loop)),
-            markdown_table(("margin", "value"), rows),
-        )
+        from kneexo.command_line.run_reports import linear_report
+
+        report = linear_report(plant, loop, lines, model)
         files |= page.file(report, figures, origin)
     text = [
+        *map(wrapped, lines),
         *model,
         f"Plant: {plant}",
-        *map(wrapped, lines),
         wrapped(f"In {shown(out)}: {', '.join(file_names(files, figures))}"),
     ]
     return Outcome("\n".join(text) + "\n", results, files=files, figures=figures)
-
-
-def _bullets(*lines: str) -> list[str]:
-    """Return a list in Markdown."""
-    return [f"- {line}" for line in lines]
-
-
-def _section(title: str, text: str) -> list[str | list[str]]:
-    """Return a section for `document`: heading, first line of ``text``, other lines as a list."""
-    first, *others = text.splitlines()
-    return [f"## {title}", first, _bullets(*(line.strip() for line in others))]

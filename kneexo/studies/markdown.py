@@ -21,6 +21,14 @@ def number(value: float, form: str = ".3g") -> str:
     return f"{value:{form}}" if math.isfinite(value) else "∞" if value > 0.0 else "−∞"
 
 
+def digits(value: float) -> str:
+    """Format a number with three digits, without exponent between 1e-4 and 1e6.
+
+    The text is a dash for nan, and ∞ or −∞ for an infinite number.
+    """
+    return number(float(f"{value:.3g}") + 0.0, "g")  # + 0.0: no negative zero
+
+
 def percent(share: float) -> str:
     """Format a share (0 … 1) in whole percent. The text is a dash for nan."""
     return "–" if math.isnan(share) else f"{100 * share:.0f} %"

@@ -217,17 +217,17 @@ def test_the_lines_of_a_loop_have_its_margins_and_bandwidths():
     )
 
 
-def test_print_of_a_run_shows_what_is_left_out_notices_and_verdict():
+def test_print_of_a_run_shows_verdict_then_what_is_left_out_and_notices():
     heavy = result(changed(SINE, {"plant.cylinder.mass_kg": 3.2}))
     lines = str(heavy).splitlines()
-    assert lines[0].startswith("Left out: load on the knee, full order")
     assert [line.split(":")[0] for line in lines] == [
-        "Left out",
-        *2 * ["Note"],
         "Tracks",
         "Nothing saturates",
         "Stable at 40°",
+        "Left out",
+        *2 * ["Note"],
     ]
+    assert lines[3].startswith("Left out: load on the knee, full order")
     assert repr(heavy.verdict) == str(heavy.verdict) == str(heavy)
     assert repr(heavy).startswith("TrackingResult(scenario=")
     assert heavy.verdict._repr_html_().split("<br>")[0] == lines[0]

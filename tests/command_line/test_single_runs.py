@@ -76,12 +76,10 @@ def test_terminal_json_and_page_have_the_verdict(capsys, short, tmp_path, undraw
     page = (tmp_path / "simulate.html").read_text()
     items = "".join(f"<li>{html.escape(line)}</li>\n" for line in verdict.lines)
     assert page.index(f"</h1>\n<ul>\n{items}") < page.index("<table>")
-    # The terminal: what is left out, notices, three numbers, the verdict, the files.
+    # The terminal: the verdict, what is left out, notices, three numbers, the files.
     lines = text.splitlines()
-    assert lines[: len(verdict.model_lines[0].splitlines())] == verdict.model_lines[0].splitlines()
-    assert all(note in text for note in verdict.model_lines)
-    assert "\n".join(verdict.lines) in text
-    after = text[text.index(verdict.lines[2]) :].splitlines()[1]
+    assert text.startswith("\n".join((*verdict.lines, *verdict.model_lines)) + "\n  error")
+    after = text[text.index("  work of the motor") :].splitlines()[1]
     assert after.startswith(f"In {tmp_path}:")
     assert 5 <= len(lines) <= 20
     assert max(map(len, lines)) <= max(100, len(f"In {tmp_path}:") + 20)
@@ -241,7 +239,7 @@ def test_linearize_writes_what_it_finds_and_refuses_a_posture_out_of_range(capsy
     assert not (tmp_path / "no").exists()
 
 
-def test_linearize_ends_with_stability_margins_and_bandwidths(capsys, tmp_path, undrawn):
+def test_linearize_begins_with_stability_margins_and_bandwidths(capsys, tmp_path, undrawn):
     from kneexo.analysis import linearize_loop
 
     command = ["linearize", "--preset", "leg", "--set", "plant.cylinder.mass_kg=3.2", "--html"]
@@ -250,16 +248,15 @@ def test_linearize_ends_with_stability_margins_and_bandwidths(capsys, tmp_path, 
     heavy = changed(Scenario.preset("leg"), {"plant.cylinder.mass_kg": 3.2})
     lines = list(loop_lines(linearize_loop(heavy, knee_angle_deg=40.0)))
     assert len(lines) == 3
-    first = printed.index(lines[0])
-    assert printed[first : first + 3] == lines
-    assert printed[first + 3].startswith(f"In {tmp_path}:")
-    assert printed[0] == "Left out: torque of the wearer, air in the oil."
-    assert printed[1].startswith("Note: plant.cylinder.mass_kg = 3.2 kg is outside")
+    assert printed[:3] == lines
+    assert printed[3] == "Left out: torque of the wearer, air in the oil."
+    assert printed[4].startswith("Note: plant.cylinder.mass_kg = 3.2 kg is outside")
     assert len(printed) <= 20
     document = json.loads((tmp_path / "linearization.json").read_text())
     assert document["verdict"] == {"lines": lines, "stable": True}
-    items = "".join(f"<li>{html.escape(line)}</li>\n" for line in lines)
-    assert f"</h1>\n<ul>\n{items}" in (tmp_path / "linearize.html").read_text()
+    page = (tmp_path / "linearize.html").read_text()
+    assert "</h1>\n<ul>\n<li>Stable at 40°; " in page
+    assert f"<li>{html.escape(lines[2])}</li>" in page
 
 
 def test_the_margins_and_bandwidths_of_an_unstable_loop_are_null(capsys, tmp_path, undrawn):

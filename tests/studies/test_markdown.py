@@ -4,6 +4,7 @@ import pytest
 
 from kneexo.studies.markdown import (
     column_table,
+    digits,
     document,
     markdown_table,
     number,
@@ -68,3 +69,19 @@ def test_a_share_is_in_whole_percent():
     assert percent(0.255) == "26 %"
     assert percent(1.0) == "100 %"
     assert percent(math.nan) == "–"
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (4150.45, "4150"),
+        (0.00202651, "0.00203"),
+        (-16.701, "-16.7"),
+        (-0.0, "0"),
+        (123456.0, "123000"),
+        (math.nan, "–"),
+        (-math.inf, "−∞"),
+    ],
+)
+def test_three_digits_have_no_exponent(value, text):
+    assert digits(value) == text

@@ -20,6 +20,7 @@ import scipy
 from pydantic import Field
 
 from kneexo.analysis.assessment import assess
+from kneexo.analysis.margins import SOUND_DISK_MARGIN
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import (
     UNCERTAIN_KNEE,
@@ -124,7 +125,7 @@ class ContestSettings(Parameters):
         le=1,
     )
     least_disk_margin: float = quantity(
-        0.5,
+        SOUND_DISK_MARGIN,
         "1",
         "assumption: gain by a factor of 0.6…1.67 and phase by 28°, alone, on every training plant",
         ge=1e-3,

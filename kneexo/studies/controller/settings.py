@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pydantic import field_validator, model_validator
 
+from kneexo.analysis.margins import SOUND_DISK_MARGIN
 from kneexo.parameters.quantity import (
     Parameters,
     positive_values,
@@ -69,7 +70,7 @@ class ControllerSettings(Parameters):
         3.0, "1", "assumption: a value is wrong that is so much too large or small", gt=1, le=100
     )
     sound_disk_margin: float = quantity(
-        0.5,
+        SOUND_DISK_MARGIN,
         "1",
         "assumption: 28° of phase or a gain of 0.6…1.67, each alone; a loop below it is "
         "counted apart",

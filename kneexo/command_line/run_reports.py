@@ -1,0 +1,192 @@
+"""Reports of the commands ``simulate`` and ``linearize`` in Markdown, for their HTML pages."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from kneexo.analysis.margins import SOUND_DISK_MARGIN
+from kneexo.analysis.signals import to_rpm
+from kneexo.studies.markdown import digits, document, markdown_table
+
+if TYPE_CHECKING:
+    from kneexo.analysis import PlantLinearization, SampledLoop, TrackingResult
+    from kneexo.analysis.margins import Margins
+
+Row = tuple[str, ...]
+"""The cells of a line of a table."""
+
+
+def tracking_report(result: TrackingResult) -> str:
+    """Return the report on a run in Markdown: findings, values beside their limits, more values."""
+    verdict = result.verdict
+    return document(
+        "# A run beside its reference",
+        _bullets(*verdict.lines, *verdict.model_lines),
+        "## Limits",
+        markdown_table(("quantity", "largest value", "limit", "verdict"), _limits(result)),
+        "## More numbers",
+        markdown_table(("quantity", "value"), _numbers(result)),
+    )
+
+
+def _limits(result: TrackingResult) -> Iterator[Row]:
+    """Yield a line for each limit of a run, with the verdict on the run's largest value."""
+    scenario, metrics, verdict = result.scenario, result.metrics, result.verdict
+    plant, run, step = scenario.plant, result.run, result.step
+    if step is None:
+        yield (
+            "tracking error",
+            f"{digits(verdict.max_error_deg)}° at {verdict.max_error_time_s:.4g} s",
+            f"{digits(verdict.error_bound_deg)}°",
+            "tracks" if verdict.tracks else "does not track",
+        )
+    else:
+        end = "settles" if step.settles else "does not settle"
+        yield ("response to the step", end, "settles", end)
+    command_rpm = f"{digits(metrics.peak_command_rpm)} rpm"
+    limit_rpm = to_rpm(scenario.command_limit_rad_s)
+    share = verdict.saturated_share
+    yield ("motor speed command", command_rpm, f"{digits(limit_rpm)} rpm", _over(share, "at"))
+    rated = verdict.pressure_over_rating_share
+    pressure, rating = metrics.peak_pressure_mpa, 1e-6 * plant.cylinder.pressure_rating_pa
+    yield ("load pressure", f"{digits(pressure)} MPa", f"{digits(rating)} MPa", _over(rated))
+    if plant.full_order is not None and "cap_pressure_pa" in run.data:
+        chambers = np.maximum(run["cap_pressure_pa"], run["rod_side_pressure_pa"])
+        value, relief = 1e-6 * float(np.max(chambers)), 1e-6 * plant.full_order.relief_pressure_pa
+        opened = _over(verdict.relief_share, "at")
+        yield ("pressure of a chamber", f"{digits(value)} MPa", f"{digits(relief)} MPa", opened)
+    power, rated_w = metrics.peak_shaft_power_w, plant.pump.rated_power_w
+    over = _over(verdict.power_over_rating_share)
+    yield ("motor power", f"{digits(power)} W", f"{digits(rated_w)} W", over)
+    stability = verdict.stability
+    name = f"eigenvalue of the sampled loop at {digits(stability.knee_angle_deg)}°"
+    if stability.stable is None:
+        yield (name, "–", "1", "no linear loop")
+    else:
+        word = "stable" if stability.stable else "not stable"
+        yield (name, f"{stability.largest_eigenvalue:.6g}", "1", word)
+
+
+def _over(share: float, where: str = "above") -> str:
+    """Return the verdict on a limit that a run reaches for a ``share`` of its time."""
+    return f"{where} the limit for {digits(100.0 * share)} %" if share > 0.0 else "below the limit"
+
+
+def _numbers(result: TrackingResult) -> Iterator[Row]:
+    """Yield the metrics of a run that have no limit."""
+    m, step = result.metrics, result.step
+    if step is not None:
+        yield ("rise time, 10 … 90 %", _with_unit(step.rise_time_s, "s"))
+        yield ("overshoot", _with_unit(step.overshoot_percent, "%"))
+        yield ("settling time", _with_unit(step.settling_time_s, "s"))
+    first = " after the first period" if result.scenario.reference.kind == "sine" else ""
+    yield (f"error, root mean square{first}", _with_unit(m.rms_error_deg, "°"))
+    if first:
+        yield ("largest error of the whole run", _with_unit(m.max_error_overall_deg, "°"))
+        overall = _with_unit(m.rms_error_overall_deg, "°")
+        yield ("error of the whole run, root mean square", overall)
+    yield ("mean change of the command", _with_unit(m.mean_command_change_rpm, "rpm per sample"))
+    yield (f"share of samples with a saturated command{first}", _percent(m.saturated_share))
+    yield ("work of the motor on the pump", _with_unit(m.shaft_energy_delivered_j, "J"))
+    back_j = m.shaft_energy_delivered_j - m.shaft_energy_j
+    yield ("work that flows back to the motor", _with_unit(back_j, "J"))
+    yield ("work of the pump on the cylinder", _with_unit(m.hydraulic_energy_j, "J"))
+
+
+def _with_unit(value: float, unit: str) -> str:
+    """Return a number of three digits with its unit; a dash for nan."""
+    return "–" if math.isnan(value) else f"{digits(value)}{'' if unit == '°' else ' '}{unit}"
+
+
+def _percent(share: float) -> str:
+    return _with_unit(100.0 * share, "%")
+
+
+def linear_report(
+    plant: PlantLinearization, loop: SampledLoop, lines: Iterable[str], model: Iterable[str]
+) -> str:
+    """Return the report on a linearized plant and sampled loop in Markdown.
+
+    ``lines`` are the lines of `kneexo.analysis.verdict.loop_lines`. The table of the margins
+    replaces those with margins. ``model`` describes what the model leaves out.
+    """
+    margins, table = loop.margins(), list[Row]()
+    findings = [next(iter(lines))]
+    if loop.stable:
+        table = list(_margins(margins, loop.sample_time_s))
+        small = [name for name, *_, verdict in table if verdict != "sound"]
+        judged = f"too small: {', '.join(small)}" if small else "all margins are sound"
+        angle = digits(math.degrees(loop.knee_angle_rad))
+        findings = [f"Stable at {angle}°; {judged}.", list(lines)[-1]]
+    point = plant.operating_point
+    eigenvalue = f"{abs(loop.eigenvalues[0]):.6g}"
+    return document(
+        "# Poles and margins",
+        _bullets(*findings, *model),
+        "## Plant",
+        f"In equilibrium at {digits(math.degrees(point.knee_angle_rad))}° the motor turns at "
+        f"{digits(round(to_rpm(point.motor_speed_rad_s), 9))} rpm, the load pressure is "
+        f"{digits(round(1e-6 * point.load_pressure_pa, 9))} MPa, and the rod force is "
+        f"{digits(round(point.rod_force_n, 9))} N. At low frequency the knee turns by "
+        f"{digits(plant.velocity_gain)} rad for each rad of the motor.",
+        markdown_table(("pole (1/s)", "frequency (Hz)", "damping ratio", "verdict"), _poles(plant)),
+        "## Sampled loop",
+        f"The largest eigenvalue is {eigenvalue}, and must be below 1: "
+        f"{'stable' if loop.stable else 'not stable, so there are no margins'}.",
+        markdown_table(("change of the loop", "margin", "at (Hz)", "criterion", "verdict"), table)
+        if table
+        else "",
+        f"A margin is sound if it is at least that of a disk margin of {SOUND_DISK_MARGIN:g}. A "
+        "delay must be able to grow by one sample."
+        if table
+        else "",
+    )
+
+
+def _poles(plant: PlantLinearization) -> Iterator[Row]:
+    """Yield a line for each real pole, and one for each pair of complex poles."""
+    scale = float(np.max(np.abs(plant.poles)))
+    for pole, frequency, ratio in zip(plant.poles, *plant.damping, strict=True):
+        if pole.imag < 0.0:
+            continue
+        text = digits(pole.real) + (f" ± {digits(pole.imag)}j" if pole.imag > 0.0 else "")
+        marginal = abs(pole.real) <= 1e-9 * scale
+        verdict = "integrates" if marginal else "decays" if pole.real < 0.0 else "grows"
+        yield (text, digits(frequency / (2.0 * math.pi)), digits(ratio), verdict)
+
+
+def _margins(m: Margins, sample_time_s: float) -> Iterator[Row]:
+    """Yield a line for each margin of a stable loop, with its criterion and the verdict on it."""
+    half = 0.5 * SOUND_DISK_MARGIN
+    gain, phase_deg = (1.0 + half) / (1.0 - half), math.degrees(2.0 * math.atan(half))
+    decibels = f" ({20.0 * math.log10(m.gain_margin):.3g} dB)" if m.gain_margin < math.inf else ""
+    samples = ""
+    if m.delay_margin_s < math.inf:
+        samples = f" ({math.floor(m.delay_margin_s / sample_time_s)} samples)"
+    for name, value, text, frequency_hz, least, limit in (
+        ("more gain", m.gain_margin, f"factor {digits(m.gain_margin)}{decibels}",
+         m.gain_margin_frequency_hz, gain, f"factor {digits(gain)}"),
+        ("phase lag", m.phase_margin_deg, f"{digits(m.phase_margin_deg)}°",
+         m.phase_margin_frequency_hz, phase_deg, f"{digits(phase_deg)}°"),
+        ("phase lead", m.phase_lead_margin_deg, f"{digits(m.phase_lead_margin_deg)}°",
+         m.phase_lead_margin_frequency_hz, phase_deg, f"{digits(phase_deg)}°"),
+        ("delay", m.delay_margin_s, f"{digits(1e3 * m.delay_margin_s)} ms{samples}",
+         m.delay_margin_frequency_hz, sample_time_s, f"{digits(1e3 * sample_time_s)} ms"),
+        ("gain and phase together (disk margin)", m.disk_margin, digits(m.disk_margin),
+         m.disk_margin_frequency_hz, SOUND_DISK_MARGIN, digits(SOUND_DISK_MARGIN)),
+    ):  # fmt: skip
+        verdict = "sound" if value >= least else "too small"
+        yield (name, text, digits(frequency_hz), f"at least {limit}", verdict)
+    lower, most = m.lower_gain_margin, 1.0 / gain
+    text = f"factor {digits(lower)}" if lower > 0.0 else "any factor"
+    verdict = "sound" if lower <= most else "too small"
+    yield ("less gain", text, "–", f"at most factor {digits(most)}", verdict)
+
+
+def _bullets(*lines: str) -> list[str]:
+    """Return a list in Markdown."""
+    return [f"- {line}" for line in lines]

@@ -1,0 +1,143 @@
+"""Reports of single runs: from the numbers to the cells of their tables."""
+
+import math
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kneexo.analysis import linearize_loop, linearize_plant, track
+from kneexo.analysis.verdict import loop_lines
+from kneexo.command_line.run_reports import linear_report, tracking_report
+from kneexo.parameters import Scenario
+from kneexo.parameters.paths import changed
+
+
+@pytest.fixture(scope="module")
+def leg():
+    """A run of full order whose command saturates."""
+    scenario = Scenario.preset("leg")
+    step = {"kind": "step", "start_deg": 30.0, "end_deg": 40.0, "time_s": 0.2}
+    scenario = changed(scenario, {"reference": step, "simulation.duration_s": 1.5})
+    return track(scenario, all_signals=True)
+
+
+def rows_of(report):
+    """The cells after the first one of each line of all tables, by the first one."""
+    lines = [line.strip("| ").split(" | ") for line in report.splitlines() if line[:1] == "|"]
+    return {name: cells for name, *cells in lines}
+
+
+def test_findings_come_first(leg):
+    lines = tracking_report(leg).splitlines()
+    assert lines[0].startswith("# ")
+    assert lines[2:5] == [f"- {line}" for line in leg.verdict.lines]
+
+
+def test_each_limit_has_its_value_and_verdict(leg):
+    rows = rows_of(tracking_report(leg))
+    command = np.abs(leg["motor_speed_command_rad_s"]) * 30.0 / math.pi
+    share = 100.0 * np.mean(command >= 5000.0 - 1e-6)
+    assert 5.0 < share < 50.0
+    at_limit = f"at the limit for {float(f'{share:.3g}'):g} %"
+    assert rows["motor speed command"] == ["5000 rpm", "5000 rpm", at_limit]
+    pressure = 1e-6 * np.max(np.abs(leg["load_pressure_pa"]))
+    assert rows["load pressure"] == [f"{pressure:.3g} MPa", "3.5 MPa", "below the limit"]
+    chamber = 1e-6 * max(leg["cap_pressure_pa"].max(), leg["rod_side_pressure_pa"].max())
+    assert rows["pressure of a chamber"] == [f"{chamber:.3g} MPa", "3.5 MPa", "below the limit"]
+    power = np.max(np.abs(leg["shaft_power_w"]))
+    assert rows["motor power"] == [f"{power:.3g} W", "200 W", "below the limit"]
+    assert rows["response to the step"] == ["settles"] * 3
+    assert rows["eigenvalue of the sampled loop at 35°"][1:] == ["1", "stable"]
+
+
+def test_numbers_without_limit_have_units(leg):
+    rows, step = rows_of(tracking_report(leg)), leg.step
+    assert rows["rise time, 10 … 90 %"] == [f"{step.rise_time_s:.3g} s"]
+    assert rows["overshoot"] == [f"{step.overshoot_percent:.3g} %"]
+    assert rows["settling time"] == [f"{step.settling_time_s:.3g} s"]
+    power, time = leg["shaft_power_w"], leg["time_s"]
+    delivered, back = (np.trapezoid(np.maximum(sign * power, 0.0), time) for sign in (1, -1))
+    assert rows["work of the motor on the pump"] == [f"{delivered:.3g} J"]
+    # 3 digits; the rectangles where the sign changes differ from trapezoids
+    assert float(rows["work that flows back to the motor"][0][:-2]) == pytest.approx(back, rel=0.05)
+    rms = np.sqrt(np.mean(leg.error_deg**2))
+    assert rows["error, root mean square"] == [f"{rms:.3g}°"]
+
+
+def test_a_run_shorter_than_its_period_has_dashes():
+    scenario = changed(Scenario(), {"simulation.duration_s": 0.5})
+    result = track(scenario, all_signals=True)
+    rows = rows_of(tracking_report(result))
+    assert rows["error, root mean square after the first period"] == ["–"]
+    error = np.max(np.abs(result.error_deg))
+    assert rows["largest error of the whole run"] == [f"{error:.3g}°"]
+    value, bound, verdict = rows["tracking error"]
+    assert value.startswith(f"{error:.3g}° at ")
+    assert (bound, verdict) == ("2°", "tracks")
+
+
+def test_a_run_that_does_not_track_says_so():
+    slow = {"reference.frequency_hz": 1.0, "simulation.duration_s": 2.5}
+    result = track(changed(Scenario(), slow), all_signals=True)
+    assert rows_of(tracking_report(result))["tracking error"][2] == "does not track"
+
+
+@pytest.fixture(scope="module")
+def linear():
+    scenario = Scenario()
+    return linearize_plant(scenario.plant), linearize_loop(scenario)
+
+
+def linear_text(plant, loop):
+    return linear_report(plant, loop, loop_lines(loop), ["Left out: nothing."])
+
+
+def test_margins_are_listed_once_with_criterion_and_verdict(linear):
+    plant, loop = linear
+    text, m = linear_text(plant, loop), loop.margins()
+    rows = rows_of(text)
+    decibels = 20.0 * math.log10(m.gain_margin)
+    frequency = f"{m.gain_margin_frequency_hz:.3g}"
+    more = [f"factor {m.gain_margin:.3g} ({decibels:.3g} dB)", frequency]
+    assert rows["more gain"] == [*more, "at least factor 1.67", "sound"]
+    assert rows["phase lag"][0] == f"{m.phase_margin_deg:.3g}°"
+    assert rows["phase lag"][2:] == ["at least 28.1°", "sound"]  # 2 atan(1/4)
+    delay = f"{1e3 * m.delay_margin_s:.3g} ms ({int(m.delay_margin_s / 0.002)} samples)"
+    assert rows["delay"][0] == delay
+    assert rows["delay"][2:] == ["at least 2 ms", "sound"]
+    assert rows["less gain"] == ["any factor", "–", "at most factor 0.6", "sound"]
+    assert text.count(f"{m.phase_margin_deg:.3g}°") == 1
+    assert "Stable at 40°; all margins are sound." in text
+
+
+def test_a_small_margin_is_named_first(linear, monkeypatch):
+    plant, loop = linear
+    margins = replace(loop.margins(), phase_margin_deg=28.0, lower_gain_margin=0.61)
+    monkeypatch.setattr(type(loop), "margins", lambda _: margins)
+    text = linear_text(plant, loop)
+    assert text.splitlines()[2] == "- Stable at 40°; too small: phase lag, less gain."
+    assert rows_of(text)["less gain"][-1] == "too small"
+
+
+def test_poles_are_pairs_with_a_verdict(linear):
+    plant, loop = linear
+    rows = rows_of(linear_text(plant, loop))
+    assert rows["0"] == ["0", "1", "integrates"]
+    assert rows["-100"] == [f"{100 / (2 * math.pi):.3g}", "1", "decays"]  # the motor's 10 ms
+    (pair,) = (name for name in rows if "±" in name)
+    real, imaginary = map(float, re.fullmatch(r"(\S+) ± (\S+)j", pair).groups())
+    assert float(rows[pair][0]) == pytest.approx(math.hypot(real, imaginary) / 6.2832, rel=0.01)
+    assert rows[pair][2] == "decays"
+    assert len([name for name in rows if name[-1:] in "0123456789j"]) == 3
+
+
+def test_an_unstable_loop_has_no_margins():
+    scenario = changed(Scenario(), {"controller.phi_m_s2": 0.1})
+    loop = linearize_loop(scenario)
+    assert not loop.stable
+    text = linear_text(linearize_plant(scenario.plant), loop)
+    assert "not stable, so there are no margins" in text
+    assert "phase lag" not in text
+    assert text.splitlines()[2].startswith("- Not stable at 40°")
