@@ -1,0 +1,378 @@
+// Runs closed loops as WebAssembly and computes the metrics of kneexo.analysis.tracking.
+// No imports and no DOM, so that it works in a worker and in tests.
+// Modules, models and maps are described in kneexo/export/web.py.
+"use strict";
+
+const Simulator = (() => {
+  const CHUNK = 20000; // ticks between two pauses: about 30 ms
+  const STATUS = {
+    1: "an input is not finite or out of its range",
+    2: "the motion diverges: a value is no longer finite",
+    4: "the knee or the cylinder leaves its range of motion",
+    16: "a parameter is not finite",
+  };
+  const ERROR_SHARE = 2 / 30; // of the amplitude; see ERROR_SHARE in kneexo/analysis/verdict.py
+  const SETTLING_BAND = 0.02; // share of a step, as SETTLING_BAND in kneexo/analysis/tracking.py
+
+  const bytesOf = (base64) => Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0));
+
+  const radians = (degrees) => (degrees * Math.PI) / 180;
+
+  // ------------------------------------------------------------------------------- modules
+
+  const sources = new Map(); // key of a module: {code, table}
+  const loaded = new Map(); // key of a model: the model
+  const instances = new Map();
+
+  function load({ modules = {}, models = {} }) {
+    for (const [key, { code, table }] of Object.entries(modules)) {
+      if (!sources.has(key)) sources.set(key, { code, table });
+    }
+    for (const [key, model] of Object.entries(models)) loaded.set(key, model);
+  }
+
+  // The model of a request, which names it by its key or holds it.
+  function modelOf({ model }) {
+    const found = typeof model === "string" ? loaded.get(model) : model;
+    if (!found) throw new Error(`model ${model} is not loaded`);
+    return found;
+  }
+
+  // The instance of a module for one purpose. Two purposes never share a memory, so that a sweep
+  // can pause while another run uses the same module.
+  function instanceOf(key, purpose) {
+    const name = `${purpose} ${key}`;
+    if (!instances.has(name)) {
+      const source = sources.get(key);
+      if (!source) throw new Error(`module ${key} is not loaded`);
+      source.module ??= new WebAssembly.Module(bytesOf(source.code));
+      instances.set(name, new Instance(source.module, source.table));
+    }
+    return instances.get(name);
+  }
+
+  class Instance {
+    constructor(module, table) {
+      this.table = table;
+      this.wasm = new WebAssembly.Instance(module, {}).exports;
+      this.wasm._initialize?.();
+      this.ticks = 0;
+    }
+
+    // Set all parameters, and provide rows for ``ticks`` ticks.
+    prepare(parameters, ticks) {
+      if (!this.wasm.reserve(ticks)) {
+        throw new Error(`too little memory for a run of ${ticks * this.table.sample_time_s} s`);
+      }
+      this.ticks = ticks;
+      this.view(this.wasm.params(), parameters.length).set(parameters);
+    }
+
+    view(address, length) {
+      return new Float64Array(this.wasm.memory.buffer, address, length);
+    }
+
+    input(index) {
+      return this.view(this.wasm.inputs() + 8 * index * (this.ticks + 1), this.ticks + 1);
+    }
+
+    // The first ``rows`` values of an output, a copy. Null if the module lacks the output.
+    output(name, rows) {
+      const index = this.table.outputs.indexOf(name);
+      if (index < 0) return null;
+      return this.view(this.wasm.outputs() + 8 * index * (this.ticks + 1), rows).slice();
+    }
+
+    states() {
+      const { states, discrete } = this.table;
+      return this.view(this.wasm.states(), states.length + discrete.length);
+    }
+
+    // Start and step through all rows; return how many rows are good. ``pause`` may throw.
+    async run(pause) {
+      if (this.wasm.start()) return 0;
+      let tick = 0;
+      while (tick < this.ticks) {
+        const piece = Math.min(CHUNK, this.ticks - tick);
+        const good = this.wasm.advance(tick, piece);
+        tick += good;
+        if (good < piece) break;
+        if (tick < this.ticks) await pause();
+      }
+      return tick + 1;
+    }
+
+    // Why a run ended early, or null.
+    endAt(rows) {
+      if (rows > this.ticks) return null;
+      const status = this.wasm.status();
+      const reason = STATUS[status] ?? `the model stops with status ${status}`;
+      return { time_s: Math.max(rows - 1, 0) * this.table.sample_time_s, reason };
+    }
+  }
+
+  // ---------------------------------------------------------------------------- parameters
+
+  // The value of a map at the values of its quantities, as kneexo/export/web.py describes it.
+  const KINDS = {
+    affine: (map, q) => q.reduce((sum, value, i) => sum + map.factors[i] * value, map.offset),
+    power: (map, q) => q.reduce((value, x, i) => value * x ** map.exponents[i], map.factor),
+    least: (map, q) => Math.min(map.limit ?? Infinity, ...q.map((x, i) => map.factors[i] * x)),
+    chebyshev: (map, q) => {
+      const polynomials = q.map((value, i) => chebyshev(map.terms, i, placeOf(value, map.domain[i])));
+      return map.terms.reduce(
+        (sum, [c, ...orders]) => sum + orders.reduce((t, n, i) => t * polynomials[i][n], c),
+        0,
+      );
+    },
+  };
+
+  // The place of a value between the ends of its domain, −1 … 1.
+  const placeOf = (value, [low, high]) => (2 * value - low - high) / (high - low);
+
+  // Chebyshev polynomials T_0, T_1 … at u, up to the highest order of variable i in the terms.
+  function chebyshev(terms, i, u) {
+    const highest = terms.reduce((most, term) => Math.max(most, term[i + 1]), 1);
+    const values = [1, u];
+    for (let n = 2; n <= highest; n++) values.push(2 * u * values[n - 1] - values[n - 2]);
+    return values;
+  }
+
+  function mapped(map, values) {
+    const at = map.of.map((name) => {
+      if (!Number.isFinite(values[name])) throw new Error(`${name} has no value`);
+      return values[name];
+    });
+    return KINDS[map.kind](map, at);
+  }
+
+  // The parameters of a module: its base, changed by the maps.
+  function parametersOf(part, values) {
+    const parameters = Float64Array.from(part.base);
+    for (const map of part.maps) parameters[map.index] = mapped(map, values);
+    return parameters;
+  }
+
+  // A limit is a number, the name of a quantity, a map, or null for none.
+  function limitOf(limit, values) {
+    if (limit === null || limit === undefined) return Infinity;
+    if (typeof limit === "number") return limit;
+    return typeof limit === "string" ? values[limit] : mapped(limit, values);
+  }
+
+  // The limits of the motor and of the command, each at the present values.
+  function limitsOf(model, values) {
+    const names = [
+      "command_limit_rad_s",
+      "motor_speed_limit_rad_s",
+      "motor_acceleration_limit_rad_s2",
+      "pressure_rating_pa",
+      "power_rating_w",
+      "relief_pressure_pa",
+    ];
+    return Object.fromEntries(names.map((name) => [name, limitOf(model.limits[name], values)]));
+  }
+
+  // The value of each quantity of a model, with those of the request in place of the defaults.
+  function valuesOf(model, reference, values) {
+    const quantities = [...model.quantities, ...(model.references[reference]?.quantities ?? [])];
+    const defaults = quantities.map(({ name, value }) => [name, value]);
+    return { ...Object.fromEntries(defaults), ...values };
+  }
+
+  // ---------------------------------------------------------------------------------- runs
+
+  // The four columns of the reference: θ_d and its derivatives at ticks 0 … ticks.
+  async function referenceColumns(source, values, ticks, pause, purpose) {
+    if (source.columns !== undefined) return sampledColumns(source, ticks);
+    const instance = instanceOf(source.module, purpose);
+    instance.prepare(parametersOf(source, values), ticks);
+    const rows = await instance.run(pause);
+    if (rows <= ticks) throw new Error(`reference: ${instance.endAt(rows).reason}`);
+    return instance.table.outputs.map((name) => instance.output(name, rows));
+  }
+
+  // Samples of a reference. After its end the angle is constant.
+  function sampledColumns(source, ticks) {
+    source.decoded ??= new Float64Array(bytesOf(source.columns).buffer);
+    const size = source.ticks + 1;
+    return [0, 1, 2, 3].map((order) => {
+      const samples = source.decoded.subarray(order * size, (order + 1) * size);
+      const column = new Float64Array(ticks + 1).fill(order ? 0 : samples[size - 1]);
+      column.set(samples.subarray(0, Math.min(size, ticks + 1)));
+      return column;
+    });
+  }
+
+  const periodOf = (model) => sources.get(model.loop.module).table.sample_time_s;
+
+  // Run a closed loop and return its instance, the reference and the number of good rows.
+  async function simulate({ model, reference, values, duration_s, setup = 0 }, pause, purpose) {
+    const { module } = model.loop;
+    const instance = instanceOf(module, `${purpose} ${setup}`);
+    const ticks = Math.max(1, Math.floor(duration_s / instance.table.sample_time_s + 1e-6));
+    const source = model.references[reference];
+    if (!source) throw new Error(`reference ${reference} is not in this model`);
+    const columns = await referenceColumns(source, values, ticks, pause, `${purpose} ${setup}`);
+    const all = { ...values, start_angle_rad: columns[0][0] };
+    instance.prepare(parametersOf(model.loop, all), ticks);
+    columns.forEach((column, order) => instance.input(order).set(column));
+    const rows = await instance.run(pause);
+    return { instance, columns, rows, end: instance.endAt(rows) };
+  }
+
+  // The answer to a request of kind "run": columns over time, metrics, and the end if it is early.
+  async function run(request, pause) {
+    const { reference } = request;
+    const model = modelOf(request);
+    const values = valuesOf(model, reference, request.values);
+    const { instance, columns, rows, end } = await simulate(
+      { ...request, model, values },
+      pause,
+      "run",
+    );
+    const signal = (name) => instance.output(name, rows);
+    const period = instance.table.sample_time_s;
+    const time = Float64Array.from({ length: rows }, (_, tick) => tick * period);
+    const angle = signal("knee_angle_rad");
+    const wanted = columns[0].slice(0, rows);
+    const limits = limitsOf(model, values);
+    const signals = {
+      angle,
+      reference: wanted,
+      error: wanted.map((value, tick) => value - angle[tick]),
+      command: signal("motor_speed_command_rad_s"),
+      limit: new Float64Array(rows).fill(limits.command_limit_rad_s),
+      pressure: signal("load_pressure_pa"),
+    };
+    const power = [signal("shaft_power_w"), signal("hydraulic_power_w")];
+    const metrics = rows > 1 ? metricsOf(model, reference, values, limits, time, signals, power) : {};
+    return { time, columns: signals, metrics, limits, end };
+  }
+
+  // ------------------------------------------------------------------------------- metrics
+
+  const largest = (values) => values.reduce((most, value) => Math.max(most, Math.abs(value)), 0);
+
+  const mean = (values, term) => values.reduce((sum, value) => sum + term(value), 0) / values.length;
+
+  const share = (values, holds) => mean(values, (value) => (holds(value) ? 1 : 0));
+
+  const rms = (values) => Math.sqrt(mean(values, (value) => value * value));
+
+  const saturatedShare = (command, limit) =>
+    share(command, (value) => Math.abs(value) >= limit * (1 - 1e-6));
+
+  // The integral over time by the trapezoidal rule.
+  function integral(values, period, term) {
+    let sum = 0;
+    for (let k = 1; k < values.length; k++) sum += term(values[k - 1]) + term(values[k]);
+    return 0.5 * period * sum;
+  }
+
+  function meanChange(values) {
+    let sum = 0;
+    for (let k = 1; k < values.length; k++) sum += Math.abs(values[k] - values[k - 1]);
+    return sum / (values.length - 1);
+  }
+
+  // The index of the first sample at or after a time.
+  function indexAt(time, limit) {
+    const index = time.findIndex((t) => t >= limit - 1e-9);
+    return index < 0 ? time.length : index;
+  }
+
+  // The smallest and the largest angle of a reference in degrees.
+  function rangeOf(model, reference, values) {
+    const value = (name) => values[`reference.${name}`];
+    if (reference === "sine") {
+      const [middle, amplitude] = [value("mean_deg"), value("amplitude_deg")];
+      return [middle - amplitude, middle + amplitude];
+    }
+    if (reference === "samples") return model.references.samples.range_deg;
+    const ends = [value("start_deg"), value("end_deg")];
+    return [Math.min(...ends), Math.max(...ends)];
+  }
+
+  // The largest error of a run that tracks: a share of the amplitude, or one count of the encoder.
+  function errorBound(model, range) {
+    const bound = (ERROR_SHARE * (range[1] - range[0])) / 2;
+    const counts = model.limits.encoder_count_knee_deg;
+    if (!counts) return radians(bound);
+    const last = counts.values.length - 1;
+    const span = counts.high_deg - counts.low_deg;
+    const at = (angle) => {
+      const place = Math.min(Math.max(((angle - counts.low_deg) / span) * last, 0), last);
+      const index = Math.min(Math.floor(place), last - 1);
+      const [low, high] = counts.values.slice(index, index + 2);
+      return low + (place - index) * (high - low);
+    };
+    const angles = Array.from({ length: 91 }, (_, i) => range[0] + (i / 90) * (range[1] - range[0]));
+    return radians(Math.max(bound, ...angles.map(at)));
+  }
+
+  // Metrics after the first period of a sine, or of the whole run of another reference.
+  function settledMetrics(time, signals, settled, limit) {
+    let first = indexAt(time, settled);
+    const complete = time.length - first >= 2;
+    const error = signals.error.subarray(complete ? first : 0);
+    const command = signals.command.subarray(first);
+    if (!complete) first = 0;
+    const size = largest(error);
+    const worst = error.findIndex((value) => Math.abs(value) === size);
+    return {
+      settled: complete,
+      largest_error_rad: size,
+      largest_error_time_s: time[first + worst],
+      rms_error_rad: rms(error),
+      mean_command_change_rad_s: complete ? meanChange(command) : null,
+      saturated_share: complete ? saturatedShare(command, limit) : null,
+    };
+  }
+
+  function metricsOf(model, reference, values, limits, time, signals, [shaft, hydraulic]) {
+    const period = time[1] - time[0];
+    const settled = reference === "sine" ? 1 / values["reference.frequency_hz"] : 0;
+    const main = settledMetrics(time, signals, settled, limits.command_limit_rad_s);
+    const step = reference === "step" ? stepMetrics(time, signals.angle, values) : null;
+    const bound = errorBound(model, rangeOf(model, reference, values));
+    return {
+      ...main,
+      ...(step ?? {}),
+      error_bound_rad: bound,
+      tracks: step ? step.settling_time_s !== null : main.largest_error_rad <= bound,
+      largest_error_overall_rad: largest(signals.error),
+      rms_error_overall_rad: rms(signals.error),
+      saturated_share_overall: saturatedShare(signals.command, limits.command_limit_rad_s),
+      peak_command_rad_s: largest(signals.command),
+      peak_pressure_pa: largest(signals.pressure),
+      pressure_over_rating_share: share(
+        signals.pressure,
+        (value) => Math.abs(value) > limits.pressure_rating_pa,
+      ),
+      peak_shaft_power_w: largest(shaft),
+      power_over_rating_share: share(shaft, (value) => Math.abs(value) > limits.power_rating_w),
+      shaft_energy_j: integral(shaft, period, (value) => value),
+      shaft_energy_delivered_j: integral(shaft, period, (value) => Math.max(value, 0)),
+      hydraulic_energy_j: integral(hydraulic, period, (value) => value),
+    };
+  }
+
+  // Rise time, overshoot and settling time of a step; null where the response does not reach it.
+  function stepMetrics(time, angle, values) {
+    const [start, end] = ["start_deg", "end_deg"].map((name) => radians(values[`reference.${name}`]));
+    const begin = values["reference.time_s"];
+    const first = indexAt(time, begin);
+    if (start === end || first >= time.length) return null;
+    const response = angle.subarray(first).map((value) => (value - start) / (end - start));
+    const [low, high] = [0.1, 0.9].map((level) => response.findIndex((value) => value >= level));
+    const settled = response.findLastIndex((value) => Math.abs(value - 1) >= SETTLING_BAND) + 1;
+    return {
+      rise_time_s: high < 0 ? null : time[first + high] - time[first + low],
+      overshoot_percent: 100 * Math.max(0, response.reduce((a, b) => Math.max(a, b)) - 1),
+      settling_time_s: settled < response.length ? time[first + settled] - begin : null,
+    };
+  }
+
+  return { load, modelOf, periodOf, instanceOf, parametersOf, limitsOf, valuesOf, rangeOf, simulate, run, radians };
+})();
