@@ -24,6 +24,7 @@ scenario), ``kneexo.responses`` and ``kneexo.batches`` (the short names), ``knee
 
 from __future__ import annotations
 
+import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -59,6 +60,9 @@ else:
             )
         value = globals()[name] = getattr(import_module(_MODULES[name]), name)
         return value
+
+    if "IPython" in sys.modules:  # a notebook shows a scenario with a drawing of its mechanism
+        import_module("kneexo.view.notebook").register()
 
     def __dir__() -> list[str]:
         """Return the public names, without the subpackages that are loaded."""
