@@ -53,7 +53,9 @@ from kneexo.parameters.reference import (
     gait_reference,
 )
 from kneexo.parameters.scenario import DEFAULT_DURATION_S, Scenario, SimulationParameters
+from kneexo.parameters.torque import LoadCellParameters, TorqueParameters
 from kneexo.parameters.uncertainty import UNCERTAIN_KNEE, UNCERTAINTY, Uncertainty, UncertaintySet
+from kneexo.parameters.wearer import CuffParameters, LegParameters, MomentTable, NoWearer, Wearer
 
 __all__ = [
     "AIR_EXPONENT",
@@ -72,6 +74,7 @@ __all__ = [
     "BldcPumpParameters",
     "Cia402Parameters",
     "CsvReference",
+    "CuffParameters",
     "CustomControllerParameters",
     "CylinderParameters",
     "DifferenceParameters",
@@ -84,9 +87,13 @@ __all__ = [
     "KneeParameters",
     "Law",
     "LawParameters",
+    "LegParameters",
     "LinkageParameters",
+    "LoadCellParameters",
+    "MomentTable",
     "NoBus",
     "NoLoad",
+    "NoWearer",
     "ObserverParameters",
     "PidParameters",
     "PlantParameters",
@@ -99,7 +106,9 @@ __all__ = [
     "SineReference",
     "SlidingModeParameters",
     "StepReference",
+    "TorqueParameters",
     "Uncertainty",
     "UncertaintySet",
+    "Wearer",
     "gait_reference",
 ]

@@ -73,11 +73,13 @@ class ExactParameters(Parameters):
     kind: Literal["exact"] = "exact"
 
 
-def _sample_time() -> Any:
+def sample_time() -> Any:
+    """Make the field of a controller's sample time in s."""
     return quantity(0.002, "s", "Table 3: interrupt time", ge=1e-5, le=1)
 
 
-def _command_limit() -> Any:
+def command_limit() -> Any:
+    """Make the field of a controller's limit of the speed command in rad/s."""
     return quantity(
         5000.0 * RPM,
         "rad/s",
@@ -91,7 +93,7 @@ class SlidingModeParameters(Parameters):
     """Sliding-mode controller (Eq. 20–27)."""
 
     kind: Literal["smc"] = "smc"
-    sample_time_s: float = _sample_time()
+    sample_time_s: float = sample_time()
     continuous: bool = choice(
         False, "True: continuous time, as in the ideal simulation of Fig. 9; needs exact states"
     )
@@ -128,7 +130,7 @@ class SlidingModeParameters(Parameters):
         ge=0,
         le=1,
     )
-    command_limit_rad_s: float = _command_limit()
+    command_limit_rad_s: float = command_limit()
 
     _ordered = ordered_limits()
 
@@ -147,7 +149,7 @@ class PidParameters(Parameters):
     """PID controller of the knee angle. The controller's output is a motor speed."""
 
     kind: Literal["pid"] = "pid"
-    sample_time_s: float = _sample_time()
+    sample_time_s: float = sample_time()
     proportional_per_s: float = quantity(
         5.0,
         "1/s",
@@ -180,7 +182,7 @@ class PidParameters(Parameters):
         ge=1e-3,
         le=2,
     )
-    command_limit_rad_s: float = _command_limit()
+    command_limit_rad_s: float = command_limit()
 
     @model_validator(mode="after")
     def _anti_windup_is_stable(self) -> PidParameters:

@@ -7,6 +7,7 @@ in Drake. The encoder is Drake's own `RotaryEncoders`.
 """
 
 from kneexo.systems.bldc_pump import BldcPump, BldcPump_
+from kneexo.systems.cuff import Cuff, Cuff_
 from kneexo.systems.drive import Cia402Drive, Cia402Drive_
 from kneexo.systems.encoder_count import EncoderCount, EncoderCount_
 from kneexo.systems.four_bar_knee import FourBarKnee, FourBarKnee_
@@ -28,6 +29,7 @@ from kneexo.systems.knee_reference import (
     StepKneeReference_,
     make_knee_reference,
 )
+from kneexo.systems.load_cell import LoadCell, LoadCell_
 from kneexo.systems.pid_controller import PidController, PidController_
 from kneexo.systems.reduced_cylinder import ReducedCylinder, ReducedCylinder_
 from kneexo.systems.sliding_mode_controller import SlidingModeController, SlidingModeController_
@@ -38,6 +40,8 @@ from kneexo.systems.state_estimator import (
     TrackingObserver_,
 )
 from kneexo.systems.state_variable import StateVariable
+from kneexo.systems.torque_controller import TorqueController, TorqueController_
+from kneexo.systems.wearer_knee import WearerKnee, WearerKnee_
 
 __all__ = [
     "BackwardDifference",
@@ -46,6 +50,8 @@ __all__ = [
     "BldcPump_",
     "Cia402Drive",
     "Cia402Drive_",
+    "Cuff",
+    "Cuff_",
     "EncoderCount",
     "EncoderCount_",
     "FourBarKnee",
@@ -60,6 +66,8 @@ __all__ = [
     "KneeCoordinates_",
     "KneeLoad",
     "KneeLoad_",
+    "LoadCell",
+    "LoadCell_",
     "PidController",
     "PidController_",
     "RampKneeReference",
@@ -75,7 +83,11 @@ __all__ = [
     "StateVariable",
     "StepKneeReference",
     "StepKneeReference_",
+    "TorqueController",
+    "TorqueController_",
     "TrackingObserver",
     "TrackingObserver_",
+    "WearerKnee",
+    "WearerKnee_",
     "make_knee_reference",
 ]

@@ -1,0 +1,205 @@
+"""Parameters of the wearer: leg, cuff between leg and exoskeleton, and biological moment."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, ValidationInfo, field_validator, model_validator
+
+from kneexo.errors import ParameterError
+from kneexo.files.reading import file_error
+from kneexo.files.table import read_table
+from kneexo.parameters.quantity import Parameters, choice, quantities, quantity
+from kneexo.parameters.reference import LONGEST_TIME_S
+
+MAXWELL_BANK = (
+    (0.06, 1.3939),
+    (0.3, 0.9620),
+    (1.4142, 0.9980),
+    (6.6667, 0.9620),
+    (33.333, 1.3939),
+)
+"""Corner frequency f_i in Hz and weight κ_i of each Maxwell element of `WearerKnee`.
+
+Assumption: geometric frequencies, with weights that keep the loss modulus h Σ κ_i f f_i/(f² + f_i²)
+within 0.8 % of h over 0.1…20 Hz. The real part of the bank is the growth of the stiffness with
+frequency that causality requires.
+"""
+
+STIFFNESS_FREQUENCY_HZ = 1.0
+"""Frequency in Hz at which ``stiffness_n_m_per_rad`` of the leg holds, about that of a stride."""
+
+BANK_STIFFNESS = sum(
+    weight * STIFFNESS_FREQUENCY_HZ**2 / (STIFFNESS_FREQUENCY_HZ**2 + corner**2)
+    for corner, weight in MAXWELL_BANK
+)
+"""Stiffness of the bank at `STIFFNESS_FREQUENCY_HZ`, relative to the loss modulus h."""
+
+LARGEST_LOSS = 0.38
+"""Largest loss modulus h relative to the stiffness k; above, the bare spring is negative."""
+
+_LARGEST_MOMENT = 1e3
+
+
+class MomentTable(Parameters):
+    """Biological moment of the knee over time, with straight lines between the samples.
+
+    A positive moment flexes the knee.
+    """
+
+    times_s: tuple[float, ...] = quantities(
+        (), "s", "given by the user; strictly increasing", ge=-LONGEST_TIME_S, le=LONGEST_TIME_S
+    )
+    moments_n_m: tuple[float, ...] = quantities(
+        (), "N·m", "given by the user", ge=-_LARGEST_MOMENT, le=_LARGEST_MOMENT
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> MomentTable:
+        if not len(self.times_s) == len(self.moments_n_m) >= 2:
+            raise ValueError(
+                f"times_s has {len(self.times_s)} values and moments_n_m has "
+                f"{len(self.moments_n_m)}: must be as many, at least 2"
+            )
+        if any(b - a < 1e-6 for a, b in zip(self.times_s, self.times_s[1:], strict=False)):
+            raise ValueError("times_s must increase by at least 1e-6 s from sample to sample")
+        return self
+
+
+def read_moment(value: Any, directory: Any) -> Any:
+    """Return the table of a CSV file, if ``value`` is its path; return another value unchanged.
+
+    The file has the columns ``time_s`` and ``knee_moment_nm``. A relative path starts at
+    ``directory``. Raises `ParameterError` for a faulty file.
+    """
+    if not (isinstance(value, str) and value.endswith(".csv")):
+        return value
+    path = Path(directory, value)
+    table = read_table(path, ("time_s", "knee_moment_nm"), "")
+    table.require("time_s", -LONGEST_TIME_S, LONGEST_TIME_S, "s")
+    table.require("knee_moment_nm", -_LARGEST_MOMENT, _LARGEST_MOMENT, "N·m")
+    try:
+        return MomentTable(
+            times_s=tuple(table.columns["time_s"]),
+            moments_n_m=tuple(table.columns["knee_moment_nm"]),
+        )
+    except ParameterError as error:
+        raise file_error(path, None, str(error).removeprefix("MomentTable: ")) from None
+
+
+class CuffParameters(Parameters):
+    """Cuff that couples the wearer's leg to the shank of the exoskeleton."""
+
+    stiffness_n_m_per_rad: float = quantity(
+        1500.0,
+        "N·m/rad",
+        "assumption: straps and soft tissue of 16.7 kN/m, 0.30 m from the knee",
+        ge=1,
+        le=1e6,
+    )
+    damping_n_m_s_per_rad: float = quantity(
+        5.0, "N·m·s/rad", "assumption: damping of soft tissue", ge=0, le=1e4
+    )
+    slip_torque_n_m: float = quantity(
+        40.0,
+        "N·m",
+        "assumption: the strap slips at 133 N, 0.30 m from the knee",
+        ge=0.1,
+        le=1e4,
+    )
+    slip_damping_n_m_s_per_rad: float = quantity(
+        50.0, "N·m·s/rad", "assumption: torque above slip torque per rate of slip", ge=0.1, le=1e5
+    )
+
+
+class NoWearer(Parameters):
+    """No wearer: the shank of the exoskeleton moves freely, as in the paper."""
+
+    kind: Literal["none"] = "none"
+
+
+class LegParameters(Parameters):
+    """Leg of a wearer below the knee: inertia, weight, stiffness, damping, motion and cuff.
+
+    ``plant.load`` gives inclination of the thigh and gravity.
+    """
+
+    kind: Literal["leg"] = "leg"
+    motion: Literal["prescribed", "active", "passive"] = choice(
+        "prescribed",
+        "prescribed: the leg follows the reference; active: muscles move it along the reference, "
+        "against which it yields; passive: it is relaxed, from the start of the reference",
+    )
+    inertia_kg_m2: float = quantity(
+        0.458,
+        "kg·m²",
+        "Winter 2009, Table 4.1: leg and foot of 75 kg and 1.75 m, about the knee",
+        ge=1e-3,
+        le=10,
+    )
+    mass_kg: float = quantity(4.575, "kg", "Winter 2009, Table 4.1: leg and foot", ge=0, le=50)
+    centre_of_mass_m: float = quantity(
+        0.261, "m", "Winter 2009, Table 4.1: knee to centre of mass of leg and foot", ge=0, le=1
+    )
+    stiffness_n_m_per_rad: float = quantity(
+        2.0,
+        "N·m/rad",
+        "arXiv 2112.05564: 0…3.5 N·m/rad in swing; k at 1 Hz",
+        ge=0,
+        le=1e3,
+    )
+    loss_modulus_n_m_per_rad: float = quantity(
+        0.5,
+        "N·m/rad",
+        "assumption: h of hysteretic damping, measured at the elbow only (arXiv 2009.12446)",
+        ge=0,
+        le=380,
+    )
+    damping_n_m_s_per_rad: float = quantity(
+        0.08, "N·m·s/rad", "arXiv 2112.05564: 0.02…0.14 N·m·s/rad in swing", ge=0, le=100
+    )
+    neutral_angle_rad: float = quantity(
+        0.35,
+        "rad",
+        "assumption: 20°, where the stiffness of a passive leg has no moment",
+        ge=-2,
+        le=3,
+    )
+    effort: float = quantity(
+        1.0,
+        "1",
+        "assumption: share of the biological moment that the muscles of an active leg give",
+        ge=0,
+        le=2,
+    )
+    moment: MomentTable | None = choice(
+        None, "given by the user: biological moment, a table or the path of a CSV file"
+    )
+    cuff: CuffParameters = CuffParameters()
+
+    @property
+    def bare_stiffness_n_m_per_rad(self) -> float:
+        """Stiffness at frequency zero, k_0 = k − 2.627 h, in N·m/rad."""
+        return self.stiffness_n_m_per_rad - BANK_STIFFNESS * self.loss_modulus_n_m_per_rad
+
+    @field_validator("moment", mode="before")
+    @classmethod
+    def _read_moment(cls, moment: Any, info: ValidationInfo) -> Any:
+        return read_moment(moment, (info.context or {}).get("directory", "."))
+
+    @model_validator(mode="after")
+    def _is_passive(self) -> LegParameters:
+        largest = LARGEST_LOSS * self.stiffness_n_m_per_rad
+        if self.loss_modulus_n_m_per_rad > largest:
+            raise ValueError(
+                f"loss_modulus_n_m_per_rad = {self.loss_modulus_n_m_per_rad:g} N·m/rad: must be at "
+                f"most {LARGEST_LOSS:g} times stiffness_n_m_per_rad = "
+                f"{self.stiffness_n_m_per_rad:g} N·m/rad, because the leg would create energy; "
+                f"reduce it, or take damping_n_m_s_per_rad"
+            )
+        return self
+
+
+Wearer = Annotated[NoWearer | LegParameters, Field(discriminator="kind")]
+"""Type of a scenario's wearer. The field ``kind`` selects the class."""

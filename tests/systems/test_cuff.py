@@ -1,0 +1,111 @@
+import math
+
+import numpy as np
+import pytest
+from pydrake.systems.analysis import Simulator
+
+from kneexo.errors import SimulationError
+from kneexo.parameters import CuffParameters
+from kneexo.systems import Cuff
+
+NUMBERS = {
+    "stiffness_n_m_per_rad": 1000.0,
+    "damping_n_m_s_per_rad": 4.0,
+    "slip_torque_n_m": 20.0,
+    "slip_damping_n_m_s_per_rad": 30.0,
+}
+INPUTS = {
+    "wearer_motion": [(0.5, 0.52), (-2.0, 2.0)],
+    "knee_angle": [(0.5, 0.52)],
+    "rod_velocity": [(-0.1, 0.1)],
+    "moment_arm": [(0.03, 0.11)],
+}
+FAR = INPUTS | {"knee_angle": [(0.2, 0.3)]}
+STATE = [(-0.005, 0.005)]
+
+
+def fixed(leg=(0.5, 0.0), knee=0.5, velocity=0.0, arm=0.1, slip=0.0):
+    system = Cuff(CuffParameters(**NUMBERS))
+    context = system.CreateDefaultContext()
+    context.SetContinuousState([slip])
+    values = {
+        "wearer_motion": list(leg),
+        "knee_angle": knee,
+        "rod_velocity": velocity,
+        "moment_arm": arm,
+    }
+    for name, value in values.items():
+        system.GetInputPort(name).FixValue(context, value)
+    return system, context
+
+
+def test_ports_and_state(leaf):
+    structure = leaf.structure(Cuff())
+    assert structure.inputs == {name: len(ranges) for name, ranges in INPUTS.items()}
+    assert structure.outputs == {"interaction_torque": 1, "cuff_slip": 1, "interaction_power": 2}
+    assert (structure.continuous, structure.discrete) == (1, [])
+    assert structure.feedthrough == {
+        (name, port) for name in INPUTS for port in ("interaction_torque", "interaction_power")
+    }
+
+
+@pytest.mark.parametrize("ranges", [INPUTS, FAR], ids=["elastic", "slips"])
+def test_conversions_agree_and_keep_arguments_and_changes(leaf, ranges):
+    probe = leaf.Probe(Cuff(CuffParameters(**NUMBERS)), ranges, STATE)
+    probe.check_conversions()
+    probe.check_outputs_follow_every_source()
+    probe.check_conversions_keep_arguments()
+    probe.check_conversions_keep("stiffness_n_m_per_rad", 2000.0)
+    assert probe.largest_tree() < leaf.tree_limit
+
+
+@pytest.mark.parametrize("ranges", [INPUTS, FAR], ids=["elastic", "slips"])
+def test_random_points_meet_the_written_out_equations(leaf, ranges):
+    probe = leaf.Probe(Cuff(CuffParameters(**NUMBERS)), ranges, STATE, spread=0.0)
+    for z in probe.points(50):
+        _, leg, leg_rate, knee, velocity, arm, slip = z[:7]
+        spring = 1000.0 * (leg - knee - slip)
+        torque = spring + 4.0 * (leg_rate + velocity / arm)
+        surplus = math.copysign(max(abs(spring) - 20.0, 0.0), spring)
+        power = [torque * leg_rate, -torque * velocity / arm]
+        expected = [torque, slip, *power, surplus / 30.0]
+        assert probe.results(z) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+def test_a_leg_that_flexes_further_flexes_the_exoskeleton():
+    system, context = fixed(leg=(0.51, 0.0))
+    assert system.GetOutputPort("interaction_torque").Eval(context)[0] == pytest.approx(10.0)
+    # A retracting rod flexes the knee: at 0.1 m a rate of 0.5 rad/s, against which the cuff acts.
+    system, context = fixed(velocity=-0.05)
+    assert system.GetOutputPort("interaction_torque").Eval(context)[0] == pytest.approx(-2.0)
+
+
+def test_power_lost_between_leg_and_exoskeleton_is_not_negative():
+    system, context = fixed(leg=(0.5, 1.0), velocity=0.03)
+    given, taken = system.GetOutputPort("interaction_power").Eval(context)
+    # Without strain only the damper: 4 N·m·s/rad at 1.3 rad/s.
+    assert given - taken == pytest.approx(4.0 * 1.3**2)
+
+
+def test_above_its_limit_the_cuff_slips_until_the_spring_has_the_slip_torque():
+    system, context = fixed(leg=(0.6, 0.0))
+    simulator = Simulator(system, context)
+    simulator.get_mutable_integrator().set_target_accuracy(1e-9)
+    tau = 30.0 / 1000.0
+    for time in (0.02, 0.1):
+        simulator.AdvanceTo(time)
+        slip = system.GetOutputPort("cuff_slip").Eval(context)[0]
+        # A first-order decay to 0.1 rad − 20/1000 rad.
+        assert slip == pytest.approx(0.08 * (1.0 - math.exp(-time / tau)), rel=1e-6)
+
+
+def test_below_its_limit_the_cuff_does_not_slip():
+    system, context = fixed(leg=(0.5199, 0.0))
+    assert system.EvalTimeDerivatives(context).CopyToVector() == [0.0]
+
+
+def test_a_rate_that_is_not_finite_is_an_error():
+    system, context = fixed(leg=(math.nan, 0.0))
+    with pytest.raises(SimulationError, match="slip_rate = nan is not finite"):
+        system.EvalTimeDerivatives(context)
+    assert np.isnan(system.GetOutputPort("interaction_torque").Eval(context)[0])

@@ -1,0 +1,220 @@
+import math
+
+import numpy as np
+import pytest
+from pydrake.systems.analysis import Simulator
+
+from kneexo.compiler import read_diagram
+from kneexo.compiler.c.plan import compensated_sums
+from kneexo.compiler.c.printer import FLOAT
+from kneexo.errors import ParameterError
+from kneexo.parameters import TorqueParameters
+from kneexo.systems import TorqueController
+
+# Lee et al. 2020, Tables 1, 2 and 3.
+P_MM_DEG = np.array([1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0])
+GAIN = 6.0 * 274.8894e-6 / (0.8e-6 / (2.0 * math.pi))
+LIMIT = 5000.0 * 2.0 * math.pi / 60.0
+T = 0.002
+NUMBERS = {
+    "proportional_rad_s_per_n": 1.5,
+    "integral_rad_s2_per_n": 20.0,
+    "leak_per_s": 0.3,
+    "speed_feedforward": 0.8,
+    "anti_windup_s": 0.05,
+    "timeout_s": 0.006,
+    "torque_limit_n_m": 25.0,
+    "assistance": 0.3,
+    "stiffness_n_m_per_rad": 80.0,
+    "damping_n_m_s_per_rad": 2.0,
+    "band_rad": 0.05,
+}
+MODES = ["zero_torque", "assist", "impedance", "assist_as_needed"]
+INPUTS = {
+    "measured_force": [(-50.0, 50.0), (0.0, 0.002)],
+    "estimated_state": [(0.05, 0.1), (-0.01, 0.01), (-1.0, 1.0)],
+    "knee_angle": [(0.5, 0.9)],
+    "knee_reference": [(0.5, 0.9), (-0.2, 0.2), (-1.0, 1.0), (-1.0, 1.0)],
+}
+STATE = [(-100.0, 100.0), (-50.0, 50.0)]
+
+
+def ranges_of(mode, **changes):
+    moment = {"biological_moment": [(-60.0, 60.0)]} if mode == "assist" else {}
+    return INPUTS | moment | changes
+
+
+def arm(angle):
+    slope = np.polyval(np.polyder(P_MM_DEG), math.degrees(angle))
+    return -1e-3 * slope * 180.0 / math.pi
+
+
+def desired(mode, angle, velocity, reference, moment=0.0):
+    deviation = angle - reference[0]
+    torque = {
+        "zero_torque": 0.0,
+        "assist": 0.3 * moment,
+        "impedance": -80.0 * deviation - 2.0 * (-velocity / arm(angle) - reference[1]),
+        "assist_as_needed": -80.0 * math.copysign(max(abs(deviation) - 0.05, 0.0), deviation),
+    }[mode]
+    return min(max(torque, -25.0), 25.0)
+
+
+def written_out(mode, force, velocity, angle, reference, state, moment=0.0):
+    """Command and integral after an update, with `NUMBERS`."""
+    _, integral = state
+    error = -desired(mode, angle, velocity, reference, moment) / arm(angle) - force
+    integral += T * (20.0 * error - 0.3 * integral)
+    unlimited = 1.5 * error + integral + 0.8 * GAIN * velocity
+    command = min(max(unlimited, -LIMIT), LIMIT)
+    return [command, integral + T * (command - unlimited) / 0.05]
+
+
+def update(system, state=(0.0, 0.0), **values):
+    inputs = {
+        "measured_force": [0.0, 0.0],
+        "estimated_state": [0.07, 0.0, 0.0],
+        "knee_angle": 0.8,
+        "knee_reference": [0.8, 0.0, 0.0, 0.0],
+        **values,
+    }
+    context = system.CreateDefaultContext()
+    for name, value in inputs.items():
+        system.GetInputPort(name).FixValue(context, value)
+    context.SetDiscreteState(0, list(state))
+    return system.EvalUniquePeriodicDiscreteUpdate(context).get_vector(0).CopyToVector()
+
+
+# ------------------------------------------------------------------------------ structure
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_command_is_held_without_direct_feedthrough(leaf, mode):
+    structure = leaf.structure(TorqueController(TorqueParameters(mode=mode)))
+    assert structure.inputs == {name: len(values) for name, values in ranges_of(mode).items()}
+    assert structure.outputs == {"motor_speed_command": 1, "desired_torque": 1}
+    assert (structure.continuous, structure.discrete) == (0, [2])
+    assert "motor_speed_command" not in {output for _, output in structure.feedthrough}
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_conversions_agree_and_keep_arguments_and_changes(leaf, mode):
+    system = TorqueController(TorqueParameters(mode=mode, **NUMBERS))
+    probe = leaf.Probe(system, ranges_of(mode), STATE)
+    probe.check_conversions()
+    probe.check_outputs_follow_every_source()
+    probe.check_conversions_keep_arguments()
+    probe.check_conversions_keep("integral_rad_s2_per_n", 500.0)
+    assert probe.largest_tree() < leaf.tree_limit
+
+
+# -------------------------------------------------------------------------------- numbers
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("force", [50.0, 900.0], ids=["near", "limited"])
+def test_random_points_meet_the_written_out_law(leaf, mode, force):
+    ranges = ranges_of(mode, measured_force=[(force - 50.0, force), (0.0, 0.002)])
+    system = TorqueController(TorqueParameters(mode=mode, **NUMBERS))
+    probe = leaf.Probe(system, ranges, STATE, spread=0.0)
+    for z in probe.points(50):
+        moment = z[11] if mode == "assist" else 0.0
+        state = z[12:14] if mode == "assist" else z[11:13]
+        arguments = (mode, z[1], z[4], z[6], z[7:11], state, moment)
+        torque = desired(mode, z[6], z[4], z[7:11], moment)
+        expected = [state[0], torque, *written_out(*arguments)]
+        # Seven printed digits of the area; sums of terms of up to 1e3 rad/s.
+        np.testing.assert_allclose(probe.results(z), expected, rtol=1e-6, atol=1e-3)
+
+
+def test_a_force_on_the_rod_drives_the_rod_away_from_it():
+    # The rod pushes its load with 10 N too much: the rod retracts, the knee flexes.
+    assert update(TorqueController(), measured_force=[10.0, 0.0])[0] < 0.0
+
+
+def test_a_flexing_torque_is_a_pulling_rod():
+    system = TorqueController(TorqueParameters(mode="assist", assistance=1.0))
+    # 5 N·m at 45 deg: r = 102.0 mm/rad after Table 1.
+    pull = -5.0 / 0.1020
+    angle = math.radians(45.0)
+    command = update(system, measured_force=[pull, 0.0], knee_angle=angle, biological_moment=5.0)
+    assert command[0] == pytest.approx(0.0, abs=2.0 * 0.05)  # last digit of r
+
+
+def test_a_knee_flexed_beyond_its_reference_is_extended():
+    for mode in ("impedance", "assist_as_needed"):
+        system = TorqueController(TorqueParameters(mode=mode))
+        assert update(system, knee_angle=1.0)[0] > 0.0  # the rod leaves the cylinder
+
+
+def test_within_the_band_there_is_no_torque():
+    system = TorqueController(TorqueParameters(mode="assist_as_needed", **NUMBERS))
+    assert list(update(system, knee_angle=0.849)) == [0.0, 0.0]
+    assert update(system, knee_angle=0.86)[0] == pytest.approx(
+        (1.5 + T * 20.0) * 80.0 * 0.01 / arm(0.86), rel=1e-9
+    )
+
+
+def test_feedforward_moves_the_pump_with_the_rod():
+    system = TorqueController(TorqueParameters(speed_feedforward=1.0))
+    command = update(system, estimated_state=[0.07, -0.02, 0.0])[0]
+    assert command == pytest.approx(GAIN * -0.02, rel=1e-6)  # continuity: gear · Ā · v / D_m
+
+
+def test_integral_stays_bounded_while_the_command_is_limited():
+    system, state = TorqueController(TorqueParameters(**NUMBERS)), np.zeros(2)
+    for _ in range(2000):
+        state = update(system, state, measured_force=[1500.0, 0.0])
+    assert state[0] == pytest.approx(-LIMIT)
+    # At rest K_i e − λ I + (u_lim − u)/T_t = 0, with u = K_p e + I + T(K_i e − λ I).
+    error, t_t = -1500.0, 0.05
+    rest = (20.0 * error * (1.0 - T / t_t) + (-LIMIT - 1.5 * error) / t_t) / (
+        0.3 * (1.0 - T / t_t) + 1.0 / t_t
+    )
+    assert state[1] == pytest.approx(rest, rel=1e-6)
+
+
+def test_without_integral_action_there_is_no_memory():
+    system = TorqueController(TorqueParameters(integral_rad_s2_per_n=0.0))
+    assert update(system, (0.0, 12.0), measured_force=[900.0, 0.0])[1] == 0.0
+
+
+def test_an_old_reading_holds_the_motor_and_clears_the_integral():
+    system = TorqueController(TorqueParameters(**NUMBERS))
+    assert update(system, (9.0, 9.0), measured_force=[40.0, 0.0059])[0] != 0.0
+    assert list(update(system, (9.0, 9.0), measured_force=[40.0, 0.0061])) == [0.0, 0.0]
+
+
+def test_the_integral_is_a_sum_that_exported_c_compensates():
+    equations = read_diagram(TorqueController(), inputs=tuple(INPUTS))
+    assert 1 in compensated_sums(equations.equations, FLOAT)
+
+
+def test_simulated_sequence_meets_the_difference_equations():
+    system, state = TorqueController(TorqueParameters(**NUMBERS)), [0.0, 0.0]
+    context = system.CreateDefaultContext()
+    for name, values in INPUTS.items():
+        system.GetInputPort(name).FixValue(context, [0.5 * (low + high) for low, high in values])
+    system.GetInputPort("knee_angle").FixValue(context, 0.8)
+    simulator = Simulator(system, context)
+    simulator.Initialize()
+    for index in range(40):
+        force = 600.0 * math.sin(index / 5.0)  # saturates at its peaks
+        system.GetInputPort("measured_force").FixValue(context, [force, 0.0])
+        simulator.AdvanceTo((index + 0.5) * T)
+        state = written_out("zero_torque", force, 0.0, 0.8, [0.7, 0.0], state)
+        held = system.GetOutputPort("motor_speed_command").Eval(context)[0]
+        assert held == pytest.approx(state[0], rel=1e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("values", "line"),
+    [
+        ({"speed_feedforward": 1.1}, r"speed_feedforward = 1.1 is out of range: .*<= 1.*"),
+        ({"stiffness_n_m_per_rad": -1.0}, r".* = -1 N·m/rad is out of range: .*N·m/rad"),
+        ({"anti_windup_s": 0.001}, r"anti_windup_s = 0.001 s must be at least sample_time_s .*"),
+    ],
+)
+def test_parameter_out_of_range_is_refused_in_one_line(values, line):
+    with pytest.raises(ParameterError, match=rf"^TorqueParameters: {line}\Z"):
+        TorqueParameters(**values)
