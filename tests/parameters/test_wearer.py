@@ -35,7 +35,7 @@ def test_a_leg_that_would_create_energy_is_refused() -> None:
 
 def test_a_leg_without_inertia_is_refused() -> None:
     with pytest.raises(
-        ParameterError, match=r"inertia_kg_m2 = 0 kg·m² is out of range: must be finite and >= 0.001 .*\Z"
+        ParameterError, match=r"inertia_kg_m2 = 0 kg·m² is out of range: .*>= 0.001 .*\Z"
     ):
         LegParameters(inertia_kg_m2=0.0)
 
