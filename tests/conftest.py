@@ -161,14 +161,17 @@ def tables():
 
 
 def _says(cell, value):
-    """Whether a cell shows a number, to the digits that it has."""
+    """Whether a cell shows a number, to its digits; a zero after three digits is none."""
     if not math.isfinite(value):
         return cell == ("–" if math.isnan(value) else "∞" if value > 0.0 else "−∞")
     try:
         shown = Decimal(cell)
     except InvalidOperation:
         return False
-    return abs(float(shown) - value) <= 0.5001 * 10.0 ** shown.as_tuple().exponent
+    integer = cell.lstrip("+-")
+    zeros = min(len(integer) - len(integer.rstrip("0")), len(integer) - 3)
+    exponent = zeros if integer.isdigit() and zeros > 0 else shown.as_tuple().exponent
+    return abs(float(shown) - value) <= 0.5001 * 10.0**exponent
 
 
 @pytest.fixture(scope="session")

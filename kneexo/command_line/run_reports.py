@@ -10,7 +10,7 @@ import numpy as np
 
 from kneexo.analysis.margins import SOUND_DISK_MARGIN
 from kneexo.analysis.signals import to_rpm
-from kneexo.studies.markdown import digits, document, markdown_table
+from kneexo.studies.markdown import document, markdown_table, number
 
 if TYPE_CHECKING:
     from kneexo.analysis import PlantLinearization, SampledLoop, TrackingResult
@@ -40,30 +40,30 @@ def _limits(result: TrackingResult) -> Iterator[Row]:
     if step is None:
         yield (
             "tracking error",
-            f"{digits(verdict.max_error_deg)}° at {verdict.max_error_time_s:.4g} s",
-            f"{digits(verdict.error_bound_deg)}°",
+            f"{number(verdict.max_error_deg)}° at {verdict.max_error_time_s:.4g} s",
+            f"{number(verdict.error_bound_deg)}°",
             "tracks" if verdict.tracks else "does not track",
         )
     else:
         end = "settles" if step.settles else "does not settle"
         yield ("response to the step", end, "settles", end)
-    command_rpm = f"{digits(metrics.peak_command_rpm)} rpm"
+    command_rpm = f"{number(metrics.peak_command_rpm)} rpm"
     limit_rpm = to_rpm(scenario.command_limit_rad_s)
     share = verdict.saturated_share
-    yield ("motor speed command", command_rpm, f"{digits(limit_rpm)} rpm", _over(share, "at"))
+    yield ("motor speed command", command_rpm, f"{number(limit_rpm)} rpm", _over(share, "at"))
     rated = verdict.pressure_over_rating_share
     pressure, rating = metrics.peak_pressure_mpa, 1e-6 * plant.cylinder.pressure_rating_pa
-    yield ("load pressure", f"{digits(pressure)} MPa", f"{digits(rating)} MPa", _over(rated))
+    yield ("load pressure", f"{number(pressure)} MPa", f"{number(rating)} MPa", _over(rated))
     if plant.full_order is not None and "cap_pressure_pa" in run.data:
         chambers = np.maximum(run["cap_pressure_pa"], run["rod_side_pressure_pa"])
         value, relief = 1e-6 * float(np.max(chambers)), 1e-6 * plant.full_order.relief_pressure_pa
         opened = _over(verdict.relief_share, "at")
-        yield ("pressure of a chamber", f"{digits(value)} MPa", f"{digits(relief)} MPa", opened)
+        yield ("pressure of a chamber", f"{number(value)} MPa", f"{number(relief)} MPa", opened)
     power, rated_w = metrics.peak_shaft_power_w, plant.pump.rated_power_w
     over = _over(verdict.power_over_rating_share)
-    yield ("motor power", f"{digits(power)} W", f"{digits(rated_w)} W", over)
+    yield ("motor power", f"{number(power)} W", f"{number(rated_w)} W", over)
     stability = verdict.stability
-    name = f"eigenvalue of the sampled loop at {digits(stability.knee_angle_deg)}°"
+    name = f"eigenvalue of the sampled loop at {number(stability.knee_angle_deg)}°"
     if stability.stable is None:
         yield (name, "–", "1", "no linear loop")
     else:
@@ -73,7 +73,7 @@ def _limits(result: TrackingResult) -> Iterator[Row]:
 
 def _over(share: float, where: str = "above") -> str:
     """Return the verdict on a limit that a run reaches for a ``share`` of its time."""
-    return f"{where} the limit for {digits(100.0 * share)} %" if share > 0.0 else "below the limit"
+    return f"{where} the limit for {number(100.0 * share)} %" if share > 0.0 else "below the limit"
 
 
 def _numbers(result: TrackingResult) -> Iterator[Row]:
@@ -99,7 +99,7 @@ def _numbers(result: TrackingResult) -> Iterator[Row]:
 
 def _with_unit(value: float, unit: str) -> str:
     """Return a number of three digits with its unit; a dash for nan."""
-    return "–" if math.isnan(value) else f"{digits(value)}{'' if unit == '°' else ' '}{unit}"
+    return "–" if math.isnan(value) else f"{number(value)}{'' if unit == '°' else ' '}{unit}"
 
 
 def _percent(share: float) -> str:
@@ -120,7 +120,7 @@ def linear_report(
         table = list(_margins(margins, loop.sample_time_s))
         small = [name for name, *_, verdict in table if verdict != "sound"]
         judged = f"too small: {', '.join(small)}" if small else "all margins are sound"
-        angle = digits(math.degrees(loop.knee_angle_rad))
+        angle = number(math.degrees(loop.knee_angle_rad))
         findings = [f"Stable at {angle}°; {judged}.", list(lines)[-1]]
     point = plant.operating_point
     eigenvalue = f"{abs(loop.eigenvalues[0]):.6g}"
@@ -128,11 +128,11 @@ def linear_report(
         "# Poles and margins",
         _bullets(*findings, *model),
         "## Plant",
-        f"In equilibrium at {digits(math.degrees(point.knee_angle_rad))}° the motor turns at "
-        f"{digits(round(to_rpm(point.motor_speed_rad_s), 9))} rpm, the load pressure is "
-        f"{digits(round(1e-6 * point.load_pressure_pa, 9))} MPa, and the rod force is "
-        f"{digits(round(point.rod_force_n, 9))} N. At low frequency the knee turns by "
-        f"{digits(plant.velocity_gain)} rad for each rad of the motor.",
+        f"In equilibrium at {number(math.degrees(point.knee_angle_rad))}° the motor turns at "
+        f"{number(round(to_rpm(point.motor_speed_rad_s), 9))} rpm, the load pressure is "
+        f"{number(round(1e-6 * point.load_pressure_pa, 9))} MPa, and the rod force is "
+        f"{number(round(point.rod_force_n, 9))} N. At low frequency the knee turns by "
+        f"{number(plant.velocity_gain)} rad for each rad of the motor.",
         markdown_table(("pole (1/s)", "frequency (Hz)", "damping ratio", "verdict"), _poles(plant)),
         "## Sampled loop",
         f"The largest eigenvalue is {eigenvalue}, and must be below 1: "
@@ -153,10 +153,10 @@ def _poles(plant: PlantLinearization) -> Iterator[Row]:
     for pole, frequency, ratio in zip(plant.poles, *plant.damping, strict=True):
         if pole.imag < 0.0:
             continue
-        text = digits(pole.real) + (f" ± {digits(pole.imag)}j" if pole.imag > 0.0 else "")
+        text = number(pole.real) + (f" ± {number(pole.imag)}j" if pole.imag > 0.0 else "")
         marginal = abs(pole.real) <= 1e-9 * scale
         verdict = "integrates" if marginal else "decays" if pole.real < 0.0 else "grows"
-        yield (text, digits(frequency / (2.0 * math.pi)), digits(ratio), verdict)
+        yield (text, number(frequency / (2.0 * math.pi)), number(ratio), verdict)
 
 
 def _margins(m: Margins, sample_time_s: float) -> Iterator[Row]:
@@ -168,23 +168,23 @@ def _margins(m: Margins, sample_time_s: float) -> Iterator[Row]:
     if m.delay_margin_s < math.inf:
         samples = f" ({math.floor(m.delay_margin_s / sample_time_s)} samples)"
     for name, value, text, frequency_hz, least, limit in (
-        ("more gain", m.gain_margin, f"factor {digits(m.gain_margin)}{decibels}",
-         m.gain_margin_frequency_hz, gain, f"factor {digits(gain)}"),
-        ("phase lag", m.phase_margin_deg, f"{digits(m.phase_margin_deg)}°",
-         m.phase_margin_frequency_hz, phase_deg, f"{digits(phase_deg)}°"),
-        ("phase lead", m.phase_lead_margin_deg, f"{digits(m.phase_lead_margin_deg)}°",
-         m.phase_lead_margin_frequency_hz, phase_deg, f"{digits(phase_deg)}°"),
-        ("delay", m.delay_margin_s, f"{digits(1e3 * m.delay_margin_s)} ms{samples}",
-         m.delay_margin_frequency_hz, sample_time_s, f"{digits(1e3 * sample_time_s)} ms"),
-        ("gain and phase together (disk margin)", m.disk_margin, digits(m.disk_margin),
-         m.disk_margin_frequency_hz, SOUND_DISK_MARGIN, digits(SOUND_DISK_MARGIN)),
+        ("more gain", m.gain_margin, f"factor {number(m.gain_margin)}{decibels}",
+         m.gain_margin_frequency_hz, gain, f"factor {number(gain)}"),
+        ("phase lag", m.phase_margin_deg, f"{number(m.phase_margin_deg)}°",
+         m.phase_margin_frequency_hz, phase_deg, f"{number(phase_deg)}°"),
+        ("phase lead", m.phase_lead_margin_deg, f"{number(m.phase_lead_margin_deg)}°",
+         m.phase_lead_margin_frequency_hz, phase_deg, f"{number(phase_deg)}°"),
+        ("delay", m.delay_margin_s, f"{number(1e3 * m.delay_margin_s)} ms{samples}",
+         m.delay_margin_frequency_hz, sample_time_s, f"{number(1e3 * sample_time_s)} ms"),
+        ("gain and phase together (disk margin)", m.disk_margin, number(m.disk_margin),
+         m.disk_margin_frequency_hz, SOUND_DISK_MARGIN, number(SOUND_DISK_MARGIN)),
     ):  # fmt: skip
         verdict = "sound" if value >= least else "too small"
-        yield (name, text, digits(frequency_hz), f"at least {limit}", verdict)
+        yield (name, text, number(frequency_hz), f"at least {limit}", verdict)
     lower, most = m.lower_gain_margin, 1.0 / gain
-    text = f"factor {digits(lower)}" if lower > 0.0 else "any factor"
+    text = f"factor {number(lower)}" if lower > 0.0 else "any factor"
     verdict = "sound" if lower <= most else "too small"
-    yield ("less gain", text, "–", f"at most factor {digits(most)}", verdict)
+    yield ("less gain", text, "–", f"at most factor {number(most)}", verdict)
 
 
 def _bullets(*lines: str) -> list[str]:

@@ -15,18 +15,16 @@ format), the value is printed as a number. If it is a function, it returns the t
 
 
 def number(value: float, form: str = ".3g") -> str:
-    """Format a number as text. The text is a dash for nan, and ∞ or −∞ for an infinite number."""
-    if math.isnan(value):
-        return "–"
-    return f"{value:{form}}" if math.isfinite(value) else "∞" if value > 0.0 else "−∞"
-
-
-def digits(value: float) -> str:
-    """Format a number with three digits, without exponent between 1e-4 and 1e6.
+    """Format a number as text, with an exponent only below 1e-4 and from 1e6 on.
 
     The text is a dash for nan, and ∞ or −∞ for an infinite number.
     """
-    return number(float(f"{value:.3g}") + 0.0, "g")  # + 0.0: no negative zero
+    if math.isnan(value):
+        return "–"
+    if math.isinf(value):
+        return "∞" if value > 0.0 else "−∞"
+    text = f"{value or 0:{form}}"  # or 0: no negative zero
+    return f"{float(text):.0f}" if "e+" in text and abs(value) < 1e6 else text
 
 
 def percent(share: float) -> str:

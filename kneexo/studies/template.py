@@ -20,7 +20,7 @@ def _lines(table: Callable[..., list[str]]) -> Callable[..., str]:
 
 
 def _form(value: Any, form: str) -> str:
-    return f"{value:{form}}"
+    return number(value, form) if isinstance(value, float) else f"{value:{form}}"
 
 
 def _environment() -> Environment:

@@ -4,7 +4,6 @@ import pytest
 
 from kneexo.studies.markdown import (
     column_table,
-    digits,
     document,
     markdown_table,
     number,
@@ -83,5 +82,5 @@ def test_a_share_is_in_whole_percent():
         (-math.inf, "−∞"),
     ],
 )
-def test_three_digits_have_no_exponent(value, text):
-    assert digits(value) == text
+def test_three_digits_need_no_exponent(value, text):
+    assert number(value) == text

@@ -66,6 +66,15 @@ class Comparison:
         return float(Decimal(10) ** int(exponent))
 
     @property
+    def criterion(self) -> str:
+        """The condition under which the number holds, or an empty text without the paper's."""
+        if self.precision is None:
+            return ""
+        if self.number.kind == "upper bound":
+            return f"below {self.number.printed}"
+        return f"differs by at most {0.5 * self.precision:g}"
+
+    @property
     def judgement(self) -> str:
         """`HOLDS`, `HOLDS_AS_PRINTED`, `DOES_NOT_HOLD` or `NOT_PRINTED`.
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from kneexo.parameters import RodPolynomialParameters
+from kneexo.studies.markdown import percent
 from kneexo.studies.reproduce.comparison import (
     DOES_NOT_HOLD,
     HOLDS,
@@ -15,8 +16,11 @@ from kneexo.studies.reproduce.comparison import (
     Comparison,
     compared,
 )
-from kneexo.studies.reproduce.study import ReproduceResult
+from kneexo.studies.reproduce.study import FIG_12_TITLES, ReproduceResult
 from kneexo.studies.template import filled
+
+_CONTROLLERS = FIG_12_TITLES | {"pid_feedforward": "PID, tuned, with reference velocity"}
+"""The controllers of Fig. 12 in words, by name."""
 
 
 def report(result: ReproduceResult) -> str:
@@ -31,7 +35,9 @@ def report(result: ReproduceResult) -> str:
     counts = Counter(row.judgement for row in comparison if row.judgement != NOT_PRINTED)
     return filled(
         "reproduce/report.md",
-        **numbers | {"comparison": comparison},
+        **numbers,
+        judged=[row for row in comparison if row.paper is not None],
+        more=[row for row in comparison if row.paper is None],
         failing=failing,
         counts=counts,
         HOLDS=HOLDS,
@@ -39,12 +45,14 @@ def report(result: ReproduceResult) -> str:
         DOES_NOT_HOLD=DOES_NOT_HOLD,
         quantity=lambda row: row.number.quantity,
         unit=lambda row: row.number.unit,
-        paper=lambda row: "not printed" if row.paper is None else f"{row.paper:g}",
+        paper=lambda row: row.number.printed,
         computed=lambda row: f"{row.computed:{row.number.form}}",
-        difference=lambda row: "" if row.difference is None else f"{row.difference:+.3g}",
-        judgement=lambda row: row.judgement if row.paper is not None else "",
+        difference=lambda row: f"{row.difference:+.3g}",
+        criterion=lambda row: row.criterion,
         method=lambda row: row.number.method,
         named=_named,
+        controller=lambda row: _CONTROLLERS[row["name"]],
+        saturated=lambda row: percent(row["saturated_share"]),
         quintics=zip(
             *(table.p_mm_deg, table1["refit_p_mm_deg"]),
             *(table.q_deg_mm, table1["refit_q_deg_mm"]),

@@ -13,6 +13,7 @@ from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario
 from kneexo.parameters.uncertainty import realize
 from kneexo.studies.catalogue import replay_commands
+from kneexo.studies.markdown import number
 from kneexo.studies.robustness.study import (
     CONFIDENCE,
     MERITS,
@@ -85,7 +86,7 @@ def shown(value: Any) -> str:
     A number that is not finite becomes ``fails``.
     """
     if isinstance(value, float):
-        return f"{value:.4g}" if math.isfinite(value) else "fails"
+        return number(value) if math.isfinite(value) else "fails"
     if isinstance(value, Mapping):
         return ", ".join(f"{key} = {shown(item)}" for key, item in value.items()) or "default"
     return "none" if value is None else str(value)

@@ -115,7 +115,7 @@ def _changes(result: SizeResult, numbers: Mapping[str, Any]) -> Iterator[str]:
         ("k/Φ", "1/s", numbers["controller"]["slope_per_s"], best["slope_per_s"]),
         ("T_f", "ms", 1e3 * observer, 1e3 * best["observer_s"]),
     ):
-        before, after = f"{old:.3g} {unit}", f"{new:.3g} {unit}"
+        before, after = f"{number(old)} {unit}", f"{number(new)} {unit}"
         yield f"{name} {before}" + ("" if before == after else f" → {after}")
 
 
@@ -125,10 +125,10 @@ def _searched(search: Mapping[str, Any], bound_deg: float) -> str:
     If no value keeps the error within the bound, the text says so and has the value of least error.
     """
     if search["reached"]:
-        return f"{search['value']:.4g}"
+        return number(search["value"])
     return (
         f"not reached in {search['low']:g} … {search['high']:g}: best "
-        f"{number(search['max_error_deg'])}° (bound {bound_deg:g}°) at {search['value']:.4g}"
+        f"{number(search['max_error_deg'])}° (bound {bound_deg:g}°) at {number(search['value'])}"
     )
 
 

@@ -38,7 +38,7 @@ def test_neighbouring_amplitudes_with_the_same_limit_are_one_finding(by_hand):
 
 
 def test_the_screen_has_the_findings(by_hand, check_screen):
-    assert check_screen(report(by_hand))[-1] == "Bandwidth (−3 dB): 0.3 Hz at 1°, 0.16 Hz at 30°."
+    assert check_screen(report(by_hand))[2] == "Bandwidth (−3 dB): 0.3 Hz at 1°, 0.16 Hz at 30°."
 
 
 def test_every_cell_of_the_report_is_in_the_map(by_hand, tables, check_cells):

@@ -80,7 +80,7 @@ def test_every_cell_of_the_report_is_in_the_summary(contest, tables, check_cells
 def test_the_screen_has_the_findings(contest, check_screen):
     lines = check_screen(report(contest))
     if len(contest.settings.contestants) > 1:
-        assert lines[-1] == "Smaller error: SMC than PID on 75 % of the plants."
+        assert lines[2] == "Smaller error: SMC than PID on 75 % of the plants."
 
 
 def test_the_screen_holds_all_contestants_of_the_default_settings(check_screen):

@@ -73,7 +73,7 @@ def test_the_screen_has_the_findings(by_hand, check_screen):
     text = report(by_hand)
     lines = check_screen(text)
     verdicts = [f"on {s} {c.verdict}" for s, c in zip("λΦη", by_hand.claims(), strict=True)]
-    assert lines[-1] == f"The paper's claims: {', '.join(verdicts)}."
+    assert lines[2] == f"The paper's claims: {', '.join(verdicts)}."
     for claim in by_hand.claims():
         share, sound = (
             "–" if math.isnan(value) else f"{100 * value:.0f} %"
@@ -97,7 +97,7 @@ def test_the_words_have_the_largest_error_of_a_stable_loop(by_hand):
         "Φ at least 3 times larger or smaller",
         "more than 2 times as much per sample",
         "less than 1 % of its samples saturated",
-        "errs by up to 0.33° (T_f = 20 ms, k/Φ = 1e+04 1/s)",
+        "errs by up to 0.33° (T_f = 20 ms, k/Φ = 10000 1/s)",
         "The step of 20° settles to the same ±0.2° in",
         "λ, at Φ (m/s²) = 3.2, η (m/s³) = 280000\n",
         "Φ, at λ (1/s) = 20, η (m/s³) = 280000\n",
