@@ -179,7 +179,7 @@ def test_the_words_have_the_numbers_of_the_results(sized):
         f"= {round(needs['authority_asked_m_s3'], -4):.0f} m/s³; the controller has",
         f" {round(needs['authority_m_s3'], -4):.0f}, so η must grow",
         "λ 20 1/s → 80 1/s",
-        f"k/Φ {needs['slope_per_s']:.3g} 1/s → 50000 1/s",
+        f"k/Φ {round(needs['slope_per_s'], -2):.0f} 1/s → 50000 1/s",
         "T_f 20 ms:",
         "disk margin 0.01, phase margin 44°",
         " and ".join(f"{entry['flow_factor']:.3g}" for entry in numbers["demand"])
