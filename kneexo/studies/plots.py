@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, Literal
 
+import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm
+from matplotlib.colors import Colormap, LogNorm
 from matplotlib.figure import Figure
+from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from numpy.typing import ArrayLike
 
@@ -18,6 +20,12 @@ from kneexo.result import Array
 CENTRED: dict[str, Any] = {"ha": "center", "va": "center"}
 """Keyword arguments that centre a Matplotlib text at its point."""
 
+OUTLINE: list[AbstractPathEffect] = [withStroke(linewidth=3.0, foreground="w")]
+"""Path effects that keep a mark or line visible on each colour of a map."""
+Worse = Literal["low", "high"]
+"""The worse end of a quantity, which maps draw dark."""
+
+_HATCHED: dict[str, Any] = {"fc": "0.88", "ec": "0.6", "hatch": "////", "lw": 0.0}
 _CLOSEST = 0.065  # smallest distance of two tick labels, as a share of the axis
 
 
@@ -54,20 +62,65 @@ def plain_ticks(axis: Any, values: Any) -> None:
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
 
 
-def heat_map(ax: Axes, x: ArrayLike, y: ArrayLike, values: Array, *, norm: Any, label: str) -> None:
-    """Draw ``values`` (len(x), len(y)) as colours over x and y, with a colour bar.
+def shades(count: int) -> Array:
+    """Return ``count`` colours (count, 4) from light to dark, for curves whose values ascend."""
+    return plt.get_cmap("viridis_r")(np.linspace(0.25, 1.0, count))
 
-    Cells whose value is not finite are grey. Both axes are logarithmic, with fixed limits that
-    curves drawn later do not change. ``label`` stands above the map.
+
+def colour_map(worse: Worse) -> Colormap:
+    """Return the colour map in which a darker colour is worse, for people with any vision.
+
+    ``worse`` says whether low or high values are worse.
     """
-    ax.set_facecolor("0.8")
+    return plt.get_cmap("viridis" if worse == "low" else "viridis_r")
+
+
+def ink(colour: ArrayLike) -> str:
+    """Return the colour of a text that can be read on ``colour`` (red, green, blue, alpha)."""
+    luminance = np.dot(np.asarray(colour)[:3] ** 2.2, [0.2126, 0.7152, 0.0722])
+    return "k" if luminance > 0.18 else "w"  # equal contrast with black and white
+
+
+def mark_failures(ax: Axes, values: Array) -> None:
+    """Hatch the background of a map, which shows where ``values`` has no finite value.
+
+    If a value is missing, the legend of the axes names the hatching.
+    """
+    ax.patch.set(**_HATCHED)
+    if not np.isfinite(values).all():
+        ax.fill([np.nan], [np.nan], label="no result", **_HATCHED)
+
+
+def with_minus(value: float) -> str:
+    """Return a number as short text, with a minus sign in place of the hyphen."""
+    return f"{value:g}".replace("-", "−")
+
+
+def heat_map(
+    ax: Axes,
+    x: ArrayLike,
+    y: ArrayLike,
+    values: Array,
+    *,
+    norm: Any,
+    label: str,
+    worse: Worse,
+) -> Colormap:
+    """Draw ``values`` (len(x), len(y)) as colours over x and y. Return the colour map.
+
+    A darker cell is worse, as ``worse`` says in `colour_map`. A cell whose value is not finite is
+    hatched. Both axes are logarithmic, with fixed limits that curves drawn later do not change.
+    ``label`` stands above the map, and the colour bar beside it.
+    """
+    mark_failures(ax, values)
+    colours = colour_map(worse)
     columns, rows = cell_borders(x), cell_borders(y)
     mesh = ax.pcolormesh(
         columns,
         rows,
         np.ma.masked_invalid(values.T),
         norm=norm,
-        cmap="viridis",
+        cmap=colours,
         rasterized=True,
     )
     ax.set(xscale="log", yscale="log", xlim=columns[[0, -1]], ylim=rows[[0, -1]])
@@ -78,17 +131,21 @@ def heat_map(ax: Axes, x: ArrayLike, y: ArrayLike, values: Array, *, norm: Any, 
     if isinstance(norm, LogNorm):
         decimal_ticks(bar.ax.yaxis)
     ax.set_title(label, fontsize=9, loc="right")
+    return colours
 
 
 def heat_map_panels(
-    axes: Iterable[Axes], x: ArrayLike, y: ArrayLike, panels: Iterable[tuple[Array, Any, str]]
+    axes: Iterable[Axes],
+    x: ArrayLike,
+    y: ArrayLike,
+    panels: Iterable[tuple[Array, Any, str, Worse]],
 ) -> None:
     """Draw one `heat_map` in each of the Matplotlib ``axes``, all over the same x and y.
 
-    ``panels`` has the values, the colour norm and the label of each map.
+    ``panels`` has the values, the colour norm, the label and the worse end of each map.
     """
-    for ax, (values, norm, label) in zip(axes, panels, strict=True):
-        heat_map(ax, x, y, values, norm=norm, label=label)
+    for ax, (values, norm, label, worse) in zip(axes, panels, strict=True):
+        heat_map(ax, x, y, values, norm=norm, label=label, worse=worse)
 
 
 def ecdf(ax: Axes, values: ArrayLike, **style: Any) -> None:

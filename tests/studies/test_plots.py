@@ -10,8 +10,10 @@ from kneexo.studies.plots import (
     cell_borders,
     ecdf,
     heat_map,
+    ink,
     legend_below,
     plain_ticks,
+    shades,
 )
 
 
@@ -28,7 +30,8 @@ def test_borders_enclose_each_value_and_split_the_gaps_by_their_ratio(ratios, fi
 def test_cells_show_values_x_by_y_and_mask_what_is_not_finite():
     values = np.array([[1.0, np.inf, 3.0], [4.0, np.nan, 600.0]])
     figure, ax = plt.subplots()
-    heat_map(ax, [1.0, 2.0], [10.0, 20.0, 40.0], values, norm=LogNorm(1.0, 10.0), label="e (deg)")
+    norm = LogNorm(1.0, 10.0)
+    heat_map(ax, [1.0, 2.0], [10.0, 20.0, 40.0], values, norm=norm, label="e (deg)", worse="high")
     mesh = ax.collections[0]
     # The borders lie half a ratio outside the first and the last value.
     assert ax.get_xlim() == pytest.approx((1.0 / 2.0**0.5, 2.0 * 2.0**0.5))
@@ -46,12 +49,37 @@ def test_cells_show_values_x_by_y_and_mask_what_is_not_finite():
     plt.close(figure)
 
 
-def test_a_map_without_any_value_is_grey():
+def test_a_map_without_any_value_is_hatched():
     figure, ax = plt.subplots()
-    heat_map(ax, [1.0], [1.0], np.array([[np.nan]]), norm=Normalize(0.0, 1.0), label="x")
+    nothing = np.array([[np.nan]])
+    heat_map(ax, [1.0], [1.0], nothing, norm=Normalize(0.0, 1.0), label="x", worse="low")
+    assert ax.patch.get_hatch()
     figure.canvas.draw()
     assert ax.collections[0].colorbar.extend == "neither"
     plt.close(figure)
+
+
+@pytest.mark.parametrize(("worse", "sign"), [("low", 1.0), ("high", -1.0)])
+def test_darker_is_worse_and_its_text_is_white(worse, sign):
+    figure, ax = plt.subplots()
+    values = np.linspace(0.0, 1.0, 9)
+    norm = Normalize(0.0, 1.0)
+    colours = heat_map(ax, [1.0], values + 1.0, values[None, :], norm=norm, label="", worse=worse)
+    assert ax.collections[0].get_cmap() == colours
+    figure.canvas.draw()
+    brightness = sign * (ax.collections[0].get_facecolors()[:, :3] @ [0.21, 0.72, 0.07])
+    assert np.all(np.diff(brightness) > 0.0)
+    ends = [ink(colours(norm(value))) for value in (0.0, 1.0)]
+    assert ends == (["w", "k"] if worse == "low" else ["k", "w"])
+
+
+def test_a_text_is_white_on_dark_colours_and_black_on_light_ones():
+    assert [ink([grey] * 3 + [1.0]) for grey in (0.0, 0.4, 0.5, 1.0)] == ["w", "w", "k", "k"]
+
+
+def test_a_larger_value_has_a_darker_curve():
+    brightness = shades(6)[:, :3] @ [0.21, 0.72, 0.07]
+    assert np.all(np.diff(brightness) < -0.02)
 
 
 def test_ticks_are_plain_numbers_at_the_values_alone():

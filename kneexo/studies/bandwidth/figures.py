@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -16,11 +17,29 @@ from kneexo.analysis.rate_limit import (
     rate_limited_follower,
     rate_limited_gain,
 )
+from kneexo.plotting import BLUE, RED, SERIES, phase_ticks
+from kneexo.result import Array
 from kneexo.studies.bandwidth.study import BandwidthResult, decibel, unwrapped_deg
-from kneexo.studies.plots import heat_map_panels, plain_ticks
+from kneexo.studies.plots import (
+    OUTLINE,
+    Worse,
+    heat_map_panels,
+    legend_below,
+    plain_ticks,
+    shades,
+)
 
 _MINUS_3_DB = 20.0 * math.log10(MINUS_3_DB)
 _RATIO_AT_MINUS_3_DB = 1.0 / (math.tau * rate_limit_bandwidth_hz(1.0, 1.0))  # ρ = 0.55539
+_MEASURED: dict[str, Any] = {
+    "ls": "",
+    "marker": "o",
+    "color": "w",
+    "mec": "k",
+    "ms": 6,
+    "zorder": 4,
+    "label": "−3 dB, measured",
+}
 _TICKS_HZ = (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
 
 
@@ -39,35 +58,52 @@ def plot_map(result: BandwidthResult) -> Figure:
     They show gain, phase, and the shares of time at the motor's speed and acceleration limits.
     """
     figure, axes = plt.subplots(
-        2, 2, figsize=(11, 7.5), sharex=True, sharey=True, layout="constrained"
+        2, 2, figsize=(10, 8.2), sharex=True, sharey=True, layout="constrained"
+    )
+    figure.set_label(
+        "Gain, phase lead and the motor's limits over frequency and amplitude of the reference. "
+        "Darker is worse. Hatched cells have no result." + _gain_returns(result)
     )
     f, amplitudes = result.frequencies_hz, result.amplitudes_deg
-    share, phase = Normalize(0.0, 1.0), result.phase_deg
+    share, phase = Normalize(0.0, 100.0), result.phase_deg
     low, high = np.nanmin(phase, initial=0.0), np.nanmax(phase, initial=0.0)
     speed_limited, acceleration_limited = (
-        result.cells[f"{limit}_limited_share"] for limit in ("speed", "acceleration")
+        100.0 * result.cells[f"{limit}_limited_share"].T for limit in ("speed", "acceleration")
     )
-    panels = (
-        (result.gain_db.T, Normalize(-20.0, 3.0), "gain (dB)"),
-        (phase.T, Normalize(low, high), "phase (deg)"),
-        (speed_limited.T, share, "share of time at the speed limit"),
-        (acceleration_limited.T, share, "share of time at the acceleration limit"),
+    panels: tuple[tuple[Array, Normalize, str, Worse], ...] = (
+        (result.gain_db.T, Normalize(-20.0, 3.0), "gain (dB)", "low"),
+        (phase.T, Normalize(low, high), "phase (deg)", "low"),
+        (speed_limited, share, "time at the speed limit (%)", "high"),
+        (acceleration_limited, share, "time at the acceleration limit (%)", "high"),
     )
     heat_map_panels(axes.flat, f, amplitudes, panels)
     for axis in axes[1]:
-        measured = result.bandwidths["measured_hz"]
-        axis.plot(measured, amplitudes, "wo", mec="k", ms=5, label="−3 dB, measured")
-        axis.legend(loc="lower left", fontsize=8, facecolor="0.75")
+        axis.plot(result.bandwidths["measured_hz"], amplitudes, **_MEASURED)
         axis.set_xlabel("frequency (Hz)")
     for axis in axes[:, 0]:
         axis.set_ylabel("amplitude (deg)")
     _plot_bandwidths(result, axes[0, 0])
     reached = result.bandwidths["speed_limit_reached_hz"]
-    axes[1, 0].plot(reached, amplitudes, "C3.-", label="the reference asks for more speed")
-    axes[1, 0].legend(loc="lower left", fontsize=8, facecolor="0.75")
+    label = "the reference requires more speed than the limit"
+    axes[1, 0].plot(reached, amplitudes, ".:", color=RED, label=label, path_effects=OUTLINE)
     plain_ticks(axes[0, 0].xaxis, _TICKS_HZ)
     plain_ticks(axes[0, 0].yaxis, amplitudes)
+    legend_below(figure, axes.flat, ncols=3, fontsize=9, facecolor="0.9")
     return figure
+
+
+def _gain_returns(result: BandwidthResult) -> str:
+    """Return a sentence on small sines whose gain rises above −3 dB again, or an empty text."""
+    if not _above_again(result).any():
+        return ""
+    return " The gain of small sines falls below −3 dB and rises above it again."
+
+
+def _above_again(result: BandwidthResult) -> Array:
+    """Return which cells (amplitudes, frequencies) have more than −3 dB behind a cell with less."""
+    gain = np.where(np.isnan(result.gain_db), _MINUS_3_DB, result.gain_db)
+    below = np.maximum.accumulate(gain < _MINUS_3_DB, axis=1)
+    return np.asarray(below & (gain > _MINUS_3_DB))
 
 
 def _plot_bandwidths(result: BandwidthResult, axis: Axes) -> None:
@@ -78,20 +114,32 @@ def _plot_bandwidths(result: BandwidthResult, axis: Axes) -> None:
             result.amplitudes_deg,
             result.gain_db,
             levels=[_MINUS_3_DB],
-            colors="w",
+            colors="k",
+            linewidths=1.2,
             linestyles="-",
         )
-    axis.plot([], [], "w-", label="−3 dB, interpolated in the map")
-    for name, style, label in (
-        ("measured_hz", "wo", "−3 dB, measured"),
-        ("rate_limit_hz", "C3.-", "speed limit, closed form"),
-        ("follower_hz", "C1x", "speed limit, follower through x(θ)"),
-        ("acceleration_bound_hz", "C6.--", "acceleration bound"),
-        ("linear_loop_hz", "C9.:", "linear loop"),
+    axis.plot([], [], "k-", lw=1.2, label="−3 dB, interpolated in the map")
+    axis.plot(result.bandwidths["measured_hz"], result.amplitudes_deg, **_MEASURED)
+    row, column = np.nonzero(_above_again(result))
+    if row.size:
+        at = result.frequencies_hz[column], result.amplitudes_deg[row]
+        axis.plot(*at, "k^", mfc="w", ms=6, ls="", label="gain above −3 dB again")
+    for name, style, colour, label in (
+        ("rate_limit_hz", ".-", RED, "speed limit, closed form"),
+        ("follower_hz", "x", "k", "speed limit, follower through x(θ)"),
+        ("acceleration_bound_hz", ".--", RED, "acceleration bound"),
+        ("linear_loop_hz", ".:", BLUE, "linear loop"),
     ):
-        edge = "k" if name == "measured_hz" else None
-        axis.plot(result.bandwidths[name], result.amplitudes_deg, style, label=label, mec=edge)
-    axis.legend(loc="lower left", fontsize=8, facecolor="0.75")
+        values = result.bandwidths[name]
+        axis.plot(
+            values,
+            result.amplitudes_deg,
+            style,
+            color=colour,
+            ms=5,
+            label=label,
+            path_effects=OUTLINE,
+        )
 
 
 def plot_bode(result: BandwidthResult) -> Figure:
@@ -101,7 +149,13 @@ def plot_bode(result: BandwidthResult) -> Figure:
     only in speed.
     """
     figure, axes = plt.subplots(2, 1, sharex=True, figsize=(7.5, 7.5), layout="constrained")
-    colours = plt.get_cmap("viridis_r")(np.linspace(0.15, 1.0, result.amplitudes_deg.size))
+    returned = _linear_return_hz(result)
+    note = f"linear gain rises above −3 dB again at {returned:.3g} Hz" if returned else ""
+    figure.set_label(
+        "Bode plots of the knee angle relative to its reference. "
+        "A darker curve has a larger amplitude." + (f" The {note}." if note else "")
+    )
+    colours = shades(result.amplitudes_deg.size)
     relative = result.relative_uncertainty
     panels = (
         (result.gain_db, 20.0 * np.log10(1.0 + relative), decibel),
@@ -126,11 +180,28 @@ def plot_bode(result: BandwidthResult) -> Figure:
         axis.plot([], [], ":", color="0.4", label="rate-limited follower")
         axis.grid(alpha=0.3)
     axes[0].axhline(_MINUS_3_DB, color="0.5", lw=0.8, label="−3 dB")
-    axes[0].set(ylabel="gain (dB)", ylim=(-45.0, 5.0), xscale="log")
+    axes[0].set(ylabel="gain (dB)", ylim=(-45.0, 7.0), xscale="log")
     axes[1].set(xlabel="frequency (Hz)", ylabel="phase (deg)")
+    if returned:
+        axes[0].plot([returned], [_MINUS_3_DB], "k^", mfc="w", zorder=3)
+        axes[0].text(0.99, 0.97, f"△ {note}", transform=axes[0].transAxes, ha="right", va="top")
     plain_ticks(axes[0].xaxis, _TICKS_HZ)
-    axes[0].legend(loc="lower left", fontsize=8, ncols=2)
+    phase_ticks(axes[1].yaxis)
+    legend_below(figure, axes[:1], ncols=5, fontsize=9)
     return figure
+
+
+def _linear_return_hz(result: BandwidthResult) -> float | None:
+    """Return the frequency in Hz at which the linear gain rises through −3 dB, None without one.
+
+    The frequency is interpolated between two frequencies of the map, in dB over its logarithm.
+    """
+    gain, logs = decibel(result.linear), np.log(result.frequencies_hz)
+    (rises,) = np.nonzero((gain[:-1] < _MINUS_3_DB) & (gain[1:] >= _MINUS_3_DB))
+    if not rises.size:
+        return None
+    ends = slice(rises[0], rises[0] + 2)
+    return float(np.exp(np.interp(_MINUS_3_DB, gain[ends], logs[ends])))
 
 
 def plot_rate_limit(result: BandwidthResult) -> Figure:
@@ -139,24 +210,30 @@ def plot_rate_limit(result: BandwidthResult) -> Figure:
     aω is the amplitude of the rod speed that the reference requires. R is the rod's speed limit.
     """
     figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
+    figure.set_label(
+        "A follower with limited speed turns a fast sine into a triangle (left). "
+        "ρ is its speed limit over the largest speed of the sine. "
+        "The gains of the knee fall on its closed form, or below where the acceleration is limited "
+        "too (right)."
+    )
     time = np.linspace(0.0, 4.0, 4001)
     target, shown = np.sin(math.tau * time), slice(2500, None)
     axes[0].plot(time[shown] - 2.5, target[shown], "k", lw=1, label="sine")
-    for ratio in (0.8, _RATIO_AT_MINUS_3_DB, 0.3):
+    for colour, ratio in zip(SERIES, (0.8, _RATIO_AT_MINUS_3_DB, 0.3), strict=False):
         follower = rate_limited_follower(time, target, math.tau * ratio)
-        axes[0].plot(time[shown] - 2.5, follower[shown], label=f"ρ = {ratio:.3g}")
+        axes[0].plot(time[shown] - 2.5, follower[shown], colour, label=f"ρ = {ratio:.3g}")
     axes[0].set(xlabel="time (periods)", ylabel="position (amplitudes)", ylim=(-1.1, 1.6))
     axes[0].legend(loc="upper center", fontsize=8, ncols=4)
     reached = result.frequencies_hz / result.bandwidths["rate_limit_hz"][:, None]
     demand = reached / _RATIO_AT_MINUS_3_DB
-    colours = plt.get_cmap("viridis_r")(np.linspace(0.15, 1.0, result.amplitudes_deg.size))
+    colours = shades(result.amplitudes_deg.size)
     for i, amplitude in enumerate(result.amplitudes_deg):
         axes[1].plot(
             demand[i], result.gain_db[i], "o", ms=3, color=colours[i], label=f"{amplitude:g}°"
         )
     grid = np.geomspace(demand.min(), demand.max(), 400)
     closed = decibel(rate_limited_gain(1.0 / grid))
-    axes[1].plot(grid, closed, "C3", lw=1.2, label="closed form")
+    axes[1].plot(grid, closed, RED, lw=1.2, label="closed form")
     axes[1].axhline(_MINUS_3_DB, color="0.5", lw=0.8, label="−3 dB")
     axes[1].set(
         xlabel="speed demand aω/R = 1/ρ (1)",

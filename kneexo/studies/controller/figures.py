@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -11,16 +11,25 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 
+from kneexo.plotting import BLUE, GOLD, RED, SERIES
 from kneexo.result import Array
 from kneexo.studies.controller.result import ControllerResult, ideal_settling_time_s, observed_smc
-from kneexo.studies.plots import heat_map_panels, plain_ticks
+from kneexo.studies.plots import (
+    OUTLINE,
+    Worse,
+    heat_map_panels,
+    legend_below,
+    plain_ticks,
+    shades,
+)
 
-_ERROR = "max error (deg)"
+_ERROR = "largest error (deg)"
 _CHANGE = "mean command change (rpm/sample)"
 _ERROR_NORM = LogNorm(0.03, 10.0)
 _CHANGE_NORM = LogNorm(3.0, 600.0)
-_SHARE_NORM = Normalize(0.0, 1.0)
-_STAR: dict[str, Any] = {"marker": "*", "color": "C3", "ms": 13, "mec": "w", "ls": "none"}
+_SHARE_NORM = Normalize(0.0, 100.0)
+_MARGIN_NORM = Normalize(0.0, 1.0)
+_STAR: dict[str, Any] = {"marker": "*", "color": "w", "ms": 15, "mec": "k", "ls": "none"}
 
 
 def _maps(
@@ -30,8 +39,10 @@ def _maps(
     heat_map_panels(axes, x, y, panels)
     column, row = np.nonzero(stable == 0.0)
     for ax in axes:
-        ax.plot(np.asarray(x)[column], np.asarray(y)[row], "x", color="C3", ms=5, mew=1.4)
-        ax.plot(*default, zorder=3, **_STAR)
+        unstable = np.asarray(x)[column], np.asarray(y)[row]
+        label = "linearly unstable"
+        ax.plot(*unstable, "x", color=RED, ms=5, mew=1.4, path_effects=OUTLINE, label=label)
+        ax.plot(*default, zorder=3, label="default", **_STAR)
         plain_ticks(ax.xaxis, x[::2])
 
 
@@ -47,26 +58,28 @@ def lambda_and_slope(result: ControllerResult) -> Figure:
     def at(name: str) -> Array:
         return result.values[name][:, ::-1, eta]
 
-    figure, axes = plt.subplots(2, 2, figsize=(9.5, 7.5), layout="constrained", sharex=True)
-    panels = (
-        (at("max_error_deg"), _ERROR_NORM, _ERROR),
-        (at("mean_command_change_rpm"), _CHANGE_NORM, _CHANGE),
+    figure, axes = plt.subplots(2, 2, figsize=(9.5, 7.8), layout="constrained", sharex=True)
+    panels: tuple[tuple[Array, Normalize, str, Worse], ...] = (
+        (at("max_error_deg"), _ERROR_NORM, _ERROR, "high"),
+        (at("mean_command_change_rpm"), _CHANGE_NORM, _CHANGE, "high"),
         (
             at("settling_s"),
             LogNorm(0.1, 1.0),
             f"{result.settings.step_deg:g}° step, settling to "
             f"±{result.settings.settling_band_deg:g}° (s)",
+            "high",
         ),
-        (at("disk_margin"), _SHARE_NORM, "disk margin"),
+        (at("disk_margin"), _MARGIN_NORM, "disk margin", "low"),
     )
     _maps(list(axes.flat), lambdas, slope, panels, at("stable"), default)
     plt.setp(axes[1], xlabel="λ (1/s)")
     plt.setp(axes[:, 0], ylabel="k/Φ (1/s)")
-    figure.suptitle(
-        f"η = {result.settings.etas_m_s3[eta]:g} m/s³; star: default, cross: linearly unstable, "
-        f"grey: failed, not settled or no margin",
-        fontsize=10,
+    figure.suptitle(f"η = {result.settings.etas_m_s3[eta]:g} m/s³", fontsize=10)
+    figure.set_label(
+        "Tracking error, chattering, settling and disk margin over λ and k/Φ. Darker is worse. "
+        "A cell has no result if its run failed or did not settle, or if its loop has no margin."
     )
+    legend_below(figure, axes.flat, ncols=3, facecolor="0.9")
     return figure
 
 
@@ -79,36 +92,40 @@ def phi_and_eta(result: ControllerResult) -> Figure:
     phis, etas = result.settings.phis_m_s2, result.settings.etas_m_s3
     beta = result.slope_per_s[phi, eta] * phis[phi] / etas[eta]
     figure, axes = plt.subplots(
-        2, 2, figsize=(9.5, 7.5), layout="constrained", sharex=True, sharey=True
+        2, 2, figsize=(9.5, 7.8), layout="constrained", sharex=True, sharey=True
     )
     at = {name: values[lambda_] for name, values in result.values.items()}
-    panels = (
-        (at["max_error_deg"], _ERROR_NORM, _ERROR),
-        (at["mean_command_change_rpm"], _CHANGE_NORM, _CHANGE),
-        (at["saturated_share"], _SHARE_NORM, "share of samples at the speed limit"),
-        (at["disk_margin"], _SHARE_NORM, "disk margin"),
+    panels: tuple[tuple[Array, Normalize, str, Worse], ...] = (
+        (at["max_error_deg"], _ERROR_NORM, _ERROR, "high"),
+        (at["mean_command_change_rpm"], _CHANGE_NORM, _CHANGE, "high"),
+        (100.0 * at["saturated_share"], _SHARE_NORM, "samples at the speed limit (%)", "high"),
+        (at["disk_margin"], _MARGIN_NORM, "disk margin", "low"),
     )
     _maps(list(axes.flat), phis, etas, panels, at["stable"], (phis[phi], etas[eta]))
     for ax in axes.flat:
         ends = np.array(ax.get_xlim())
         for power in (4, 5, 6):
             ratio = 10.0**power / beta
-            ax.plot(ends, ratio * ends, "w--", lw=1)
+            label = "k/Φ (1/s), as labelled"
+            ax.plot(ends, ratio * ends, "k--", lw=1, path_effects=OUTLINE, label=label)
             x = max(ends[0] * 1.1, ax.get_ylim()[0] * 1.7 / ratio)
-            ax.text(x, ratio * x, f"10$^{power}$", color="w", fontsize=9, ha="left", va="top")
+            text = ax.text(x, ratio * x, f"10$^{power}$", fontsize=9, ha="left", va="top")
+            text.set_path_effects(OUTLINE)
     plt.setp(axes[1], xlabel="Φ (m/s²)")
     plt.setp(axes[:, 0], ylabel="η (m/s³)")
-    figure.suptitle(
-        f"λ = {result.settings.lambdas_per_s[lambda_]:g} 1/s; dashed: k/Φ (1/s), star: default, "
-        f"cross: linearly unstable, grey: failed or no margin",
-        fontsize=10,
+    figure.suptitle(f"λ = {result.settings.lambdas_per_s[lambda_]:g} 1/s", fontsize=10)
+    figure.set_label(
+        "Tracking error, chattering, saturation and disk margin over Φ and η. Darker is worse. "
+        "A cell has no result if its run failed or its loop has no margin."
     )
+    legend_below(figure, axes.flat, ncols=4, facecolor="0.9")
     return figure
 
 
-def _spread(count: int, centre: int) -> list[int]:
-    """Return up to five indices, spread from 0 to count − 1, and ``centre`` among them."""
-    return sorted({0, centre // 2, centre, (centre + count) // 2, count - 1})
+def _spread(count: int, centre: int) -> Iterable[tuple[int, Any]]:
+    """Return up to five indices with colours, from 0 to count − 1, and ``centre`` among them."""
+    indices = sorted({0, centre // 2, centre, (centre + count) // 2, count - 1})
+    return zip(indices, shades(len(indices)), strict=True)
 
 
 def claims(result: ControllerResult) -> Figure:
@@ -120,31 +137,39 @@ def claims(result: ControllerResult) -> Figure:
     figure, axes = plt.subplots(2, 2, figsize=(9.5, 7.5), layout="constrained")
     (faster, chattering), (adherent, collapse) = axes
 
-    for name, size, style in (
-        ("large_settling_s", grid.large_step_deg, "C1s-"),
-        ("settling_s", grid.step_deg, "C0o-"),
+    figure.set_label(
+        "The paper's three statements. "
+        "The loop settles faster with larger λ (a), chatters least with a proper Φ (b), and the "
+        "error over η (c) falls on one curve over k/Φ (d). A darker curve has a larger value."
+    )
+    for name, size, style, colour in (
+        ("large_settling_s", grid.large_step_deg, "s-", GOLD),
+        ("settling_s", grid.step_deg, "o-", BLUE),
     ):
-        faster.loglog(lambdas, values[name][:, phi, eta], style, ms=5, label=f"step of {size:g}°")
+        settling = values[name][:, phi, eta]
+        faster.loglog(lambdas, settling, style, color=colour, ms=5, label=f"step of {size:g}°")
     band = grid.settling_band_deg
     ideal = ideal_settling_time_s(np.array(lambdas), band / grid.step_deg)
     faster.loglog(lambdas, ideal, "k--", lw=1, label="s = 0 alone")
     faster.set(xlabel="λ (1/s)", ylabel=f"settling time to ±{band:g}° (s)", title="(a) larger λ")
     plain_ticks(faster.xaxis, lambdas[::2])
     plain_ticks(faster.yaxis, (0.05, 0.1, 0.2, 0.5, 1.0, 2.0, 5.0))
-    for n in _spread(len(lambdas), lambda_):
-        chattering.loglog(phis, change[n, :, eta], ".-", label=f"{lambdas[n]:g}")
+    for n, colour in _spread(len(lambdas), lambda_):
+        label = f"{lambdas[n]:g}"
+        chattering.loglog(phis, change[n, :, eta], ".-", color=colour, label=label)
     chattering.set(xlabel="Φ (m/s²)", ylabel=_CHANGE, title="(b) proper Φ")
-    for n in _spread(len(phis), phi):
-        adherent.loglog(etas, error[lambda_, n], ".-", label=f"{phis[n]:g}")
+    for n, colour in _spread(len(phis), phi):
+        adherent.loglog(etas, error[lambda_, n], ".-", color=colour, label=f"{phis[n]:g}")
     adherent.set(xlabel="η (m/s³)", ylabel=_ERROR, title="(c) larger η")
-    for n, value in enumerate(etas):
-        collapse.loglog(result.slope_per_s[:, n], error[lambda_, :, n], ".-", label=f"{value:g}")
+    for n, (value, colour) in enumerate(zip(etas, shades(len(etas)), strict=True)):
+        slope, label = result.slope_per_s[:, n], f"{1e-3 * value:g}"
+        collapse.loglog(slope, error[lambda_, :, n], ".-", color=colour, label=label)
     collapse.set(xlabel="k/Φ (1/s)", ylabel=_ERROR, title="(d) the same over k/Φ")
     for ax, title in (
         (faster, None),
         (chattering, "λ (1/s)"),
         (adherent, "Φ (m/s²)"),
-        (collapse, "η (m/s³)"),
+        (collapse, "η (10³ m/s³)"),
     ):
         ax.grid(alpha=0.3)
         low, high = ax.get_ylim()
@@ -157,39 +182,42 @@ def limit_cycle(result: ControllerResult) -> Figure:
     """Draw the error of the limit cycle over time, and mark its place on the map of T_f and k/Φ."""
     grid = result.settings
     law, observer = observed_smc(result.scenario)
-    figure, axes = plt.subplots(1, 3, figsize=(13, 4), layout="constrained")
+    figure = plt.figure(figsize=(9.5, 7.5), layout="constrained")
+    axes = figure.subplot_mosaic([["error", "error"], ["map", "margin"]], height_ratios=(1.0, 1.2))
+    error = axes["error"]
+    figure.set_label(
+        "Limit cycle at a small k/Φ. "
+        "The error oscillates (a), although the linear loop is stable at the circle in (b) and "
+        "(c). T_f is the time constant of the observer. Darker is worse."
+    )
     shown = grid.limit_cycle_lambdas_per_s[0]
-    for case in result.limit_cycle:
-        if case.lambda_per_s == shown:
-            axes[0].plot(case.time_s, case.error_deg, lw=0.9, label=case.variant)
-    low, high = axes[0].get_ylim()
-    axes[0].set(
+    cases = [case for case in result.limit_cycle if case.lambda_per_s == shown]
+    for case, colour in zip(cases, SERIES, strict=False):
+        error.plot(case.time_s, case.error_deg, colour, lw=0.9, label=case.variant)
+    low, high = error.get_ylim()
+    error.set(
         xlabel="time (s)",
         ylabel="tracking error (deg)",
-        ylim=(low, high + 0.35 * (high - low)),
+        ylim=(low, high + 0.25 * (high - low)),
         title=f"(a) circle in (b), (c); λ = {shown:g} 1/s",
     )
-    axes[0].legend(fontsize=8, loc="upper right")
+    error.legend(fontsize=8, loc="upper right", ncols=len(cases))
     times, slopes = 1e3 * np.array(grid.map_time_constants_s), grid.map_slopes_per_s
     default = (1e3 * observer.time_constant_s, law.gain_ratio * law.eta_m_s3 / law.phi_m_s2)
     stable = result.map_values["stable"]
     values = result.map_values
-    panels = (
-        (values["max_error_deg"], _ERROR_NORM, _ERROR),
-        (values["disk_margin"], _SHARE_NORM, "disk margin"),
+    panels: tuple[tuple[Array, Normalize, str, Worse], ...] = (
+        (values["max_error_deg"], _ERROR_NORM, _ERROR, "high"),
+        (values["disk_margin"], _MARGIN_NORM, "disk margin", "low"),
     )
-    _maps(list(axes[1:]), times, slopes, panels, stable, default)
-    titles = ("(b) star: default", "(c) cross: linearly unstable")
-    for ax, title in zip(axes[1:], titles, strict=True):
-        ax.plot(
-            1e3 * grid.limit_cycle_time_constant_s,
-            grid.limit_cycle_slope_per_s,
-            "C1o",
-            mec="w",
-            ms=9,
-        )
+    maps = [axes["map"], axes["margin"]]
+    _maps(maps, times, slopes, panels, stable, default)
+    at = 1e3 * grid.limit_cycle_time_constant_s, grid.limit_cycle_slope_per_s
+    for ax, title in zip(maps, ("(b)", "(c)"), strict=True):
+        ax.plot(*at, "o", color=BLUE, mec="w", ms=10, ls="", label="limit cycle of (a)")
         ax.set(xlabel="T_f (ms)", ylabel="k/Φ (1/s)")
         ax.set_title(title, loc="left", fontsize=10)
+    legend_below(figure, maps, ncols=4, facecolor="0.9")
     return figure
 
 

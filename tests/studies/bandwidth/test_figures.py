@@ -1,3 +1,4 @@
+import dataclasses
 import math
 
 import numpy as np
@@ -28,10 +29,10 @@ def test_the_heat_maps_have_frequency_across_and_amplitude_up(by_hand, curves, c
     panels = (
         20.0 * np.log10(GAINS),
         PHASES,
-        by_hand.cells["speed_limited_share"],
-        by_hand.cells["acceleration_limited_share"],
+        100.0 * by_hand.cells["speed_limited_share"],
+        100.0 * by_hand.cells["acceleration_limited_share"],
     )
-    labels = ("gain (dB)", "phase (deg)", "speed limit", "acceleration limit")
+    labels = ("gain (dB)", "phase (deg)", "speed limit (%)", "acceleration limit (%)")
     for ax, values, label in zip(axes[:4], panels, labels, strict=True):
         shown = np.ma.filled(ax.collections[0].get_array(), np.nan)
         assert shown == pytest.approx(values)
@@ -47,7 +48,7 @@ def test_the_heat_maps_have_frequency_across_and_amplitude_up(by_hand, curves, c
     ):
         assert lines[label][0] == pytest.approx(BANDWIDTHS[name])
         assert lines[label][1] == pytest.approx(AMPLITUDES)
-    reached = curves(axes[2])["the reference asks for more speed"]
+    reached = curves(axes[2])["the reference requires more speed than the limit"]
     assert reached[0] == pytest.approx(BANDWIDTHS["speed_limit_reached_hz"])
     for ax in axes[2:4]:
         assert ax.lines[0].get_xdata() == pytest.approx(BANDWIDTHS["measured_hz"])
@@ -104,7 +105,38 @@ def test_the_closed_form_is_drawn_over_the_demand_of_speed(by_hand, curves):
     assert y[triangle] == pytest.approx(20.0 * np.log10(4.0 / math.pi / x[triangle]), abs=1e-6)
 
 
-def test_every_axis_has_its_label_scale_limits_and_legend(by_hand):
+def falling_and_rising(by_hand, decibels):
+    """``by_hand`` with the same gains in dB for every amplitude and for the linear loop."""
+    gains = 10.0 ** (np.array(decibels) / 20.0)
+    return dataclasses.replace(by_hand, response=np.array([gains, [1.0] * 3]), linear=gains)
+
+
+def test_a_gain_that_returns_above_3_db_is_marked_and_said(by_hand, curves):
+    drawn = figures(falling_and_rising(by_hand, [0.0, -5.0, -1.0]))
+    again = curves(drawn["amplitude_map"].axes[0])["gain above −3 dB again"]
+    assert (*again[0], *again[1]) == (FREQUENCIES[2], AMPLITUDES[0])
+    assert "rises above it again" in drawn["amplitude_map"].get_label()
+    gain = drawn["bode_by_amplitude"].axes[0]
+    (at,) = [line.get_xdata()[0] for line in gain.lines if line.get_marker() == "^"]
+    # −3.0103 dB lies at 0.49742 of the way from −5 dB to −1 dB, over the logarithm.
+    assert at == pytest.approx(FREQUENCIES[1] ** 0.50258 * FREQUENCIES[2] ** 0.49742, rel=1e-4)
+    (text,) = gain.texts
+    assert text.get_text() == f"△ linear gain rises above −3 dB again at {at:.3g} Hz"
+    assert f" The linear gain rises above −3 dB again at {at:.3g} Hz." in (
+        drawn["bode_by_amplitude"].get_label()
+    )
+
+
+def test_a_gain_that_does_not_return_is_not_marked(by_hand, curves):
+    drawn = figures(falling_and_rising(by_hand, [0.0, -4.0, -5.0]))
+    assert "gain above −3 dB again" not in curves(drawn["amplitude_map"].axes[0])
+    assert list(drawn["bode_by_amplitude"].axes[0].texts) == []
+    assert (
+        "again" not in drawn["amplitude_map"].get_label() + drawn["bode_by_amplitude"].get_label()
+    )
+
+
+def test_every_axis_has_its_label_scale_limits_and_legend(by_hand, check_caption):
     drawn = figures(by_hand)
     across, up, gain = "frequency (Hz)", "amplitude (deg)", "gain (dB)"
     labels = {
@@ -115,22 +147,20 @@ def test_every_axis_has_its_label_scale_limits_and_legend(by_hand):
             ("speed demand aω/R = 1/ρ (1)", gain),
         ],
     }
-    legends = {
-        "amplitude_map": [6, None, 2, 1],
-        "bode_by_amplitude": [5, None],
-        "rate_limited_sine": [4, 4],
-    }
+    legends = {"amplitude_map": 7, "bode_by_amplitude": 5, "rate_limited_sine": 0}
     for name, expected in labels.items():
         axes = drawn[name].axes[: len(expected)]
         assert [(ax.get_xlabel(), ax.get_ylabel()) for ax in axes] == expected
-        for ax, count in zip(axes, legends[name], strict=True):
-            legend = ax.get_legend()
-            assert (None if legend is None else len(legend.get_texts())) == count, name
+        check_caption(drawn[name])
+        shown = [text for legend in drawn[name].legends for text in legend.get_texts()]
+        assert len(shown) == legends[name]  # below the figure, over no data
+        if shown:
+            assert all(ax.get_legend() is None for ax in axes)
     sine, demand = drawn["rate_limited_sine"].axes
     for ax in (*drawn["amplitude_map"].axes[:4], *drawn["bode_by_amplitude"].axes, demand):
         assert ax.get_xscale() == "log"
-    for ax in (demand, drawn["bode_by_amplitude"].axes[0]):
-        assert ax.get_ylim() == (-45.0, 5.0)
+    assert demand.get_ylim() == (-45.0, 5.0)
+    assert drawn["bode_by_amplitude"].axes[0].get_ylim() == (-45.0, 7.0)
     # The last one and a half of four periods, the sine and three followers of it.
     for line in sine.lines:
         assert line.get_xdata()[[0, -1]] == pytest.approx([0.0, 1.5])

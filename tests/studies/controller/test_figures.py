@@ -10,6 +10,7 @@ from kneexo.studies.controller.figures import figures
 from kneexo.studies.controller.result import (
     ideal_settling_time_s,
 )
+from kneexo.studies.plots import colour_map
 
 
 @pytest.mark.slow
@@ -18,8 +19,14 @@ def test_every_figure_can_be_drawn(small):
         figure.canvas.draw()
 
 
-def test_the_maps_have_their_axes_where_the_labels_say(by_hand, check_heat_map):
+def test_the_maps_have_their_axes_where_the_labels_say(by_hand, check_heat_map, check_caption):
     drawn = figures(by_hand)
+    for name, figure in drawn.items():
+        check_caption(figure)
+        if name != "study_claims":
+            entries = [text.get_text() for text in figure.legends[0].get_texts()]
+            assert {"no result", "linearly unstable", "default"} >= set(entries[:2])
+            assert len(set(entries)) == len(entries)
     beta = math.sqrt(1.8 / 1.4)
     panels = (
         ("study_lambda_slope", "λ (1/s)", "k/Φ (1/s)"),
@@ -40,6 +47,10 @@ def test_the_maps_have_their_axes_where_the_labels_say(by_hand, check_heat_map):
         assert axes[0].get_ylabel() == up
         for ax, name in zip(axes[:4], names[title], strict=True):
             values = np.where(np.isinf(by_hand.values[name]), np.nan, by_hand.values[name])
+            values = values * (100.0 if "(%)" in ax.get_title(loc="right") else 1.0)
+            assert ("(%)" in ax.get_title(loc="right")) == (name == "saturated_share")
+            # Darker is worse, a small margin as well as a large error.
+            assert ax.collections[0].get_cmap() == colour_map("low" if "margin" in name else "high")
             if title == "study_lambda_slope":  # at the default η; the smallest Φ is on top
                 check_heat_map(ax, GRID.lambdas_per_s, rising, values[:, ::-1, 1])
                 stable = by_hand.values["stable"][:, ::-1, 1]
@@ -102,14 +113,14 @@ def test_the_lines_of_the_claims_are_those_of_the_grid(by_hand, curves):
             assert xs == pytest.approx(x)
             assert ys == pytest.approx(of(labels.index(float(label))))
     for n, eta in enumerate(GRID.etas_m_s3):
-        xs, ys = curves(collapse)[f"{eta:g}"]
+        xs, ys = curves(collapse)[f"{eta / 1e3:g}"]
         assert xs == pytest.approx(beta * eta / np.array(GRID.phis_m_s2))
         assert ys == pytest.approx(values["max_error_deg"][1, :, n])
     spans = (  # with room for the legend above the highest value
         (faster, "λ (1/s)", "settling time to ±0.2° (s)"),
         (chattering, "Φ (m/s²)", "mean command change (rpm/sample)"),
-        (adherent, "η (m/s³)", "max error (deg)"),
-        (collapse, "k/Φ (1/s)", "max error (deg)"),
+        (adherent, "η (m/s³)", "largest error (deg)"),
+        (collapse, "k/Φ (1/s)", "largest error (deg)"),
     )
     for ax, across, up in spans:
         assert (ax.get_xlabel(), ax.get_ylabel()) == (across, up)
