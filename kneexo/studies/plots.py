@@ -29,13 +29,18 @@ _HATCHED: dict[str, Any] = {"fc": "0.88", "ec": "0.6", "hatch": "////", "lw": 0.
 _CLOSEST = 0.065  # smallest distance of two tick labels, as a share of the axis
 
 
-def legend_below(figure: Figure, axes: Iterable[Axes], ncols: int, **style: Any) -> None:
-    """Draw one legend below the figure. Each label in the Matplotlib ``axes`` occurs once."""
-    entries = {
+def merged_legend(axes: Iterable[Axes]) -> dict[str, Any]:
+    """Return a dictionary from each label in the Matplotlib ``axes`` to its handle."""
+    return {
         label: handle
         for ax in axes
         for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)
     }
+
+
+def legend_below(figure: Figure, axes: Iterable[Axes], ncols: int, **style: Any) -> None:
+    """Draw one legend below the figure. Each label in the Matplotlib ``axes`` occurs once."""
+    entries = merged_legend(axes)
     figure.legend(entries.values(), entries, loc="outside lower center", ncols=ncols, **style)
 
 

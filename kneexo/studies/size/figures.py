@@ -24,9 +24,21 @@ from kneexo.analysis.hardware import (
 )
 from kneexo.analysis.signals import to_rpm
 from kneexo.gait import gait_knee_flexion, gait_start_percent
-from kneexo.plotting import decimal_ticks
+from kneexo.parameters import Scenario
+from kneexo.plotting import BLUE, GOLD, RED, SERIES, decimal_ticks
 from kneexo.result import Array
-from kneexo.studies.plots import CENTRED, heat_map, legend_below, plain_ticks
+from kneexo.studies.plots import (
+    CENTRED,
+    OUTLINE,
+    Worse,
+    colour_map,
+    heat_map,
+    ink,
+    legend_below,
+    mark_failures,
+    merged_legend,
+    plain_ticks,
+)
 from kneexo.studies.size.result import SizeResult
 
 if TYPE_CHECKING:
@@ -35,7 +47,13 @@ if TYPE_CHECKING:
 HARDWARE_LABELS = {"nominal": "hardware as it is", "sized": "sized hardware"}
 """Labels of the two sets of hardware whose walking runs are in the traces of `SizeResult`."""
 
-_STYLES = ("C0o-", "C1s--", "C2^:", "C3v-", "C4D-", "C5x-")
+_STYLES = tuple(
+    {"marker": marker, "ls": line, "color": colour}
+    for marker, line, colour in zip(
+        "os^vDx", ("-", "--", ":", "-", "-", "-."), (*SERIES, "0.45"), strict=True
+    )
+)
+"""Style of each row of `HARDWARE` in the sweeps."""
 
 
 def figures(result: SizeResult) -> dict[str, Figure]:
@@ -53,8 +71,12 @@ def figures(result: SizeResult) -> dict[str, Figure]:
 
 
 def _sweeps(result: SizeResult) -> Figure:
-    figure, axes = plt.subplots(1, 3, figsize=(13, 4.6), layout="constrained")
-    settings = result.settings
+    figure, grid = plt.subplots(2, 2, figsize=(9.5, 7.8), layout="constrained")
+    axes, settings = grid.ravel()[:3], result.settings
+    figure.set_label(
+        "Bandwidth and largest error over each value of the hardware, all others as they are. "
+        "A point without marker is a run that fails."
+    )
     panels = (
         (result.sweeps, settings.factors, "bandwidth_hz", "−3 dB bandwidth (Hz)"),
         (result.sweeps, settings.factors, "max_error_deg", "largest error (deg)"),
@@ -63,7 +85,7 @@ def _sweeps(result: SizeResult) -> Figure:
     for axis, (sweeps, factors, merit, label) in zip(axes, panels, strict=True):
         for (path, sweep), style in zip(sweeps.items(), _STYLES, strict=True):
             values = [row[merit] for row in sweep]
-            axis.plot(factors, values, style, ms=4.5, lw=1.2, label=HARDWARE[path][0])
+            axis.plot(factors, values, ms=4.5, lw=1.2, label=HARDWARE[path][0], **style)
         axis.set(xscale="log", yscale="log", xlabel="factor on the value", ylabel=label)
         plain_ticks(axis.xaxis, factors[::2])
         decimal_ticks(axis.yaxis)
@@ -76,25 +98,31 @@ def _sweeps(result: SizeResult) -> Figure:
         bound = [row["expected_bandwidth_hz"] for row in result.sweeps[path]]
         axes[0].plot(settings.factors, bound, style, lw=1.2, label=label)
     bound_label = f"(c) bound of the paper, {settings.error_bound_deg:g}°"
-    axes[2].axhline(settings.error_bound_deg, color="0.4", ls="--", lw=1, label=bound_label)
+    axes[2].axhline(settings.error_bound_deg, color=RED, ls="--", lw=1, label=bound_label)
     reference, frequency = require_sine(result.scenario), result.designs[0].frequency_hz
     low, high = reference.range_deg
     axes[0].set_title(f"(a) {low:g}…{high:g}°, hardware as it is")
     axes[1].set_title(f"(b) {low:g}…{high:g}° at {reference.frequency_hz:g} Hz, hardware as it is")
     axes[2].set_title(f"(c) walking at {frequency:.3g} Hz, sized hardware")
-    figure.suptitle("no marker: the run fails", fontsize=10)
-    legend_below(figure, (axes[0], axes[2]), ncols=5)
+    grid[1, 1].set_axis_off()  # its place is that of the legend
+    entries = merged_legend((axes[0], axes[2]))
+    grid[1, 1].legend(entries.values(), entries, loc="center", title="the varied value")
     return figure
 
 
 def _maps(result: SizeResult) -> Figure:
-    figure, axes = plt.subplots(1, 2, figsize=(12, 5.2), layout="constrained")
-    design, settings = result.designs[0], result.settings
-    panels = (
-        (result.scenario, settings.factors, result.bandwidth_map_hz, "−3 dB bandwidth (Hz)"),
-        (design.scenario, settings.walking_factors, result.walking_map_deg, "largest error (deg)"),
+    figure, axes = plt.subplots(2, 1, figsize=(7.5, 9.5), layout="constrained")
+    figure.set_label(
+        "Bandwidth (a) and largest error in walking (b) over the limits of rod speed and motor "
+        "acceleration. Darker is worse. In a hatched cell the run fails."
     )
-    for axis, (scenario, factors, values, label) in zip(axes, panels, strict=True):
+    design, settings = result.designs[0], result.settings
+    error = "largest error (deg)"
+    panels: tuple[tuple[Scenario, tuple[float, ...], Array, str, Worse], ...] = (
+        (result.scenario, settings.factors, result.bandwidth_map_hz, "−3 dB bandwidth (Hz)", "low"),
+        (design.scenario, settings.walking_factors, result.walking_map_deg, error, "high"),
+    )
+    for axis, (scenario, factors, values, label, worse) in zip(axes, panels, strict=True):
         speed = 1e3 * rod_limits(scenario)[0] * np.asarray(factors)
         limit = scenario.plant.pump.acceleration_limit_rad_s2 * np.asarray(factors)
         axis.set(xlabel="rod speed limit R (mm/s)", ylabel="acceleration limit (rad/s²)")
@@ -102,32 +130,30 @@ def _maps(result: SizeResult) -> Figure:
             axis.set(xlim=speed[[0, -1]], ylim=limit[[0, -1]], xscale="log", yscale="log")
             axis.text(0.5, 0.5, "every run fails", transform=axis.transAxes, ha="center")
         else:
-            _cells(axis, speed, limit, values, label)
+            _cells(axis, speed, limit, values, label, worse)
         plain_ticks(axis.xaxis, [float(f"{v:.2g}") for v in speed])
         plain_ticks(axis.yaxis, [float(f"{v:.3g}") for v in limit])
         axis.tick_params(axis="x", rotation=45)
     _regimes(axes[0], result)
     _walking_limits(axes[1], result)
-    figure.suptitle("grey: the run fails", fontsize=10)
     axes[0].set_title("(a) controller as it is", loc="left", fontsize=10)
     title = f"(b) walking at {design.frequency_hz:.3g} Hz, sized controller"
     axes[1].set_title(title, loc="left", fontsize=10)
     return figure
 
 
-def _cells(axis: Axes, speed: Array, limit: Array, values: Array, label: str) -> None:
-    """Draw a heat map with a number in each cell.
+def _cells(axis: Axes, speed: Array, limit: Array, values: Array, label: str, worse: Worse) -> None:
+    """Draw a heat map with a number in each cell that has one.
 
     The rows of ``values`` are acceleration limits in rad/s², the columns are rod speed limits in
     mm/s.
     """
     norm = LogNorm(np.nanmin(values), np.nanmax(values) * 1.001)
-    heat_map(axis, speed, limit, values.T, norm=norm, label=label)
+    colours = heat_map(axis, speed, limit, values.T, norm=norm, label=label, worse=worse)
     for (row, column), value in np.ndenumerate(values):
-        text = "–" if math.isnan(value) else f"{value:.2g}"
-        dark = math.isnan(value) or norm(value) > 0.6
-        color = "k" if dark else "w"
-        axis.text(float(speed[column]), float(limit[row]), text, fontsize=7, color=color, **CENTRED)
+        if math.isfinite(value):
+            at, color = (float(speed[column]), float(limit[row])), ink(colours(norm(value)))
+            axis.text(*at, f"{value:.2g}", fontsize=7, color=color, **CENTRED)
 
 
 def _regimes(axis: Axes, result: SizeResult) -> None:
@@ -146,7 +172,7 @@ def _regimes(axis: Axes, result: SizeResult) -> None:
     ):
         limit = ratio * motor * 1e-3 * speed / amplitude
         label = f"A = {ratio:.2g} R²/a; below, {below}"
-        axis.plot(speed, limit, "C3" + style, lw=1.6, label=label)
+        axis.plot(speed, limit, style, color=RED, lw=1.6, label=label, path_effects=OUTLINE)
     _legend_below(axis)
 
 
@@ -156,15 +182,16 @@ def _walking_limits(axis: Axes, result: SizeResult) -> None:
     peaks, design = result.demands[0].peaks(), result.designs[0].scenario
     motor = design.plant.pump.speed_limit_rad_s
     needed = peaks["peak_rod_acceleration_m_s2"] * motor / (1e-3 * speed)
-    axis.plot(speed, needed, "C3--", lw=1.6, label="speed and acceleration of the motion")
-    axis.axvline(1e3 * peaks["peak_rod_speed_m_s"], color="C3", ls="--", lw=1.6)
+    label, style = "speed and acceleration of the motion", {"color": RED, "ls": "--", "lw": 1.6}
+    axis.plot(speed, needed, label=label, path_effects=OUTLINE, **style)
+    axis.axvline(1e3 * peaks["peak_rod_speed_m_s"], path_effects=OUTLINE, **style)
     sized = 1e3 * rod_limits(design)[0], design.plant.pump.acceleration_limit_rad_s2
-    axis.plot(*sized, "C3s", ms=16, mfc="none", mew=1.6, label="sized")
+    axis.plot(*sized, "ks", ms=17, mfc="none", mew=1.8, ls="", label="sized")
     _legend_below(axis)
 
 
 def _legend_below(axis: Axes) -> None:
-    axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.22), fontsize=9)
+    axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), fontsize=9, ncols=2)
 
 
 def _gains(result: SizeResult) -> Figure:
@@ -177,9 +204,17 @@ def _gains(result: SizeResult) -> Figure:
     figure, axes = plt.subplots(
         1, shape[0], figsize=(1.5 + 4.6 * shape[0], 4.4), layout="constrained", squeeze=False
     )
+    figure.set_label(
+        "Largest error in walking (first number, colour) and disk margin (second number) over the "
+        "gains. Darker is worse. In a hatched cell the run fails. "
+        "Bold gains have enough margin and no chattering."
+    )
     norm = LogNorm(float(np.nanmin(errors)), float(np.nanmax(errors)) * 1.001)
+    colours = colour_map("high")
     for index, axis in enumerate(axes[0]):
-        mesh = axis.pcolormesh(np.ma.masked_invalid(errors[index]), norm=norm, edgecolors="w")
+        mark_failures(axis, np.zeros(1))
+        cells = np.ma.masked_invalid(errors[index])
+        mesh = axis.pcolormesh(cells, norm=norm, cmap=colours, edgecolors="w")
         for (row, column), error in np.ndenumerate(errors[index]):
             margin = margins[index, row, column]
             lines = ["fails" if math.isnan(error) else f"{error:.1f}°"]
@@ -190,18 +225,16 @@ def _gains(result: SizeResult) -> Figure:
                 "\n".join(lines),
                 fontsize=8,
                 weight="bold" if meets[index, row, column] else "normal",
-                color="k" if math.isnan(error) or norm(error) > 0.6 else "w",
+                color="k" if math.isnan(error) else ink(colours(norm(error))),
+                path_effects=OUTLINE if math.isnan(error) else None,
                 **CENTRED,
             )
         axis.set_xticks(np.arange(shape[2]) + 0.5, [f"{v:g}" for v in settings.lambda_per_s])
         axis.set_yticks(np.arange(shape[1]) + 0.5, [f"{v:g}" for v in settings.slope_per_s])
-        axis.set(xlabel="λ (1/s)", ylabel="k/Φ (1/s)", facecolor="0.85")
+        axis.set(xlabel="λ (1/s)", ylabel="k/Φ (1/s)")
         axis.set_title(f"T_f = {1e3 * settings.observer_s[index]:g} ms")
     bar = figure.colorbar(mesh, ax=axes[0], label="largest error in walking (deg)")
     decimal_ticks(bar.ax.yaxis)
-    figure.suptitle(
-        "largest error, disk margin; bold: enough margin and no chattering", fontsize=10
-    )
     return figure
 
 
@@ -209,12 +242,16 @@ def _tracking(result: SizeResult) -> Figure:
     figure, axes = plt.subplots(
         3, 1, figsize=(7, 7.4), sharex=True, layout="constrained", height_ratios=(2, 1.1, 1.2)
     )
+    figure.set_label(
+        "Knee angle, tracking error and motor speed over a gait cycle of level walking. "
+        "The hardware as it is reaches its speed limit, and the sized hardware follows."
+    )
     frequency = result.designs[0].frequency_hz
     percent, mean, deviation = gait_knee_flexion()
     axes[0].fill_between(
         percent, mean - deviation, mean + deviation, color="0.8", label="measured, mean ± SD"
     )
-    for (name, label), color in zip(HARDWARE_LABELS.items(), ("C3", "C0"), strict=True):
+    for (name, label), color in zip(HARDWARE_LABELS.items(), (GOLD, BLUE), strict=True):
         if not result.traces[name]:
             continue
         cycle, trace = last_stride(result.traces[name], frequency)
@@ -227,12 +264,12 @@ def _tracking(result: SizeResult) -> Figure:
     axes[0].plot(demand.cycle_percent, demand.knee_angle_deg, "k--", lw=1, label="reference")
     limit = to_rpm(result.scenario.plant.pump.speed_limit_rad_s)
     bound = result.settings.error_bound_deg
-    for axis, value, color, label in (
-        (axes[1], bound, "0.4", f"bound, ±{bound:g}°"),
-        (axes[2], limit, "k", f"limit, ±{limit:.0f} rpm"),
+    for axis, value, style, label in (
+        (axes[1], bound, "--", f"bound, ±{bound:g}°"),
+        (axes[2], limit, ":", f"limit, ±{limit:.0f} rpm"),
     ):
         for sign in (-1, 1):
-            axis.axhline(sign * value, color=color, ls=":", lw=1, label=label)
+            axis.axhline(sign * value, color=RED, ls=style, lw=1.2, label=label)
     axes[0].set(ylabel="knee flexion (deg)", title=f"walking at {frequency:.3g} Hz")
     legend_below(figure, axes, ncols=3)  # inside, each would hide a curve
     axes[1].set_ylabel("error (deg)\nlogarithmic beyond ±2")
@@ -264,15 +301,20 @@ def last_stride(
 
 def _demand(result: SizeResult) -> Figure:
     figure, axes = plt.subplots(2, 2, figsize=(9.5, 6.4), sharex=True, layout="constrained")
+    figure.set_label(
+        "What walking requires of the hardware over a gait cycle. "
+        "Rod speed, pump flow, load pressure and shaft power, and those of the closed loop with "
+        "the sized hardware."
+    )
     design = result.designs[0]
     reach = 1e3 * rod_limits(result.scenario)[0]
     axes[0, 0].axhspan(-reach, reach, color="0.8", label="reach of the hardware as it is")
-    needed = [("C0", "needed, moving mass of Eq. 16", result.demands[0])]
+    needed = [(BLUE, "needed, moving mass of Eq. 16", result.demands[0])]
     needed += [
-        ("C1", "needed, inertia of the shank", demand) for demand in result.segment_demands[:1]
+        (GOLD, "needed, inertia of the shank", demand) for demand in result.segment_demands[:1]
     ]
     for color, label, demand in needed:
-        lw = 3.0 if color == "C0" else 1.3  # speed and flow of both coincide
+        lw = 3.0 if color == BLUE else 1.3  # speed and flow of both coincide
         x = demand.cycle_percent
         axes[0, 0].plot(x, 1e3 * demand.rod_speed_m_s, color, lw=lw)
         axes[0, 1].plot(x, 6e4 * demand.load_flow_m3_s, color, lw=lw)

@@ -16,14 +16,16 @@ def assert_line(line, x, y):
     assert line[1] == pytest.approx(list(y))
 
 
-def test_every_line_of_the_figures_is_that_of_its_row(study, curves):
+def test_every_line_of_the_figures_is_that_of_its_row(study, curves, check_caption):
     drawn = figures(study)
+    for figure in drawn.values():
+        check_caption(figure)
     assert set(drawn) == {"order_tracking", "order_switching", "order_frequency"}
     pressures = {"P_L, reduced": "load_pressure", "P_1, full": "cap", "P_2, full": "rod_side"}
     loads = study.settings.disturbances_n
     panels = np.reshape(drawn["order_tracking"].axes, (len(loads), 2))
     for (error, pressure), load in zip(panels, loads, strict=True):
-        assert error.get_title() == f"disturbance {load:g} N"
+        assert error.get_title() == f"disturbance {load:g} N".replace("-", "−")
         assert (error.get_ylabel(), pressure.get_ylabel()) == ("error (deg)", "pressure (MPa)")
         lines, shown = curves(error), curves(pressure)
         cases = rows(study.tracking, disturbance_n=load)
@@ -57,13 +59,13 @@ def test_every_line_of_the_figures_is_that_of_its_row(study, curves):
     assert (ax.get_xlabel(), ax.get_ylabel(), ax.get_title()) == (
         "frequency (Hz)",
         "rod velocity per command (mm/rad)",
-        "plant at 40 deg",
+        "plant at 40°",
     )
     cases = rows(study.frequency, posture_deg=40.0)
     for row in cases:
         trace = row.trace
         gain = [1e3 * value for value in trace.plant_gain_m]
-        line = lines.pop(f"{row.order}, {row.disturbance_n:g} N")
+        line = lines.pop(f"{row.order}, {row.disturbance_n:g} N".replace("-", "−"))
         assert_line(line, trace.frequencies_hz, gain)
     assert lines.pop("Nyquist, 250 Hz")[0] == pytest.approx([250.0, 250.0])
     assert lines == {}

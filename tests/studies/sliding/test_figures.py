@@ -14,8 +14,10 @@ def assert_line(line, x, y):
     assert line[1] == pytest.approx(y, nan_ok=True)
 
 
-def test_every_line_of_the_figures_is_that_of_its_case(study, curves):
+def test_every_line_of_the_figures_is_that_of_its_case(study, curves, check_caption):
     drawn = figures(study)
+    for figure in drawn.values():
+        check_caption(figure)
     assert set(drawn) == {"sliding_condition", "error_bound", "boundary_layer"}
     first = study.settings.loads_n[0]
     # Over time the smallest η with which the paper's k ends its run; the first load alone.
@@ -37,7 +39,7 @@ def test_every_line_of_the_figures_is_that_of_its_case(study, curves):
         assert ax.get_ylim() == pytest.approx((-2.5 * eta, 2.0 * eta))
         assert ax.get_xlabel() == ("time (ms)" if part == "start" else "time (s)")
         assert ax.get_ylabel() == "sgn(s)·ds/dt outside the layer (m/s³)"
-        assert ax.get_title().endswith(f", {first:g} N")
+        assert ax.get_title().endswith(f", {first:g} N".replace("-", "−"))
     for ax, load in zip(drawn["error_bound"].axes, study.settings.loads_n, strict=True):
         lines = curves(ax)
         for case in study.of("motion", plant="full", load_n=load, eta_m_s3=smallest):
@@ -49,21 +51,22 @@ def test_every_line_of_the_figures_is_that_of_its_case(study, curves):
                 assert_line(cross, trace.time_s[-1:], error[-1:])
         assert lines.pop("Φ/λ² = 8 mm")[1] == pytest.approx([8.0, 8.0])
         assert lines == {}
-        assert ax.get_title() == f"{load:g} N, η = {smallest:g} m/s³"
+        assert ax.get_title() == f"{load:g} N, η = {smallest:g} m/s³".replace("-", "−")
         assert (ax.get_xlabel(), ax.get_ylabel()) == ("time (s)", "|e| (mm)")
     (ax,) = drawn["boundary_layer"].axes
     lines = curves(ax)
     for law, label in LAWS.items():
         for load in study.settings.loads_n:
+            force = f"{load:g} N".replace("-", "−")
             same_law = study.of("motion", plant="full", law=law, load_n=load)
             failed = [case.eta_m_s3 for case in same_law if case.measured.failure]
             largest = [
                 math.nan if case.measured.failure else case.measured.largest_s for case in same_law
             ]
             etas = [case.eta_m_s3 for case in same_law]
-            assert_line(lines.pop(f"{label}, {load:g} N"), etas, largest)
+            assert_line(lines.pop(f"{label}, {force}"), etas, largest)
             if failed:
-                assert_line(lines.pop(f"{label}, {load:g} N: left the range"), failed, [40.0])
+                assert_line(lines.pop(f"{label}, {force}: left the range"), failed, [40.0])
     assert lines.pop("edge of the layer")[1] == pytest.approx([1.0, 1.0])
     assert lines == {}
     assert (ax.get_xlabel(), ax.get_ylabel()) == ("η (m/s³)", "largest |s|/Φ along the reference")
