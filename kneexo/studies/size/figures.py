@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 HARDWARE_LABELS = {"nominal": "hardware as it is", "sized": "sized hardware"}
 """Labels of the two sets of hardware whose walking runs are in the traces of `SizeResult`."""
 
-_STYLES = tuple(
+_STYLES: tuple[dict[str, Any], ...] = tuple(
     {"marker": marker, "ls": line, "color": colour}
     for marker, line, colour in zip(
         "os^vDx", ("-", "--", ":", "-", "-", "-."), (*SERIES, "0.45"), strict=True
@@ -90,13 +90,13 @@ def _sweeps(result: SizeResult) -> Figure:
         plain_ticks(axis.xaxis, factors[::2])
         decimal_ticks(axis.yaxis)
         axis.grid(alpha=0.3)
-    for path, style, label in (
+    for path, bound_style, label in (
         (SPEED_LIMIT, "k-.", "bound: motor speed limit"),
         (DISPLACEMENT, "k--", "bound: pump displacement"),
         (ACCELERATION_LIMIT, "k:", "bound: acceleration limit"),
     ):
         bound = [row["expected_bandwidth_hz"] for row in result.sweeps[path]]
-        axes[0].plot(settings.factors, bound, style, lw=1.2, label=label)
+        axes[0].plot(settings.factors, bound, bound_style, lw=1.2, label=label)
     bound_label = f"(c) bound of the paper, {settings.error_bound_deg:g}°"
     axes[2].axhline(settings.error_bound_deg, color=RED, ls="--", lw=1, label=bound_label)
     reference, frequency = require_sine(result.scenario), result.designs[0].frequency_hz
@@ -182,7 +182,8 @@ def _walking_limits(axis: Axes, result: SizeResult) -> None:
     peaks, design = result.demands[0].peaks(), result.designs[0].scenario
     motor = design.plant.pump.speed_limit_rad_s
     needed = peaks["peak_rod_acceleration_m_s2"] * motor / (1e-3 * speed)
-    label, style = "speed and acceleration of the motion", {"color": RED, "ls": "--", "lw": 1.6}
+    label = "speed and acceleration of the motion"
+    style: dict[str, Any] = {"color": RED, "ls": "--", "lw": 1.6}
     axis.plot(speed, needed, label=label, path_effects=OUTLINE, **style)
     axis.axvline(1e3 * peaks["peak_rod_speed_m_s"], path_effects=OUTLINE, **style)
     sized = 1e3 * rod_limits(design)[0], design.plant.pump.acceleration_limit_rad_s2
