@@ -387,12 +387,12 @@ class _Browser:
 
     def views_of_playing(self, window="window"):
         """Pictures of a view 1 s and 4 s after its start, in a window of the page, as it plays."""
-        self.wait_for(f"{window}?.viewer?.animator?.time > 0.1")
+        self.wait_for(f"{window}?.stage?.time > 0.1")
         pictures = []
         for second in (1, 4):
             script = """(async (window) => {
-              window.viewer.animator.pause();
-              window.viewer.animator.seek(%d);
+              window.stage.pause();
+              window.stage.seek(%d);
               for (let frame = 0; frame < 3; ++frame) await new Promise(requestAnimationFrame);
             })(%s)"""
             self.evaluate(script % (second, window))

@@ -93,7 +93,7 @@ def view(
             notices.append(f"kneexo: {shown(caption)}: {failure}; shown up to there")
         legs.append(leg)
     if (end_s := shown_s(legs)) < max(leg.time_s[-1] for leg in legs):
-        notices.append(f"kneexo: only the first {end_s:.3g} s are shown: the page is full")
+        notices.append(f"kneexo: only the first {end_s:.4g} s are shown: the page is full")
     names = [leg.name for leg in legs]
     return Outcome(
         f"{shown(out)}: {', '.join(map(shown, names))}; open it in a browser\n",

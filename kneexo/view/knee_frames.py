@@ -19,13 +19,13 @@ from pydrake.systems.framework import LeafSystem
 
 from kneexo.errors import ParameterError
 from kneexo.parameters import LinkageParameters
-from kneexo.view.parts import placements, shapes
+from kneexo.view.parts import parts, placements
 
 
 class KneeFrames(LeafSystem):
-    """Moves the parts of leg and linkage in SceneGraph.
+    """Moves the frames of leg and linkage in SceneGraph, and with them the parts.
 
-    The poses of the parts follow from the knee angle by the linkage (Lee et al. 2020, Eq. 3–9; see
+    The poses of the frames follow from the knee angle by the linkage (Lee et al. 2020, Eq. 3–9; see
     `kneexo.view.mechanism.points`).
 
     ===============  ====  ========  ===================================================
@@ -35,7 +35,7 @@ class KneeFrames(LeafSystem):
     knee_reference   4     rad, …    θ_d and its derivatives, which have no effect here;
                                      the knee angle if unconnected
     **output port**
-    frame_poses                      `FramePoseVector`: pose of each part in the world
+    frame_poses                      `FramePoseVector`: pose of each frame in the world
     ===============  ====  ========  ===================================================
 
     No state. The system has no scalar conversion, because its frames belong to one SceneGraph of
@@ -44,9 +44,8 @@ class KneeFrames(LeafSystem):
     Parameters
     ----------
     scene_graph
-        The constructor adds the source ``name`` to this SceneGraph, and for each part a frame
-        ``name::part`` with one geometry. The ghost of the shank, at the reference, is hidden behind
-        the shank while knee angle and reference are equal.
+        The constructor adds the source ``name`` to this SceneGraph, for each rigid body a frame
+        ``name::body``, and for each part a geometry on its frame.
     linkage
         Geometry of the linkage.
     name
@@ -75,18 +74,17 @@ class KneeFrames(LeafSystem):
         if not math.isfinite(depth_m):
             raise ParameterError(f"depth_m = {depth_m} m: must be finite")
         self._linkage, self._depth_m = linkage, float(depth_m)
-        parts = shapes(linkage)
+        leg, straight = parts(linkage), placements(linkage, 0.0, 0.0)
         self.source = scene_graph.RegisterSource(name)
-        self._frames: dict[str, FrameId] = {}
-        for part, (shape, colour) in parts.items():
-            frame = scene_graph.RegisterFrame(self.source, GeometryFrame(f"{name}::{part}"))
-            geometry = GeometryInstance(RigidTransform(), shape, part)
-            properties = MakePhongIllustrationProperties(
-                [colour.r(), colour.g(), colour.b(), colour.a()]
-            )
-            geometry.set_illustration_properties(properties)
-            scene_graph.RegisterGeometry(self.source, frame, geometry)
-            self._frames[part] = frame
+        self._frames: dict[str, FrameId] = {
+            frame: scene_graph.RegisterFrame(self.source, GeometryFrame(f"{name}::{frame}"))
+            for frame in straight
+        }
+        for part_name, part in leg.items():
+            geometry = GeometryInstance(part.pose, part.shape, part_name)
+            colour = [part.colour.r(), part.colour.g(), part.colour.b(), part.colour.a()]
+            geometry.set_illustration_properties(MakePhongIllustrationProperties(colour))
+            scene_graph.RegisterGeometry(self.source, self._frames[part.frame], geometry)
         self._angle = self.DeclareVectorInputPort("knee_angle", 1)
         self._reference = self.DeclareVectorInputPort("knee_reference", 4)
         self.DeclareAbstractOutputPort(
@@ -102,7 +100,7 @@ class KneeFrames(LeafSystem):
         reference = self._reference.Eval(context)[0] if has_reference else angle
         vector = FramePoseVector()
         offset = RigidTransform([0.0, self._depth_m, 0.0])
-        for part, placement in placements(self._linkage, angle, reference).items():
+        for frame, placement in placements(self._linkage, angle, reference).items():
             (pose,) = placement.poses()
-            vector.set_value(self._frames[part], offset @ pose)
+            vector.set_value(self._frames[frame], offset @ pose)
         output.set_value(vector)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from kneexo.errors import ScenarioError, SimulationError, shown
 from kneexo.files.table import read_table
-from kneexo.parameters import LinkageParameters, Scenario
+from kneexo.parameters import CylinderParameters, LinkageParameters, PlantParameters, Scenario
 from kneexo.parameters.reference import LONGEST_TIME_S
 from kneexo.result import Array
 from kneexo.simulation import Run, simulate
@@ -38,13 +38,25 @@ class Leg:
     knee_angle_rad: Array
     reference_rad: Array
     pressure_pa: Array
+    pressure_rating_pa: float = CylinderParameters().pressure_rating_pa
+    """Pressure at which the cylinder has its full colour."""
 
     @classmethod
     def of_signals(
-        cls, name: str, linkage: LinkageParameters, signals: Mapping[str, ArrayLike]
+        cls,
+        name: str,
+        linkage: LinkageParameters,
+        signals: Mapping[str, ArrayLike],
+        pressure_rating_pa: float = CylinderParameters().pressure_rating_pa,
     ) -> Leg:
         """Return a leg. ``signals`` maps each name in `COLUMNS` to its values (n,)."""
-        return cls(name, linkage, *(np.asarray(signals[column]) for column in COLUMNS))
+        time, angle, reference, pressure = (np.asarray(signals[column]) for column in COLUMNS)
+        return cls(name, linkage, time, angle, reference, pressure, pressure_rating_pa)
+
+    @classmethod
+    def of_plant(cls, name: str, plant: PlantParameters, signals: Mapping[str, ArrayLike]) -> Leg:
+        """Return a leg with the linkage and the pressure rating of a plant."""
+        return cls.of_signals(name, plant.linkage, signals, plant.cylinder.pressure_rating_pa)
 
 
 def leg_of_scenario(name: str, scenario: Scenario) -> tuple[Leg, str]:
@@ -74,7 +86,7 @@ def leg_of_scenario(name: str, scenario: Scenario) -> tuple[Leg, str]:
 
 
 def _leg(name: str, scenario: Scenario, run: Run) -> Leg:
-    return Leg.of_signals(name, scenario.plant.linkage, run.columns)
+    return Leg.of_plant(name, scenario.plant, run.columns)
 
 
 def leg_of_results(name: str, directory: Path, scenario: Scenario) -> Leg:
@@ -97,4 +109,4 @@ def leg_of_results(name: str, directory: Path, scenario: Scenario) -> Leg:
     table.require(angle, low, high, "rad")
     table.require(reference, low, high, "rad")
     table.require(pressure, -_HIGHEST_PRESSURE_PA, _HIGHEST_PRESSURE_PA, "Pa")
-    return Leg.of_signals(name, scenario.plant.linkage, table.columns)
+    return Leg.of_plant(name, scenario.plant, table.columns)

@@ -18,8 +18,8 @@ from kneexo.parameters import LinkageParameters
 Points = NDArray[np.complex128]
 """Points of the knee's plane in m: the real part points forwards, the imaginary part up."""
 
-THIGH_M, SHANK_M, FOOT_M = 0.34, 0.34, 0.14
-"""Lengths of thigh, shank and foot in m."""
+THIGH_M, SHANK_M, FOOT_M, TOE_M = 0.34, 0.34, 0.14, 0.035
+"""Lengths of thigh, shank and foot in m, and height of the ankle over the toes."""
 
 HEAD = 0.9
 """Length of the drawn cylinder, divided by the length of the drawn rod.
@@ -30,41 +30,63 @@ length of the rod. A stub of 0.1 of the length is visible at x = 0.
 """
 
 
+LIMB_LAYER_M = 0.105
+"""Distance of thigh, shank and foot from the plane of the linkage, which is at the leg's side."""
+
+
 @dataclass(frozen=True)
 class Bar:
     """A straight part between two of the `points`."""
 
+    frame: str
+    """Name of the frame in `FRAMES` to which the bar is fixed."""
     start: str
     end: str
     radius_m: float
     colour: tuple[float, float, float]
     """Red, green and blue, each from 0 to 1."""
     layer_m: float = 0.0
-    """Distance of the bar from the knee's plane in m."""
+    """Distance of the bar from the plane of the linkage in m, positive towards the limb."""
+    is_flat: bool = False
+    """Whether the section is a square, else a circle."""
 
 
-_BONE, _STEEL = (0.93, 0.89, 0.80), (0.60, 0.62, 0.66)
+FRAMES = {
+    "thigh": ("thigh_end", "hip"),
+    "shank": ("shank_start", "ankle"),
+    "link_2": ("o_a", "a"),
+    "link_4": ("o_b", "b"),
+    "cylinder": ("cylinder_pin", "cylinder_end"),
+    "rod": ("rod_start", "rod_pin"),
+}
+"""Dictionary from a rigid body to the points on its x axis: its origin and another point."""
+
+_BONE, _STEEL, _LIGHT = (0.93, 0.89, 0.80), (0.38, 0.41, 0.46), (0.66, 0.69, 0.73)
 
 BARS = {
-    "thigh": Bar("hip", "thigh_end", 0.012, _BONE),
-    "thigh_plate": Bar("thigh_a", "thigh_b", 0.006, _STEEL),
-    "thigh_bracket": Bar("thigh_axis", "thigh_pin", 0.004, _STEEL),
-    "link_2": Bar("o_a", "a", 0.004, (0.1, 0.5, 0.8), 0.02),
-    "link_4": Bar("o_b", "b", 0.004, (0.9, 0.5, 0.1), -0.02),
-    "shank": Bar("shank_start", "ankle", 0.011, _BONE),
-    "foot": Bar("ankle", "toe", 0.009, _BONE),
-    "shank_plate": Bar("shank_a", "shank_b", 0.006, _STEEL),
-    "shank_bracket": Bar("shank_axis", "shank_pin", 0.004, _STEEL),
-    "cylinder": Bar("cylinder_pin", "cylinder_end", 0.010, (0.5, 0.5, 0.5)),
-    "rod": Bar("rod_start", "rod_pin", 0.005, (0.85, 0.87, 0.9)),
+    "thigh": Bar("thigh", "hip", "thigh_end", 0.012, _BONE, LIMB_LAYER_M),
+    "thigh_plate": Bar("thigh", "thigh_a", "thigh_b", 0.006, _STEEL),
+    "thigh_bracket": Bar("thigh", "thigh_axis", "thigh_pin", 0.004, _STEEL, 0.02),
+    "link_2": Bar("link_2", "o_a", "a", 0.004, (0.0, 0.45, 0.70), 0.02, is_flat=True),
+    "link_4": Bar("link_4", "o_b", "b", 0.004, (0.90, 0.62, 0.0), -0.02),
+    "shank": Bar("shank", "shank_start", "ankle", 0.011, _BONE, LIMB_LAYER_M),
+    "foot": Bar("shank", "ankle", "toe", 0.009, _BONE, LIMB_LAYER_M),
+    "shank_plate": Bar("shank", "shank_a", "shank_b", 0.006, _LIGHT),
+    "shank_bracket": Bar("shank", "shank_axis", "shank_pin", 0.004, _LIGHT, 0.02),
+    "rod": Bar("rod", "rod_start", "rod_pin", 0.005, (0.85, 0.87, 0.9)),
+    "cylinder": Bar("cylinder", "cylinder_pin", "cylinder_end", 0.013, (0.5, 0.5, 0.5)),
 }
 """The bars of leg and linkage by name."""
 
-PINS = ("o_a", "o_b", "a", "b", "cylinder_pin", "rod_pin")
-"""Names of the points that have a pin, besides the instantaneous centre of rotation ``icr``."""
-
-GHOST = ("shank", "foot")
-"""Names of the bars that are drawn a second time, at the reference of the knee angle."""
+PINS = {
+    "o_a": "link_2",
+    "a": "link_2",
+    "o_b": "link_4",
+    "b": "link_4",
+    "cylinder_pin": "cylinder",
+    "rod_pin": "rod",
+}
+"""Dictionary from the points that have a pin to their frames in `FRAMES`."""
 
 
 def points(link: LinkageParameters, knee_angle: ArrayLike) -> dict[str, Points]:
@@ -103,7 +125,7 @@ def points(link: LinkageParameters, knee_angle: ArrayLike) -> dict[str, Points]:
         "axis": 1j * pin.imag,
     }
     forward = 1.0 if shank_is_ground else -1.0
-    shank = {"start": 0j, "ankle": -1j * SHANK_M, "toe": -1j * SHANK_M + forward * FOOT_M}
+    shank = {"start": 0j, "ankle": -1j * SHANK_M, "toe": -1j * (SHANK_M + TOE_M) + forward * FOOT_M}
     thigh = {"end": 0j, "hip": 1j * THIGH_M}
     result: dict[str, Points] = {}
     for limb, leg, of_linkage, on_ground in (

@@ -1,126 +1,207 @@
 """Shapes, colours and poses of the drawn parts of a leg, for all views.
 
-In the world, x points forwards, z up and y away from the viewer. In the frame of a bar, the bar
-lies along z and the origin is the bar's middle.
+In the world, x points forwards, z up and y away from the viewer. Each part is fixed to a frame, and
+the frames move with the knee angle. At full extension the parts have the poses of this module.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydrake.geometry import Cylinder, Meshcat, Rgba
+from pydrake.geometry import Box, Capsule, Cylinder, Ellipsoid, Meshcat, Rgba, Shape
 from pydrake.math import RigidTransform, RotationMatrix
 
 from kneexo.parameters import LinkageParameters
 from kneexo.result import Array
-from kneexo.view.mechanism import BARS, GHOST, PINS, Bar, Points, points
+from kneexo.view.mechanism import BARS, FRAMES, LIMB_LAYER_M, PINS, Points, points
 
 ICR_COLOUR = Rgba(0.8, 0.0, 0.5)
 """Colour of the instantaneous centre of rotation and of its path."""
 
-REFERENCE = "reference_"
-"""Prefix of the names of the parts that show the reference of the knee angle."""
+REFERENCE = "reference"
+"""The frame of the shank at the reference of the knee angle, and the first word of its parts."""
 
-Look = tuple[Cylinder, Rgba]
-"""Shape and colour of a part."""
+SKIN, GHOST, GROUND = "skin", "ghost", "ground"
+"""Roles of parts: skin is translucent, a ghost shows the reference, the ground stands still."""
 
-_GHOST_RADIUS = 0.85  # of that of the bar, which hides its ghost where both agree
-_GHOST_COLOUR = Rgba(0.35, 0.35, 0.35, 0.35)
-_PIN, _PIN_COLOUR = Cylinder(0.004, 0.052), Rgba(0.15, 0.15, 0.18)
+_SKIN_COLOUR, _GHOST_COLOUR = Rgba(0.86, 0.68, 0.56, 0.5), Rgba(0.35, 0.35, 0.35, 0.35)
+_BRACE, _CUFF, _SOLE = Rgba(0.25, 0.28, 0.33), Rgba(0.16, 0.18, 0.22), Rgba(0.20, 0.20, 0.22)
+_PIN, _PIN_COLOUR = Cylinder(0.003, 0.056), Rgba(0.15, 0.15, 0.18)
+_ICR = Cylinder(0.002, 0.06)
+_UPRIGHT_LAYER_M = 0.028  # behind the brackets, in front of the limb
 _SPACING_M = 0.30  # distance of legs beside each other
-_ALONG = RotationMatrix.MakeYRotation(0.5 * np.pi)
 _ACROSS = RotationMatrix.MakeXRotation(0.5 * np.pi)
-_TOLERANCE = 1e-9  # m and rad
+
+
+@dataclass(frozen=True)
+class Part:
+    """One drawn part, fixed to a frame."""
+
+    frame: str
+    shape: Shape
+    pose: RigidTransform
+    """Pose of the shape in its frame."""
+    colour: Rgba
+    role: str = "solid"
 
 
 @dataclass(frozen=True)
 class Placement:
-    """The positions and directions of one part in the knee's plane at n times."""
+    """The positions and directions of one frame in the plane of the linkage at n times."""
 
-    middle: Points
-    """Middle of the part at each time, (n,), a complex point of the knee's plane in m."""
-    direction: Points | None = None
-    """Unit vectors along a bar, (n,), or None for a pin, which stands across the plane."""
-    layer_m: float = 0.0
-    """Distance of the part from the knee's plane in m, along y of the world."""
-
-    def seen_from(self, frame: Placement) -> Placement:
-        """Return the placement relative to a frame, whose x axis is the frame's direction."""
-        axis = 1.0 if frame.direction is None else frame.direction
-        direction = None if self.direction is None else self.direction / axis
-        return Placement((self.middle - frame.middle) / axis, direction, self.layer_m)
-
-    @property
-    def is_constant(self) -> bool:
-        """Whether positions and directions are constant over time, within 1e-9 m and rad."""
-        values = [self.middle] if self.direction is None else [self.middle, self.direction]
-        return all(bool(np.abs(v - v[0]).max() < _TOLERANCE) for v in values)
-
-    def frames(self) -> Iterator[RigidTransform]:
-        """For each time yield the pose of a frame: origin ``middle``, x axis ``direction``."""
-        direction = np.ones_like(self.middle) if self.direction is None else self.direction
-        for point, angle in zip(self.middle, -np.angle(direction), strict=True):
-            yield RigidTransform(RotationMatrix.MakeYRotation(angle), in_world(point, self.layer_m))
+    origin: Points
+    """Origin of the frame at each time, (n,), complex points in m."""
+    direction: Points
+    """Unit vectors along the x axis of the frame, (n,)."""
 
     def poses(self) -> Iterator[RigidTransform]:
-        """Yield the pose of the part's shape at each time."""
-        axis = RigidTransform(_ACROSS if self.direction is None else _ALONG, np.zeros(3))
-        yield from (frame @ axis for frame in self.frames())
+        """Yield the pose of the frame in the world at each time."""
+        for point, angle in zip(self.origin, -np.angle(self.direction), strict=True):
+            yield RigidTransform(RotationMatrix.MakeYRotation(angle), in_world(point, 0.0))
 
 
 def placements(
     linkage: LinkageParameters, knee_angle: ArrayLike, reference: ArrayLike
 ) -> dict[str, Placement]:
-    """Return a dictionary from the name of a part to its placement at n times.
+    """Return a dictionary from the name of a frame to its placement at n times.
 
-    Knee angles and references (n,) are in rad. The parts are the parts of `shapes`.
-
-    Raises `LinkageError` if the linkage cannot be assembled.
+    The frames are those of `FRAMES`, ``icr`` and ``reference``. Knee angles and references (n,) are
+    in rad. Raises `LinkageError` if the linkage cannot be assembled.
     """
-    at, at_reference = points(linkage, knee_angle), points(linkage, reference)
-    parts = {name: _of_bar(bar, at) for name, bar in BARS.items()}
-    parts |= {f"{REFERENCE}{name}": _of_bar(BARS[name], at_reference) for name in GHOST}
-    return parts | {f"pin_{name}": Placement(at[name]) for name in (*PINS, "icr")}
+    at = points(linkage, knee_angle)
+    frames = {name: _placement(at, name) for name in FRAMES}
+    frames["icr"] = Placement(at["icr"], np.ones_like(at["icr"]))
+    frames[REFERENCE] = _placement(points(linkage, reference), "shank")
+    return frames
 
 
-def _of_bar(bar: Bar, at: dict[str, Points]) -> Placement:
-    start, end = at[bar.start], at[bar.end]
-    return Placement(0.5 * (start + end), (end - start) / np.abs(end - start), bar.layer_m)
+def _placement(at: dict[str, Points], frame: str) -> Placement:
+    origin, other = (at[name] for name in FRAMES[frame])
+    return Placement(origin, (other - origin) / np.abs(other - origin))
 
 
-def shapes(linkage: LinkageParameters) -> dict[str, Look]:
-    """Return a dictionary from the name of a part to its shape and colour.
+def parts(linkage: LinkageParameters) -> dict[str, Part]:
+    """Return a dictionary from the name of a part to the part.
 
-    The parts are bars, pins ``pin_…``, and ghosts ``reference_…`` of bars at the reference.
-
-    Raises `LinkageError` if the linkage cannot be assembled.
+    Bars and pins have the lengths and places of the linkage. Limbs, brace, pump and motor are
+    illustrative. Raises `LinkageError` if the linkage cannot be assembled.
     """
-    at = points(linkage, 0.0)
-    parts: dict[str, Look] = {}
+    at = {name: complex(values[0]) for name, values in points(linkage, 0.0).items()}
+    result: dict[str, Part] = {}
     for name, bar in BARS.items():
-        length = float(abs(at[bar.end][0] - at[bar.start][0]))
-        parts[name] = Cylinder(bar.radius_m, length), Rgba(*bar.colour)
-        if name in GHOST:
-            ghost = Cylinder(_GHOST_RADIUS * bar.radius_m, length)
-            parts[f"{REFERENCE}{name}"] = ghost, _GHOST_COLOUR
-    pins = {f"pin_{name}": (_PIN, _PIN_COLOUR) for name in PINS}
-    return parts | pins | {"pin_icr": (_PIN, ICR_COLOUR)}
+        length = abs(at[bar.end] - at[bar.start])
+        side = 2.0 * bar.radius_m
+        shape = Box(side, side, length) if bar.is_flat else Cylinder(bar.radius_m, length)
+        pose = _between(at[bar.start], at[bar.end], bar.layer_m)
+        result[name] = Part(bar.frame, shape, pose, Rgba(*bar.colour))
+    for name, frame in PINS.items():
+        pose = RigidTransform(_ACROSS, in_world(at[name], 0.0))
+        result[f"pin_{name}"] = Part(frame, _PIN, pose, _PIN_COLOUR)
+    pose = RigidTransform(_ACROSS, in_world(at["icr"], 0.0))
+    result["pin_icr"] = Part("icr", _ICR, pose, ICR_COLOUR)
+    result |= _skin() | _brace(at) | _drive(at)
+    straight = {name: next(p.poses()) for name, p in placements(linkage, 0.0, 0.0).items()}
+    result = {
+        name: replace(part, pose=straight[part.frame].inverse() @ part.pose)
+        for name, part in result.items()
+    }
+    ghosts = {
+        f"{REFERENCE}_{name}": replace(part, frame=REFERENCE, colour=_GHOST_COLOUR, role=GHOST)
+        for name, part in result.items()
+        if part.role == SKIN and part.frame == "shank"
+    }
+    return result | ghosts
+
+
+def _between(start: complex, end: complex, layer_m: float) -> RigidTransform:
+    """Return the pose whose z axis points from one point to another, at their middle."""
+    way = end - start
+    turn = RotationMatrix.MakeYRotation(np.arctan2(way.real, way.imag))
+    return RigidTransform(turn, in_world(0.5 * (start + end), layer_m))
+
+
+def _beside(x: float, z: float, layer_m: float = LIMB_LAYER_M) -> RigidTransform:
+    return RigidTransform(in_world(complex(x, z), layer_m))
+
+
+def _skin() -> dict[str, Part]:
+    """Return thigh, shank and foot in the pose of full extension."""
+    forwards = _between(0.03 - 0.374j, 0.13 - 0.374j, LIMB_LAYER_M)
+    limbs = {
+        "upper_thigh": ("thigh", Ellipsoid(0.072, 0.070, 0.190), _beside(0.004, 0.21)),
+        "lower_thigh": ("thigh", Capsule(0.050, 0.14), _beside(0.0, 0.10)),
+        "knee": ("thigh", Ellipsoid(0.053, 0.050, 0.060), _beside(0.004, 0.003)),
+        "calf": ("shank", Ellipsoid(0.050, 0.050, 0.125), _beside(-0.014, -0.13)),
+        "shin": ("shank", Capsule(0.036, 0.26), _beside(0.0, -0.19)),
+        "heel": ("shank", Ellipsoid(0.075, 0.040, 0.038), _beside(0.015, -0.358)),
+        "toes": ("shank", Capsule(0.024, 0.10), forwards),
+    }
+    return {name: Part(*limb, _SKIN_COLOUR, SKIN) for name, limb in limbs.items()}
+
+
+def _brace(at: dict[str, complex]) -> dict[str, Part]:
+    """Return uprights, cuffs, sole and ground in the pose of full extension."""
+    top = max(0.30, at["thigh_axis"].imag)
+    bottom = min(-0.27, at["shank_axis"].imag)
+    result = {}
+    for frame, low, high in (("thigh", 0.0, top), ("shank", bottom, 0.0)):
+        shape, pose = (
+            Box(0.020, 0.006, high - low),
+            _beside(0.0, 0.5 * (low + high), _UPRIGHT_LAYER_M),
+        )
+        result[f"{frame}_upright"] = Part(frame, shape, pose, _BRACE)
+    for name, frame, radius, x, z in (
+        ("upper_thigh_cuff", "thigh", 0.075, 0.004, 0.265),
+        ("lower_thigh_cuff", "thigh", 0.067, 0.004, 0.115),
+        ("upper_shank_cuff", "shank", 0.057, -0.010, -0.115),
+        ("lower_shank_cuff", "shank", 0.044, -0.002, -0.235),
+    ):
+        result[name] = Part(frame, Cylinder(radius, 0.035), _beside(x, z), _CUFF)
+        near = LIMB_LAYER_M - radius
+        mount = Box(0.024, near - _UPRIGHT_LAYER_M + 0.012, 0.03)
+        pose = _beside(0.0, z, 0.5 * (near + _UPRIGHT_LAYER_M))
+        result[f"{name}_mount"] = Part(frame, mount, pose, _BRACE)
+    result["sole"] = Part("shank", Box(0.205, 0.085, 0.012), _beside(0.045, -0.402), _SOLE)
+    ground = Cylinder(0.16, 0.004)
+    result["ground"] = Part("thigh", ground, _beside(0.04, -0.440), Rgba(0.88, 0.89, 0.91), GROUND)
+    return result
+
+
+def _drive(at: dict[str, complex]) -> dict[str, Part]:
+    """Return pump, gear and motor behind the cylinder, in the pose of full extension."""
+    way = at["rod_pin"] - at["cylinder_pin"]
+    along = way / abs(way)
+    behind = 1j * along if (1j * along).real < 0.0 else -1j * along
+
+    def part(start_m: float, end_m: float, radius_m: float, colour: Rgba) -> Part:
+        axis = at["cylinder_pin"] + 0.043 * behind
+        pose = _between(axis + start_m * along, axis + end_m * along, 0.0)
+        return Part("cylinder", Cylinder(radius_m, end_m - start_m), pose, colour)
+
+    block = at["cylinder_pin"] + 0.022 * behind
+    pose = _between(block + 0.025 * along, block + 0.065 * along, 0.0)
+    return {
+        "valve_block": Part("cylinder", Box(0.022, 0.024, 0.04), pose, Rgba(0.55, 0.58, 0.62)),
+        "pump": part(0.02, 0.07, 0.019, Rgba(0.42, 0.47, 0.50)),
+        "gear": part(0.07, 0.095, 0.015, Rgba(0.70, 0.72, 0.75)),
+        "motor": part(0.095, 0.16, 0.017, Rgba(0.20, 0.23, 0.28)),
+    }
 
 
 def icr_path(linkage: LinkageParameters, depth_m: float = 0.0) -> Array:
     """Return the path of the instantaneous centre of rotation at knee angles 0…90°, (3, 91) in m.
 
-    ``depth_m`` is the y coordinate of the knee's plane. Raises `LinkageError` as `shapes` does.
+    ``depth_m`` is the y coordinate of the plane. Raises `LinkageError` as `parts` does.
     """
     path = points(linkage, np.radians(np.linspace(0.0, 90.0, 91)))["icr"]
     return np.array([in_world(point, depth_m) for point in path]).T
 
 
 def in_world(point: complex, depth_m: float) -> Array:
-    """Return a point of the knee's plane in world coordinates (x, ``depth_m``, z) in m."""
+    """Return a point of the plane in world coordinates (x, ``depth_m``, z) in m."""
     return np.array([point.real, depth_m, point.imag])
 
 
@@ -133,5 +214,5 @@ def look_at_legs(meshcat: Meshcat, legs: int) -> None:
     """Let the camera see ``legs`` legs beside each other from the side. Hide grid and axes."""
     for path in ("/Grid", "/Axes"):
         meshcat.SetProperty(path, "visible", False)
-    distance = 0.55 + 0.5 * _SPACING_M * (legs - 1)
+    distance = 0.70 + 0.5 * _SPACING_M * (legs - 1)
     meshcat.SetCameraPose([0.5 * distance, -distance, 0.05], [-0.04, 0.0, -0.03])

@@ -12,7 +12,8 @@ from pydrake.systems.framework import EventStatus, LeafSystem
 from kneexo.errors import ParameterError
 from kneexo.result import Array
 
-_BLUE, _GREY, _RED = np.array([0.1, 0.3, 0.9]), np.array([0.85] * 3), np.array([0.9, 0.15, 0.1])
+BLUE, GREY, RED = np.array([0.1, 0.3, 0.9]), np.array([0.85] * 3), np.array([0.9, 0.15, 0.1])
+"""Red, green and blue from 0 to 1 at the largest negative pressure, at none, at the largest."""
 
 
 def pressure_colours(pressure_pa: Array, largest_pa: float) -> Array:
@@ -22,7 +23,7 @@ def pressure_colours(pressure_pa: Array, largest_pa: float) -> Array:
     Between these pressures the colour is interpolated linearly.
     """
     share = np.clip(pressure_pa / (largest_pa or 1.0), -1.0, 1.0)[:, None]
-    return np.asarray(_GREY + np.abs(share) * (np.where(share > 0.0, _RED, _BLUE) - _GREY))
+    return np.asarray(GREY + np.abs(share) * (np.where(share > 0.0, RED, BLUE) - GREY))
 
 
 class PressureColour(LeafSystem):

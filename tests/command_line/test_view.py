@@ -13,7 +13,7 @@ def test_a_file_name_may_have_bytes_that_are_no_text(tmp_path, capsys):
     scenario.write_text("simulation: {duration_s: 0.1}\n")
     page = tmp_path / "knee.html"
     assert main(["view", str(scenario), "--out", str(page)]) == 0
-    assert "<li>knee?</li>" in page.read_text()
+    assert "<title>kneexo: knee?</title>" in page.read_text()
 
 
 def test_the_command_writes_a_page_and_keeps_other_files(tmp_path, capsys):

@@ -1,14 +1,20 @@
 import numpy as np
 import pytest
+from pydrake.math import RigidTransform
 
 from kneexo.parameters.linkages import LINKAGES
-from kneexo.view.mechanism import BARS, GHOST, PINS, points
-from kneexo.view.parts import Placement, icr_path, placements, shapes
+from kneexo.view.mechanism import BARS, FRAMES, PINS, points
+from kneexo.view.parts import Placement, icr_path, parts, placements
 
 
 @pytest.fixture(params=sorted(LINKAGES))
 def link(request):
     return LINKAGES[request.param]
+
+
+def poses_of(link, angle, reference):
+    frames = {name: next(p.poses()) for name, p in placements(link, angle, reference).items()}
+    return {name: frames[part.frame] @ part.pose for name, part in parts(link).items()}
 
 
 def test_the_path_of_the_centre_is_that_of_its_pin(link):
@@ -19,44 +25,55 @@ def test_the_path_of_the_centre_is_that_of_its_pin(link):
         np.testing.assert_allclose(path[:, degrees], [centre.real, 0.2, centre.imag], atol=1e-15)
 
 
-def test_each_part_with_a_shape_has_a_placement(link):
-    names = {*BARS, *(f"reference_{bar}" for bar in GHOST), *(f"pin_{pin}" for pin in PINS)}
-    assert set(shapes(link)) == set(placements(link, 0.3, 0.4)) == names | {"pin_icr"}
+def test_each_part_has_a_frame_with_a_placement(link):
+    leg, frames = parts(link), placements(link, 0.3, 0.4)
+    assert set(frames) == {*FRAMES, "icr", "reference"} == {part.frame for part in leg.values()}
+    assert {*BARS, *(f"pin_{pin}" for pin in (*PINS, "icr"))} < set(leg)
+
+
+@pytest.mark.parametrize("degrees", [0.0, 33.0, 90.0])
+def test_bars_and_pins_are_at_their_points_at_each_angle(link, degrees):
+    at, poses = points(link, np.radians(degrees)), poses_of(link, np.radians(degrees), 0.2)
+    leg = parts(link)
+    for name, bar in BARS.items():
+        shape = leg[name].shape
+        half = 0.5 * (shape.height() if bar.is_flat else shape.length())
+        for sign, point in ((-1.0, at[bar.start][0]), (1.0, at[bar.end][0])):
+            tip = poses[name].multiply(np.array([0.0, 0.0, sign * half]))
+            expected = [point.real, bar.layer_m, point.imag]
+            np.testing.assert_allclose(tip, expected, atol=1e-12, err_msg=name)
+    for name in (*PINS, "icr"):
+        pose, point = poses[f"pin_{name}"], at[name][0]
+        np.testing.assert_allclose(pose.translation(), [point.real, 0.0, point.imag], atol=1e-12)
+        assert abs(pose.rotation().matrix()[1, 2]) == pytest.approx(1.0)  # across the plane
 
 
 def test_the_ghost_is_placed_at_the_reference_and_all_else_at_the_knee_angle(link):
-    at_first, at_second = placements(link, 0.3, 0.3), placements(link, 0.9, 0.9)
-    for name, part in placements(link, 0.3, 0.9).items():
+    at_first, at_second = poses_of(link, 0.3, 0.3), poses_of(link, 0.9, 0.9)
+    for name, pose in poses_of(link, 0.3, 0.9).items():
         expected = (at_second if name.startswith("reference_") else at_first)[name]
-        np.testing.assert_array_equal(part.middle, expected.middle)
+        assert pose.IsExactlyEqualTo(expected)
+        if name.startswith("reference_"):
+            other = at_second[name.removeprefix("reference_")]
+            assert pose.IsExactlyEqualTo(other)
 
 
-def test_a_bar_lies_between_its_points():
-    start, end = 0.1 + 0.2j, 0.4 + 0.6j
-    middle, direction = np.array([0.5 * (start + end)]), np.array([(end - start) / 0.5])
-    (pose,) = Placement(middle, direction, 0.3).poses()
-    for sign, point in ((-1.0, start), (1.0, end)):
-        tip = pose.multiply(np.array([0.0, 0.0, sign * 0.25]))
-        np.testing.assert_allclose(tip, [point.real, 0.3, point.imag], atol=1e-12)
+def test_thigh_and_ground_stand_still_and_the_foot_swings_over_the_ground(link):
+    leg, straight = parts(link), poses_of(link, 0.0, 0.0)
+    ground = straight["ground"].translation()[2] + 0.5 * leg["ground"].shape.length()
+    half = 0.5 * leg["sole"].shape.size()
+    for angle in np.radians([5.0, 20.0, 35.0, 60.0]):
+        bent = poses_of(link, angle, angle)
+        for name, part in leg.items():
+            if part.frame == "thigh":
+                assert straight[name].IsNearlyEqualTo(bent[name], 1e-12)
+        corners = bent["sole"].multiply((np.array([[1, 1, -1], [-1, 1, -1]]) * half).T)
+        assert ground < corners[2].min() < ground + 0.4
 
 
-def test_a_pin_lies_across_the_plane():
-    (pose,) = Placement(np.array([0.1 + 0.2j])).poses()
+def test_a_frame_has_its_x_axis_along_its_direction():
+    (pose,) = Placement(np.array([0.1 + 0.2j]), np.array([0.6 + 0.8j])).poses()
     np.testing.assert_allclose(pose.multiply(np.zeros(3)), [0.1, 0.0, 0.2], atol=1e-15)
-    end = pose.multiply(np.array([0.0, 0.0, 1.0]))
-    assert abs(end[1]) == pytest.approx(1.0)
-
-
-def test_a_placement_in_a_frame_has_the_pose_that_it_has_in_the_world():
-    part = Placement(np.array([0.1 + 0.2j]), np.array([np.exp(0.3j)]), 0.02)
-    frame = Placement(np.array([0.5 - 0.1j]), np.array([np.exp(-1.1j)]))
-    (world,), (local,), (base,) = part.poses(), part.seen_from(frame).poses(), frame.frames()
-    np.testing.assert_allclose((base @ local).GetAsMatrix4(), world.GetAsMatrix4(), atol=1e-14)
-
-
-def test_only_a_placement_that_neither_moves_nor_turns_is_constant():
-    still, moving = np.full(3, 0.1j), np.array([0.1j, 0.1j, 0.2j])
-    assert Placement(still, still / 0.1).is_constant
-    assert not Placement(moving, still / 0.1).is_constant
-    assert not Placement(still, np.exp(moving)).is_constant
-    assert not Placement(moving).is_constant
+    np.testing.assert_allclose(pose.multiply(np.array([1.0, 0.0, 0.0])), [0.7, 0.0, 1.0])
+    np.testing.assert_allclose(pose.rotation().matrix()[:, 1], [0.0, 1.0, 0.0], atol=1e-15)
+    assert isinstance(pose, RigidTransform)

@@ -1,8 +1,7 @@
-// The parts of three.js that stage.js uses.
+// The parts of three.js that stage_solid.js uses.
 export {
-  AmbientLight, BackSide, BoxGeometry, BufferGeometry, CapsuleGeometry, Color, CylinderGeometry,
-  DirectionalLight, Group, HemisphereLight, Line, LineBasicMaterial, Mesh, MeshBasicMaterial,
-  MeshStandardMaterial, NotEqualStencilFunc, PerspectiveCamera, ReplaceStencilOp, Scene,
-  SphereGeometry, Vector3, WebGLRenderer,
+  BoxGeometry, CapsuleGeometry, CatmullRomCurve3, Color, CylinderGeometry, DirectionalLight, Group,
+  HemisphereLight, Mesh, MeshBasicMaterial, MeshLambertMaterial, NotEqualStencilFunc,
+  PerspectiveCamera, ReplaceStencilOp, SRGBColorSpace, Scene, SphereGeometry, TubeGeometry, Vector3,
+  WebGLRenderer,
 } from "three";
-export { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";

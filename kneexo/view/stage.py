@@ -1,0 +1,155 @@
+"""Describes legs as data for the stage, the drawing of moving legs in web pages.
+
+``stage.js`` interpolates poses of frames in tables over the knee angle, so it has no equation of
+the linkage.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydrake.geometry import Box, Capsule, Cylinder, Ellipsoid, Shape
+from scipy.spatial import ConvexHull
+
+from kneexo.parameters import LinkageParameters
+from kneexo.result import Array
+from kneexo.view.parts import Part, icr_path, parts, placements
+from kneexo.view.pressure_colour import BLUE, GREY, RED
+
+STAGE_STYLES = ("vendor/uPlot.min.css", "stage.css")
+"""Names of the stage's style sheets for `kneexo.view.web_page.web_text`."""
+
+STAGE_SCRIPTS = (
+    "vendor/three.min.js",
+    "vendor/uPlot.iife.min.js",
+    "stage_model.js",
+    "stage_solid.js",
+    "stage_flat.js",
+    "stage_elements.js",
+    "stage.js",
+)
+"""Names of the stage's scripts in their order, for `kneexo.view.web_page.web_text`."""
+
+_STEP_RAD = math.radians(1.0)  # linear interpolation is then within 0.1 mm
+
+
+def stage_leg(
+    name: str,
+    linkage: LinkageParameters,
+    low_rad: float,
+    high_rad: float,
+    pressure_rating_pa: float,
+) -> dict[str, Any]:
+    """Return one leg as JSON-able data for ``new Stage(element, {legs: [leg, …]})``.
+
+    Parameters
+    ----------
+    name
+        The title of the leg, plain text.
+    linkage
+        Geometry of the linkage.
+    low_rad, high_rad
+        Range of the knee angles that the stage will show, in rad. The range 0…90° is always
+        included.
+    pressure_rating_pa
+        Load pressure in Pa at which the cylinder has its full colour.
+
+    Raises
+    ------
+    LinkageError
+        The linkage cannot be assembled within the range.
+    """
+    low, high = min(low_rad, 0.0), max(high_rad, 0.5 * math.pi)
+    angles = np.linspace(low, high, math.ceil((high - low) / _STEP_RAD) + 1)
+    frames = placements(linkage, angles, angles)
+    leg = parts(linkage)
+    return {
+        "name": name,
+        "rating_pa": pressure_rating_pa,
+        "low_rad": low,
+        "high_rad": high,
+        "rows": len(angles),
+        "frames": {
+            frame: pack(
+                np.stack(
+                    [
+                        placement.origin.real,
+                        placement.origin.imag,
+                        np.unwrap(np.angle(placement.direction)),
+                    ],
+                    axis=1,
+                )
+            )
+            for frame, placement in frames.items()
+        },
+        "parts": [_part(name, part) for name, part in leg.items()],
+        "icr_path": np.round(icr_path(linkage)[[0, 2]].T, 6).tolist(),
+        "pressure_colours": np.array([BLUE, GREY, RED]).tolist(),
+        "hull": _hull(linkage, leg, angles),
+        "joint_hull": _hull(linkage, _joint(leg), angles),
+    }
+
+
+def pack(values: ArrayLike) -> str:
+    """Return numbers as text, which `Stage.unpack` reads: float32, little-endian, in base64."""
+    return base64.b64encode(np.asarray(values, dtype="<f4").tobytes()).decode()
+
+
+def _part(name: str, part: Part) -> dict[str, Any]:
+    rotation = part.pose.rotation().ToQuaternion()
+    colour = part.colour
+    return {
+        "name": name,
+        "frame": part.frame,
+        "shape": type(part.shape).__name__.lower(),
+        "size": _size(part.shape),
+        "position": np.round(part.pose.translation(), 9).tolist(),
+        "quaternion": [rotation.x(), rotation.y(), rotation.z(), rotation.w()],
+        "colour": [colour.r(), colour.g(), colour.b(), colour.a()],
+        "role": part.role,
+    }
+
+
+def _size(shape: Shape) -> list[float]:
+    """Return radius and length, or the half axes of an ellipsoid, or the sides of a box, in m."""
+    if isinstance(shape, Cylinder | Capsule):
+        return [shape.radius(), shape.length()]
+    if isinstance(shape, Ellipsoid):
+        return [shape.a(), shape.b(), shape.c()]
+    assert isinstance(shape, Box)
+    return list(shape.size())
+
+
+def _half_sides(shape: Shape) -> Array:
+    """Return half the sides of the box around a shape, (3,) in m."""
+    size = np.array(_size(shape))
+    if isinstance(shape, Cylinder | Capsule):
+        radius, length = size
+        caps = radius if isinstance(shape, Capsule) else 0.0
+        return np.array([radius, radius, 0.5 * length + caps])
+    return size if isinstance(shape, Ellipsoid) else 0.5 * size
+
+
+def _joint(leg: dict[str, Part]) -> dict[str, Part]:
+    """Return the parts of the four-bar linkage."""
+    frames = ("link_2", "link_4", "icr")
+    return {name: part for name, part in leg.items() if part.frame in frames}
+
+
+def _hull(linkage: LinkageParameters, leg: dict[str, Part], angles: Array) -> list[list[float]]:
+    """Return points (n, 3) in m whose convex hull contains the parts at all knee angles."""
+    some = angles[:: max(1, len(angles) // 12)]
+    poses = {name: list(p.poses()) for name, p in placements(linkage, some, some).items()}
+    signs = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)])
+    corners = np.hstack(
+        [
+            pose.multiply(part.pose.multiply((signs * _half_sides(part.shape)).T))
+            for part in leg.values()
+            for pose in poses[part.frame]
+        ]
+    ).T
+    return np.round(corners[ConvexHull(corners).vertices], 4).tolist()

@@ -1,0 +1,227 @@
+"use strict";
+
+/*
+ * A stage shows legs that move with runs: new Stage(element, { legs, trace }). The legs are data of
+ * stage_leg in kneexo/view/stage.py. While the time moves, `element` dispatches "stagetime".
+ */
+const Stage = (() => {
+  const HOME = { azimuth: 0.42, elevation: 0.12, zoom: 1 };
+  const SIDE = { azimuth: 0, elevation: 0, zoom: 1 };
+  const LONGEST_FRAME_MS = 45;
+  const LEAST_SHARPNESS = 0.5;
+  const MANY_LEGS = 3;
+
+  const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
+
+  class Stage {
+    /** `trace` false leaves out the error over time, `flat` true draws without WebGL. */
+    constructor(element, { legs, trace = true, flat = false }) {
+      this.element = element;
+      this.legs = legs.map((data) => new StageModel.Leg(data));
+      this.orbit = { ...HOME };
+      this.time = 0;
+      this.speed = 1;
+      this.loop = true;
+      this.playing = false;
+      this._sharpness = 1;
+      this._hasPlayed = false;
+      this._build(trace);
+      this._choose(flat);
+      this._listen();
+      this._update();
+    }
+
+    /** Numbers from the text that `pack` in kneexo/view/stage.py returns. */
+    static unpack(text) {
+      return StageModel.unpack(text);
+    }
+
+    /** End of the longest run in s. */
+    get duration() {
+      return Math.max(...this.legs.map((leg) => leg.end));
+    }
+
+    /** Show a run {time, angle, reference, pressure} in s, rad, rad, Pa; null shows none. */
+    setRun(index, run) {
+      this.legs[index].run = run;
+      this.time = Math.min(this.time, this.duration);
+      this._trace?.show();
+      this._update();
+      if (run && !this._hasPlayed && !matchMedia("(prefers-reduced-motion: reduce)").matches) {
+        this.play();
+      }
+    }
+
+    setName(index, name) {
+      this.legs[index].name = name;
+      this._trace?.show();
+      this._update();
+    }
+
+    play() {
+      if (this.duration === 0) return;
+      if (!this.loop && this.time >= this.duration) this.time = 0;
+      this._hasPlayed = true;
+      this.playing = true;
+      this._last = null;
+      this._update();
+    }
+
+    pause() {
+      this.playing = false;
+      this._update();
+    }
+
+    seek(time) {
+      this.time = clamp(time, 0, this.duration);
+      this._update();
+    }
+
+    turn(azimuth, elevation) {
+      this.orbit.azimuth += azimuth;
+      this.orbit.elevation = clamp(this.orbit.elevation + elevation, -0.5, 1.4);
+      this._update();
+    }
+
+    enlarge(factor) {
+      this.orbit.zoom = clamp(this.orbit.zoom * factor, 0.5, 8);
+      this._update();
+    }
+
+    resetView() {
+      this.orbit = { ...HOME };
+      this._update();
+    }
+
+    _build(trace) {
+      const { element, legs } = this;
+      this._figures = legs.map(() => StageElements.legFigure());
+      const grid = StageElements.make("div", { className: "stage-legs" });
+      if (legs.length > 1) grid.classList.add(legs.length > MANY_LEGS ? "many" : "two");
+      grid.append(...this._figures.map((figure) => figure.element));
+      this._bar = StageElements.playBar(this);
+      this._trace = trace ? new StageElements.Trace(this) : null;
+      element.classList.add("stage");
+      element.append(grid, this._bar.element);
+      if (trace) element.append(this._trace.element);
+      element.append(StageElements.legend(legs));
+    }
+
+    /** Draw in three dimensions, or from the side where that is not possible. */
+    _choose(flat) {
+      this._drawing = (flat ? null : StageSolid.of(this.legs)) ?? new StageFlat(this.legs);
+      this._drawing.renderer?.domElement.addEventListener("webglcontextlost", () => {
+        this._drawing = new StageFlat(this.legs);
+        this._update();
+      });
+    }
+
+    _listen() {
+      StageElements.listenToKeys(this.element, this);
+      for (const { whole } of this._figures) StageElements.listenToGestures(whole, this);
+      this._visible = new Set();
+      const seen = new IntersectionObserver((entries) => {
+        for (const { target, isIntersecting } of entries) {
+          if (isIntersecting) this._visible.add(target);
+          else this._visible.delete(target);
+        }
+        this._update();
+      });
+      for (const { element } of this._figures) seen.observe(element);
+      new ResizeObserver(() => {
+        this._trace?.resize();
+        this._update();
+      }).observe(this.element);
+      window.addEventListener("beforeprint", () => this._draw(true));
+    }
+
+    /** Draw a new frame soon. */
+    _update() {
+      this._request ??= requestAnimationFrame((now) => this._frame(now));
+    }
+
+    _frame(now) {
+      this._request = null;
+      if (this.playing) this._advance(now);
+      const start = performance.now();
+      this._draw(false);
+      this._adapt(performance.now() - start);
+      if (this._told !== this.time) {
+        this._told = this.time;
+        this.element.dispatchEvent(new CustomEvent("stagetime", { detail: this.time }));
+      }
+      if (this.playing) this._update();
+    }
+
+    _advance(now) {
+      const passed = this._last === null ? 0 : Math.min((now - this._last) / 1000, 0.25);
+      this._last = now;
+      this.time += this.speed * passed;
+      if (this.time < this.duration) return;
+      if (this.loop) this.time %= this.duration;
+      else {
+        this.time = this.duration;
+        this.playing = false;
+      }
+    }
+
+    /** Fewer pixels while frames take too long. A still picture has all its pixels. */
+    _adapt(passed) {
+      if (!this.playing) return;
+      if (passed > LONGEST_FRAME_MS) {
+        this._sharpness = Math.max(LEAST_SHARPNESS, 0.85 * this._sharpness);
+      } else if (passed < 0.4 * LONGEST_FRAME_MS) {
+        this._sharpness = Math.min(1, 1.1 * this._sharpness);
+      }
+    }
+
+    _draw(all) {
+      this._count = (this._count ?? 0) + 1;
+      this._figures.forEach((figure, index) => {
+        const leg = this.legs[index];
+        this._drawing.pose(index, leg.at(this.time));
+        if (all || this._visible.has(figure.element)) {
+          this._paint(index, figure.whole, this.orbit, false);
+          // The enlarged linkage may follow at half the rate where frames are slow.
+          if (!this.playing || this._sharpness > 0.9 || this._count % 2 === 0) {
+            this._paint(index, figure.joint, SIDE, true);
+          }
+        }
+        this._write(figure, leg);
+      });
+      this._showTime();
+      this._trace?.move();
+    }
+
+    _paint(index, canvas, orbit, onlyLinkage) {
+      const { clientWidth: width, clientHeight: height } = canvas;
+      if (width === 0 || height === 0) return;
+      const still = Math.max(devicePixelRatio, this._drawing.stillPixels);
+      const pixels = Math.min(this.playing ? this._sharpness * devicePixelRatio : still, 2);
+      const [columns, rows] = [Math.round(width * pixels), Math.round(height * pixels)];
+      if (canvas.width !== columns || canvas.height !== rows) {
+        Object.assign(canvas, { width: columns, height: rows });
+      }
+      this._drawing.draw(index, canvas, orbit, onlyLinkage);
+    }
+
+    _write(figure, leg) {
+      const texts = StageModel.readout(leg, this.time);
+      if (figure.name.textContent !== leg.name) figure.name.textContent = leg.name;
+      for (const [name, element] of Object.entries(figure.values)) {
+        element.textContent = leg.run ? texts[name] : "–";
+      }
+    }
+
+    _showTime() {
+      const { play, slider, clock } = this._bar;
+      play.textContent = this.playing ? "❚❚ Pause" : "▶ Play";
+      slider.max = this.duration;
+      slider.value = this.time;
+      clock.textContent = `${this.time.toFixed(2)} of ${this.duration.toFixed(1)} s`;
+      slider.setAttribute("aria-valuetext", clock.textContent);
+    }
+  }
+
+  return Stage;
+})();

@@ -1,0 +1,308 @@
+"""The data of a stage, and the stage in a browser against the placements of the parts."""
+
+import base64
+import json
+
+import numpy as np
+import pytest
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.geometry import Box, Capsule, Cylinder, Ellipsoid
+from pydrake.math import RigidTransform
+
+from kneexo.errors import LinkageError
+from kneexo.parameters import G1, LINKAGES, LinkageParameters
+from kneexo.view.parts import parts, placements
+from kneexo.view.pressure_colour import pressure_colours
+from kneexo.view.stage import STAGE_SCRIPTS, STAGE_STYLES, pack, stage_leg
+from kneexo.view.web_page import self_contained_page, web_text
+
+RATING_PA = 3.5e6
+
+
+def unpack(text):
+    return np.frombuffer(base64.b64decode(text), dtype="<f4")
+
+
+def stage_page(linkages, runs, *, flat=False, trace=True):
+    """A page with a stage of these linkages and runs (time, angle, reference, pressure)."""
+    names = ("time", "angle", "reference", "pressure")
+    legs = [stage_leg(f"leg {k}", link, -0.05, 1.6, RATING_PA) for k, link in enumerate(linkages)]
+    data = {
+        "stage": {"flat": flat, "trace": trace, "legs": legs},
+        "runs": [dict(zip(names, map(np.ndarray.tolist, run), strict=True)) for run in runs],
+    }
+    script = """
+    const read = (id) => JSON.parse(document.getElementById(id).textContent);
+    window.stage = new Stage(document.getElementById("s"), read("stage"));
+    read("runs").forEach((run, index) => stage.setRun(index, run));
+    """
+    scripts = [*map(web_text, STAGE_SCRIPTS), script]
+    body = '<main><h1>t</h1><div id="s"></div></main>'
+    return self_contained_page("t", body, list(map(web_text, STAGE_STYLES)), scripts, data)
+
+
+def a_run(end_s=4.0, pressure=2e6):
+    time = np.linspace(0.0, end_s, 401)
+    return time, 0.7 - 0.7 * np.cos(time), 0.8 - 0.7 * np.cos(time), pressure * np.sin(time)
+
+
+# ------------------------------------------------------------------------------------ data
+
+
+@pytest.mark.parametrize("name", sorted(LINKAGES))
+def test_interpolated_frames_are_within_a_tenth_of_a_millimetre(name):
+    """Against the linkage between the rows, at the farthest point of each part."""
+    link = LINKAGES[name]
+    data = stage_leg(name, link, np.radians(-2.0), np.radians(95.0), RATING_PA)
+    json.dumps(data, allow_nan=False)
+    rows = np.linspace(data["low_rad"], data["high_rad"], data["rows"])
+    between = 0.5 * (rows[1:] + rows[:-1])
+    expected = placements(link, between, between)
+    assert set(data["frames"]) == set(expected)
+    for frame, text in data["frames"].items():
+        x, z, turn = unpack(text).reshape(-1, 3).astype(float).T
+        x, z, turn = (0.5 * (values[1:] + values[:-1]) for values in (x, z, turn))
+        reach = max(
+            np.hypot(*np.abs(p["position"])[[0, 2]]) + max(p["size"])
+            for p in data["parts"]
+            if p["frame"] == frame
+        )
+        error = np.abs(x + 1j * z - expected[frame].origin)
+        error += reach * np.abs(np.exp(1j * turn) - expected[frame].direction)
+        assert error.max() < 1e-4, frame
+
+
+def test_parts_have_the_shapes_colours_and_poses_of_the_live_view():
+    data, leg = stage_leg("x", G1, 0.0, 0.0, RATING_PA), parts(G1)
+    assert [part["name"] for part in data["parts"]] == list(leg)
+    for part in data["parts"]:
+        x, y, z, w = part["quaternion"]
+        expected = leg[part["name"]]
+        pose = RigidTransform(Quaternion(wxyz=np.array([w, x, y, z])), part["position"])
+        assert pose.IsNearlyEqualTo(expected.pose, 1e-8)
+        shape = {"cylinder": Cylinder, "capsule": Capsule, "ellipsoid": Ellipsoid, "box": Box}[
+            part["shape"]
+        ]
+        assert type(expected.shape) is shape
+        assert repr(shape(*part["size"])) == repr(expected.shape)
+        assert part["colour"] == list(expected.colour.rgba)
+
+
+def test_the_hull_contains_the_ends_of_all_bars():
+    from scipy.spatial import Delaunay
+
+    data = stage_leg("x", G1, 0.0, 0.0, RATING_PA)
+    hull = Delaunay(data["hull"])
+    for part in data["parts"]:
+        if part["shape"] != "cylinder":
+            continue
+        for angle in (0.0, 0.5 * np.pi):
+            pose = (
+                next(placements(G1, angle, angle)[part["frame"]].poses())
+                @ parts(G1)[part["name"]].pose
+            )
+            for sign in (-0.499, 0.499):
+                end = pose.multiply(np.array([0.0, 0.0, sign * part["size"][1]]))
+                assert hull.find_simplex(end) >= 0, part["name"]
+
+
+def test_numbers_survive_packing():
+    values = np.array([0.1, -3.5e6, 0.0])
+    np.testing.assert_array_equal(unpack(pack(values)), values.astype(np.float32))
+
+
+def test_a_linkage_that_does_not_close_is_refused():
+    link = LinkageParameters(**(G1.model_dump() | {"a_4_m": 0.010}))
+    with pytest.raises(LinkageError, match="cannot be assembled"):
+        stage_leg("x", link, 0.0, 1.0, RATING_PA)
+
+
+# --------------------------------------------------------------------------------- browser
+
+MATRICES = """(async (time) => {
+  stage.pause();
+  stage.seek(time);
+  for (let frame = 0; frame < 3; ++frame) await new Promise(requestAnimationFrame);
+  return stage.legs.map((leg, index) => {
+    const { scene, cylinder } = stage._drawing.items[index];
+    scene.updateMatrixWorld();
+    const places = {};
+    scene.traverse((object) => {
+      if (object.name) (places[object.name] ??= []).push(object.matrixWorld.elements);
+    });
+    return { places, colour: cylinder.color.getRGB({}, THREE.SRGBColorSpace) };
+  });
+})"""
+
+
+@pytest.fixture
+def stage(browser, tmp_path):
+    """The function ``stage(linkages, runs, size=…, phone=…, **options)``, which opens a page."""
+
+    def open_page(linkages, runs, size=(1440, 1000), phone=False, **options):
+        page = tmp_path / "stage.html"
+        page.write_text(stage_page(linkages, runs, **options), encoding="utf-8")
+        browser.open(page, *size, phone=phone)
+        browser.wait_for("stage.legs.length > 0")
+        return browser
+
+    return open_page
+
+
+@pytest.mark.slow
+def test_a_browser_places_all_parts_where_the_placements_have_them(stage):
+    names = sorted(LINKAGES)
+    links = [LINKAGES[name] for name in names]
+    runs = [a_run(pressure=p) for p in (2e6, -4e6, 2e3, 3e6)]
+    browser = stage(links, runs)
+    for time in (0.0, 1.234, 3.1):
+        shown = browser.evaluate(f"{MATRICES}({time})")
+        for link, run, leg in zip(links, runs, shown, strict=True):
+            angle, reference, pressure = (np.interp(time, run[0], values) for values in run[1:])
+            frames = placements(link, angle, reference)
+            for name, part in parts(link).items():
+                expected = (next(frames[part.frame].poses()) @ part.pose).GetAsMatrix4()
+                for elements in leg["places"][name]:
+                    matrix = np.reshape(elements, (4, 4)).T
+                    np.testing.assert_allclose(matrix[:3, 3], expected[:3, 3], atol=1e-4)
+                    np.testing.assert_allclose(matrix[:3, :3], expected[:3, :3], atol=2e-4)
+            colour = pressure_colours(np.array([pressure]), RATING_PA)[0]
+            np.testing.assert_allclose([leg["colour"][c] for c in "rgb"], colour, atol=1e-5)
+    browser.require_health()
+
+
+@pytest.mark.slow
+def test_numbers_and_time_follow_the_run(stage):
+    browser = stage([G1], [a_run(pressure=-2e3)])
+    browser.wait_for("stage.time > 0.05")
+    assert browser.evaluate("stage.playing")
+    browser.evaluate(f"{MATRICES}(1.5)")
+    time, angle, reference, pressure = a_run(pressure=-2e3)
+    angle, reference, pressure = (np.interp(1.5, time, v) for v in (angle, reference, pressure))
+    cells = browser.evaluate(
+        "[...document.querySelectorAll('.stage-readout dd')].map((e) => e.textContent)"
+    )
+    expected = [
+        f"{np.degrees(angle):.1f}°",
+        f"{np.degrees(reference):.1f}°",
+        f"−{np.degrees(reference - angle):.2f}°",
+        f"−{-1e-3 * pressure:.2f} kPa, < 0.1 % of rating",
+    ]
+    assert cells == expected
+    assert (
+        browser.evaluate("document.querySelector('.stage-bar output').textContent")
+        == "1.50 of 4.0 s"
+    )
+    assert browser.evaluate("stage.duration") == 4.0
+    curve = browser.evaluate("stage._trace.plot.data[1]")
+    np.testing.assert_allclose(curve, np.degrees(a_run()[1] - a_run()[2]), atol=1e-9)
+    browser.require_health()
+
+
+PRESS = """(async (key, options) => {
+  const canvas = document.querySelector(".stage canvas");
+  canvas.focus();
+  canvas.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true, ...options }));
+  await new Promise(requestAnimationFrame);
+  return [stage.playing, stage.time, stage.orbit.azimuth];
+})"""
+
+
+@pytest.mark.slow
+def test_keys_play_and_move_the_time(stage):
+    browser = stage([G1], [a_run()])
+
+    def press(key, **options):
+        return browser.evaluate(f"{PRESS}({json.dumps(key)}, {json.dumps(options)})")
+
+    browser.evaluate("stage.pause(), stage.seek(1), null")
+    before = press("ArrowRight")
+    assert before[:2] == [False, pytest.approx(1.1)]
+    assert press("ArrowLeft")[1] == pytest.approx(1.0)
+    assert press("ArrowLeft", shiftKey=True)[1:] == [pytest.approx(1.0), before[2] - 0.1]
+    assert press("End")[1] == 4.0
+    assert press("ArrowRight")[1] == 4.0
+    assert press("Home")[1] == 0.0
+    assert press(" ")[0] is True
+    assert press(" ")[0] is False
+    browser.evaluate("stage.loop = false, stage.speed = 100, stage.play(), null")
+    browser.wait_for("!stage.playing")
+    assert browser.evaluate("stage.time") == 4.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("flat", [False, True])
+@pytest.mark.parametrize(("size", "phone"), [((1440, 1000), False), ((390, 800), True)])
+def test_the_leg_fills_its_box(stage, flat, size, phone):
+    """A leg from hip to sole takes most of the height of its box, and nothing is cut."""
+    browser = stage([G1], [a_run()], size, phone, flat=flat)
+    browser.evaluate("stage.pause(), stage.seek(0), null")
+    script = """(async () => {
+      for (let frame = 0; frame < 3; ++frame) await new Promise(requestAnimationFrame);
+      const canvas = document.querySelector(".whole canvas");
+      const { width, height } = canvas;
+      const data = canvas.getContext("2d").getImageData(0, 0, width, height).data;
+      const rows = [], columns = [];
+      for (let k = 3; k < data.length; k += 4) {
+        if (data[k] > 0) { rows.push((k >> 2) / width | 0); columns.push((k >> 2) % width); }
+      }
+      const low = (v) => v.reduce((a, b) => Math.min(a, b));
+      const high = (v) => v.reduce((a, b) => Math.max(a, b));
+      return [low(rows) / height, high(rows) / height, low(columns) / width, high(columns) / width];
+    })()"""
+    top, bottom, left, right = browser.evaluate(script)
+    assert 0.0 < top < 0.15
+    assert 0.8 < bottom < 0.999
+    assert 0.0 < left < right < 0.999
+    browser.require_width()
+    browser.require_health()
+
+
+@pytest.mark.slow
+def test_slow_frames_get_fewer_pixels_and_a_still_picture_all(stage):
+    browser = stage([G1], [a_run()], (800, 600))
+    width = "document.querySelector('.whole canvas').width"
+    frame = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
+    browser.evaluate("stage._adapt = () => {}, stage._sharpness = 0.5, stage.play(), null")
+    browser.evaluate(frame)
+    moving = browser.evaluate(width)
+    browser.evaluate("stage.pause(), null")
+    browser.evaluate(frame)
+    box = browser.evaluate("document.querySelector('.whole canvas').clientWidth")
+    assert moving == pytest.approx(0.5 * box, abs=1.0)
+    assert browser.evaluate(width) >= box
+    browser.evaluate("delete stage._adapt, stage.play(), null")
+    assert browser.evaluate("(stage._sharpness = 1, stage._adapt(100), stage._sharpness)") == 0.85
+    assert browser.evaluate("(stage._adapt(20), stage._sharpness)") == 0.85
+    assert browser.evaluate("(stage._adapt(5), stage._sharpness)") == pytest.approx(0.935)
+
+
+@pytest.mark.slow
+def test_a_canvas_shows_the_same_leg_without_webgl(stage):
+    """From the side both drawings cover the same pixels, but for perspective and the outline."""
+    masks = []
+    for flat in (False, True):
+        browser = stage([G1], [a_run()], flat=flat)
+        assert browser.evaluate("stage._drawing instanceof StageFlat") is flat
+        script = """(async () => {
+          stage.pause(); stage.seek(1.2); stage.turn(-stage.orbit.azimuth, -stage.orbit.elevation);
+          for (let frame = 0; frame < 3; ++frame) await new Promise(requestAnimationFrame);
+          const canvas = document.querySelector(".whole canvas");
+          const small = document.createElement("canvas");
+          small.width = small.height = 120;
+          small.getContext("2d").drawImage(canvas, 0, 0, 120, 120);
+          const { data } = small.getContext("2d").getImageData(0, 0, 120, 120);
+          return Array.from({ length: 14400 }, (_, k) => Number(data[4 * k + 3] > 80));
+        })()"""
+        masks.append(np.array(browser.evaluate(script)).reshape(120, 120)[:104])  # above the ground
+        browser.require_health()
+    ends = [[np.flatnonzero(mask.any(axis=k))[[0, -1]] for k in (0, 1)] for mask in masks]
+    solid, flat = (
+        m[y[0] : y[1] + 1, x[0] : x[1] + 1] for m, (x, y) in zip(masks, ends, strict=True)
+    )
+    assert abs(solid.shape[0] - flat.shape[0]) < 8
+    assert abs(solid.shape[1] - flat.shape[1]) < 8
+    size = np.minimum(solid.shape, flat.shape)
+    solid, flat = (mask[: size[0], : size[1]] for mask in (solid, flat))
+    share = (solid != flat).sum() / solid.sum()
+    assert share < 0.35
