@@ -334,7 +334,7 @@ def sample_timing(
     time = 1e3 * (run.time_s[kept] - start_s)
     count = run["encoder_reading"][kept, 0] / scenario.encoder.resolution_rad
     command, speed = (to_rpm(run[name][kept, 0]) for name in ("motor_speed_command", "motor_speed"))
-    fig, (top, bottom) = plt.subplots(2, 1, figsize=(9.2, 5.8), sharex=True)
+    fig, (top, bottom) = plt.subplots(2, 1, figsize=(7.0, 5.2), sharex=True)
     top.step(time, count, "C0", where="pre", label="encoder")
     ticks = 1e3 * period * np.arange(samples + 1)
     at = np.searchsorted(time, ticks[:-1] - 1e-6)
