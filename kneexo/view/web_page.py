@@ -54,7 +54,7 @@ def self_contained_page(
         Dictionary from the ``id`` of an element to JSON data. A script reads the data by
         ``JSON.parse(document.getElementById(id).textContent)``.
     worker
-        Text of a worker's script. A script starts the worker from a blob URL of the text, which is
+        Text of a worker's script. A script starts the worker from a data URL of the text, which is
         the JSON data of the element ``worker``.
     wasm
         Whether scripts and worker may compile WebAssembly.
@@ -105,7 +105,8 @@ def _policy(styles: Sequence[str], scripts: Sequence[str], worker: str | None, w
         "script-src": script_sources or ["'none'"],
         "style-src": [*map(_hash, styles)] or ["'none'"],
         "img-src": ["data:", "blob:"],
-        "worker-src": ["'none'" if worker is None else "blob:"],
+        # Cells of VS Code allow workers from data URLs only.
+        "worker-src": ["'none'"] if worker is None else ["blob:", "data:"],
         "base-uri": ["'none'"],
         "form-action": ["'none'"],
     }
