@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Arc, Circle, FancyArrowPatch, FancyBboxPatch, Polygon, Rectangle
+from matplotlib.patches import Arc, Circle, FancyArrowPatch, Polygon, Rectangle
 
 from kneexo.analysis.signals import to_rpm
 from kneexo.linkage import icr, pose, rod_anchor
@@ -237,83 +236,6 @@ def hydraulic_circuit(plant: PlantParameters = PlantParameters()) -> Figure:
     return fig
 
 
-def block_diagram(scenario: Scenario = Scenario()) -> Figure:
-    """The closed loop with the names of subsystems and signals."""
-    count_deg = np.degrees(scenario.encoder.resolution_rad)
-    period_ms = 1e3 * scenario.controller.sample_time_s
-    fig, ax = plt.subplots(figsize=(9.6, 5.4))
-    boxes = {
-        "reference": (1.0, 2.3),
-        "rod_reference": (1.0, 4.2),
-        "law": (3.9, 4.2),
-        "motor": (6.6, 4.2),
-        "cylinder": (9.2, 4.2),
-        "knee": (11.8, 4.2),
-        "load": (10.45, 2.3),
-        "encoder": (11.8, 0.7),
-        "coordinates": (6.9, 0.7),
-        "estimator": (3.9, 0.7),
-    }
-    colours = {"reference": "white"} | dict.fromkeys(
-        ("rod_reference", "law", "coordinates", "estimator"), "#e3eefb"
-    )
-    width, height = 1.75, 0.8
-    for name, (x, y) in boxes.items():
-        corner = (x - width / 2, y - height / 2)
-        colour = colours.get(name, "#f3ead9")
-        style = {"boxstyle": "round,pad=0.02", "fc": colour, "ec": "0.2", "lw": 1.4}
-        ax.add_patch(FancyBboxPatch(corner, width, height, zorder=2, **style))
-        ax.text(x, y, name, ha="center", va="center", fontsize=9.5, zorder=3, family="monospace")
-
-    def wire(*points: tuple[float, float]) -> None:
-        for start, stop in pairwise(points[:-1]):
-            ax.plot(*zip(start, stop, strict=True), color="0.15", lw=1.2, zorder=1)
-        _arrow(ax, points[-2], points[-1], lw=1.2)
-
-    def name(x: float, y: float, text: str) -> None:
-        ax.text(x, y, text, ha="center", va="center", fontsize=9, bbox=_HALO, zorder=4)
-
-    half = width / 2
-    wire((1.0, 2.7), (1.0, 3.8))
-    wire((1.0 + half, 4.2), (3.9 - half, 4.2))
-    wire((3.9 + half, 4.2), (6.6 - half, 4.2))
-    wire((6.6 + half, 4.2), (9.2 - half, 4.2))
-    wire((9.2 + half, 4.2), (11.8 - half, 4.2))
-    wire((11.8, 3.8), (11.8, 1.1))
-    wire((11.8 - half, 0.7), (6.9 + half, 0.7))
-    wire((6.9 - half, 0.7), (3.9 + half, 0.7))
-    wire((3.9, 1.1), (3.9, 3.8))
-    wire((11.8, 2.3), (10.45 + half, 2.3))
-    wire((10.45 - half, 2.3), (9.2, 2.3), (9.2, 3.8))
-    wire((9.2, 4.6), (9.2, 5.4), (6.6, 5.4), (6.6, 4.6))
-    name(
-        1.0,
-        3.22,
-        "knee_reference\n$\\theta_d,\\dot\\theta_d,\\ddot\\theta_d,\\dddot\\theta_d$ (rad, s)",
-    )
-    name(2.45, 5.05, "rod_reference\n$x_d,\\dot x_d,\\ddot x_d,\\dddot x_d$ (m, s)")
-    name(5.2, 5.05, "motor_speed_command\n$u$ (rad/s)")
-    name(7.9, 4.66, "$Q_L$\n(m³/s)")
-    name(10.5, 4.66, "$x$\n(m)")
-    name(7.9, 5.4, "$P_L$ (Pa)")
-    name(11.8, 3.1, "$\\theta_p, r$ (rad, m)")
-    name(11.8, 1.6, "$\\theta_4$ (rad)")
-    name(9.2, 3.1, "$F_L$ (N)")
-    name(9.35, 0.7, f"encoder_reading\n(rad, counts of {count_deg:.3f}°)")
-    name(5.4, 0.7, "$x$ (m)")
-    name(3.9, 2.4, "estimated_state\n$\\hat x,\\hat v,\\hat a$ (m, s)")
-    for x, y, colour, text in (
-        (1.5, -0.65, "#f3ead9", "continuous plant"),
-        (5.0, -0.65, "#e3eefb", f"microcontroller, every {period_ms:g} ms"),
-    ):
-        ax.add_patch(Rectangle((x, y), 0.5, 0.35, fc=colour, ec="0.2"))
-        ax.text(x + 0.7, y + 0.17, text, va="center", fontsize=9.5)
-    ax.set(xlim=(-0.15, 12.85), ylim=(-0.85, 5.75))
-    ax.axis("off")
-    fig.tight_layout()
-    return fig
-
-
 def sample_timing(
     scenario: Scenario = Scenario(), start_s: float = 2.5, samples: int = 5
 ) -> Figure:
@@ -371,7 +293,7 @@ def sample_timing(
     return fig
 
 
-DRAWINGS = (mechanism, hydraulic_circuit, block_diagram, sample_timing)
+DRAWINGS = (mechanism, hydraulic_circuit, sample_timing)
 
 if __name__ == "__main__":
     for drawing in DRAWINGS:

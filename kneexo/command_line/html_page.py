@@ -8,8 +8,6 @@ from __future__ import annotations
 import base64
 import gzip
 import html
-import io
-import re
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -186,21 +184,12 @@ def _view(page: str) -> str:
 def _picture(name: str, figure: Figure) -> str:
     """Return an HTML figure with the caption of a Matplotlib figure, else with its ``name``."""
     caption = html.escape(str(figure.get_label()) or name.replace("_", " "))
+    from kneexo.command_line.output import svg_text
+
     label = html.escape(name.replace("_", " "))
-    data = base64.b64encode(_svg(figure).encode()).decode()
+    data = base64.b64encode(svg_text(figure).encode()).decode()
     return (
         f'<figure><label><input type="checkbox" aria-label="Enlarge {label}">'
         f'<img src="data:image/svg+xml;base64,{data}" alt="{caption}"></label>'
         f"<figcaption>{caption}</figcaption></figure>"
     )
-
-
-def _svg(figure: Figure) -> str:
-    """Return a Matplotlib figure as SVG without a date, so that equal figures give equal text."""
-    import matplotlib as mpl
-
-    stream = io.StringIO()
-    with mpl.rc_context({"svg.hashsalt": "kneexo"}):
-        figure.savefig(stream, format="svg", metadata={"Date": None})
-    text = stream.getvalue()
-    return re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -40,6 +42,17 @@ def write_csv(path: Path, run: Run) -> None:
     with path.open("w", encoding="utf-8") as file:
         file.write(",".join(run.columns) + "\n")
         file.writelines(line % row for row in zip(*run.columns.values(), strict=True))
+
+
+def svg_text(figure: Figure) -> str:
+    """Return a figure as SVG without a date, so that equal figures give equal text."""
+    import matplotlib as mpl
+
+    stream = io.StringIO()
+    with mpl.rc_context({"svg.hashsalt": "kneexo"}):
+        figure.savefig(stream, format="svg", metadata={"Date": None})
+    text = stream.getvalue()
+    return re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
 
 
 def save_figure(directory: Path, name: str, figure: Figure) -> None:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import json
-import shutil
-import subprocess
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from kneexo.command_line import arguments
 from kneexo.command_line.arguments import ScenarioChoice
-from kneexo.command_line.outcome import Outcome
-from kneexo.errors import shown
+from kneexo.command_line.outcome import Outcome, files_line
 from kneexo.version import __version__
 
 
@@ -46,11 +44,11 @@ def add_utilities(subparsers: Any) -> Any:
         "diagram",
         diagram,
         "draw the block diagram of a scenario",
-        "Always writes closed_loop.dot; also SVG and PNG when Graphviz is installed.",
+        "Its blocks are the systems of the Drake diagram. The names on the wires are ports.",
         directory=arguments.out,
     )
     arguments.add_scenario(parser)
-    arguments.add_out(parser, "closed_loop.dot, .svg and .png")
+    arguments.add_out(parser, "closed_loop.svg and closed_loop.png")
 
     setup = arguments.add_group(
         subparsers, "setup", "compiled models on disk, and completion in shells", "PART"
@@ -106,38 +104,18 @@ def params(choice: ScenarioChoice, yaml: bool, schema: bool, find: str | None = 
 
 
 def diagram(choice: ScenarioChoice, out: Path) -> Outcome:
-    """Return the block diagram as a Graphviz file, and as pictures if Graphviz is installed."""
+    """Return the block diagram of a scenario as SVG and PNG."""
     scenario = choice.load()
-    from kneexo.diagrams import make_closed_loop
+    from kneexo.command_line.output import svg_text
+    from kneexo.view.block_diagram import block_diagram
 
-    text = make_closed_loop(scenario).GetGraphvizString()
-    files: dict[str, str | bytes] = {"closed_loop.dot": text}
-    notices = []
-    graphviz = shutil.which("dot")
-    for kind in ("svg", "png") if graphviz else ():
-        process = subprocess.run(
-            [str(graphviz), f"-T{kind}"], input=text.encode(), capture_output=True
-        )
-        if process.returncode:
-            reason = (process.stderr.decode("utf-8", "replace").splitlines() or ["no message"])[0]
-            notices.append(f"kneexo: Graphviz could not draw the {kind}: {reason}")
-        else:
-            files[f"closed_loop.{kind}"] = process.stdout
-    names = sorted(files)
-    advice = (
-        "For a picture install Graphviz (Debian, Ubuntu: apt-get install graphviz) and run this "
-        "again."
-    )
-    document = {**arguments.origin_of(scenario), "directory": str(out), "files": names}
-    verb = "are" if len(names) > 1 else "is"
-    line = f"{', '.join(names)} {verb} in {shown(out)}\n"
-    return Outcome(
-        line,
-        json.dumps(document) + "\n",
-        notices,
-        advice="" if graphviz else advice,
-        files=files,
-    )
+    figure = block_diagram(scenario)
+    files: dict[str, str | Callable[[Path], object]] = {
+        "closed_loop.png": lambda path: figure.savefig(path, dpi=200),
+        "closed_loop.svg": svg_text(figure),
+    }
+    document = {**arguments.origin_of(scenario), "directory": str(out), "files": list(files)}
+    return Outcome(files_line(out, files), json.dumps(document) + "\n", files=files)
 
 
 def cache(clear: bool) -> Outcome:

@@ -62,27 +62,18 @@ def test_params_prints_a_json_schema(capsys):
     assert "plant" in json.loads(capsys.readouterr().out)["properties"]
 
 
-def test_diagram_always_writes_the_dot_file(capsys, tmp_path, monkeypatch):
-    monkeypatch.setenv("PATH", str(tmp_path))  # no Graphviz here
-    assert main(["diagram", "--out", str(tmp_path / "out")]) == 0
-    text = (tmp_path / "out" / "closed_loop.dot").read_text()
-    assert "digraph" in text
-    assert "controller" in text
-    captured = capsys.readouterr()
-    assert f"closed_loop.dot is in {tmp_path / 'out'}\n" in captured.out
-    assert "install Graphviz" in captured.err
-    assert len(captured.err.splitlines()) == 1
-
-
-def test_diagram_draws_with_graphviz(capsys, tmp_path, monkeypatch):
-    fake = tmp_path / "dot"
-    fake.write_text('#!/bin/sh\ncat > /dev/null\necho "$1"\n')
-    fake.chmod(0o755)
-    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
-    assert main(["diagram", "--out", str(tmp_path / "out"), "--json"]) == 0
-    names = json.loads(capsys.readouterr().out)["files"]
-    assert names == ["closed_loop.dot", "closed_loop.png", "closed_loop.svg"]
-    assert (tmp_path / "out" / "closed_loop.png").read_text() == "-Tpng\n"
+def test_diagram_writes_the_loop_as_svg_and_png(capsys, scenario_file, tmp_path):
+    path, out = scenario_file("controller: {kind: pid}"), tmp_path / "out"
+    assert main(["diagram", path, "--out", str(out)]) == 0
+    assert capsys.readouterr().out == f"In {out}: closed_loop.png, closed_loop.svg\n"
+    text = (out / "closed_loop.svg").read_text()
+    assert "<!-- PID -->" in text
+    assert '<g id="cylinder">' in text
+    assert "estimator" not in text
+    assert (out / "closed_loop.png").read_bytes()[:4] == b"\x89PNG"
+    assert main(["diagram", path, "--out", str(tmp_path / "again"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["files"] == ["closed_loop.png", "closed_loop.svg"]
+    assert (tmp_path / "again" / "closed_loop.svg").read_text() == text
 
 
 def test_cache_shows_and_clears_what_is_kept(capsys, tmp_path, monkeypatch):

@@ -1,0 +1,292 @@
+"""Draws the closed loop of a scenario as a block diagram with the names of its signals.
+
+Blocks and wires are those of the Drake diagram that `make_closed_loop` builds.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+from pydrake.systems.framework import Diagram, System
+
+from kneexo.diagrams import make_closed_loop
+from kneexo.parameters import (
+    RPM,
+    Cia402Parameters,
+    LawParameters,
+    ObserverParameters,
+    Scenario,
+)
+from kneexo.view.wiring import Box, Point, Wiring, corners
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_STEP = 0.15
+"""Size in inches of a step of the grid."""
+_HALF = (5, 2)
+"""Half the width and height of a block in steps of the grid."""
+_SLOTS = {
+    "reference": (0, 0), "rod_reference": (1, 0), "law": (2, 0), "controller": (2, 0),
+    "coordinates": (0, 1), "estimator": (1, 1), "drive": (2, 1),
+    "encoder": (0, 2), "load_cell": (1, 2), "can_bus": (2, 2),
+    "knee": (0, 3), "cylinder": (1, 3), "motor": (2, 3),
+    "load": (0, 4), "cuff": (1, 4), "moment": (2, 4), "wearer": (1, 5),
+}  # fmt: skip
+"""Column and row of each block. Other blocks follow below."""
+_PARTS_OF = {"phase_sum": "encoder", "encoder_phase": "encoder", "limit": "law", "hold": "law"}
+"""Systems that are drawn as a part of another block."""
+_UNNAMED = re.compile(r"[yu]\d*|sum|delayed_u")
+"""Pattern of the names of ports of Drake's primitives, which say nothing about the signal."""
+_CONTROLLER, _MACHINE, _GIVEN = "#e3eefb", "#f3ead9", "#ffffff"
+_GIVEN_BLOCKS = ("reference", "wearer", "moment")
+_SYMBOLS = {
+    "knee_reference": r"$\theta_d,\ \dot\theta_d,\ \ddot\theta_d,\ \dddot\theta_d$ (rad, s)",
+    "rod_reference": r"$x_d,\ \dot x_d,\ \ddot x_d,\ \dddot x_d$ (m, s)",
+    "estimated_state": r"$\hat x,\ \hat v,\ \hat a$ (m, s)",
+    "motor_speed_command": r"$u$ (rad/s)",
+    "encoder_reading": "(rad)",
+    "encoder_angle": r"$\theta_4$ (rad)",
+    "rod_extension": "$x$ (m)",
+    "rod_state": r"$x,\ \dot x,\ \ddot x$ (m, s)",
+    "knee_angle": r"$\theta_p$ (rad)",
+    "moment_arm": "$r$ (m)",
+    "load_flow": "$Q_L$ (m³/s)",
+    "load_pressure": "$P_L$ (Pa)",
+    "load_force": "$F_L$ (N)",
+}
+"""Symbol and unit of a signal."""
+
+
+def block_diagram(scenario: Scenario = Scenario()) -> Figure:
+    """Draw the blocks of a scenario's closed loop, with the names of systems and signals.
+
+    Each block has a few words on its parameters. Systems without a function of their own, such as
+    the log, are left out. Raises the errors of `make_closed_loop`.
+    """
+    import matplotlib.pyplot as plt
+
+    diagram = make_closed_loop(scenario, signals=())
+    systems = dict(_blocks(diagram))
+    slots = dict(_slots(systems))
+    rows = 1 + max(row for _, row in slots.values())
+    size = (42, 9 * rows + 2)
+    boxes = {
+        name: Box(7 + 14 * column, size[1] - 6 - 9 * row, *_HALF)
+        for name, (column, row) in slots.items()
+    }
+    figure = plt.figure(figsize=(_STEP * size[0], _STEP * (size[1] + 5)))
+    figure.set_label(
+        "The closed loop: its blocks are the systems of the Drake diagram, and the words beside "
+        "the wires are the names of the ports."
+    )
+    ax = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    ax.set(xlim=(0, size[0]), ylim=(-5, size[1]))
+    ax.axis("off")
+    controller = {name for name, system in systems.items() if system.part_of_controller}
+    for name, box in boxes.items():
+        given = name in _GIVEN_BLOCKS
+        colour = _CONTROLLER if name in controller else _GIVEN if given else _MACHINE
+        words = _words(scenario).get(name) or systems[name].kind
+        _draw_block(ax, box, colour, name, words)
+    _draw_wires(ax, boxes, size, _wires(diagram))
+    period = f"microcontroller, every {1e3 * scenario.controller.sample_time_s:g} ms"
+    for x, colour, text in ((2, _MACHINE, "machine"), (16, _CONTROLLER, period)):
+        _draw_key(ax, x, colour, text)
+    return figure
+
+
+class _Block:
+    """A block of the diagram: the class of its system, and whether it runs on the target."""
+
+    def __init__(self, system: System, part_of_controller: bool) -> None:
+        self.kind = type(system).__name__.rstrip("_")
+        self.part_of_controller = part_of_controller
+
+
+def _is_opened(system: System) -> bool:
+    """Return whether the subsystems of a system are drawn in place of the system."""
+    names = {"plant": "motor", "controller": "law"}
+    name = system.get_name()
+    return isinstance(system, Diagram) and name in names and system.HasSubsystemNamed(names[name])
+
+
+def _blocks(diagram: Diagram) -> Iterator[tuple[str, _Block]]:
+    """Yield name and description of each block of the closed loop."""
+    for system in diagram.GetSystems():
+        inside = system.get_name() == "controller"
+        for leaf in system.GetSystems() if _is_opened(system) else (system,):
+            if leaf.get_name() not in _PARTS_OF:
+                yield leaf.get_name(), _Block(leaf, inside)
+
+
+def _wires(diagram: Diagram) -> dict[tuple[str, str], list[str]]:
+    """Return the names of the signals between each pair of blocks, by source and target."""
+    wires: dict[tuple[str, str], set[str]] = {}
+    for source, target in _connections(diagram):
+        start, end = (
+            _PARTS_OF.get(port.get_system().get_name(), port.get_system().get_name())
+            for port in (source, target)
+        )
+        name = source.get_name()
+        if _UNNAMED.fullmatch(name):
+            name = "encoder_reading" if start == "encoder" else target.get_name()
+        if start != end:
+            wires.setdefault((start, end), set()).add(name)
+    return {ends: sorted(wires[ends]) for ends in sorted(wires)}
+
+
+def _connections(diagram: Diagram) -> Iterator[tuple[Any, Any]]:
+    """Yield each output port of a block with each input port that reads it."""
+    for level in (diagram, *filter(_is_opened, diagram.GetSystems())):
+        for (system, index), (origin, output) in level.connection_map().items():
+            source = origin.get_output_port(output)
+            if _is_opened(origin):
+                leaf, port = origin.get_output_port_locator(output)
+                source = leaf.get_output_port(port)
+            if not _is_opened(system):
+                yield source, system.get_input_port(index)
+                continue
+            for leaf, port in system.GetInputPortLocators(index):
+                yield source, leaf.get_input_port(port)
+
+
+def _slots(systems: Any) -> Iterator[tuple[str, Point]]:
+    """Yield column and row of each block; rows without a block are closed up."""
+    known = {name: _SLOTS[name] for name in systems if name in _SLOTS}
+    rows = sorted({row for _, row in known.values()})
+    for name, (column, row) in known.items():
+        yield name, (column, rows.index(row))
+    others = [name for name in systems if name not in _SLOTS]
+    for index, name in enumerate(others):
+        yield name, (index % 3, len(rows) + index // 3)
+
+
+def _words(scenario: Scenario) -> dict[str, str]:
+    """Return a few words about each block of the closed loop that kneexo knows."""
+    plant, encoder, law = scenario.plant, scenario.encoder, scenario.controller
+    rpm = plant.pump.speed_limit_rad_s / RPM
+    motor = f"{1e3 * plant.pump.lag_s:g} ms, ±{rpm:.0f} rpm"
+    estimator = "differences"
+    if isinstance(scenario.estimator, ObserverParameters):
+        estimator = f"observer, {1e3 * scenario.estimator.time_constant_s:g} ms"
+    laws = {"smc": "sliding mode", "pid": "PID"}
+    words = laws.get(law.kind, law.kind)
+    if isinstance(law, LawParameters):
+        words = law.function.short_name
+    counts = f"counts of {math.degrees(encoder.resolution_rad):.3f}°"
+    latency = scenario.bus.latency_samples
+    bus, drive = scenario.bus, ""
+    if isinstance(bus, Cia402Parameters):
+        drive = f"units of {bus.velocity_unit_rpm:g} rpm"
+    return {
+        "reference": scenario.reference.kind,
+        "rod_reference": "knee to rod",
+        "law": words,
+        "controller": "of yours",
+        "coordinates": "encoder to rod",
+        "estimator": estimator,
+        "encoder": counts if encoder.quantized else "no counts",
+        "drive": drive,
+        "can_bus": f"{latency} sample{'s' if latency > 1 else ''} of latency",
+        "motor": "no lag, no limit" if plant.ideal_motor else motor,
+        "cylinder": "reduced order" if plant.full_order is None else "full order",
+        "knee": "polynomial" if plant.rod_map == "polynomial" else "four-bar linkage",
+        "load": "weight, torques",
+    }
+
+
+def _draw_block(ax: Axes, box: Box, colour: str, name: str, words: str) -> None:
+    from matplotlib.patches import FancyBboxPatch
+
+    corner = (box.x - box.half_width, box.y - box.half_height)
+    size = (2 * box.half_width, 2 * box.half_height)
+    style = "round,pad=0,rounding_size=0.5"
+    block = FancyBboxPatch(corner, *size, boxstyle=style, fc=colour, ec="0.2", lw=1.3, zorder=2)
+    block.set_gid(name)
+    ax.add_patch(block)
+    centred: dict[str, Any] = {"ha": "center", "va": "center", "zorder": 3}
+    ax.text(box.x, box.y + 0.8, name, fontsize=10, family="monospace", **centred)
+    ax.text(box.x, box.y - 0.8, words, fontsize=8.5, color="0.25", **centred)
+
+
+def _draw_key(ax: Axes, x: float, colour: str, text: str) -> None:
+    from matplotlib.patches import Rectangle
+
+    ax.add_patch(Rectangle((x, -3.6), 2.4, 1.6, fc=colour, ec="0.2"))
+    ax.text(x + 3.2, -2.8, text, va="center", fontsize=9.5)
+
+
+def _draw_wires(
+    ax: Axes, boxes: dict[str, Box], size: Point, wires: dict[tuple[str, str], list[str]]
+) -> None:
+    """Draw all wires, short ones first, and then their labels."""
+    wiring = Wiring(boxes, size)
+
+    def distance(ends: tuple[str, str]) -> tuple[int, tuple[str, str]]:
+        one, other = (boxes[name] for name in ends)
+        return abs(one.x - other.x) + abs(one.y - other.y), ends
+
+    paths = {}
+    for ends in sorted(wires, key=distance):
+        path = paths[ends] = wiring.connect(*ends)
+        *inner, before, last = corners(path)
+        for start, stop in pairwise((*inner, before)):
+            ax.plot(*zip(start, stop, strict=True), color="0.15", lw=1.2, zorder=1)
+        style = {"arrowstyle": "-|>", "color": "0.15", "lw": 1.2, "shrinkA": 0, "shrinkB": 0}
+        ax.annotate("", last, before, arrowprops=style, zorder=1).set_gid("-".join(ends))
+    taken: list[Any] = []
+    for ends, path in paths.items():
+        others = {p for pair, points in paths.items() if pair != ends for p in points}
+        _label(ax, path, wires[ends], boxes, others, taken)
+
+
+def _label(
+    ax: Axes, path: list[Point], signals: list[str], boxes: dict[str, Box],
+    others: set[Point], taken: list[Any],
+) -> None:  # fmt: skip
+    """Write the names of a wire's signals where they cover least; add the place to ``taken``."""
+    join = "\n" if len(signals) == 1 else " "
+    lines = [join.join(filter(None, (name, _SYMBOLS.get(name)))) for name in signals]
+    halo = {"boxstyle": "round,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.9}
+    text = ax.text(0, 0, "\n".join(lines), ha="center", va="center", fontsize=8.5, bbox=halo)
+    text.set_zorder(4)
+    extent = text.get_window_extent().transformed(ax.transData.inverted())
+    width, height = 0.5 * extent.width + 0.4, 0.5 * extent.height + 0.3
+
+    def cost(place: tuple[float, float]) -> float:
+        x, y = place
+        total = 0.0
+        for box in boxes.values():
+            dx = box.half_width + width - abs(x - box.x)
+            dy = box.half_height + height - abs(y - box.y)
+            total += 300.0 + 10.0 * min(dx, dy) if dx > 0.0 and dy > 0.0 else 0.0
+        for (u, v), w, h in taken:
+            if abs(x - u) < width + w and abs(y - v) < height + h:
+                total += 200.0
+        inside = [p for p in (*others, *path) if abs(p[0] - x) < width and abs(p[1] - y) < height]
+        total += 14.0 * sum(p in others for p in inside) + 1.0 * len(inside)
+        total += 20.0 * sum(p in path[-3:] for p in inside)
+        (left, right), top = ax.get_xlim(), ax.get_ylim()[1]
+        if x - width < left or x + width > right or y - height < -1.5 or y + height > top:
+            total += 500.0
+        nearest = min(math.hypot(p[0] - x, p[1] - y) for p in path)
+        return total + 3.0 * nearest + (0.0 if y >= path[0][1] else 3.0)
+
+    beside = [0.0, height + 0.3, height + _HALF[1] + 0.2]
+    shifts = [
+        (along, sign * shift)
+        for along in (0.0, width, -width)
+        for shift in beside
+        for sign in (1, -1)
+    ]
+    shifts += [(sign * (width + 0.3), 0.0) for sign in (1, -1)]
+    places = [(x + dx, y + dy) for x, y in path for dx, dy in shifts]
+    best = min(places, key=cost)
+    text.set_position(best)
+    taken.append((best, width, height))
