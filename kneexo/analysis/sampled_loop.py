@@ -321,7 +321,8 @@ class SampledLoop(Result):
         values = self.eigenvalues
         values = np.append(values, np.linalg.eigvals(self.loop_matrices[0]))
         modes = np.abs(np.angle(values[np.abs(values) > 0.5])) * nyquist / math.pi
-        near = modes[:, None] * (1.0 + np.linspace(-0.1, 0.1, 201))
+        offset = np.geomspace(1e-6, 0.1, 120)  # down to a damping ratio of 1e-5
+        near = modes[:, None] * (1.0 + np.concatenate([-offset, [0.0], offset]))
         grid = np.concatenate([np.geomspace(0.02, nyquist, 2000), near.ravel()])
         return np.unique(grid[(grid >= 0.02) & (grid <= nyquist)])
 

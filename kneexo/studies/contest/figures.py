@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from kneexo.plotting import decimal_ticks
+from kneexo.plotting import RED, SERIES, decimal_ticks
 from kneexo.studies.contest.study import INFEASIBLE_DEG, ContestResult, errors_of
-from kneexo.studies.plots import ecdf, legend_below
+from kneexo.studies.plots import ecdf, legend_below, merged_legend
 
 
 def outcome(result: ContestResult) -> Figure:
@@ -18,10 +19,16 @@ def outcome(result: ContestResult) -> Figure:
 
     Two panels show the largest errors on the test plants, one for each of the two references.
     """
-    figure, axes = plt.subplots(1, 3, figsize=(13, 4.6), layout="constrained", sharey=False)
-    for index, name in enumerate(result.entrants):
+    figure, grid = plt.subplots(2, 2, figsize=(9.5, 8.0), layout="constrained")
+    axes, key = grid.ravel()[:3], grid[1, 1]
+    figure.set_label(
+        "Largest errors of each controller on the test plants, in the task of the tuning (a) and "
+        "in another task (b), and disk margin over the error of (a) (c). "
+        "A curve further left is better. In (c) higher is better too."
+    )
+    for name, colour in _colours(result.entrants).items():
         tuned = name in result.settings.contestants
-        style: dict[str, Any] = {"color": f"C{index}", "lw": 2.0 if tuned else 1.0}
+        style: dict[str, Any] = {"color": colour, "lw": 2.0 if tuned else 1.0}
         style["ls"] = "-" if tuned else "--"
         errors = errors_of(result.tested[name])
         ecdf(axes[0], errors, label=name, **style)
@@ -32,7 +39,7 @@ def outcome(result: ContestResult) -> Figure:
             margins,
             "o" if tuned else "x",
             ms=3.5,
-            color=f"C{index}",
+            color=colour,
             alpha=0.6,
             mew=0.8,
         )
@@ -53,9 +60,16 @@ def outcome(result: ContestResult) -> Figure:
         axes[2].plot([], [], marker, color="0.3", ms=3.5, mew=0.8, ls="none", label=f"(c) {label}")
     least = result.settings.least_disk_margin
     label = f"(c) least in the tuning, {least:g}"
-    axes[2].axhline(least, color="0.4", ls=":", lw=1, label=label)
-    legend_below(figure, (axes[0], axes[2]), ncols=5, fontsize=8)
+    axes[2].axhline(least, color=RED, ls=":", lw=1.2, label=label)
+    key.set_axis_off()  # its place is that of the legend
+    entries = merged_legend((axes[0], axes[2]))
+    key.legend(entries.values(), entries, loc="center")
     return figure
+
+
+def _colours(names: Iterable[str]) -> dict[str, str]:
+    """Return a dictionary from the name of each controller to its colour."""
+    return dict(zip(names, (*SERIES, "0.5", "k"), strict=False))
 
 
 def search(result: ContestResult) -> Figure:
@@ -63,8 +77,12 @@ def search(result: ContestResult) -> Figure:
 
     Searches with the first seed have solid lines, the others dashed lines.
     """
-    figure, ax = plt.subplots(figsize=(7, 4.2), layout="constrained")
-    names = list(result.settings.contestants)
+    figure, ax = plt.subplots(figsize=(7, 4.8), layout="constrained")
+    figure.set_label(
+        "Best mean error so far in each search, over the number of evaluations. "
+        "Solid lines have the first seed of the optimizer, dashed lines the others."
+    )
+    colours = _colours(result.settings.contestants)
     for tuning in result.tunings:
         best = np.array(tuning.history_deg)
         evaluations = result.settings.population * (np.arange(best.size) + 2)
@@ -72,14 +90,14 @@ def search(result: ContestResult) -> Figure:
         ax.semilogy(
             evaluations,
             np.where(best < INFEASIBLE_DEG, best, np.nan),
-            color=f"C{names.index(tuning.contestant)}",
+            color=colours[tuning.contestant],
             ls="-" if first else "--",
             label=tuning.contestant + ("" if tuning.converged else " (not converged)"),
         )
     ax.set(xlabel="evaluations", ylabel="mean of the largest errors (deg)")
     decimal_ticks(ax.yaxis)
     ax.grid(alpha=0.3)
-    ax.legend(fontsize=8)
+    legend_below(figure, [ax], ncols=3, fontsize=8)
     return figure
 
 

@@ -11,11 +11,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
+from matplotlib.ticker import MaxNLocator
 
 from kneexo.analysis.sampled_loop import SampledLoop, linearize_loop
 from kneexo.errors import KneexoError
+from kneexo.parameters import Uncertainty
+from kneexo.parameters.labels import labels, value_text
 from kneexo.parameters.uncertainty import realize
+from kneexo.plotting import BLUE, GOLD, RED, SERIES, decimal_ticks
 from kneexo.studies.plots import CENTRED, ecdf, legend_below
 from kneexo.studies.robustness.study import (
     MERITS,
@@ -23,7 +26,6 @@ from kneexo.studies.robustness.study import (
     RobustnessResult,
     merit_value,
     merit_values,
-    short_names,
     worst,
     worst_value,
 )
@@ -43,6 +45,10 @@ def distribution(result: RobustnessResult) -> Figure:
     figure, axes = plt.subplots(
         rows, columns, figsize=(3.6 * columns, 2.9 * rows), layout="constrained", squeeze=False
     )
+    figure.set_label(
+        "Distribution of each metric over the sampled plants. A curve shows the share of the "
+        "samples up to each value. A failed sample counts but is not drawn."
+    )
     for ax, merit in zip(axes.flat, names, strict=False):
         _plot_distribution(ax, result, merit)
     for ax in axes.flat[len(names) :]:
@@ -58,22 +64,20 @@ def _plot_distribution(ax: Axes, result: RobustnessResult, merit: str) -> None:
     finite = np.isfinite(values)
     nominal = merit_value(result.nominal, merit)
     corner = worst_value(result.corners, merit)
-    ecdf(ax, values, color="C0", label="samples")
+    ecdf(ax, values, color=BLUE, label="samples")
     for value, colour, ls, lw, label in (
         (nominal, "0.4", "--", 1.0, "nominal"),
-        (corner, "C3", ":", 1.5, "worst corner"),
+        (corner, RED, ":", 1.5, "worst corner"),
     ):
         if np.isfinite(value):  # a line of points, which the axis keeps clear of its edge
             ax.plot([value, value], [0.0, 1.02], color=colour, ls=ls, lw=lw, label=label)
     shown_values = np.append(values[finite], [v for v in (nominal, corner) if np.isfinite(v)])
     if shown_values.size and 0.0 < 20.0 * shown_values.min() < shown_values.max():
         ax.set_xscale("log")
-        ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0)))
-        ax.xaxis.set_minor_locator(NullLocator())
-        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        decimal_ticks(ax.xaxis)
     failed = int(np.sum(~finite))
     lost = "fail" if MERITS[merit].sign_of_worse > 0.0 else "fail or are unstable"
-    ax.set_title(f"{failed} of {values.size} {lost}" if failed else " ", fontsize=8, color="C3")
+    ax.set_title(f"{failed} of {values.size} {lost}" if failed else " ", fontsize=8, color=RED)
     ax.set(xlabel=MERITS[merit].label, ylim=(0.0, 1.02))
     ax.grid(alpha=0.3)
 
@@ -81,56 +85,94 @@ def _plot_distribution(ax: Axes, result: RobustnessResult, merit: str) -> None:
 def tornado(result: RobustnessResult) -> Figure:
     """Draw how error, bandwidth and disk margin change when a single uncertain value varies.
 
-    The uncertain value with the largest effect is on top.
+    All panels have the same rows. On top is the uncertain value that, for one of the metrics, has
+    the largest effect relative to the largest effect of all values on this metric. The label of a
+    row has the ends of the interval or the options, each with its mark.
     """
     merits = [merit for merit in _SHOWN if merit in result.merits]
-    names = short_names(result.uncertainty.values)
+    order = _by_effect(result, merits)
     figure, axes = plt.subplots(
         1,
         len(merits),
-        figsize=(5.2 * len(merits), 1.5 + 0.34 * len(names)),
+        figsize=(2.6 + 2.7 * len(merits), 1.5 + 0.42 * len(order)),
         layout="constrained",
         squeeze=False,
+        sharey=True,
+    )
+    figure.set_label(
+        "Error, bandwidth and disk margin when a single value of the plant varies, all others "
+        "nominal. The value with the largest effect is on top."
     )
     for ax, merit in zip(axes[0], merits, strict=True):
-        _plot_tornado(ax, result, merit, names)
-    entries = {"low end": "C0<", "high end": "C1>"}
-    options = max(len(span.options) for span in result.uncertainty.values.values())
-    entries |= {f"option {n + 1}": f"C{n}{'os^Dv'[n % 5]}" for n in range(min(options, 5))}
+        _plot_tornado(ax, result, merit, order)
+    names = labels(order)
+    rows = [f"{names[path]}\n{_levels_text(result, path)}" for path in order]
+    axes[0, 0].set_yticks(range(len(order)), rows, fontsize=8)
+    entries = {"low end": (BLUE, "<"), "high end": (GOLD, ">")}
+    if any(span.options for span in result.uncertainty.values.values()):
+        entries["options"] = ("0.4", "o")
     if any(np.isinf(merit_values(result.one_at_a_time, merit)).any() for merit in merits):
-        entries["fails or is unstable"] = "C3x"
-    handles = [Line2D([], [], color=s[:2], marker=s[2], ls="", ms=5) for s in entries.values()]
+        entries["fails or is unstable"] = (RED, "x")
+    handles = [
+        Line2D([], [], color=colour, marker=marker, ls="", ms=5)
+        for colour, marker in entries.values()
+    ]
     handles.append(Line2D([], [], color="0.4", ls="--", lw=1))
-    labels = [*entries, "nominal"]
-    figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=8)
+    texts = [*entries, "nominal"]
+    figure.legend(handles, texts, loc="outside lower center", ncols=5, fontsize=9)
     return figure
 
 
-def _plot_tornado(ax: Axes, result: RobustnessResult, merit: str, names: dict[str, str]) -> None:
+def _by_effect(result: RobustnessResult, merits: list[str]) -> list[str]:
+    """Return the paths of the uncertain values in the order of their effect, the largest last."""
+    paths = list(result.uncertainty.values)
+    spreads = np.array([[result.spread(merit, path) for path in paths] for merit in merits])
+    infinite = np.where(np.isinf(spreads), np.finfo(float).max, np.nan_to_num(spreads))
+    largest = np.maximum(infinite.max(axis=1, keepdims=True), np.finfo(float).tiny)
+    ranks = (infinite / largest).max(axis=0)
+    return [paths[index] for index in np.argsort(ranks, kind="stable")]
+
+
+def _marks(span: Uncertainty) -> list[tuple[str, str, str]]:
+    """Return marker, the same as a letter, and colour of each level of an uncertain value."""
+    if span.options:
+        colours = [SERIES[index % len(SERIES)] for index in range(len(span.options))]
+        marks = [("os^Dv"[index % 5], "●■▲◆▼"[index % 5]) for index in range(len(span.options))]
+    else:
+        marks, colours = [("<", "◀"), (">", "▶")], [BLUE, GOLD]
+    return [(*mark, colour) for mark, colour in zip(marks, colours, strict=True)]
+
+
+def _levels_text(result: RobustnessResult, path: str) -> str:
+    """Return the levels of an uncertain value, each behind its mark."""
+    span = result.uncertainty.values[path]
+    pairs = zip(_marks(span), span.levels, strict=True)
+    return "  ".join(f"{letter} {value_text(path, level)}" for (_, letter, _), level in pairs)
+
+
+def _plot_tornado(ax: Axes, result: RobustnessResult, merit: str, order: list[str]) -> None:
     effects = result.effects(merit)
     nominal = merit_value(result.nominal, merit)
     finite = [v for values in effects.values() for v in [*values, nominal] if math.isfinite(v)]
-    order = sorted(names, key=lambda path: result.spread(merit, path))
     low, high = (min(finite), max(finite)) if finite else (0.0, 1.0)
     margin = 0.15 * (high - low) or 0.1 * abs(high) or 1.0
     failed_at = high + margin if MERITS[merit].sign_of_worse > 0.0 else low - margin
     for row, path in enumerate(order):
-        span, values = result.uncertainty.values[path], effects[path]
+        values = effects[path]
         ends = [v for v in [*values, nominal] if math.isfinite(v)]
         if ends:
             ax.plot([min(ends), max(ends)], [row, row], color="0.8", lw=7, solid_capstyle="butt")
-        for index, value in enumerate(values):
-            at, colour = (value, f"C{index}") if math.isfinite(value) else (failed_at, "C3")
-            marker = (
-                ("<>"[index] if not span.options else "os^Dv"[index % 5]) if at == value else "x"
-            )
-            ax.plot([at], [row], marker, color=colour, ms=5)
+        marks = _marks(result.uncertainty.values[path])
+        for value, (marker, _, colour) in zip(values, marks, strict=True):
+            if math.isfinite(value):
+                ax.plot([value], [row], marker, color=colour, ms=5)
+            else:
+                ax.plot([failed_at], [row], "x", color=RED, ms=5)
     if math.isfinite(nominal):
         ax.axvline(nominal, color="0.4", ls="--", lw=1)
-    ax.set_yticks(range(len(order)), [names[path] for path in order], fontsize=8)
     ax.set(xlabel=MERITS[merit].label)
     ax.margins(x=0.08)
-    ax.xaxis.set_major_locator(MaxNLocator(5))
+    ax.xaxis.set_major_locator(MaxNLocator(4))
     ax.grid(axis="x", alpha=0.3)
 
 
@@ -140,31 +182,37 @@ def importance(result: RobustnessResult) -> Figure:
     The left table has rank correlations over the samples. The right table has the linear effect of
     each value's whole interval, in % of the nominal figure of merit.
     """
-    names = short_names(result.uncertainty.values)
+    names = labels(result.uncertainty.values)
     merits = list(result.merits)
     correlations = result.correlations()
     ranks = np.array([[correlations[m][path] for m in merits] for path in names])
     figure, axes = plt.subplots(
-        1, 2, figsize=(12.0, 1.9 + 0.36 * len(names)), layout="constrained", sharey=True
+        1, 2, figsize=(10.5, 1.9 + 0.36 * len(names)), layout="constrained", sharey=True
+    )
+    figure.set_label(
+        "Importance of each uncertain value. "
+        "Left: rank correlation ρ with each metric over the samples, and for options the "
+        "correlation ratio η. "
+        "Right: linear effect of the whole interval, in percent of the nominal metric."
     )
     chosen = np.array([bool(result.uncertainty.values[path].options) for path in names])
-    labels = [
-        name + (" (η)" if has_options else "")
+    row_labels = [
+        name + (", η" if has_options else "")
         for name, has_options in zip(names.values(), chosen, strict=True)
     ]
-    _plot_table(axes[0], ranks, merits, labels, chosen)
-    axes[0].set_title("rank correlation over the samples, ρ or η", fontsize=9)
+    _plot_table(axes[0], ranks, merits, row_labels, chosen)
+    axes[0].set_title("rank correlation ρ, or correlation ratio η", fontsize=9)
     local = [m for m in merits if m in result.local]
     linear = np.array([[result.linear_effect(m, path) for m in local] for path in names])
     scale = np.array([abs(result.nominal.metrics[m]) for m in local])
     if local:
-        _plot_table(axes[1], 100.0 * linear / scale, local, labels, chosen, limit=100.0)
-        axes[1].set_title("whole interval by AutoDiff, % of the nominal metric", fontsize=9)
+        _plot_table(axes[1], 100.0 * linear / scale, local, row_labels, chosen, limit=100.0)
+        axes[1].set_title("effect of the whole interval, % of the nominal metric", fontsize=9)
     else:
         axes[1].set_visible(False)
     key = {
-        "C3": "more of the value is worse",
-        "C0": "more of the value is better",
+        "#b2182b": "more of the value is worse",
+        BLUE: "more of the value is better",
         "0.5": "options, which have no order: strength alone",
     }
     patches = [Patch(color=colour, alpha=0.8, label=label) for colour, label in key.items()]
@@ -174,7 +222,8 @@ def importance(result: RobustnessResult) -> Figure:
 
 def _cell(value: float) -> str:
     """Return a number as text for a table cell. A value that rounds to zero has no minus sign."""
-    return f"{value:.0f}" if abs(value) >= 10.0 else f"{round(value, 2) + 0.0:.2f}"
+    text = f"{value:.0f}" if abs(value) >= 10.0 else f"{round(value, 2) + 0.0:.2f}"
+    return text.replace("-", "−")
 
 
 def _plot_table(
@@ -220,7 +269,11 @@ def nyquist(result: RobustnessResult) -> Figure:
     The stable loop with the smallest disk margin is drawn together with the disk that it touches.
     The title counts the unstable plants.
     """
-    figure, ax = plt.subplots(figsize=(6.0, 6.0), layout="constrained")
+    figure, ax = plt.subplots(figsize=(6.0, 6.4), layout="constrained")
+    figure.set_label(
+        "Nyquist plots of the sampled plants. The loop in blue has the smallest disk margin, and "
+        "touches the disk. A loop in red is unstable."
+    )
     assessments = [*result.samples, *result.corners, *result.one_at_a_time, result.nominal]
     stable = [assessment for assessment in assessments if assessment.metrics["stable"]]
     loops = [
@@ -228,12 +281,12 @@ def nyquist(result: RobustnessResult) -> Figure:
     ]
     drawn = [loop for loop in loops if loop is not None]
     lost = sum(not loop.stable for loop in drawn)
-    labels = {True: f"L of {len(drawn) - lost} samples", False: f"L of {lost} unstable samples"}
+    entries = {True: f"L of {len(drawn) - lost} samples", False: f"L of {lost} unstable samples"}
     for loop in drawn:
         f = np.geomspace(0.02, 0.5 / loop.sample_time_s, 2000)
         response = loop.loop_response(f)
-        colour = "0.6" if loop.stable else "C3"
-        label = labels.pop(loop.stable, None)  # once each
+        colour = "0.6" if loop.stable else RED
+        label = entries.pop(loop.stable, None)  # once each
         ax.plot(response.real, response.imag, color=colour, lw=0.5, alpha=0.6, label=label)
     unstable = sum(assessment.metrics["stable"] is False for assessment in assessments)
     title = ""
@@ -245,6 +298,9 @@ def nyquist(result: RobustnessResult) -> Figure:
     if unstable:
         title += f"\n{unstable} of {len(assessments)} plants are unstable"
     ax.set_title(title, fontsize=9)
+    if legend := ax.get_legend():
+        legend.remove()
+    legend_below(figure, [ax], ncols=3, fontsize=9)
     return figure
 
 

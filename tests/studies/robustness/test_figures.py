@@ -19,6 +19,7 @@ from kneexo.parameters import (
 )
 from kneexo.parameters.paths import changed
 from kneexo.parameters.uncertainty import realize
+from kneexo.plotting import RED
 from kneexo.studies.robustness.figures import distribution, figures, tornado
 from kneexo.studies.robustness.report import report
 from kneexo.studies.robustness.study import (
@@ -54,6 +55,18 @@ def test_distributions_rise_by_one_share_for_each_sample(by_hand, curves):
     assert shown["largest error (deg)"].get_title() == "1 of 5 fail"
 
 
+def test_each_figure_has_a_caption(by_hand, check_caption):
+    for figure in figures(by_hand).values():
+        check_caption(figure)
+
+
+ROWS = {  # the largest effect on top, with unit, and with the mark of each level
+    "latency_samples": "latency (samples)\n● 0  ■ 1  ▲ 2",
+    "mass_kg": "mass (kg)\n◀ 1.4  ▶ 1.8",
+    "lag_s": "lag (s)\n◀ 0.005  ▶ 0.02",
+}
+
+
 def test_the_tornado_has_each_level_at_its_figure(by_hand):
     axes = figures(by_hand)["robustness_tornado"].axes
     merits = ("max_error_deg", "bandwidth_hz", "disk_margin")
@@ -64,8 +77,9 @@ def test_the_tornado_has_each_level_at_its_figure(by_hand):
     }
     for ax, merit in zip(axes, merits, strict=True):
         assert ax.get_xlabel() == MERITS[merit].label
-        rows = [tick.get_text() for tick in ax.get_yticklabels()]
-        assert rows == ["latency_samples", "mass_kg", "lag_s"]  # the largest effect on top
+        assert [tick.get_text() for tick in axes[0].get_yticklabels()] == list(ROWS.values())
+        assert axes[0].get_shared_y_axes().joined(axes[0], ax)
+        rows = list(ROWS)
         marks = {
             (rows[round(line.get_ydata()[0])], line.get_marker()): line.get_xdata()[0]
             for line in ax.lines
@@ -115,13 +129,12 @@ def test_what_fails_is_crossed_beyond_the_worst_end(by_hand):
         # 15 % of the way from 0.7 to 1.6 beyond its worse end, in the row that is on top.
         at = 1.6 + 0.15 * 0.9 if sign > 0.0 else 0.7 - 0.15 * 0.9
         assert cross.get_xdata()[0] == pytest.approx(UNITS[merit] * at)
-        assert cross.get_color() == "C3"
-        rows = [tick.get_text() for tick in ax.get_yticklabels()]
-        assert rows[round(cross.get_ydata()[0])] == rows[-1] == "mass_kg"
+        assert cross.get_color() == RED
+        rows = [tick.get_text() for tick in drawn.axes[0].get_yticklabels()]
+        assert rows[round(cross.get_ydata()[0])] == rows[-1] == ROWS["mass_kg"]
     (legend,) = drawn.legends
     shown = [text.get_text() for text in legend.get_texts()]
-    options = [f"option {n}" for n in (1, 2, 3)]
-    assert shown == ["low end", "high end", *options, "fails or is unstable", "nominal"]
+    assert shown == ["low end", "high end", "options", "fails or is unstable", "nominal"]
     titles = {ax.get_xlabel(): ax.get_title() for ax in distribution(study).axes}
     assert titles["disk margin"] == "1 of 5 fail or are unstable"
     assert titles["chattering (rpm per sample)"] == "1 of 5 fail"
@@ -133,7 +146,8 @@ def test_importance_has_correlations_beside_linear_effects(by_hand):
     rows, local = list(correlations["disk_margin"]), list(LINEAR)
 
     def cell(value):
-        return f"{value:.0f}" if abs(value) >= 10.0 else f"{value:.2f}"
+        text = f"{value:.0f}" if abs(value) >= 10.0 else f"{value:.2f}"
+        return text.replace("-", "−")
 
     assert {t.get_position(): t.get_text() for t in ranks.texts} == {
         (column, row): cell(by_path[path])
@@ -182,5 +196,5 @@ def test_nyquist_names_unstable_loops_in_their_own_colour(by_hand):
     lost = changed(UNCERTAIN_KNEE, {"controller.lambda_per_s": 200.0})
     assert not linearize_loop(lost, knee_angle_deg=40.0).stable
     (ax,) = figures(dataclasses.replace(by_hand, scenario=lost))["robustness_nyquist"].axes
-    assert [line.get_color() for line in ax.lines[:3]] == ["C3"] * 3
+    assert [line.get_color() for line in ax.lines[:3]] == [RED] * 3
     assert ax.lines[0].get_label() == "L of 3 unstable samples"
