@@ -106,7 +106,7 @@ def context_values(
     return {
         **cylinder_values(parameters, "cap_area_m2", "rod_side_area_m2"),
         "pump_external_leakage_m3_per_s_pa": pump_external_leakage_m3_per_s_pa,
-        **dict(full_order),
+        **vars(full_order),
     }
 
 

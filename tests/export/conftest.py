@@ -23,6 +23,8 @@ def module_of(name, path):
 
 fmus = module_of("fmus_elsewhere", ROOT / "tests/compiler/fmu/conftest.py")
 fmu_instance, run_elsewhere = fmus.fmu_instance, fmus.run_elsewhere
+wasm = module_of("wasm_runs", ROOT / "tests/compiler/c/conftest.py")
+web_run = wasm.web_run
 
 
 @pytest.fixture

@@ -1,0 +1,362 @@
+"""Makes the closed loop of a scenario for a page: the numbers to run it in a browser.
+
+`web_model` returns the numbers of a scenario as data for JSON. `web_modules` returns the modules
+that these data name. `kneexo.export.web_code` makes the modules.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import numpy as np
+
+from kneexo.compiler import CSource
+from kneexo.diagrams.closed_loop import plant_start
+from kneexo.errors import KneexoError
+from kneexo.export.web_code import REFERENCES, loop_source, module_of, modules, reference_source
+from kneexo.export.web_maps import Map, fit_maps
+from kneexo.linkage import pose
+from kneexo.parameters import SampledReference, Scenario, StepReference
+from kneexo.parameters.fields import source_of as provenance_of, unit_of
+from kneexo.parameters.paths import value_at
+from kneexo.parameters.quantity import Parameters
+from kneexo.parameters.sliders import Slider, sliders_of
+from kneexo.result import Array
+from kneexo.rod_polynomial import completed
+from kneexo.simulation.compiled import reference_table, scenario_values, structure_key
+from kneexo.systems.cylinder import PA_PER_MPA
+from kneexo.systems.knee_reference import context_values, start_angle_rad
+
+START = "start_angle_rad"
+"""Name of the number that is the reference at t = 0. It sets the initial state of the plant."""
+
+
+def with_structure(scenario: Scenario, controller: str, load: str) -> Scenario:
+    """Return a scenario with another kind of controller or load, which has its default numbers.
+
+    ``controller`` is ``smc`` or ``pid``; ``load`` is ``none`` or ``knee``. A part that is of this
+    kind keeps its numbers.
+    """
+    kinds = {"controller.kind": controller, "plant.load.kind": load}
+    if scenario.nominal is not None:
+        kinds["nominal.load.kind"] = load
+    return scenario.changed({p: kind for p, kind in kinds.items() if value_at(scenario, p) != kind})
+
+
+def web_modules(models: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Return a dictionary from key to module, for all modules that results of `web_model` name.
+
+    A module has its ``code`` as base64 and its ``table``; see `kneexo.compiler.WasmModule`.
+    """
+    keys = set()
+    for model in models:
+        parts = [model["loop"], model["smooth"], *model["references"].values()]
+        keys |= {part["module"] for part in parts if "module" in part}
+    return {key: modules[key] for key in sorted(keys)}
+
+
+# --------------------------------------------------------------------------------- models
+
+
+def web_model(scenario: Scenario) -> dict[str, Any]:
+    """Return the numbers by which a page runs the closed loop of a scenario, as data for JSON.
+
+    ``loop`` and ``smooth``
+        The loop with and without quantizers. ``module`` is the key of the module. ``base`` has the
+        values of the module's ``params``. Each of ``maps`` is a formula, see `map_value`, for the
+        parameter with the number ``index``.
+    ``quantities``
+        The numbers that a user varies, with label, unit, range and source.
+    ``references``
+        ``sine``, ``step`` and ``ramp``, each with module, base, maps and quantities. A sampled
+        reference is ``samples`` with its four ``columns`` at the ticks, as base64 of doubles.
+    ``limits``
+        Bounds of the signals, each a number, None, or a formula.
+    ``controller``, ``load``
+        The kinds of these parts.
+
+    Raises `ParameterError` for a law that is called as Python, the errors of `make_closed_loop`,
+    and `CompilationError` if a module must be compiled and Zig is not installed.
+    """
+    scenario = completed(scenario)
+    sliders = dict(sliders_of(scenario))
+    ranges = {path: (slider.low, slider.high) for path, slider in sliders.items()}
+    ranges[START] = _start_range(scenario)
+    values = {path: value_at(scenario, path) for path in sliders}
+    values[START] = start_angle_rad(scenario.reference)
+    sources = {name: _loop_source(structure_key(scenario), scenario, name) for name in _LOOPS}
+    numbers = _Numbers(scenario, sources)
+    maps, names = fit_maps(numbers, ranges, values, (START,), scenario.bus.velocity_unit_rad_s)
+    base = numbers(values, bounded=True)
+    parts = numbers.split(maps)
+    return {
+        **{
+            name: {
+                "module": module_of(source),
+                "base": base[numbers.places[name]].tolist(),
+                "maps": [{"index": index} | formula for index, formula in parts[name].items()],
+            }
+            for name, source in sources.items()
+        },
+        "controller": scenario.controller.kind,
+        "load": scenario.plant.load.kind,
+        "quantities": [_quantity(scenario, p, sliders[p]) for p in names if p != START],
+        "references": _references(scenario),
+        "limits": _limits(scenario, base[numbers.places["limits"]], parts["limits"]),
+    }
+
+
+_LOOPS = ("loop", "smooth")
+
+_sources: dict[tuple[str, str], CSource] = {}
+
+
+def _loop_source(key: str, scenario: Scenario, name: str) -> CSource:
+    """Return the loop ``name`` of `_LOOPS`, which scenarios of the structure ``key`` share."""
+    if (key, name) not in _sources:
+        _sources[key, name] = loop_source(scenario, smooth=name == "smooth")
+    return _sources[key, name]
+
+
+class _Numbers:
+    """Computes the parameters of the modules, and the `_LIMITS`, from numbers of a scenario.
+
+    ``places`` has the slice of each part of the vector: ``loop``, ``smooth`` and ``limits``.
+    """
+
+    def __init__(self, scenario: Scenario, sources: Mapping[str, CSource]) -> None:
+        self._scenario = scenario
+        self._columns = {name: list(_columns(source)) for name, source in sources.items()}
+        self._known: dict[Any, tuple[Scenario, dict[str, Any], list[float]]] = {}
+        self.places: dict[str, slice] = {}
+        start = 0
+        sizes = {name: len(columns) for name, columns in self._columns.items()}
+        for name, size in (*sizes.items(), ("limits", len(_LIMITS))):
+            self.places[name] = slice(start, start + size)
+            start += size
+
+    def __call__(self, values: Mapping[str, float], *, bounded: bool = False) -> Array:
+        """Return the vector at ``values``, which has the dotted paths and `START`.
+
+        Unless ``bounded``, the initial pressures of a full order are those of
+        `_without_reservoir`, which are smooth functions.
+        """
+        paths = tuple((name, float(value)) for name, value in values.items() if name != START)
+        if paths not in self._known:
+            self._known[paths] = self._parameters(self._scenario.changed(dict(paths)))
+        scenario, parameters, limits = self._known[paths]
+        start = plant_start(_started_at(scenario, values[START]))
+        if scenario.plant.full_order is not None and not bounded:
+            start |= _without_reservoir(scenario, start)
+        row: list[float] = []
+        for name, columns in self._columns.items():
+            known = parameters[name] | start
+            row += [known.get(column, default) for column, default in columns]
+        return np.array(row + limits)
+
+    def _parameters(self, scenario: Scenario) -> tuple[Scenario, dict[str, Any], list[float]]:
+        """Return a scenario, the parameters of each loop, and the limits."""
+        variants = {"loop": scenario, "smooth": scenario.without_quantizers()}
+        parameters = {name: scenario_values(variant) for name, variant in variants.items()}
+        return scenario, parameters, [limit(scenario) for limit in _LIMITS.values()]
+
+    def split(self, maps: Mapping[int, Map]) -> dict[str, dict[int, Map]]:
+        """Return the formulas of each part of the vector; indices count within the part."""
+        parts: dict[str, dict[int, Map]] = {}
+        for name, place in self.places.items():
+            inside = {i - place.start: m for i, m in maps.items() if place.start <= i < place.stop}
+            bounds = self._bounds(name)
+            parts[name] = {i: m | bounds.get(i, {}) for i, m in inside.items()}
+        return parts
+
+    def _bounds(self, name: str) -> dict[int, dict[str, float]]:
+        """Return ``at_least`` of each initial pressure: no chamber is below the reservoir."""
+        full = self._scenario.plant.full_order
+        if full is None or name not in self._columns:
+            return {}
+        columns = [column for column, _ in self._columns[name]]
+        bound = {"at_least": full.reservoir_pressure_pa / PA_PER_MPA}
+        return {columns.index(state): bound for state in _PRESSURES}
+
+
+def _columns(source: CSource) -> Iterable[tuple[str, float]]:
+    """Yield name and default of each member of a module's parameters.
+
+    The name is that of a parameter or continuous state in the compiled model. The default is the
+    value of a member that has no such name.
+    """
+    plan = source.plan
+    names = dict(zip(plan.members, plan.equations.parameters, strict=True))
+    names |= {f"initial_x[{i}]": state for i, state in enumerate(plan.equations.states)}
+    for member, text in source.struct_values.items():
+        yield names.get(member, member), float(text)
+
+
+_PRESSURES = ("plant/cylinder.x[2]", "plant/cylinder.x[3]")
+"""Names of the states of a full order that are the pressures P_1 and P_2."""
+
+
+def _without_reservoir(scenario: Scenario, start: Mapping[str, float]) -> dict[str, float]:
+    """Return the pressures that hold the force at the start, where each chamber holds it alone.
+
+    F = P_1 A_1 − P_2 A_2. With P_r in the other chamber, P_1 = (F + P_r A_2)/A_1 and
+    P_2 = (P_r A_1 − F)/A_2. One of them is below P_r, unless both are equal to P_r.
+    """
+    cylinder, full = scenario.plant.cylinder, scenario.plant.full_order
+    assert full is not None
+    cap, rod_side = cylinder.cap_area_m2, cylinder.rod_side_area_m2
+    first, second = (start[name] for name in _PRESSURES)
+    reservoir = full.reservoir_pressure_pa / PA_PER_MPA
+    force = first * cap - second * rod_side
+    alone = (force + reservoir * rod_side) / cap, (reservoir * cap - force) / rod_side
+    return dict(zip(_PRESSURES, alone, strict=True))
+
+
+def _started_at(scenario: Scenario, angle_rad: float) -> Scenario:
+    """Return a scenario whose reference has this constant angle."""
+    angle_deg = math.degrees(angle_rad)
+    reference = StepReference.model_construct(start_deg=angle_deg, end_deg=angle_deg)
+    return scenario.model_copy(update={"reference": reference})
+
+
+def _start_range(scenario: Scenario) -> tuple[float, float]:
+    """Return the knee angles in rad around the scenario's start at which the plant can start."""
+    knee = scenario.plant.knee
+    angles = np.radians(np.linspace(knee.flexion_min_deg, knee.flexion_max_deg, 181))
+
+    def starts(angle: float) -> bool:
+        try:
+            plant_start(_started_at(scenario, angle))
+        except KneexoError:
+            return False
+        return True
+
+    start = int(np.argmin(np.abs(angles - start_angle_rad(scenario.reference))))
+    low = high = start
+    while low > 0 and starts(angles[low - 1]):
+        low -= 1
+    while high < angles.size - 1 and starts(angles[high + 1]):
+        high += 1
+    return float(angles[low]), float(angles[high])
+
+
+def _quantity(
+    parameters: Parameters, path: str, slider: Slider, prefix: str = ""
+) -> dict[str, Any]:
+    """Return a number that a user varies, as data; ``prefix`` goes before its path."""
+    parent, _, name = path.rpartition(".")
+    holder = value_at(parameters, parent) if parent else parameters
+    field = type(holder).model_fields[name]
+    unit, factor = slider.shown or (unit_of(field), 1.0)
+    return {
+        "name": f"{prefix}{path}",
+        "label": slider.label,
+        "unit": unit_of(field),
+        "shown_unit": unit,
+        "shown_factor": factor,
+        "low": slider.low,
+        "high": slider.high,
+        "value": getattr(holder, name),
+        "scale": slider.scale,
+        "source": provenance_of(field),
+        "help": f"range: {slider.why}",
+    }
+
+
+# ----------------------------------------------------------------------------- references
+
+
+def _references(scenario: Scenario) -> dict[str, Any]:
+    references: dict[str, Any] = {kind: _reference(kind, scenario) for kind in REFERENCES}
+    if isinstance(scenario.reference, SampledReference):
+        period = scenario.controller.sample_time_s
+        ticks = round(scenario.duration_s / period)
+        table = reference_table(scenario.reference)
+        rows = np.array([table.value(period * k) for k in range(ticks + 1)])
+        columns = base64.b64encode(np.ascontiguousarray(rows.T).tobytes()).decode()
+        references["samples"] = {"columns": columns, "ticks": ticks}
+    return references
+
+
+def _reference(kind: str, scenario: Scenario) -> dict[str, Any]:
+    """Return a reference of this kind; its numbers are the scenario's, or defaults."""
+    present: Any = scenario.reference
+    if present.kind != kind:
+        present = REFERENCES[kind]()
+    source = reference_source(kind, scenario.controller.sample_time_s)
+    sliders = dict(sliders_of(present))
+
+    def evaluate(values: Mapping[str, float]) -> Array:
+        parameters = context_values(present.model_copy(update=dict(values)))
+        return np.array([parameters[name.partition(".")[2]] for name in source.plan.members])
+
+    ranges = {name: (slider.low, slider.high) for name, slider in sliders.items()}
+    maps, names = fit_maps(evaluate, ranges, {name: getattr(present, name) for name in ranges})
+    prefix = "reference."
+    named = [m | {"of": [prefix + name for name in m["of"]]} for m in maps.values()]
+    return {
+        "module": module_of(source),
+        "base": evaluate({}).tolist(),
+        "maps": [{"index": index} | m for index, m in zip(maps, named, strict=True)],
+        "quantities": [_quantity(present, name, sliders[name], prefix) for name in names],
+    }
+
+
+# --------------------------------------------------------------------------------- limits
+
+
+def _motor_limit(scenario: Scenario) -> float:
+    limit = scenario.command_limit_rad_s
+    pump = scenario.plant.pump
+    return limit if scenario.plant.ideal_motor else min(limit, pump.speed_limit_rad_s)
+
+
+def _acceleration_limit(scenario: Scenario) -> float:
+    pump = scenario.plant.pump
+    return math.inf if scenario.plant.ideal_motor else pump.acceleration_limit_rad_s2
+
+
+def _relief_pressure(scenario: Scenario) -> float:
+    full = scenario.plant.full_order
+    return math.inf if full is None else full.relief_pressure_pa
+
+
+_LIMITS: Mapping[str, Callable[[Scenario], float]] = {
+    "command_limit_rad_s": lambda scenario: scenario.command_limit_rad_s,
+    "motor_speed_limit_rad_s": _motor_limit,
+    "motor_acceleration_limit_rad_s2": _acceleration_limit,
+    "pressure_rating_pa": lambda scenario: scenario.plant.cylinder.pressure_rating_pa,
+    "power_rating_w": lambda scenario: scenario.plant.pump.rated_power_w,
+    "relief_pressure_pa": _relief_pressure,
+}
+"""Functions that return a bound of a signal; inf: the scenario has no such bound."""
+
+
+def _limits(scenario: Scenario, values: Array, maps: Mapping[int, Map]) -> dict[str, Any]:
+    """Return the bounds of the signals: formulas, or numbers, or None where there is no bound."""
+    knee = scenario.plant.knee
+    numbers = [None if math.isinf(value) else value for value in values.tolist()]
+    return {
+        **{name: maps.get(n, numbers[n]) for n, name in enumerate(_LIMITS)},
+        "knee_low_rad": math.radians(knee.flexion_min_deg),
+        "knee_high_rad": math.radians(knee.flexion_max_deg),
+        "encoder_count_knee_deg": _encoder_count(scenario),
+    }
+
+
+def _encoder_count(scenario: Scenario) -> dict[str, Any] | None:
+    """Return the knee angles in deg of one count over the range of motion; None: no quantizer."""
+    if not scenario.encoder.quantized:
+        return None
+    knee = scenario.plant.knee
+    angles = np.linspace(knee.flexion_min_deg, knee.flexion_max_deg, 91)
+    sensitivity = pose(scenario.plant.linkage, np.radians(angles)).encoder_sensitivity
+    count_deg = math.degrees(scenario.encoder.resolution_rad) * np.abs(sensitivity)
+    return {
+        "low_deg": knee.flexion_min_deg,
+        "high_deg": knee.flexion_max_deg,
+        "values": count_deg.tolist(),
+    }

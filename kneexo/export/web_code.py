@@ -1,0 +1,171 @@
+"""Makes the web modules of closed loops and references.
+
+Modules of common structures come with the package. Zig compiles all others.
+``python -m kneexo.export.web_code`` compiles the modules of the package again.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import re
+from collections.abc import Iterator, Mapping
+from functools import lru_cache
+from importlib.metadata import version
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from kneexo.compiler import (
+    CSource,
+    Interface,
+    read_diagram,
+    source_of,
+    wasm_files,
+    wasm_module,
+    wasm_table,
+)
+from kneexo.diagrams.closed_loop import available_signals, make_closed_loop
+from kneexo.diagrams.law import why_python
+from kneexo.diagrams.signals import SIGNALS
+from kneexo.errors import ParameterError
+from kneexo.parameters import RampReference, Scenario, SineReference, StepReference
+from kneexo.parameters.paths import value_at
+from kneexo.parameters.presets import with_preset
+from kneexo.systems import make_knee_reference
+
+PERTURBATION = "plant:motor_speed_command"
+"""Name of the port at which an input of a module perturbs the loop."""
+
+OUTPUTS = (
+    *("knee_angle", "rod_extension", "sliding_variable", "motor_speed_command", "motor_speed"),
+    *("load_pressure", "rod_force", "shaft_power", "hydraulic_power"),
+    *("chamber_pressures", "relief_flow"),
+)
+"""Names of the signals that a module of a loop outputs, as far as a scenario has them."""
+
+REFERENCES: Mapping[str, Any] = {
+    "sine": SineReference,
+    "step": StepReference,
+    "ramp": RampReference,
+}
+"""The references that have a module of their own."""
+
+_STEPS = {"reduced": 15, "full": 60}
+"""Number of steps of RK4 in 2 ms, by the order of the cylinder.
+
+The fastest oscillation of the reduced order, 447 Hz, turns by 0.37 rad in a step, so that the load
+pressure of a saturating loop is right to 0.4 %. The friction of the full order makes a mode of
+25,000 1/s, and RK4 is stable up to 2.78 divided by its step. Four times as many steps leave a
+margin of three.
+"""
+
+_SMOOTH_STEPS = {"reduced": 30, "full": 60}
+"""The same for the loop without quantizers, whose short runs give margins."""
+
+SHIPPED: Mapping[str, Mapping[str, Any]] = {
+    "paper": {},
+    "paper with load": {"plant": {"load": "knee"}},
+    "leg": with_preset("leg", {}),
+}
+"""Scenarios whose modules come with the package, for both controllers of the paper."""
+
+_FOLDER = ("data", "web")
+
+
+def loop_source(scenario: Scenario, *, smooth: bool = False) -> CSource:
+    """Return the closed loop of a scenario in C, whose reference is an input.
+
+    A further input perturbs the motor speed that the plant receives. ``smooth`` leaves out the
+    quantizers. Raises `ParameterError` for a law that is called as Python, and the errors of
+    `make_closed_loop`.
+    """
+    if reason := why_python(scenario):
+        raise ParameterError(
+            f"controller: the law has no web module, because it is called as Python: {reason}"
+        )
+    scenario = scenario.without_quantizers() if smooth else scenario
+    if value_at(scenario, "plant.load.kind") == "knee":
+        # A fixed factor that is zero now gives equations that suit every value.
+        scenario = scenario.changed({"plant.load.disturbance_amplitude_n": 0.0})
+    names = [name for name in OUTPUTS if name in available_signals(scenario)]
+    fields = {name: SIGNALS[name] for name in (*names, "knee_reference")}
+    diagram = make_closed_loop(scenario, signals=(), external_reference=True)
+    order = "reduced" if scenario.plant.full_order is None else "full"
+    return source_of(
+        read_diagram(diagram, inputs=["knee_reference", PERTURBATION]),
+        "loop",
+        outputs=names,
+        interface=Interface(fields | {PERTURBATION: ("command_perturbation_rad_s",)}),
+        step_s=0.002 / (_SMOOTH_STEPS if smooth else _STEPS)[order],
+        tick_s=scenario.controller.sample_time_s,
+    )
+
+
+@lru_cache(maxsize=16)
+def reference_source(kind: str, sample_time_s: float) -> CSource:
+    """Return one of the `REFERENCES` in C, which outputs the reference at each sample."""
+    system = make_knee_reference(REFERENCES[kind]())
+    interface = Interface({"knee_reference": SIGNALS["knee_reference"]})
+    return source_of(read_diagram(system), kind, tick_s=sample_time_s, interface=interface)
+
+
+def module_key(source: CSource) -> str:
+    """Return a digest of a model's C without comments and without the values of the parameters.
+
+    Versions of Python and Drake do not change the digest.
+    """
+    texts = [text for name, text in wasm_files(source).items() if not name.endswith("_params.c")]
+    code = re.sub(r"/\*.*?\*/|\s+", " ", "".join(texts), flags=re.DOTALL)
+    return hashlib.sha256(code.encode()).hexdigest()[:16]
+
+
+modules: dict[str, dict[str, Any]] = {}
+"""The modules that `module_of` has provided, by key: ``code`` as base64, and ``table``."""
+
+
+def module_of(source: CSource) -> str:
+    """Provide the module of a model in `modules`; return the module's key."""
+    key = module_key(source)
+    if key not in modules:
+        file = files("kneexo").joinpath(*_FOLDER, f"{key}.wasm")
+        code = file.read_bytes() if file.is_file() else wasm_module(source).code
+        table = wasm_table(source) | {"sha256": hashlib.sha256(code).hexdigest()}
+        del table["defaults"]  # another scenario of the same structure may have made the module
+        modules[key] = {"code": base64.b64encode(code).decode(), "table": table}
+    return key
+
+
+def shipped_sources() -> Iterator[tuple[str, CSource]]:
+    """Yield description and C of each module that comes with the package."""
+    for name, values in SHIPPED.items():
+        for controller in ("smc", "pid"):
+            scenario = Scenario.model_validate({**values, "controller": controller})
+            for smooth in (False, True):
+                kind = "without quantizers" if smooth else "with quantizers"
+                yield f"{name}, {controller}, {kind}", loop_source(scenario, smooth=smooth)
+    period = Scenario().controller.sample_time_s
+    for kind in REFERENCES:
+        yield f"reference {kind}, {period:g} s", reference_source(kind, period)
+
+
+def write_shipped(folder: Path) -> None:
+    """Compile the modules that come with the package, and write them and their list to a folder.
+
+    The folder gets ``KEY.wasm`` for each module, and ``modules.json`` with the version of Zig and a
+    description by key. Other modules in the folder are deleted.
+    """
+    shipped = {module_key(source): (name, source) for name, source in shipped_sources()}
+    folder.mkdir(parents=True, exist_ok=True)
+    for key, (_, source) in shipped.items():
+        (folder / f"{key}.wasm").write_bytes(wasm_module(source).code)
+    for file in folder.glob("*.wasm"):
+        if file.stem not in shipped:
+            file.unlink()
+    listed = {"zig": version("ziglang"), "modules": {k: name for k, (name, _) in shipped.items()}}
+    (folder / "modules.json").write_text(json.dumps(listed, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    write_shipped(Path(__file__).parents[1].joinpath(*_FOLDER))

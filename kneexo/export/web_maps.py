@@ -1,0 +1,345 @@
+"""Finds formulas by which a page turns a user's numbers into the parameters of a web module.
+
+Python computes the parameters of a module from a scenario. A page has no Python, so it needs this
+computation as data. The functions here probe the computation, fit one of a few formulas to each
+parameter, and prove the formulas at further points.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from itertools import product
+from typing import Any
+
+import numpy as np
+from numpy.polynomial import chebyshev
+
+from kneexo.errors import KneexoError, ParameterError
+from kneexo.result import Array
+
+Map = dict[str, Any]
+"""A formula as data for JSON; `map_value` evaluates the formula."""
+
+Ranges = Mapping[str, tuple[float, float]]
+"""Dictionary from the name of a number to the number's lowest and highest value."""
+
+TOLERANCE = 1e-12
+"""Largest difference of a formula, relative to the largest magnitude of the parameter."""
+
+_POINTS = 48
+"""Number of points at which each formula is proven."""
+
+_NODES = (24, 48, 96)
+"""Numbers of Chebyshev nodes that are tried in turn."""
+
+_MOST_FACTORS = 5
+"""Largest number of further numbers on which a Chebyshev formula depends linearly."""
+
+
+def map_value(formula: Map, values: Mapping[str, float]) -> float:
+    """Return the value of a formula at the numbers ``values``.
+
+    With the numbers q in the order of ``of``, the value is by ``kind``:
+
+    - ``affine``: ``offset`` + Σ ``factors``[i] q[i];
+    - ``power``: ``factor`` Π q[i]^``exponents``[i];
+    - ``least``: the least of ``limit`` (unless None) and ``factors``[i] q[i]; if ``unit`` is
+      present, rounded down to whole units;
+    - ``chebyshev``: Σ c Π T_n[i](u[i]) over the ``terms`` [c, n[0], n[1], …], with Chebyshev
+      polynomials T and u[i] = (2 q[i] − low − high)/(high − low) for the ``domain`` [low, high].
+
+    If ``at_least`` is present, the value is at least this number.
+    """
+    return max(_unbounded(formula, values), formula.get("at_least", -math.inf))
+
+
+def _unbounded(formula: Map, values: Mapping[str, float]) -> float:
+    q = [values[name] for name in formula["of"]]
+    if formula["kind"] == "affine":
+        return formula["offset"] + sum(k * x for k, x in zip(formula["factors"], q, strict=True))
+    if formula["kind"] == "power":
+        powers = (x**n for x, n in zip(q, formula["exponents"], strict=True))
+        return formula["factor"] * math.prod(powers)
+    if formula["kind"] == "least":
+        limit = math.inf if formula["limit"] is None else formula["limit"]
+        least = min(limit, *(k * x for k, x in zip(formula["factors"], q, strict=True)))
+        unit = formula.get("unit")
+        return least if unit is None else unit * math.floor(least / unit * (1.0 + 1e-12))
+    u = [
+        (2.0 * x - low - high) / (high - low)
+        for x, (low, high) in zip(q, formula["domain"], strict=True)
+    ]
+    size = 1 + max(max(n) for _, *n in formula["terms"])
+    rows = chebyshev.chebvander(np.array(u), size - 1)
+    return float(
+        sum(c * math.prod(rows[i][k] for i, k in enumerate(n)) for c, *n in formula["terms"])
+    )
+
+
+def fit_maps(
+    evaluate: Callable[[Mapping[str, float]], Array],
+    ranges: Ranges,
+    values: Mapping[str, float],
+    required: Sequence[str] = (),
+    unit: float = 0.0,
+) -> tuple[dict[int, Map], tuple[str, ...]]:
+    """Return a formula for each parameter that depends on the numbers, and the usable numbers.
+
+    Parameters
+    ----------
+    evaluate
+        Function of a dictionary from the name of each number to its value; returns the vector of
+        all parameters. It raises `KneexoError` for values that do not fit each other.
+    ranges
+        The numbers, the most important first. A number is not usable if an end of its range is
+        refused, or if no formula represents a parameter that depends on it.
+    values
+        Present value of each number, which a number that is not usable keeps.
+    required
+        Names of numbers that must be usable.
+    unit
+        Step of a parameter that is rounded down; zero: no parameter is rounded.
+
+    Returns
+    -------
+        A dictionary from the index of a parameter to its formula, and the names of the usable
+        numbers. All other numbers must keep their values.
+
+    Raises `ParameterError` if a required number is not usable.
+    """
+    probe = _Probe(evaluate, ranges)
+    names = [*ranges]
+    for name in ranges:
+        if name not in required and not probe.accepts(name):
+            probe.fix(names.pop(names.index(name)), values)
+    while True:
+        maps, failed = _fits(probe, names, unit)
+        if failed is None:
+            _prove(probe, maps, names)
+            return maps, tuple(names)
+        index, of = failed
+        droppable = [name for name in of if name not in required]
+        if not droppable:
+            raise ParameterError(
+                f"{', '.join(of)}: no formula represents the effect on the model; a page cannot "
+                f"vary it"
+            )
+        culprit = _culprit(probe, index, of, droppable, values, unit)
+        names.remove(culprit)
+        probe.fix(culprit, values)
+
+
+def _culprit(
+    probe: _Probe,
+    index: int,
+    of: list[str],
+    droppable: list[str],
+    values: Mapping[str, float],
+    unit: float,
+) -> str:
+    """Return the number without which a parameter has a formula, or else the least important."""
+    for name in reversed(droppable):
+        centre = probe.centre.copy()
+        probe.fix(name, values)
+        formula = _fit(probe, index, [other for other in of if other != name], unit)
+        probe.centre = centre
+        if formula is not None:
+            return name
+    return droppable[-1]
+
+
+class _Probe:
+    """Evaluates the parameters at points, each point once."""
+
+    def __init__(self, evaluate: Callable[[Mapping[str, float]], Array], ranges: Ranges) -> None:
+        self.ranges = ranges
+        self._evaluate = evaluate
+        self._known: dict[tuple[float, ...], Array] = {}
+        random = np.random.default_rng(0)
+        share = random.uniform(0.2, 0.8, len(ranges)).tolist()
+        self.centre = {
+            name: low + part * (high - low)
+            for part, (name, (low, high)) in zip(share, ranges.items(), strict=True)
+        }
+        self._random = random
+
+    def __call__(self, point: Mapping[str, float]) -> Array:
+        """Return the parameters at a point; numbers that ``point`` lacks are at the centre."""
+        values = {**self.centre, **point}
+        key = tuple(values.values())
+        if key not in self._known:
+            self._known[key] = self._evaluate(values)
+        return self._known[key]
+
+    def fix(self, name: str, values: Mapping[str, float]) -> None:
+        """Give a number its present value from now on."""
+        self.centre[name] = values[name]
+
+    def accepts(self, name: str) -> bool:
+        """Return whether the ends of a number's range are accepted."""
+        with suppress(KneexoError):
+            for end in self.ranges[name]:
+                self({name: end})
+            return True
+        return False
+
+    def affected(self, name: str) -> list[int]:
+        """Return the indices of the parameters that depend on a number."""
+        before = self({})
+        return np.flatnonzero(
+            np.any([self({name: end}) != before for end in self.ranges[name]], axis=0)
+        ).tolist()
+
+    def points(self, names: Sequence[str]) -> list[dict[str, float]]:
+        """Return random points; half of the coordinates lie at the ends of their ranges."""
+        points = []
+        for _ in range(_POINTS):
+            share = self._random.uniform(-0.5, 1.5, len(names)).clip(0.0, 1.0).tolist()
+            points.append(
+                {
+                    name: self.ranges[name][0] * (1.0 - part) + self.ranges[name][1] * part
+                    for part, name in zip(share, names, strict=True)
+                }
+            )
+        return points
+
+
+def _fits(
+    probe: _Probe, names: Sequence[str], unit: float
+) -> tuple[dict[int, Map], tuple[int, list[str]] | None]:
+    """Return the formulas, and the first parameter without formula with its numbers, or None."""
+    numbers: dict[int, list[str]] = {}
+    for name in names:
+        for index in probe.affected(name):
+            numbers.setdefault(index, []).append(name)
+    maps: dict[int, Map] = {}
+    for index, of in numbers.items():
+        formula = _fit(probe, index, of, unit)
+        if formula is None:
+            return {}, (index, of)
+        maps[index] = formula
+    return maps, None
+
+
+def _prove(probe: _Probe, maps: Mapping[int, Map], names: Sequence[str]) -> None:
+    """Raise `ParameterError` if formulas are wrong where all numbers change together."""
+    got, expected = [probe({})], [probe({})]
+    for point in probe.points(names):
+        with suppress(KneexoError):  # these values do not fit each other
+            expected.append(probe(point))
+            got.append(got[0].copy())
+            for index, formula in maps.items():
+                got[-1][index] = map_value(formula, point)
+    bound = TOLERANCE * np.abs(expected).max(axis=0)
+    with np.errstate(invalid="ignore"):  # a limit that is inf everywhere
+        wrong = np.abs(np.array(got) - expected) > bound
+    if wrong.any():
+        raise ParameterError(f"{', '.join(names)}: have a joint effect without formula")
+
+
+def _fit(probe: _Probe, index: int, of: list[str], unit: float) -> Map | None:
+    """Return the first formula that represents a parameter, or None."""
+    ranges = {name: probe.ranges[name] for name in of}
+
+    def value(point: Mapping[str, float]) -> float:
+        return float(probe(point)[index])
+
+    with suppress(KneexoError):  # some values do not fit each other
+        proof = probe.points(of)
+        expected = np.array([value(point) for point in proof])
+        bound = TOLERANCE * np.abs(expected).max()
+        for fit in (_affine, _power, _least, _chebyshev) if of else ():
+            for formula in fit(value, ranges, unit):
+                got = np.array([map_value(formula, point) for point in proof])
+                if np.all(np.abs(got - expected) <= bound):
+                    return formula
+    return None
+
+
+_Value = Callable[[Mapping[str, float]], float]
+
+
+def _affine(value: _Value, ranges: Ranges, unit: float) -> list[Map]:
+    lows = {name: low for name, (low, _) in ranges.items()}
+    start = value(lows)
+    factors = [
+        (value(lows | {n: high}) - start) / (high - low) for n, (low, high) in ranges.items()
+    ]
+    offset = start - sum(k * low for k, low in zip(factors, lows.values(), strict=True))
+    formula = {"kind": "affine", "of": [*ranges], "offset": offset, "factors": factors}
+    exact = formula | {"offset": 0.0, "factors": [1.0]}  # a number itself, without rounding
+    is_itself = len(ranges) == 1 and all(
+        value({n: x}) == x for n, ends in ranges.items() for x in ends
+    )
+    return [exact] if is_itself else [formula]
+
+
+def _power(value: _Value, ranges: Ranges, unit: float) -> list[Map]:
+    highs = {name: high for name, (_, high) in ranges.items()}
+    end = value(highs)
+    exponents = []
+    for name, (low, high) in ranges.items():
+        other = value({**highs, name: low})
+        if low <= 0.0 or end * other <= 0.0:
+            return []
+        exponents.append(round(2.0 * math.log(end / other) / math.log(high / low)) / 2.0)
+    factor = end / math.prod(x**n for x, n in zip(highs.values(), exponents, strict=True))
+    return [{"kind": "power", "of": [*ranges], "factor": factor, "exponents": exponents}]
+
+
+def _least(value: _Value, ranges: Ranges, unit: float) -> list[Map]:
+    highs = {name: high for name, (_, high) in ranges.items()}
+    end = value(highs)
+    formulas: list[Map] = []
+    for step in (0.0, unit) if unit else (0.0,):
+        factors = []
+        for name, (low, _) in ranges.items():
+            other = value({**highs, name: low})
+            factors.append(1.0 if step else other / low if low else math.nan)
+        limit = (
+            None if any(k * x <= end for k, x in zip(factors, highs.values(), strict=True)) else end
+        )
+        formula = {"kind": "least", "of": [*ranges], "factors": factors, "limit": limit}
+        if np.isfinite(factors).all():
+            formulas.append(formula | ({"unit": step} if step else {}))
+    return formulas
+
+
+def _chebyshev(value: _Value, ranges: Ranges, unit: float) -> Any:
+    """Yield series with more and more terms, in one number; others may enter linearly."""
+    curved = [name for name in ranges if not _is_linear(value, name, ranges[name])]
+    straight = [name for name in ranges if name not in curved]
+    if len(curved) > 1 or len(straight) > _MOST_FACTORS:
+        return
+    order = [*curved, *straight]
+    for count in _NODES if curved else (1,):
+        axes = [_nodes(*ranges[name], count) for name in curved]
+        axes += [np.array(ranges[name]) for name in straight]
+        shape = [len(axis) for axis in axes]
+        points = (dict(zip(order, map(float, x), strict=True)) for x in product(*axes))
+        c = np.array([value(point) for point in points]).reshape(shape)
+        for axis, name in enumerate(order):
+            matrix = np.linalg.inv(chebyshev.chebvander(_nodes(-1.0, 1.0, count), count - 1))
+            if name in straight:
+                matrix = np.array([[0.5, 0.5], [-0.5, 0.5]])
+            c = np.moveaxis(np.tensordot(matrix, c, axes=(1, axis)), 0, axis)
+        large = np.argwhere(np.abs(c) > 1e-16 * np.abs(c).max())
+        yield {
+            "kind": "chebyshev",
+            "of": order,
+            "domain": [list(ranges[name]) for name in order],
+            "terms": [[float(c[tuple(n)]), *n.tolist()] for n in large],
+        }
+
+
+def _is_linear(value: _Value, name: str, ends: tuple[float, float]) -> bool:
+    low, high = ends
+    at = [value({name: low + part * (high - low)}) for part in (0.0, 0.37, 1.0)]
+    expected = at[0] + 0.37 * (at[2] - at[0])
+    return abs(at[1] - expected) <= TOLERANCE * max(map(abs, at))
+
+
+def _nodes(low: float, high: float, count: int) -> Array:
+    return np.asarray(0.5 * (low + high) + 0.5 * (high - low) * chebyshev.chebpts1(count))

@@ -1,0 +1,171 @@
+"""The numbers that a page lets a user vary, with their label, range and the reason for the range.
+
+A slider covers values that show an effect, within the much wider range that a field allows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from kneexo.parameters.control import (
+    EncoderParameters,
+    ObserverParameters,
+    PidParameters,
+    SlidingModeParameters,
+)
+from kneexo.parameters.fields import limits_of
+from kneexo.parameters.plant import (
+    RPM,
+    BldcPumpParameters,
+    CylinderParameters,
+    FullCylinderParameters,
+    KneeLoadParameters,
+)
+from kneexo.parameters.quantity import Parameters
+from kneexo.parameters.reference import RampReference, SineReference, StepReference
+
+
+@dataclass(frozen=True)
+class Slider:
+    """Label, range and scale of a number that a user varies."""
+
+    label: str
+    low: float
+    high: float
+    why: str
+    """The reason for the range."""
+    scale: Literal["linear", "log"] = "linear"
+    shown: tuple[str, float] | None = None
+    """A unit for people, and the factor that converts a value to this unit."""
+
+
+_RPM = ("rpm", 1.0 / RPM)
+_MS = ("ms", 1e3)
+_BAR = ("bar", 1e-5)
+_CC_REV = ("cc/rev", 2e6 * math.pi)
+_DECADE = "a factor of about ten around the paper's value"
+_LEAK = "from none to ten times the assumed leakage of the pump"
+
+SLIDERS: Mapping[type[Parameters], Mapping[str, Slider]] = {
+    BldcPumpParameters: {
+        "gear_ratio": Slider("gear ratio", 1.0, 20.0, _DECADE, "log"),
+        "speed_limit_rad_s": Slider(
+            "speed limit of the motor", 1000 * RPM, 15000 * RPM, _DECADE, "log", _RPM
+        ),
+        "lag_s": Slider(
+            "time constant of the motor", 0.002, 0.1, "quick to slow speed loops", "log", _MS
+        ),
+        "acceleration_limit_rad_s2": Slider(
+            "acceleration limit of the motor", 300.0, 1e5, "sluggish to almost unlimited", "log"
+        ),
+        "displacement_m3_per_rad": Slider(
+            "displacement of the pump", 3e-8, 5e-7, "pumps of 0.2 to 3 cc/rev", "log", _CC_REV
+        ),
+        "internal_leakage_m3_per_s_pa": Slider("internal leakage of the pump", 0.0, 2e-12, _LEAK),
+        "external_leakage_m3_per_s_pa": Slider("external leakage of the pump", 0.0, 2e-12, _LEAK),
+    },
+    CylinderParameters: {
+        "mass_kg": Slider("moving mass", 1.2, 2.5, "the bounds of Table 2, widened"),
+        "bulk_modulus_pa": Slider(
+            "bulk modulus of the oil", 2e8, 2.5e9, "oil with air to stiff oil", "log", _BAR
+        ),
+        "damping_n_s_per_m": Slider(
+            "damping of the rod", 0.0, 500.0, "from the paper's value to heavy viscous friction"
+        ),
+        "leakage_m3_per_s_pa": Slider("leakage of the piston", 0.0, 2e-12, _LEAK),
+        "stiffness_n_per_m": Slider(
+            "stiffness on the rod", 0.0, 2000.0, "up to 300 N at the end of the stroke"
+        ),
+    },
+    KneeLoadParameters: {
+        "segment_mass_kg": Slider("mass of the shank", 0.0, 6.0, "none to a heavy leg with shoe"),
+        "centre_of_mass_m": Slider("lever of the shank", 0.05, 0.4, "within a shank"),
+        "knee_torque_n_m": Slider(
+            "torque of the wearer", -15.0, 15.0, "about the weight of a raised shank, both ways"
+        ),
+        "disturbance_n": Slider("force on the rod", -200.0, 200.0, "a fifth of the rated force"),
+    },
+    FullCylinderParameters: {
+        "coulomb_friction_n": Slider("seal friction", 0.0, 60.0, "none to one half above a guess"),
+        "relief_pressure_pa": Slider(
+            "relief pressure", 1.2e6, 7e6, "a third to twice the rating", "log", _BAR
+        ),
+        "dead_volume_m3": Slider(
+            "dead volume", 3e-6, 5e-5, "short to long hoses", "log", ("cm³", 1e6)
+        ),
+        "entrained_air": Slider("entrained air", 0.0, 0.03, "up to twice the common 1.5 %"),
+    },
+    SlidingModeParameters: {
+        "lambda_per_s": Slider("λ, slope of the sliding surface", 2.0, 100.0, _DECADE, "log"),
+        "phi_m_s2": Slider("Φ, boundary layer", 0.1, 100.0, "chattering to sluggish", "log"),
+        "eta_m_s3": Slider("η, reaching rate", 1e3, 1e7, "weak to more than full speed", "log"),
+        "area_uncertainty": Slider("assumed area deviation", 0.0, 0.3, "1/7 covers both chambers"),
+    },
+    PidParameters: {
+        "proportional_per_s": Slider("P gain", 0.5, 100.0, "lazy to unstable", "log"),
+        "integral_per_s2": Slider("I gain", 0.0, 100.0, "none to unstable"),
+        "derivative": Slider("D gain", 0.0, 0.5, "none to unstable"),
+        "filter_s": Slider(
+            "filter of the error", 0.004, 0.1, "two samples to five times the default", "log", _MS
+        ),
+        "velocity_feedforward": Slider("velocity feedforward", 0.0, 1.2, "none to a little much"),
+    },
+    ObserverParameters: {
+        "time_constant_s": Slider(
+            "time constant of the observer", 0.004, 0.1, "two samples to sluggish", "log", _MS
+        ),
+    },
+    EncoderParameters: {
+        "mounting_error_rad": Slider(
+            "mounting error of the encoder",
+            -0.05,
+            0.05,
+            "about 3° both ways",
+            shown=("deg", 180.0 / math.pi),
+        ),
+    },
+    SineReference: {
+        "amplitude_deg": Slider("amplitude", 1.0, 44.0, "within the range of motion"),
+        "frequency_hz": Slider("frequency", 0.02, 5.0, "slow bending to above the limit", "log"),
+        "mean_deg": Slider("mean", 5.0, 85.0, "within the range of motion"),
+        "ramp_s": Slider("time of growth", 0.0, 10.0, "none to a slow start"),
+    },
+    StepReference: {
+        "start_deg": Slider("start", 1.0, 89.0, "within the range of motion"),
+        "end_deg": Slider("end", 1.0, 89.0, "within the range of motion"),
+        "time_s": Slider("time of the step", 0.0, 10.0, "early in a run"),
+    },
+    RampReference: {
+        "start_deg": Slider("start", 1.0, 89.0, "within the range of motion"),
+        "end_deg": Slider("end", 1.0, 89.0, "within the range of motion"),
+        "rate_deg_s": Slider("rate", 1.0, 200.0, "slow bending to far above the limit", "log"),
+        "time_s": Slider("start of the motion", 0.0, 10.0, "early in a run"),
+    },
+}
+"""For each class of parameters, its fields that have a slider, the most important first."""
+
+
+def sliders_of(parameters: Parameters, path: str = "") -> Iterator[tuple[str, Slider]]:
+    """Yield the dotted path and the slider of each number in ``parameters`` that has a slider.
+
+    ``path`` is the path of ``parameters``, with a dot at its end. The range of a slider is extended
+    to the present value, and cut to the range that the field allows. The nominal plant is left out,
+    because it is not what runs.
+    """
+    fields = type(parameters).model_fields
+    for name, slider in SLIDERS.get(type(parameters), {}).items():
+        value = getattr(parameters, name)
+        low, high = limits_of(fields[name])
+        low, high = max(low, min(slider.low, value)), min(high, max(slider.high, value))
+        scale = "linear" if low <= 0.0 else slider.scale
+        yield (
+            f"{path}{name}",
+            Slider(slider.label, low, high, slider.why, scale, slider.shown),
+        )
+    for name in fields:
+        part = getattr(parameters, name)
+        if isinstance(part, Parameters) and name not in ("nominal", "reference"):
+            yield from sliders_of(part, f"{path}{name}.")

@@ -1,0 +1,247 @@
+"""Web models: the modules of a page run as the compiled engine does, wherever a slider stands."""
+
+import base64
+import json
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+
+from kneexo import linkage
+from kneexo.errors import KneexoError
+from kneexo.export.web import START, web_model, web_modules, with_structure
+from kneexo.export.web_code import SHIPPED
+from kneexo.export.web_maps import map_value
+from kneexo.parameters import Scenario, gait_reference
+from kneexo.simulation.compiled import simulate_together
+
+CURVES = ("knee_angle_rad", "motor_speed_command_rad_s", "load_pressure_pa")
+SIGNALS = ("knee_reference", "knee_angle", "motor_speed_command", "load_pressure")
+LEG = Scenario.model_validate(SHIPPED["leg"])
+
+
+@cache
+def model_of(scenario):
+    """The model of a scenario; the tests share it, for it takes a second."""
+    return web_model(scenario)
+
+
+def parameters_of(part, values):
+    """The parameters of a module, as a page computes them."""
+    row = np.array(part["base"])
+    for formula in part["maps"]:
+        row[formula["index"]] = map_value(formula, values)
+    return row
+
+
+def values_of(model, kind):
+    """The present values of all numbers that a user varies."""
+    quantities = [*model["quantities"], *model["references"][kind].get("quantities", ())]
+    return {quantity["name"]: quantity["value"] for quantity in quantities}
+
+
+@pytest.fixture
+def run_on_page(web_run):
+    """``run(model, kind, values, ticks)``: the columns of a run, as a page makes it."""
+    loaded = {}
+
+    def module(modules, key):
+        if key not in loaded:
+            loaded[key] = web_run(base64.b64decode(modules[key]["code"]))
+        return loaded[key], modules[key]["table"]
+
+    def run(model, kind, values, ticks):
+        modules, source = web_modules([model]), model["references"][kind]
+        if kind == "samples":
+            bytes_ = base64.b64decode(source["columns"])
+            reference = np.frombuffer(bytes_).reshape(4, source["ticks"] + 1)[:, : ticks + 1].T
+        else:
+            instance, table = module(modules, source["module"])
+            reference = instance.run(table, ticks=ticks, params=parameters_of(source, values))
+        instance, table = module(modules, model["loop"]["module"])
+        params = parameters_of(model["loop"], values | {START: reference[0, 0]})
+        inputs = np.column_stack([reference, np.zeros(ticks + 1)])[:-1]
+        outputs = instance.run(table, inputs, params=params)
+        columns = dict(zip(table["outputs"], outputs.T, strict=True))
+        return columns | {"knee_reference_rad": reference[:, 0]}
+
+    return run
+
+
+def require_same_curves(run_on_page, scenario, model, changes, duration_s):
+    """The curves of a page are those of the compiled engine by RK4, to 1e-9 of their largest.
+
+    The greatest difference that was measured is 1e-11, by another order of operations.
+    """
+    kind, period = scenario.reference.kind, scenario.controller.sample_time_s
+    changed = scenario.changed({**changes, "simulation.duration_s": duration_s})
+    table = web_modules([model])[model["loop"]["module"]]["table"]
+    step_s = period / table["rk4_steps_per_tick"]
+    (run,) = simulate_together([changed], SIGNALS, "rk4", step_s)
+    assert not isinstance(run, KneexoError), f"{changes}: {run}"
+    values = values_of(model, kind) | changes
+    columns = run_on_page(model, kind, values, round(duration_s / period))
+    for name in ("knee_reference_rad", *CURVES):
+        largest = np.abs(run[name]).max()
+        np.testing.assert_allclose(
+            columns[name], run[name], rtol=0, atol=1e-9 * largest, err_msg=f"{name} with {changes}"
+        )
+
+
+def ends(model, kind):
+    """Changes of one number to an end of its slider, for each end."""
+    for quantity in [*model["quantities"], *model["references"][kind]["quantities"]]:
+        for end in ("low", "high"):
+            yield {quantity["name"]: quantity[end]}
+
+
+def fits_the_motion(changes):
+    sine = {"reference.mean_deg": 40.0, "reference.amplitude_deg": 30.0} | changes
+    mean, amplitude = sine["reference.mean_deg"], sine["reference.amplitude_deg"]
+    return 0.0 <= mean - amplitude < mean + amplitude <= 90.0
+
+
+def test_a_page_runs_the_loop_of_the_engine(run_on_page):
+    model = model_of(Scenario())
+    require_same_curves(run_on_page, Scenario(), model, {}, 0.4)
+    changes = {
+        "plant.pump.gear_ratio": 3.0,
+        "plant.pump.speed_limit_rad_s": 200.0,
+        "controller.lambda_per_s": 12.0,
+        "reference.mean_deg": 30.0,
+        "reference.frequency_hz": 0.7,
+        "encoder.mounting_error_rad": 0.004,
+    }
+    require_same_curves(run_on_page, Scenario(), model, changes, 0.4)
+
+
+STRUCTURES = [
+    with_structure(scenario, controller, load)
+    for scenario, loads in ((Scenario(), ("none", "knee")), (LEG, ("knee",)))
+    for load in loads
+    for controller in ("smc", "pid")
+]
+
+
+def name_of(scenario):
+    order = "reduced" if scenario.plant.full_order is None else "full"
+    return f"{scenario.controller.kind} {scenario.plant.load.kind} {order}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scenario", STRUCTURES, ids=name_of)
+def test_every_slider_gives_the_curves_of_the_engine(scenario, run_on_page):
+    model = model_of(scenario)
+    assert len(model["quantities"]) >= 18
+    for changes in ends(model, "sine"):
+        if fits_the_motion(changes):
+            require_same_curves(run_on_page, scenario, model, changes, 3.0)
+    random = np.random.default_rng(5)
+    for _ in range(10):
+        share = random.uniform(0.35, 0.65, len(model["quantities"]))  # loops that are stable
+        changes = {
+            q["name"]: q["value"] + 0.2 * (part - 0.5) * (q["high"] - q["low"])
+            for part, q in zip(share, model["quantities"], strict=True)
+        }
+        changes = {
+            q["name"]: min(max(changes[q["name"]], q["low"]), q["high"])
+            for q in model["quantities"]
+        }
+        require_same_curves(run_on_page, scenario, model, changes, 3.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["step", "ramp"])
+def test_every_reference_gives_the_curves_of_the_engine(kind, run_on_page):
+    scenario = Scenario().changed({"reference.kind": kind})
+    model = model_of(scenario)
+    for changes in ends(model, kind):
+        require_same_curves(run_on_page, scenario, model, changes, 3.0)
+
+
+@pytest.mark.slow
+def test_a_sampled_reference_is_its_columns(run_on_page):
+    scenario = Scenario(reference=gait_reference(0.2, 1), simulation={"duration_s": 5.0})
+    model = model_of(scenario)
+    assert model["references"]["samples"]["ticks"] == 2500
+    require_same_curves(run_on_page, scenario, model, {}, 1.0)
+
+
+@pytest.mark.slow
+def test_the_start_follows_reference_load_and_lever(run_on_page):
+    # An oracle by the definition of rest: no acceleration, so P_L Ā = F_L + K x.
+    scenario = with_structure(Scenario(), "smc", "knee")
+    model = model_of(scenario)
+    values = values_of(model, "sine") | {
+        "plant.load.segment_mass_kg": 3.3,
+        "plant.load.centre_of_mass_m": 0.31,
+        "plant.load.knee_torque_n_m": 4.0,
+        "plant.cylinder.stiffness_n_per_m": 700.0,
+        "reference.amplitude_deg": 11.0,
+    }
+    columns = run_on_page(model, "sine", values, 1)
+    area = math.pi / 4.0 * (0.020**2 - 0.5 * 0.010**2)
+    first = {name: column[0] for name, column in columns.items()}
+    assert first["knee_angle_rad"] == pytest.approx(math.radians(29.0), abs=1e-12)
+    table = web_modules([model])[model["loop"]["module"]]["table"]
+    extension = first["rod_extension_m"]
+    angle = first["knee_angle_rad"]
+    arm = float(linkage.moment_arm(scenario.plant.linkage, angle))
+    force = (3.3 * 9.81 * 0.31 * math.sin(-angle) + 4.0) / arm + 700.0 * extension
+    assert first["load_pressure_pa"] * area == pytest.approx(force, rel=1e-10)
+    assert table["sample_time_s"] == 0.002
+
+
+@pytest.mark.slow
+def test_a_model_is_json_and_says_what_a_number_is():
+    model = json.loads(json.dumps(model_of(LEG), allow_nan=False))
+    gear = model["quantities"][0]
+    assert gear["name"] == "plant.pump.gear_ratio"
+    assert (gear["value"], gear["unit"], gear["scale"]) == (6.0, "1", "log")
+    assert gear["low"] < 6.0 < gear["high"]
+    assert "Section 5: 6:1" in gear["source"]
+    for quantity in model["quantities"]:
+        assert quantity["low"] <= quantity["value"] <= quantity["high"]
+    assert (model["controller"], model["load"]) == ("smc", "knee")
+
+
+@pytest.mark.slow
+def test_the_limits_follow_the_sliders():
+    limits = model_of(LEG)["limits"]
+    rpm = 2.0 * math.pi / 60.0
+    speed = {"plant.pump.speed_limit_rad_s": 2000.7 * rpm}
+    # The bus of the leg rounds to whole revolutions per minute.
+    command = map_value(limits["command_limit_rad_s"], speed)
+    assert command == pytest.approx(2000.0 * rpm, rel=1e-14)
+    assert map_value(limits["motor_speed_limit_rad_s"], speed) == pytest.approx(2000 * rpm)
+    assert limits["pressure_rating_pa"] == 3.5e6
+    assert limits["power_rating_w"] == 200.0
+    assert limits["knee_high_rad"] == math.radians(90.0)
+    relief = {"plant.full_order.relief_pressure_pa": 2.2e6}
+    assert map_value(limits["relief_pressure_pa"], relief) == 2.2e6
+
+
+def test_the_limits_of_the_reduced_order():
+    limits = model_of(Scenario())["limits"]
+    assert limits["relief_pressure_pa"] is None
+    fast = {"plant.pump.speed_limit_rad_s": 1000.0}
+    # The controller's own limit is 5000 rpm.
+    assert map_value(limits["command_limit_rad_s"], fast) == pytest.approx(5000.0 * math.pi / 30.0)
+    assert map_value(limits["command_limit_rad_s"], dict.fromkeys(fast, 100.0)) == 100.0
+    # The counts over the range of motion add up to the range of θ_4.
+    count = limits["encoder_count_knee_deg"]
+    assert (count["low_deg"], count["high_deg"], len(count["values"])) == (0.0, 90.0, 91)
+    counts = np.trapezoid(1.0 / np.array(count["values"]), np.linspace(0.0, 90.0, 91))
+    first, last = linkage.encoder_angle(Scenario().plant.linkage, np.radians([0.0, 90.0]))
+    assert counts == pytest.approx(abs(last - first) / (2.0 * math.pi / 4096.0), rel=1e-3)
+
+
+def test_the_other_structure_has_its_defaults_and_the_rest_stays():
+    scenario = Scenario().changed({"plant.pump.gear_ratio": 4.0, "controller.lambda_per_s": 9.0})
+    other = with_structure(scenario, "pid", "knee")
+    assert (other.controller.kind, other.plant.load.kind) == ("pid", "knee")
+    assert other.plant.pump.gear_ratio == 4.0
+    assert with_structure(scenario, "smc", "none") == scenario
+    back = with_structure(other, "smc", "none")
+    assert back == scenario.changed({"controller.lambda_per_s": 20.0})

@@ -1,0 +1,113 @@
+"""The modules that come with the package are those of the present code."""
+
+import base64
+import json
+import math
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import kneexo
+from kneexo.compiler.c import cross
+from kneexo.errors import CompilationError, ParameterError
+from kneexo.export import web_code
+from kneexo.export.web_code import (
+    loop_source,
+    module_key,
+    module_of,
+    modules,
+    reference_source,
+    shipped_sources,
+    write_shipped,
+)
+from kneexo.parameters import Scenario
+
+FOLDER = Path(kneexo.__file__).parent / "data" / "web"
+
+
+def listed():
+    return json.loads((FOLDER / "modules.json").read_text())
+
+
+def test_the_shipped_modules_are_small_and_those_of_the_list():
+    files = {file.stem: file.stat().st_size for file in FOLDER.glob("*.wasm")}
+    assert set(files) == set(listed()["modules"])
+    assert sum(files.values()) < 500_000
+
+
+def test_the_key_of_the_default_loop_is_shipped_whatever_its_numbers():
+    changed = Scenario().changed(
+        {
+            "plant.pump.gear_ratio": 3.5,
+            "plant.linkage": "G3",
+            "plant.cylinder.bulk_modulus_pa": 3e9,
+            "reference.kind": "ramp",
+            "controller.phi_m_s2": 1.0,
+        }
+    )
+    key = module_key(loop_source(Scenario()))
+    assert listed()["modules"][key] == "paper, smc, with quantizers"
+    assert module_key(loop_source(changed)) == key
+    smooth = module_key(loop_source(changed, smooth=True))
+    assert listed()["modules"][smooth] == "paper, smc, without quantizers"
+    wave = Scenario().changed(
+        {"plant.load.kind": "knee", "plant.load.disturbance_amplitude_n": 5.0}
+    )
+    assert (
+        listed()["modules"][module_key(loop_source(wave))]
+        == "paper with load, smc, with quantizers"
+    )
+    assert (
+        module_key(loop_source(Scenario().changed({"encoder.counts_per_revolution": 512}))) != key
+    )
+
+
+@pytest.mark.slow
+def test_every_shipped_module_has_the_key_of_its_source():
+    assert {module_key(source): name for name, source in shipped_sources()} == listed()["modules"]
+
+
+@pytest.mark.slow
+def test_the_shipped_modules_are_those_that_zig_makes(tmp_path):
+    if find_spec("ziglang") is None or version("ziglang") != listed()["zig"]:
+        pytest.skip(f"needs Zig: pip install ziglang=={listed()['zig']}")
+    write_shipped(tmp_path)
+    for file in FOLDER.iterdir():
+        assert (tmp_path / file.name).read_bytes() == file.read_bytes(), file.name
+    assert {file.name for file in tmp_path.iterdir()} == {file.name for file in FOLDER.iterdir()}
+
+
+def test_a_structure_that_is_not_shipped_needs_zig(monkeypatch):
+    monkeypatch.setattr(cross, "find_spec", lambda name: None)
+    monkeypatch.setattr(web_code, "modules", {})
+    with pytest.raises(CompilationError, match=r"Zig is not installed; pip install ziglang$"):
+        module_of(reference_source("sine", 0.003))
+    key = module_of(reference_source("sine", 0.002))
+    assert "defaults" not in web_code.modules[key]["table"]
+
+
+def test_a_law_in_python_has_no_module():
+    scenario = Scenario().with_law(lambda knee_angle, knee_reference: str(knee_angle))
+    with pytest.raises(ParameterError, match="has no web module, because it is called as Python"):
+        loop_source(scenario)
+
+
+def test_a_reference_module_follows_its_formula(web_run):
+    key = module_of(reference_source("sine", 0.002))
+    table = modules[key]["table"]
+    assert table["params"] == [
+        f"sine.{n}" for n in ("mean_rad", "amplitude_rad", "frequency_hz", "ramp_s")
+    ]
+    run = web_run(base64.b64decode(modules[key]["code"]))
+    columns = run.run(table, ticks=500, params=[0.7, 0.2, 1.5, 0.0])
+    w, t = 2.0 * math.pi * 1.5, 0.002 * np.arange(501)
+    expected = [
+        0.7 - 0.2 * np.cos(w * t),
+        0.2 * w * np.sin(w * t),
+        0.2 * w**2 * np.cos(w * t),
+        -0.2 * w**3 * np.sin(w * t),
+    ]
+    np.testing.assert_allclose(columns.T, expected, rtol=0, atol=1e-12 * w**3)

@@ -1,0 +1,55 @@
+"""Sliders: their ranges lie within those of the fields, and contain the present value."""
+
+import math
+
+import pytest
+
+from kneexo.parameters import PlantParameters, Scenario
+from kneexo.parameters.fields import limits_of
+from kneexo.parameters.paths import value_at
+from kneexo.parameters.presets import PRESETS
+from kneexo.parameters.sliders import SLIDERS, sliders_of
+
+
+@pytest.mark.parametrize("kind", SLIDERS, ids=lambda kind: kind.__name__)
+def test_a_slider_belongs_to_a_field_and_lies_within_its_range(kind):
+    for name, slider in SLIDERS[kind].items():
+        field = kind.model_fields[name]
+        low, high = limits_of(field)
+        assert low <= slider.low < slider.high <= high, name
+        assert slider.low <= field.default <= slider.high, name
+        assert slider.low > 0.0 or slider.scale == "linear", name
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_the_ends_of_a_slider_are_accepted(preset):
+    scenario = Scenario.model_validate(PRESETS[preset].values)
+    for path, slider in sliders_of(scenario):
+        for end in (slider.low, slider.high):
+            assert value_at(scenario.changed({path: end}), path) == end
+
+
+def test_a_slider_is_extended_to_the_present_value():
+    scenario = Scenario().changed({"plant.pump.gear_ratio": 50.0})
+    sliders = dict(sliders_of(scenario))
+    assert (sliders["plant.pump.gear_ratio"].low, sliders["plant.pump.gear_ratio"].high) == (1, 50)
+    scenario = Scenario().changed({"encoder.mounting_error_rad": -0.1})
+    assert dict(sliders_of(scenario))["encoder.mounting_error_rad"].low == -0.1
+
+
+def test_the_nominal_plant_has_no_sliders():
+    both = Scenario(nominal=PlantParameters())
+    assert [path for path, _ in sliders_of(both)] == [path for path, _ in sliders_of(Scenario())]
+
+
+def test_units_for_people():
+    sliders = dict(sliders_of(Scenario()))
+    unit, factor = sliders["plant.pump.speed_limit_rad_s"].shown
+    assert (unit, 2.0 * math.pi * factor) == ("rpm", pytest.approx(60.0))
+    unit, factor = sliders["plant.pump.displacement_m3_per_rad"].shown
+    value = Scenario().plant.pump.displacement_m3_per_rad
+    assert (unit, factor * value) == ("cc/rev", pytest.approx(0.8))  # Table 2
+    unit, factor = sliders["plant.cylinder.bulk_modulus_pa"].shown
+    assert (unit, factor * 17_200e5) == ("bar", pytest.approx(17_200.0))
+    unit, factor = sliders["encoder.mounting_error_rad"].shown
+    assert (unit, factor * math.pi) == ("deg", pytest.approx(180.0))
