@@ -54,6 +54,7 @@ def view_page(legs: Sequence[Leg], most_frames: int = MOST_FRAMES) -> str:
     cut = f"The page shows the first {end_s:.4g} of {last_s:.4g} s. " if end_s < last_s else ""
     body = f"""{MARK}
 <main>
+<h1>The knee in motion</h1>
 <div id="stage"></div>
 <noscript>The view needs JavaScript.</noscript>
 <p class="stage-note">{cut}Joints, pins, cylinder and rod have the places and lengths of the

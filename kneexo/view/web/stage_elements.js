@@ -164,12 +164,13 @@ const StageElements = (() => {
       };
     }
 
-    _size() {
-      return { width: Math.max(this.element.clientWidth, 240), height: 180 };
+    _size(width = this.element.clientWidth) {
+      return { width: Math.max(width, 240), height: 180 };
     }
 
-    resize() {
-      this.plot?.setSize(this._size());
+    /** Fit the curve to its element, or to a width in CSS pixels. */
+    resize(width) {
+      this.plot?.setSize(this._size(width));
     }
 
     move() {
