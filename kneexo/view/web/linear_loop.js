@@ -4,7 +4,7 @@
 
 const LinearLoop = (() => {
   const STEP = 1e-6; // largest relative step of the central differences
-  const COMMAND_STEP_RAD_S = 1e-3; // change of the command that a step of a state makes at most
+  const CONTROLLER_STEP = 1e-3; // largest change of the controller's states, such as rad/s, by a step
   const PERTURBATION_STEP_RAD_S = 1e-2;
   const NEWTON_STEPS = 50;
   const NO_FACTOR = 1e-6; // a smaller gain margin is the rounding error of a pole at frequency zero
@@ -166,13 +166,18 @@ const LinearLoop = (() => {
     return columns[0].map((_, i) => column(columns, i));
   }
 
-  // Steps that exceed rounding errors. The slopes of the command limit them, because the command
-  // is the product of two variables with a kink, so that its curvature is infinite at rest.
-  function stepsAt(point, slopes) {
+  // Steps that exceed rounding errors. ``slopes`` are those of the controller's states and command.
+  // They limit the steps, because the law multiplies two variables with a kink at rest. The first
+  // states, as many as ``continuous``, and the reference have a further limit.
+  function stepsAt(point, continuous, slopes) {
     return point.map((value, j) => {
+      const last = point.length - 1;
+      if (j === last) return PERTURBATION_STEP_RAD_S;
       const step = STEP * (1 + Math.abs(value));
-      if (j === point.length - 1) return PERTURBATION_STEP_RAD_S;
-      return slopes ? Math.min(step, COMMAND_STEP_RAD_S / Math.abs(slopes[j])) : 0.1 * step;
+      if (!slopes) return 0.1 * step;
+      const steepest = Math.max(...column(slopes, j).map(Math.abs));
+      const discrete = j >= continuous && j < last - REFERENCE_SIZE;
+      return CONTROLLER_STEP / Math.max(steepest, discrete ? 1 : CONTROLLER_STEP / step);
     });
   }
 
@@ -181,7 +186,7 @@ const LinearLoop = (() => {
     let point = start;
     for (let k = 0; k < NEWTON_STEPS; k++) {
       const change = map.step(point).slice(0, map.n).map((value, i) => value - point[i]);
-      const slope = jacobian(map, point, stepsAt(point)).slice(0, map.n);
+      const slope = jacobian(map, point, stepsAt(point, 0)).slice(0, map.n);
       const square = slope.map((row, i) => row.slice(0, map.n).map((v, j) => v - (i === j ? 1 : 0)));
       const step = solve(square, change);
       if (!step.every(Number.isFinite)) return null;
@@ -195,8 +200,8 @@ const LinearLoop = (() => {
   // Numbers of the loop broken at the command: the loop's own matrices and those that open it.
   function matricesOf(map, point, continuous) {
     const { n } = map;
-    const slopes = jacobian(map, point, stepsAt(point))[n]; // of the command
-    const slope = jacobian(map, point, stepsAt(point, slopes));
+    const slopes = jacobian(map, point, stepsAt(point, continuous)).slice(continuous, n + 1);
+    const slope = jacobian(map, point, stepsAt(point, continuous, slopes));
     // A discrete state that never changes, such as the integral of a PID without integral action,
     // is no state of the loop.
     const still = (row, i) => row.every((v, j) => Math.abs(v - (i === j ? 1 : 0)) < 1e-7);

@@ -22,6 +22,7 @@ def parameters_of(worker, *maps):
         ("least", {"limit": 100.0, "factors": [2.0, 10.0]}, 2.0 * 1.7),
         ("least", {"limit": 1.0, "factors": [2.0, 10.0]}, 1.0),
         ("least", {"limit": None, "factors": [5.0, 10.0]}, 10.0 * 0.4),
+        ("least", {"limit": None, "factors": [5.0, 10.0], "unit": 0.3}, 3.9),
     ],
 )
 def test_a_map_sets_its_parameter_alone(worker, kind, numbers, value):
