@@ -113,7 +113,7 @@ const Simulator = (() => {
 
   // ---------------------------------------------------------------------------- parameters
 
-  // The value of a map at the values of its quantities, as kneexo/export/web.py describes it.
+  // The value of a map at the values of its quantities, as map_value in kneexo/export/web_maps.py.
   const KINDS = {
     affine: (map, q) => q.reduce((sum, value, i) => sum + map.factors[i] * value, map.offset),
     power: (map, q) => q.reduce((value, x, i) => value * x ** map.exponents[i], map.factor),
@@ -146,7 +146,7 @@ const Simulator = (() => {
       if (!Number.isFinite(values[name])) throw new Error(`${name} has no value`);
       return values[name];
     });
-    return KINDS[map.kind](map, at);
+    return Math.max(KINDS[map.kind](map, at), map.at_least ?? -Infinity);
   }
 
   // The parameters of a module: its base, changed by the maps.
