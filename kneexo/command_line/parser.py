@@ -11,6 +11,7 @@ from kneexo.command_line import arguments
 from kneexo.command_line.export import add_exports
 from kneexo.command_line.new import add_new
 from kneexo.command_line.outcome import Outcome, Request
+from kneexo.command_line.play import add_play
 from kneexo.command_line.replay import add_replay
 from kneexo.command_line.single_runs import add_single_runs
 from kneexo.command_line.studies import add_studies
@@ -28,6 +29,7 @@ examples:
   kneexo reproduce --out results       every figure and number of the paper
   kneexo simulate --out run            the paper's default scenario
   kneexo simulate my.yaml --out run    a scenario of your own
+  kneexo play --out knee.html --open   sliders and curves in the browser
   kneexo new my.yaml                   a short scenario file to change
   kneexo linearize --out margins       stability margins of the sampled loop
   kneexo study bandwidth --out speed   frequency response, small to large signal
@@ -126,6 +128,7 @@ def _parser() -> argparse.ArgumentParser:
     add_single_runs(subparsers)
     add_studies(subparsers, studies)
     add_replay(subparsers)
+    add_play(subparsers)
     add_view(subparsers)
     add_exports(subparsers)
     _add_completion(add_utilities(subparsers))

@@ -10,7 +10,6 @@ const Stage = (() => {
   const LONGEST_FRAME_MS = 45;
   const LEAST_SHARPNESS = 0.5;
   const MANY_LEGS = 3;
-  const PAPER_PX = 600;
 
   const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
@@ -133,11 +132,7 @@ const Stage = (() => {
         this._trace?.resize();
         this._update();
       }).observe(this.element);
-      window.addEventListener("beforeprint", () => {
-        this._trace?.resize(PAPER_PX);
-        this._draw(true);
-      });
-      window.addEventListener("afterprint", () => this._trace?.resize());
+      window.addEventListener("beforeprint", () => this._draw(true));
     }
 
     /** Draw a new frame soon. */

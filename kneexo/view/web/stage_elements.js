@@ -164,13 +164,12 @@ const StageElements = (() => {
       };
     }
 
-    _size(width = this.element.clientWidth) {
-      return { width: Math.max(width, 240), height: 180 };
+    _size() {
+      return { width: Math.max(this.element.clientWidth, 240), height: 180 };
     }
 
-    /** Fit the curve to its element, or to a width in CSS pixels. */
-    resize(width) {
-      this.plot?.setSize(this._size(width));
+    resize() {
+      this.plot?.setSize(this._size());
     }
 
     move() {

@@ -1,0 +1,92 @@
+"""The command ``play``, which writes a page to play with the closed loop."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from kneexo.command_line import arguments
+from kneexo.command_line.arguments import ScenarioChoice
+from kneexo.command_line.outcome import Outcome, named_in_errors
+from kneexo.command_line.view import run_names
+from kneexo.errors import shown
+from kneexo.studies.catalogue import PAPER
+from kneexo.version import __version__
+
+
+def add_play(subparsers: Any) -> None:
+    """Add the command ``play`` to the parser."""
+    parser = arguments.add_command(
+        subparsers,
+        "play",
+        play,
+        "make a page to play with: sliders, curves and the moving leg in the browser",
+        "The page is one file that any browser opens, without network. The closed loop runs in the "
+        "browser, so each value that changes shows its effect at once. Two scenarios are compared.",
+        duration_s=3.0,
+        file=arguments.out,
+    )
+    parser.add_argument(
+        "scenarios",
+        nargs="*",
+        metavar="SCENARIO.yaml",
+        help=f"scenario files, of which the page compares two at a time; left out: {PAPER}",
+    )
+    arguments.add_preset(parser)
+    arguments.add_values(parser)
+    parser.add_argument(
+        "--compare",
+        metavar="NAME",
+        help="preset that the page also has, unchanged, for a comparison: paper, bench or leg",
+    )
+    parser.add_argument(
+        "--out",
+        metavar="FILE.html",
+        type=arguments.place,
+        required=True,
+        help="the page; replaces a page of an earlier play",
+    )
+    parser.add_argument(
+        "--open", dest="browser", action="store_true", help="show the page in this system's browser"
+    )
+
+
+def play(
+    scenarios: Sequence[str],
+    values: Sequence[str],
+    out: Path,
+    browser: bool,
+    preset: str | None = None,
+    compare: str | None = None,
+) -> Outcome:
+    """Return an HTML page on which the closed loops of scenarios run and can be changed.
+
+    ``values`` (each NAME=VALUE) change every scenario, which starts from ``preset`` if it is given.
+    Without files the page has the preset, by default the paper's setup. ``compare`` is the name of
+    a preset that the page has too. If ``browser`` is True, the
+    browser opens the page.
+    """
+    from kneexo.command_line.output import to_json
+    from kneexo.parameters import Scenario
+    from kneexo.view.playground import playground_page, require_count, require_page
+
+    require_page(out)
+    require_count(len(scenarios or (None,)) + (compare is not None))
+    names = run_names(scenarios, preset)
+    loaded = []
+    for path in scenarios or (None,):
+        with named_in_errors(path):
+            loaded.append(ScenarioChoice(path, values, preset=preset).load())
+    if compare is not None:
+        names.append(f"preset {compare}")
+        loaded.append(Scenario.preset(compare))
+    with named_in_errors(scenarios[0] if len(scenarios) == 1 else None):
+        page = playground_page(loaded, names)
+    size_mb = len(page.encode()) / 1e6
+    return Outcome(
+        f"{shown(out)} ({size_mb:.1f} MB): {', '.join(map(shown, names))}; open it in a browser\n",
+        to_json({"kneexo": __version__, "page": str(out), "scenarios": names}),
+        page=page,
+        open_in_browser=browser,
+    )

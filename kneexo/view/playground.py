@@ -1,0 +1,236 @@
+"""Makes the page to play with: a scenario's closed loop that runs in the browser."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from kneexo.errors import KneexoError, OutputError, ParameterError, shown
+from kneexo.export.web import web_model, web_modules, with_structure
+from kneexo.files.writing import require_mark
+from kneexo.parameters import Scenario
+from kneexo.parameters.fields import kind_of
+from kneexo.parameters.law import Law
+from kneexo.parameters.quantity import Parameters
+from kneexo.version import __version__
+from kneexo.view.stage import STAGE_SCRIPTS, STAGE_STYLES, stage_leg
+from kneexo.view.web_page import self_contained_page, web_text
+
+MARK = "<!-- made by kneexo play -->"
+"""A comment in each page. No command replaces a file without this comment."""
+
+MOST_SCENARIOS = 8
+"""Largest number of scenarios of a page. A page of eight structures has about 4 MB."""
+
+LONGEST_RUN_S = 60.0
+"""Longest run of a page in s. A page shows the first part of a longer scenario."""
+
+_SHORTEST_RUN_S = 0.5
+
+_SCRIPTS = (
+    "playground_setups.js",
+    "playground_curves.js",
+    "playground_bode.js",
+    "playground_controls.js",
+    "playground_numbers.js",
+    "playground_tour.js",
+    "playground_runner.js",
+    "playground.js",
+)
+
+_WORKER = ("simulator.js", "linear_loop.js", "sine_sweep.js", "worker.js")
+
+_CONTROLLERS, _LOADS = ("smc", "pid"), ("none", "knee")
+"""Kinds of controller and load between which switches of the page choose."""
+
+_GROUPS = (
+    (
+        "Task",
+        ("reference.", "simulation."),
+        (
+            "amplitude_deg",
+            "reference.frequency_hz",
+            "mean_deg",
+            "start_deg",
+            "end_deg",
+            "rate_deg_s",
+        ),
+    ),
+    (
+        "Controller",
+        ("controller.", "estimator.", "encoder.", "nominal.", "polynomial.", "bus."),
+        (
+            "controller.lambda_per_s",
+            "controller.phi_m_s2",
+            "proportional_per_s",
+            "integral_per_s2",
+            "controller.derivative",
+        ),
+    ),
+    (
+        "Motor and pump",
+        ("plant.pump.",),
+        ("plant.pump.gear_ratio", "plant.pump.speed_limit_rad_s", "plant.pump.lag_s"),
+    ),
+    (
+        "Oil and cylinder",
+        ("plant.cylinder.", "plant.full_order."),
+        (
+            "plant.cylinder.mass_kg",
+            "cylinder.bulk_modulus_pa",
+            "cylinder.leakage_m3_per_s_pa",
+            "coulomb_friction_n",
+        ),
+    ),
+    (
+        "Leg",
+        ("plant.load.", "plant.knee.", "plant.linkage."),
+        ("segment_mass_kg", "centre_of_mass_m"),
+    ),
+)
+"""Groups of sliders: title, prefixes of names, and ends of the names that stand first."""
+
+
+def playground_page(scenarios: Sequence[Scenario], names: Sequence[str]) -> str:
+    """Return one HTML page on which the closed loops of ``scenarios`` run and can be changed.
+
+    ``names`` are the names of the scenarios on the page. Two scenarios are compared when the page
+    opens. A single scenario is compared with its other controller when the user asks for it.
+
+    Raises `ParameterError` for no scenario or more than `MOST_SCENARIOS`, and the errors of
+    `web_model`.
+    """
+    require_count(len(scenarios))
+    data = playground_data(scenarios, names)
+    styles = (*STAGE_STYLES, "playground.css")
+    scripts = (*STAGE_SCRIPTS, *_SCRIPTS)
+    return self_contained_page(
+        f"kneexo: {', '.join(names)}",
+        f"{MARK}\n{web_text('playground.html')}",
+        [web_text(name) for name in styles],
+        [web_text(name) for name in scripts],
+        {"playground": data},
+        worker="\n".join(web_text(name) for name in _WORKER),
+        wasm=True,
+    )
+
+
+def require_count(count: int) -> None:
+    """Raise `ParameterError` unless a page can have ``count`` scenarios."""
+    if not 1 <= count <= MOST_SCENARIOS:
+        raise ParameterError(
+            f"{count} scenarios: a page has at least 1 and at most {MOST_SCENARIOS}"
+        )
+
+
+def require_page(path: Path) -> None:
+    """Raise `OutputError` if a file exists without `MARK`, or if the name lacks .html."""
+    require_mark(path, MARK, "page of kneexo play")
+    if path.suffix not in (".html", ".htm"):
+        raise OutputError(f"{shown(path)}: the name of a page must end in .html")
+
+
+def playground_data(scenarios: Sequence[Scenario], names: Sequence[str]) -> dict[str, Any]:
+    """Return the data of a page: modules, models, legs, groups of sliders, and both set-ups."""
+    entries = [_entry(scenario, name) for scenario, name in zip(scenarios, names, strict=True)]
+    models = [model for entry in entries for model in entry["models"]]
+    first = {"scenario": 0, **entries[0]["start"], "values": {}}
+    if len(entries) > 1:
+        second = {"scenario": 1, **entries[1]["start"], "values": {}}
+    else:
+        second = first | _other_controller(entries[0]["models"], first)
+    return {
+        "kneexo": __version__,
+        "modules": web_modules(models),
+        "scenarios": entries,
+        "setups": [first, second],
+        "compare": len(entries) > 1,
+        "groups": [
+            {"title": title, "prefixes": list(prefixes), "main": list(main)}
+            for title, prefixes, main in _GROUPS
+        ],
+        "duration": {
+            "name": "simulation.duration_s",
+            "label": "duration of the run",
+            "shown_unit": "s",
+            "shown_factor": 1.0,
+            "low": _SHORTEST_RUN_S,
+            "high": LONGEST_RUN_S,
+            "scale": "linear",
+            "source": "",
+            "help": "",
+        },
+    }
+
+
+def _entry(scenario: Scenario, name: str) -> dict[str, Any]:
+    """Return a scenario's part of the data: its models, its leg, and the choices of its switches.
+
+    The first model is that of the scenario. The models of other controllers and loads follow, if
+    they can be made.
+    """
+    own = _model(scenario)
+    models = [own, *_variants(scenario, own)]
+    knee, limits = scenario.plant.knee, own["limits"]
+    return {
+        "name": name,
+        "models": models,
+        "duration_s": min(max(scenario.duration_s, _SHORTEST_RUN_S), LONGEST_RUN_S),
+        "start": {
+            "controller": own["controller"],
+            "load": own["load"],
+            "reference": scenario.reference.kind,
+        },
+        "leg": stage_leg(
+            name,
+            scenario.plant.linkage,
+            limits["knee_low_rad"] - math.radians(knee.overshoot_deg),
+            limits["knee_high_rad"] + math.radians(knee.overshoot_deg),
+            scenario.plant.cylinder.pressure_rating_pa,
+        ),
+    }
+
+
+def _model(scenario: Scenario) -> dict[str, Any]:
+    return {**web_model(scenario), "scenario": _differences(scenario)}
+
+
+def _variants(scenario: Scenario, own: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield the models of the other combinations of controller and load."""
+    for controller in dict.fromkeys((own["controller"], *_CONTROLLERS)):
+        for load in dict.fromkeys((own["load"], *_LOADS)):
+            if (controller, load) == (own["controller"], own["load"]):
+                continue
+            # A machine without Zig has the modules of the most common structures only.
+            with suppress(KneexoError):
+                yield _model(with_structure(scenario, controller, load))
+
+
+def _other_controller(models: list[dict[str, Any]], first: dict[str, Any]) -> dict[str, Any]:
+    """Return the controller of set-up B of a page with one scenario."""
+    others = [
+        model["controller"]
+        for model in models
+        if model["load"] == first["load"] and model["controller"] != first["controller"]
+    ]
+    return {"controller": others[0]} if others else {}
+
+
+def _differences(parameters: Parameters) -> dict[str, Any]:
+    """Return the values of ``parameters`` that differ from the defaults, as in a scenario file."""
+    result: dict[str, Any] = {}
+    for name, field in type(parameters).model_fields.items():
+        value = getattr(parameters, name)
+        if name == "kind" or (not field.is_required() and value == field.default):
+            continue
+        if isinstance(value, Parameters):
+            kind = kind_of(type(value))
+            result[name] = ({} if kind is None else {"kind": kind}) | _differences(value)
+        elif isinstance(value, Law):
+            result[name] = str(value)
+        else:
+            result[name] = list(value) if isinstance(value, tuple) else value
+    return result

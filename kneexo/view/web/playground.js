@@ -1,0 +1,371 @@
+// The page to play with: joins controls, simulator, curves, numbers and the leg.
+"use strict";
+
+const Page = (() => {
+  const { element } = Curves;
+  const SWEEP_HZ = Array.from({ length: 17 }, (_, i) => Number((0.05 * 10 ** (i / 7)).toPrecision(3)));
+  const REST_MS = 350; // margins and sweep start when the values have not changed for this time
+  const PAPER_PX = 680; // width of the curves on A4 and letter
+  const ANNOUNCE_MS = 1500;
+  const data = JSON.parse(document.getElementById("playground").textContent);
+  const state = Setups.stateOf(data, location.hash);
+  const results = [{}, {}];
+  const byId = (id) => document.getElementById(id);
+  const parts = { latest: [null, null] };
+  let drawing = false;
+  let announcing = 0;
+
+  const calm = () => matchMedia("(prefers-reduced-motion: reduce)").matches;
+  const shownSetups = () => (state.compare ? [0, 1] : [0]);
+
+  // ------------------------------------------------------------------------- requests
+
+  function requestOf(setup) {
+    const model = Setups.modelOf(data, setup);
+    const values = Setups.valuesOf(data, setup);
+    return { model: model.key, reference: setup.reference, values, duration_s: values[data.duration.name] };
+  }
+
+  function change(index) {
+    const setup = state.setups[index];
+    const fault = Setups.faultOf(data, setup);
+    complain(fault && `${state.compare ? `Set-up ${"AB"[index]}: ` : ""}${fault}`);
+    if (fault || !shownSetups().includes(index)) return;
+    const request = requestOf(setup);
+    parts.latest[index] = request;
+    results[index].fresh = false;
+    parts.runs.request(index, request);
+    const sweep = { ...requestOf({ ...setup, reference: "sine" }), frequencies: SWEEP_HZ };
+    parts.analyses.request(index, { linear: request, sweep });
+  }
+
+  function onRun(index, answer, request) {
+    if (answer.error) {
+      complain(answer.error);
+      return;
+    }
+    const setup = state.setups[index];
+    results[index] = {
+      ...results[index], fresh: parts.latest[index] === request, run: { ...answer, duration_s: request.duration_s },
+      frequency: request.reference === "sine" ? request.values["reference.frequency_hz"] : null,
+      sample_time_s: data.modules[Setups.modelOf(data, setup).loop.module].table.sample_time_s,
+      reference_key: JSON.stringify([request.reference, Object.entries(request.values).filter(([name]) => name.startsWith("reference."))]),
+    };
+    draw();
+  }
+
+  const handlers = {
+    onStart(index) {
+      delete results[index].linear;
+      delete results[index].sweep;
+      parts.bode.clear(index, SWEEP_HZ);
+      draw();
+    },
+    onLinear(index, answer) {
+      results[index].linear = answer;
+      draw();
+    },
+    onPoint(index, point) { parts.bode.add(index, point); },
+    onSweep(index, answer) {
+      results[index].sweep = answer;
+      parts.bode.setMinus3db(index, results[index].sweep.minus_3_db_hz);
+      draw();
+    },
+  };
+
+  // -------------------------------------------------------------------------- drawing
+
+  /** Draw at the next frame; many results within a frame are drawn once. */
+  function draw() {
+    if (drawing) return;
+    drawing = true;
+    requestAnimationFrame(() => {
+      drawing = false;
+      drawNow();
+    });
+  }
+
+  function drawNow() {
+    const visible = shownSetups().map((index) => results[index]);
+    if (visible.every((result) => result.run)) {
+      const runs = visible.map(({ run }) => run);
+      if (runs[1]) runs[1].same_reference = visible[0].reference_key === visible[1].reference_key;
+      if (runs.some((run, index) => parts.drawn?.[index] !== run) || parts.drawn.length !== runs.length) {
+        parts.plots.show(runs);
+        runs.forEach((run, index) => showOnStage(index, run));
+        parts.drawn = runs;
+      }
+      parts.board.show(visible);
+      tellEnds(runs);
+      announce(visible);
+    }
+    caption();
+    parts.guide.tell();
+  }
+
+  function showOnStage(index, { time, columns }) {
+    const { angle, reference, pressure } = columns;
+    parts.stage.setRun(index, { time, angle, reference, pressure });
+    parts.stage.setName(index, nameOf(index));
+  }
+
+  function nameOf(index) {
+    const setup = state.setups[index];
+    const controller = Setups.CONTROLLER_NAMES[setup.controller] ?? setup.controller;
+    const scenario = data.scenarios.length > 1 ? `${data.scenarios[setup.scenario].name}, ` : "";
+    return `${state.compare ? `${"AB"[index]}: ` : ""}${scenario}${controller}`;
+  }
+
+  function tellEnds(runs) {
+    const ends = runs.flatMap((run, index) => (run.end
+      ? [`${runs.length > 1 ? `${"AB"[index]}: ` : ""}The run ended at ${Setups.shown(run.end.time_s)} s: ${run.end.reason}`] : []));
+    const faults = shownSetups().map((index) => Setups.faultOf(data, state.setups[index])).filter(Boolean);
+    complain([...faults, ...ends].join(" "));
+  }
+
+  function complain(text) {
+    const notice = byId("notice");
+    if (notice.textContent !== (text || "")) notice.textContent = text || "";
+    notice.hidden = !text;
+  }
+
+  function announce(visible) {
+    clearTimeout(announcing);
+    announcing = setTimeout(() => { byId("live").textContent = Numbers.sentence(visible); }, ANNOUNCE_MS);
+  }
+
+  function caption() {
+    const sines = shownSetups().map((index) => sineOf(state.setups[index]));
+    const same = new Set(sines).size === 1;
+    const lines = same ? sines.slice(0, 1) : sines.map((text, index) => `${"AB"[index]}: ${text}`);
+    const text = `${lines.join(" ")} Filled mark: the motor reaches its limit at this frequency. Open mark: it does not.`;
+    if (byId("bode-caption").textContent !== text) byId("bode-caption").textContent = text;
+    byId("key").replaceChildren(...key());
+  }
+
+  /** The sines of a set-up's sweep in words. */
+  function sineOf(setup) {
+    const sine = { ...setup, reference: "sine" };
+    const values = Setups.valuesOf(data, sine);
+    const [amplitude, mean] = ["amplitude_deg", "mean_deg"].map((name) => Setups.shown(values[`reference.${name}`]));
+    return `Sines of ±${amplitude}° about ${mean}°.`;
+  }
+
+  function key() {
+    const items = shownSetups().map((index) => {
+      const letter = "ab"[index];
+      return element("li", { class: `of-${letter}` }, nameOf(index));
+    });
+    return [...items, element("li", { class: "of-reference" }, "reference"), element("li", { class: "of-limit" }, "limit of the command")];
+  }
+
+  // ---------------------------------------------------------------------------- parts
+
+  /** The stage for the legs that are compared. A stage is made once for each choice of legs. */
+  function chooseStage() {
+    const legs = shownSetups().map((index) => state.setups[index].scenario);
+    const name = legs.join(" ");
+    parts.stages ??= new Map();
+    for (const { box, stage } of parts.stages.values()) {
+      if (!box.hidden) parts.wasPlaying = stage.playing;
+      stage.pause();
+      box.hidden = true;
+    }
+    if (!parts.stages.has(name)) {
+      const box = element("div");
+      byId("stage").append(box);
+      const stage = new Stage(box, { legs: legs.map((scenario) => data.scenarios[scenario].leg), trace: false });
+      box.addEventListener("stagetime", (event) => parts.plots.setTime(event.detail));
+      parts.stages.set(name, { box, stage });
+    }
+    const { box, stage } = parts.stages.get(name);
+    box.hidden = false;
+    if (parts.wasPlaying) stage.play();
+    parts.stage = stage;
+    parts.drawn = null;
+  }
+
+  function showTime(time) {
+    byId("cursor-time").textContent = time == null ? "" : `t = ${time.toFixed(2)} s`;
+  }
+
+  function onPanel(index) {
+    chooseStageIfNeeded();
+    change(index);
+  }
+
+  function chooseStageIfNeeded() {
+    const name = shownSetups().map((index) => state.setups[index].scenario).join(" ");
+    if (!parts.stages?.get(name) || parts.stages.get(name).stage !== parts.stage) chooseStage();
+  }
+
+  function setCompare(compare) {
+    state.compare = compare;
+    byId("compare").setAttribute("aria-pressed", String(compare));
+    document.body.classList.toggle("comparing", compare);
+    if (!compare) {
+      parts.panel.index = 0;
+      parts.bode.clear(1);
+    }
+    parts.panel.build();
+    chooseStageIfNeeded();
+    for (const index of shownSetups()) change(index);
+  }
+
+  // ---------------------------------------------------------------------- guided steps
+
+  const tourPage = {
+    results: () => results[0],
+    value: (name) => Setups.valuesOf(data, state.setups[0])[name],
+    /** Start the steps from the page as it opens, and return its values. */
+    begin() {
+      const setup = Setups.fresh(data, 0);
+      setup.values = {};
+      if (Setups.choices(data, setup, "controller").includes("smc")) Setups.choose(data, setup, "controller", "smc");
+      Setups.choose(data, setup, "reference", "sine");
+      parts.tourStart = setup;
+      return Setups.valuesOf(data, setup);
+    },
+    apply(values) {
+      const setup = Setups.copied(parts.tourStart);
+      for (const quantity of Setups.quantitiesOf(data, setup)) {
+        if (quantity.name in values) Setups.setValue(data, setup, quantity, values[quantity.name]);
+      }
+      state.setups[0] = setup;
+      setCompare(false);
+    },
+    choosePlot(name) {
+      byId("choose-plot").value = name;
+      choosePlot();
+    },
+  };
+
+  // --------------------------------------------------------------------- link and YAML
+
+  function showText(title, hint, text) {
+    byId("text-title").textContent = title;
+    byId("text-hint").textContent = hint;
+    byId("text-area").value = text;
+    byId("text-dialog").showModal();
+    byId("text-area").select();
+    navigator.clipboard?.writeText(text).then(
+      () => { byId("text-hint").textContent = `Copied. ${hint}`; }, () => {});
+  }
+
+  function showLink() {
+    const [page] = location.href.split("#");
+    showText("Link to these values", "The link opens this page with the values of the sliders.",
+      `${page}#${Setups.linkOf(data, state)}`);
+  }
+
+  function showYaml() {
+    const { index } = parts.panel;
+    const title = state.compare ? `Set-up ${"AB"[index]} as YAML` : "These values as YAML";
+    showText(title, "Save it as FILE.yaml; kneexo simulate FILE.yaml --out run makes the same run.",
+      Setups.yamlOf(data, state.setups[index]));
+  }
+
+  // ---------------------------------------------------------------------------- print
+
+  /** Table of all values, for paper. */
+  function fillValues() {
+    const table = element("table");
+    const indices = shownSetups();
+    const head = element("tr");
+    head.append(...["Value", ...indices.map((i) => nameOf(i)), "Unit"].map((text) => element("th", { scope: "col" }, text)));
+    table.append(element("caption", {}, "Values of this page"), head);
+    for (const [label, words] of switchWords()) {
+      const row = element("tr");
+      row.append(element("th", { scope: "row" }, label), ...indices.map((i) => element("td", {}, words(state.setups[i]))), element("td"));
+      table.append(row);
+    }
+    const quantities = new Map(indices.flatMap((i) => Setups.quantitiesOf(data, state.setups[i])).map((q) => [q.name, q]));
+    for (const quantity of quantities.values()) {
+      const row = element("tr");
+      row.append(element("th", { scope: "row" }, quantity.label));
+      for (const index of indices) {
+        const own = Setups.quantitiesOf(data, state.setups[index]).find((q) => q.name === quantity.name);
+        row.append(element("td", {}, own ? Controls.text(own, Setups.valueOf(data, state.setups[index], own)) : "–"));
+      }
+      row.append(element("td", {}, Setups.display(quantity).unit));
+      table.append(row);
+    }
+    byId("values").replaceChildren(table);
+  }
+
+  /** Names of the switches, and functions that return their choice in words. */
+  function switchWords() {
+    return [
+      ["scenario", (setup) => data.scenarios[setup.scenario].name],
+      ["controller", (setup) => Setups.CONTROLLER_NAMES[setup.controller] ?? setup.controller],
+      ["load", (setup) => Setups.LOAD_NAMES[setup.load] ?? setup.load],
+      ["reference", (setup) => Setups.REFERENCE_NAMES[setup.reference] ?? setup.reference],
+    ];
+  }
+
+  function onPrint(printing) {
+    if (printing) fillValues();
+    parts.plots.resize(printing ? PAPER_PX : 0);
+    parts.bode.resize(printing ? PAPER_PX / 2 : 0);
+  }
+
+  // ---------------------------------------------------------------------------- start
+
+  function choosePlot() {
+    const { value } = byId("choose-plot");
+    for (const figure of document.querySelectorAll("#plots .plot")) {
+      figure.classList.toggle("chosen", figure.dataset.plot === value);
+    }
+  }
+
+  function listen() {
+    const on = (id, action, event = "click") => byId(id).addEventListener(event, action);
+    on("compare", () => setCompare(!state.compare));
+    on("copy-link", showLink);
+    on("copy-yaml", showYaml);
+    on("print", () => print());
+    on("zoom-in", () => parts.plots.zoomBy(0.5));
+    on("zoom-out", () => parts.plots.zoomBy(2));
+    on("zoom-all", () => parts.plots.zoomAll());
+    on("sweep", () => shownSetups().forEach(change));
+    on("choose-plot", choosePlot, "change");
+    addEventListener("beforeprint", () => onPrint(true));
+    addEventListener("afterprint", () => onPrint(false));
+    addEventListener("hashchange", () => {
+      Object.assign(state, Setups.stateOf(data, location.hash));
+      setCompare(state.compare);
+    });
+  }
+
+  function start() {
+    byId("copy-link").hidden = location.protocol === "about:"; // inside a notebook
+    byId("scenario-name").textContent = data.scenarios.map(({ name }) => name).join(", ");
+    byId("made-by").textContent = `Made by kneexo ${data.kneexo}. The page works without network; nothing leaves it.`;
+    const text = JSON.parse(byId("worker").textContent);
+    const source = `data:text/javascript,${encodeURIComponent(text)}`; // VS Code blocks blobs
+    const models = { modules: data.modules, models: modelsByKey() };
+    parts.board = new Numbers.Board(byId("numbers"));
+    parts.plots = new Curves.RunPlots(byId("plots"), showTime, (time) => parts.stage.seek(time));
+    parts.bode = new Bode.BodePlots(byId("bode-plots"));
+    parts.runs = new Runner.Runs(new Runner.Crew(source, models), onRun);
+    parts.analyses = new Runner.Analyses(new Runner.Crew(source, models), REST_MS, handlers);
+    parts.panel = new Controls.Panel(byId("panel"), data, state, onPanel);
+    parts.guide = new Tour.Guide(tourPage);
+    listen();
+    choosePlot();
+    setCompare(state.compare);
+  }
+
+  /** Models by key, for the workers. The key is the place of the model in the page. */
+  function modelsByKey() {
+    const entries = data.scenarios.flatMap(({ models }, s) => models.map((model, m) => {
+      model.key = `${s}/${m}`;
+      return [model.key, model];
+    }));
+    return Object.fromEntries(entries);
+  }
+
+  return { calm, data, parts, results, start, state };
+})();
+
+Page.start();

@@ -1,0 +1,185 @@
+// The frequency response of the page: gain and phase, which grow point by point.
+"use strict";
+
+const Bode = (() => {
+  const { COLOURS, LIMIT, MINUS_3_DB, axis, element, fixed } = Curves;
+  const SATURATED = 0.01; // share of the time from which a point counts as limited by the motor
+  const PLOTS = [
+    { name: "gain", title: "Gain of the fundamental (dB)", height: 180 },
+    { name: "phase", title: "Phase (deg)", height: 140 },
+  ];
+
+  function db(gain) {
+    return 20 * Math.log10(gain);
+  }
+
+  class BodePlots {
+    constructor(parent) {
+      this.parent = parent;
+      this.points = [[], []];
+      this.minus3db = [null, null];
+      this.present = [null, null];
+      this.plots = PLOTS.map((plot) => this.make(plot));
+      new ResizeObserver(() => this.resize()).observe(parent);
+    }
+
+    make(plot) {
+      const figure = element("figure", { class: "plot", "data-plot": plot.name, tabindex: "-1" });
+      const box = element("div", { role: "img", "aria-label": plot.title });
+      figure.append(element("figcaption", { class: "plot-title" }, plot.title), box);
+      this.parent.append(figure);
+      const chart = new uPlot(this.options(plot), [[0.1, 1], [0, 0], [0, 0]], box);
+      return { ...plot, chart, box };
+    }
+
+    options(plot) {
+      const line = (index) => ({
+        stroke: COLOURS[index], width: 1.75, dash: index ? [8, 3] : undefined, spanGaps: true,
+        points: { show: false },
+      });
+      const range = plot.name === "gain"
+        ? (_, low, high) => [Math.max(-30, Math.min(-12, (low ?? 0) - 1)), Math.max(3, (high ?? 0) + 1)]
+        : (_, low) => [Math.min(-90, 45 * Math.floor((low ?? 0) / 45)), 15];
+      return {
+        width: 600, height: plot.height, legend: { show: false },
+        padding: [6, 20, 0, 0], cursor: { sync: { key: "bode" }, drag: { x: false }, y: false },
+        scales: { x: { time: false, distr: 3, range: (_, low, high) => [low * 0.9, high * 1.1] }, y: { range } },
+        axes: [
+          axis({ size: 30,
+            values: (_, splits) => splits.map((value) => (value == null ? "" : `${value} Hz`)),
+            splits: (chart) => decades(chart.scales.x) }),
+          axis({ space: 24,
+            incrs: plot.name === "phase" ? [45, 90, 180] : [3, 6, 12, 24],
+            values: (_, splits) => splits.map((value) => String(value).replace("-", "−")) }),
+        ],
+        series: [{}, line(0), line(1)],
+        hooks: { draw: [(chart) => this.annotate(chart, plot)] },
+      };
+    }
+
+    /** Marks of a series: filled where the motor is at its limit, open elsewhere. */
+    marks(chart, ctx, plot) {
+      ctx.setLineDash([]);
+      ctx.lineWidth = 1.75 * devicePixelRatio;
+      this.points.forEach((points, index) => {
+        ctx.strokeStyle = COLOURS[index];
+        for (const point of points) this.mark(chart, ctx, plot, index, point);
+      });
+    }
+
+    mark(chart, ctx, plot, index, point) {
+      const value = plot.name === "phase" ? point.phase_deg : db(point.gain);
+      if (!Number.isFinite(value)) return;
+      const x = chart.valToPos(point.frequency_hz, "x", true);
+      const y = chart.valToPos(value, "y", true);
+      if (y < chart.bbox.top || y > chart.bbox.top + chart.bbox.height) return;
+      ctx.beginPath();
+      const size = (index ? 3.5 : 5) * devicePixelRatio; // A stays visible behind B
+      if (index === 0) ctx.arc(x, y, size, 0, 2 * Math.PI);
+      else ctx.rect(x - size, y - size, 2 * size, 2 * size);
+      ctx.fillStyle = point.saturated_share > SATURATED ? COLOURS[index] : "#fff";
+      ctx.fill();
+      ctx.stroke();
+    }
+
+    /** The −3 dB line, its crossings, and the present frequency. */
+    annotate(chart, plot) {
+      const { ctx, bbox } = chart;
+      ctx.save();
+      ctx.font = `${12 * devicePixelRatio}px system-ui, sans-serif`;
+      if (plot.name === "gain") this.level(chart, ctx, bbox);
+      this.minus3db.forEach((hz, index) => {
+        if (hz) this.vertical(chart, ctx, bbox, hz, COLOURS[index], [2, 3]);
+      });
+      this.marks(chart, ctx, plot);
+      ctx.restore();
+    }
+
+    level(chart, ctx, bbox) {
+      const y = chart.valToPos(MINUS_3_DB, "y", true);
+      ctx.strokeStyle = LIMIT;
+      ctx.setLineDash([6 * devicePixelRatio, 4 * devicePixelRatio]);
+      ctx.beginPath();
+      ctx.moveTo(bbox.left, y);
+      ctx.lineTo(bbox.left + bbox.width, y);
+      ctx.stroke();
+      ctx.fillStyle = "#374151";
+      ctx.textAlign = "right";
+      ctx.fillText("−3 dB", bbox.left + bbox.width - 4 * devicePixelRatio, y - 5 * devicePixelRatio);
+    }
+
+    vertical(chart, ctx, bbox, hz, colour, dash) {
+      const x = chart.valToPos(hz, "x", true);
+      ctx.strokeStyle = colour;
+      ctx.setLineDash(dash.map((length) => length * devicePixelRatio));
+      ctx.beginPath();
+      ctx.moveTo(x, bbox.top);
+      ctx.lineTo(x, bbox.top + bbox.height);
+      ctx.stroke();
+    }
+
+    clear(index, frequencies) {
+      this.points[index] = [];
+      this.minus3db[index] = null;
+      if (frequencies) this.frequencies = frequencies;
+      this.draw();
+    }
+
+    add(index, point) {
+      this.points[index].push(point);
+      this.points[index].sort((a, b) => a.frequency_hz - b.frequency_hz);
+      this.draw();
+    }
+
+    setMinus3db(index, hz) {
+      this.minus3db[index] = Number.isFinite(hz) ? hz : null;
+      this.draw();
+    }
+
+    draw() {
+      const all = [...(this.frequencies ?? [0.1, 1]), ...this.points.flat().map((point) => point.frequency_hz)];
+      const grid = [...new Set(all)].sort((a, b) => a - b);
+      for (const { chart, name, box, title } of this.plots) {
+        const values = this.points.map((points) => {
+          const at = new Map(points.map((point) => [point.frequency_hz, point]));
+          return grid.map((hz) => {
+            const point = at.get(hz);
+            const value = point && (name === "gain" ? db(point.gain) : point.phase_deg);
+            return Number.isFinite(value) ? value : null;
+          });
+        });
+        chart.setData([grid, ...values]);
+        box.setAttribute("aria-label", `${title} over frequency. ${this.summary()}`);
+      }
+    }
+
+    summary() {
+      return this.points.map((points, index) => {
+        if (!points.length) return "";
+        const hz = this.minus3db[index];
+        const name = this.points.every((other) => other.length) ? `${"AB"[index]}: ` : "";
+        return `${name}${points.length} points, ${hz ? `−3 dB at ${fixed(hz)} Hz` : "no −3 dB point yet"}.`;
+      }).join(" ");
+    }
+
+    resize(paper = 0) {
+      const width = paper || Math.floor(this.plots[0].box.clientWidth);
+      if (width < 50) return;
+      for (const { chart, height } of this.plots) chart.setSize({ width, height });
+    }
+  }
+
+  /** Ticks at 1 and 3 of each decade within a scale. */
+  function decades({ min, max }) {
+    const ticks = [];
+    for (let power = Math.floor(Math.log10(min)); power <= Math.ceil(Math.log10(max)); ++power) {
+      for (const digit of [1, 3]) {
+        const value = Number(`${digit}e${power}`);
+        if (value >= min && value <= max) ticks.push(value);
+      }
+    }
+    return ticks;
+  }
+
+  return { BodePlots, SATURATED };
+})();

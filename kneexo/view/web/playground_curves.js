@@ -1,0 +1,239 @@
+// The curves of the page: four plots over one time axis, and the frequency response.
+"use strict";
+
+const Curves = (() => {
+  const COLOURS = ["#0062a8", "#b8480a"];
+  const REFERENCE = "#1f2328";
+  const LIMIT = "#6b7280";
+  const AXIS = "#4b5563";
+  const GRID = "#e5e7eb";
+  const FONT = "12px system-ui, sans-serif";
+  const DEG = 180 / Math.PI;
+  const RPM = 30 / Math.PI;
+  const MINUS_3_DB = 20 * Math.log10(Math.SQRT1_2);
+
+  // Each plot: what it shows, and the columns of a run in the unit of the axis.
+  const PLOTS = [
+    { name: "angle", title: "Knee angle", unit: "deg", factor: DEG, height: 150, extra: "reference" },
+    { name: "error", title: "Error, reference minus angle", unit: "deg", factor: DEG, height: 100 },
+    { name: "command", title: "Motor speed command", unit: "rpm", factor: RPM, height: 110, extra: "limit" },
+    { name: "pressure", title: "Load pressure", unit: "bar", factor: 1e-5, height: 100 },
+  ];
+
+  function element(tag, attributes = {}, text = "") {
+    const made = document.createElement(tag);
+    for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+    if (text) made.textContent = text;
+    return made;
+  }
+
+  function axis(more) {
+    return {
+      stroke: AXIS, font: FONT, size: 58, grid: { stroke: GRID, width: 1 },
+      ticks: { stroke: GRID, width: 1 }, ...more,
+    };
+  }
+
+  /** A column on the times of the longer run: null where a run has no sample. */
+  function onTime(run, column, time, factor) {
+    const values = new Array(time.length).fill(null);
+    const same = run.time.length < 2 || Math.abs(run.time[1] - time[1]) < 1e-12;
+    const end = run.time[run.time.length - 1];
+    let at = 0;
+    for (let i = 0; i < time.length && time[i] <= end + 1e-9; ++i) {
+      if (same) at = i;
+      else while (at + 1 < run.time.length && run.time[at + 1] <= time[i] + 1e-12) ++at;
+      if (Number.isFinite(column[at])) values[i] = factor * column[at];
+    }
+    return values;
+  }
+
+  class RunPlots {
+    /** Four plots in `parent`. `onSeek(t)` gets the time that a click chooses. */
+    constructor(parent, onCursor, onSeek) {
+      this.parent = parent;
+      this.onCursor = onCursor;
+      this.onSeek = onSeek;
+      this.runs = [];
+      this.range = null;
+      this.hovered = false;
+      this.plots = PLOTS.map((plot, index) => this.make(plot, index === PLOTS.length - 1));
+      new ResizeObserver(() => this.resize()).observe(parent);
+    }
+
+    make(plot, last) {
+      const figure = element("figure", { class: "plot", "data-plot": plot.name, tabindex: "-1" });
+      const caption = element("figcaption");
+      const title = element("span", { class: "plot-title" }, `${plot.title} (${plot.unit})`);
+      const values = element("span", { class: "plot-values number", "aria-hidden": "true" });
+      caption.append(title, values);
+      const box = element("div", { role: "img", "aria-label": plot.title });
+      figure.append(caption, box);
+      this.parent.append(figure);
+      const chart = new uPlot(this.options(plot, last), this.series(plot).map(() => [0, 1]), box);
+      chart.over.addEventListener("pointerenter", () => { this.hovered = true; });
+      chart.over.addEventListener("pointerleave", () => { this.hovered = false; });
+      chart.over.addEventListener("click", () => {
+        const time = chart.posToVal(chart.cursor.left, "x");
+        if (this.range === null || (time >= 0 && Number.isFinite(time))) this.onSeek(time);
+      });
+      return { ...plot, chart, box, values };
+    }
+
+    /** Series in the order of the columns: time, A, B, then the extra lines of A and of B. */
+    series(plot) {
+      const own = COLOURS.map((stroke) => ({ stroke, width: 1.75 }));
+      const extra = COLOURS.flatMap((colour, index) => {
+        if (plot.extra === "reference") {
+          return [{ stroke: index ? colour : REFERENCE, width: 1.25, dash: index ? [2, 4] : [6, 4] }];
+        }
+        const limit = { stroke: index ? colour : LIMIT, width: 1, dash: index ? [2, 6] : [2, 3] };
+        return plot.extra === "limit" ? [limit, limit] : [];
+      });
+      return [{}, ...[...own, ...extra].map((line) => ({ ...line, points: { show: false } }))];
+    }
+
+    options(plot, last) {
+      return {
+        width: 600, height: plot.height + (last ? 24 : 0), legend: { show: false },
+        padding: [6, 16, 0, 0],
+        cursor: { sync: { key: "run" }, drag: { x: true, y: false, setScale: true }, y: false },
+        scales: { x: { time: false }, y: { range: (_, low, high) => padded(low, high) } },
+        axes: [
+          axis({ size: () => (last || this.single ? 30 : 6), values: (_, splits) =>
+            splits.map((value) => (last || this.single ? `${tick(value)} s` : "")) }),
+          axis({ space: 20, values: (_, splits) => splits.map(tick) }),
+        ],
+        series: this.series(plot),
+        hooks: {
+          setScale: [(chart, key) => key === "x" && this.follow(chart)],
+          setCursor: [(chart) => this.read(chart)],
+        },
+      };
+    }
+
+    /** Show runs (one or two); the zoom stays where it was if the duration is the same. */
+    show(runs) {
+      const longest = runs.reduce((a, b) => (b.time.length > a.time.length ? b : a));
+      const time = longest.time;
+      const end = Math.max(...runs.map((run) => run.duration_s));
+      const again = this.end === end && this.range !== null;
+      Object.assign(this, { runs, end, showing: true });
+      for (const plot of this.plots) {
+        plot.data = this.columns(plot, time);
+        plot.chart.setData(plot.data, false);
+        plot.chart.series[1].width = runs.length > 1 ? 3.5 : 1.75; // A stays visible behind B
+        describe(plot, runs);
+      }
+      this.showing = false;
+      this.zoom(again ? this.range : [0, end]);
+    }
+
+    columns(plot, time) {
+      const empty = new Array(time.length).fill(null);
+      const column = (run, name, factor) => (run ? onTime(run, run.columns[name], time, factor) : empty);
+      const [a, b] = this.runs;
+      const own = [a, b].map((run) => column(run, plot.name, plot.factor));
+      const extra = [a, b].flatMap((run) => {
+        if (plot.extra === "reference") return [column(run?.same_reference ? null : run, "reference", DEG)];
+        return plot.extra === "limit" ? [1, -1].map((sign) => column(run, "limit", sign * RPM)) : [];
+      });
+      return [time, ...own, ...extra];
+    }
+
+    follow(chart) {
+      if (this.showing || chart.scales.x.min == null) return;
+      const { min, max } = chart.scales.x;
+      if (this.range && this.range[0] === min && this.range[1] === max) return;
+      this.zoom([min, max]);
+    }
+
+    zoom([low, high]) {
+      const most = this.end ?? 1;
+      const width = Math.min(most, Math.max(high - low, most / 1000));
+      const start = Math.min(Math.max(low, 0), most - width);
+      this.range = [start, start + width];
+      this.showing = true;
+      for (const { chart } of this.plots) chart.setScale("x", { min: start, max: start + width });
+      this.showing = false;
+    }
+
+    zoomBy(factor) {
+      const [low, high] = this.range;
+      const middle = Math.min(high, Math.max(low, this.time ?? (low + high) / 2));
+      const width = factor * (high - low);
+      this.zoom([middle - width / 2, middle + width / 2]);
+    }
+
+    zoomAll() { this.zoom([0, this.end]); }
+
+    /** Put the cursor at the time of the stage, unless a pointer reads the curves. */
+    setTime(time) {
+      this.time = time;
+      if (this.hovered || !this.runs.length) return;
+      const [{ chart }] = this.plots;
+      const left = chart.valToPos(time, "x");
+      const inside = left >= 0 && left <= chart.over.clientWidth;
+      chart.setCursor({ left: inside ? left : -10, top: 0 });
+    }
+
+    read(chart) {
+      const index = chart.cursor.idx;
+      const plot = this.plots?.find((other) => other.chart === chart);
+      if (!plot?.data) return;
+      const named = ["A", "B"].slice(0, this.runs.length);
+      plot.values.replaceChildren(...(index == null ? [] : named.map((name, run) => {
+        const value = plot.data[run + 1][index];
+        const text = `${this.runs.length > 1 ? `${name} ` : ""}${value == null ? "–" : fixed(value)}`;
+        return element("span", { class: `of-${name.toLowerCase()}` }, text);
+      })));
+      if (plot.extra === "reference" && index != null && plot.data[3][index] != null) {
+        plot.values.prepend(element("span", { class: "of-reference" }, `reference ${fixed(plot.data[3][index])}`));
+      }
+      if (chart === this.plots[0].chart) this.onCursor(index == null ? null : plot.data[0][index]);
+    }
+
+    /** Fit the plots to the width, or to `paper` px. On a phone one plot is shown at a time, with its time axis. */
+    resize(paper = 0) {
+      const width = paper || Math.floor(this.parent.clientWidth);
+      if (width < 50) return;
+      this.single = !paper && getComputedStyle(this.parent).getPropertyValue("--single").trim() === "1";
+      this.plots.forEach(({ chart, height }, index) => {
+        chart.setSize({ width, height: height + (this.single || index === this.plots.length - 1 ? 24 : 0) });
+      });
+    }
+  }
+
+  function padded(low, high) {
+    if (low == null || high == null) return [-1, 1];
+    const room = 0.06 * (high - low) || 0.1 * Math.abs(high) || 1e-3;
+    return [low - room, high + room];
+  }
+
+  function tick(value) {
+    return String(Number(value.toPrecision(6))).replace("-", "−");
+  }
+
+  function fixed(value) {
+    const digits = Math.abs(value) >= 1000 ? 0 : Math.abs(value) >= 100 ? 1 : Math.abs(value) >= 1 ? 2 : 3;
+    return value.toFixed(digits).replace("-", "−");
+  }
+
+  /** Tell a screen reader the extremes of a plot. */
+  function describe(plot, runs) {
+    const parts = runs.map((run, index) => {
+      let low = Infinity;
+      let high = -Infinity;
+      for (const value of run.columns[plot.name]) {
+        if (value < low) low = value;
+        if (value > high) high = value;
+      }
+      const name = runs.length > 1 ? `${"AB"[index]} ` : "";
+      if (low > high) return `${name}no values`;
+      return `${name}from ${fixed(plot.factor * low)} to ${fixed(plot.factor * high)} ${plot.unit}`;
+    });
+    plot.box.setAttribute("aria-label", `${plot.title} over time: ${parts.join("; ")}`);
+  }
+
+  return { AXIS, COLOURS, FONT, GRID, LIMIT, MINUS_3_DB, PLOTS, RunPlots, axis, element, fixed, onTime };
+})();

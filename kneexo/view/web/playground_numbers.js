@@ -1,0 +1,136 @@
+// The numbers of the page, each with a word of judgement.
+"use strict";
+
+const Numbers = (() => {
+  const { element } = Curves;
+  const { shown } = Setups;
+  const DEG = 180 / Math.PI;
+
+  // Judgement of a number: [word, class]. Classes: good, fair, bad, plain.
+  function ofError(run) {
+    const bound = run.metrics.error_bound_rad;
+    const error = run.metrics.largest_error_rad;
+    if (run.end) return ["the run ended early", "bad"];
+    if (run.metrics.tracks) return [`follows: at most ${shown(bound * DEG)}°`, "good"];
+    if (error <= bound) return ["does not settle", "bad"];
+    return [`does not follow: above ${shown(bound * DEG)}°`, "bad"];
+  }
+
+  /** Share of the time at the limit, after the first period if the run is long enough. */
+  function shareOf(run) {
+    return run.metrics.saturated_share ?? run.metrics.saturated_share_overall;
+  }
+
+  function ofShare(share) {
+    if (!Number.isFinite(share)) return ["", "plain"];
+    if (share === 0) return ["of the time: never", "good"];
+    return share < 0.05 ? ["of the time: seldom", "fair"] : ["of the time: it limits the knee", "bad"];
+  }
+
+  function ofBandwidth(result, frequency) {
+    if (!result) return ["computing", "plain"];
+    const hz = result.minus_3_db_hz;
+    if (result.error || result.failure) return [result.error ?? result.failure, "plain"];
+    if (!Number.isFinite(hz)) return ["no −3 dB point", "plain"];
+    if (!frequency) return ["−3 dB for such sines", "plain"];
+    const ratio = hz / frequency;
+    return ratio > 1
+      ? [`−3 dB at ${shown(ratio, 2)} × this frequency`, "good"]
+      : [`−3 dB, below this ${shown(frequency)} Hz`, "bad"];
+  }
+
+  function ofMargin(linear, value, enough, thin, words) {
+    if (!linear) return ["computing", "plain"];
+    if (linear.failure || linear.error) return [linear.failure ?? linear.error, "plain"];
+    if (!linear.stable) return ["unstable", "bad"];
+    if (value == null || value === Infinity) return ["no limit", "good"];
+    if (value >= enough) return [words?.[0] ?? "comfortable", "good"];
+    return value >= thin ? [words?.[1] ?? "just enough", "fair"] : [words?.[2] ?? "thin", "bad"];
+  }
+
+  function ofPressure(run) {
+    const peak = run.metrics.peak_pressure_pa;
+    const rating = run.limits.pressure_rating_pa;
+    const share = peak / rating;
+    const text = `${shown(100 * share, 2)} % of the ${shown(rating * 1e-5)} bar rating`;
+    return [text, share <= 0.8 ? "good" : share <= 1 ? "fair" : "bad"];
+  }
+
+  function margin(linear, name, factor) {
+    if (!linear || !linear.stable) return "–";
+    const value = linear[name];
+    return value == null || value === Infinity ? "∞" : shown(factor * value);
+  }
+
+  const ROWS = [
+    { name: "error", label: "Largest error", unit: "deg",
+      value: ({ run }) => shown(run.metrics.largest_error_rad * DEG), word: ({ run }) => ofError(run) },
+    { name: "saturated", label: "Motor at its limit", unit: "%",
+      value: ({ run }) => shown(100 * shareOf(run)), word: ({ run }) => ofShare(shareOf(run)) },
+    { name: "bandwidth", label: "Bandwidth", unit: "Hz",
+      value: ({ sweep }) => (sweep && Number.isFinite(sweep.minus_3_db_hz) ? shown(sweep.minus_3_db_hz) : "–"),
+      word: ({ sweep, frequency }) => ofBandwidth(sweep, frequency) },
+    { name: "phase", label: "Phase margin", unit: "deg",
+      value: ({ linear }) => margin(linear, "phase_margin_deg", 1),
+      word: ({ linear }) => ofMargin(linear, linear?.phase_margin_deg, 45, 30) },
+    { name: "gain", label: "Gain margin", unit: "",
+      value: ({ linear }) => margin(linear, "gain_margin", 1),
+      word: ({ linear }) => ofMargin(linear, linear?.gain_margin, 2, 1.5) },
+    { name: "delay", label: "Delay margin", unit: "ms",
+      value: ({ linear }) => margin(linear, "delay_margin_s", 1e3),
+      word: ({ linear, sample_time_s: sample }) => ofMargin(linear, linear?.delay_margin_s, 2 * sample, sample,
+        ["two samples or more", "one sample", "less than a sample"]) },
+    { name: "pressure", label: "Peak pressure", unit: "bar",
+      value: ({ run }) => shown(1e-5 * run.metrics.peak_pressure_pa), word: ({ run }) => ofPressure(run) },
+  ];
+
+  /** Rows of numbers: each has a value and a judgement for each set-up. */
+  class Board {
+    constructor(parent) {
+      this.cells = ROWS.map((row) => {
+        const card = element("div", { class: "card", "data-number": row.name });
+        const values = [0, 1].map((index) => {
+          const line = element("p", { class: `value of-${"ab"[index]}` });
+          const word = element("p", { class: "word" });
+          card.append(line, word);
+          return { line, word };
+        });
+        card.prepend(element("h3", {}, row.label));
+        parent.append(card);
+        return { row, values };
+      });
+    }
+
+    /** Show the results of the set-ups: objects with run, linear, sweep, frequency, sample_time_s. */
+    show(results) {
+      for (const { row, values } of this.cells) {
+        values.forEach(({ line, word }, index) => {
+          const result = results[index];
+          line.hidden = word.hidden = !result?.run;
+          if (!result?.run) return;
+          const [text, kind] = row.word(result);
+          const name = results.length > 1 ? element("span", { class: "name" }, "AB"[index]) : "";
+          line.replaceChildren(name, element("span", { class: "number" }, row.value(result)),
+            element("span", { class: "unit" }, row.unit));
+          word.textContent = text;
+          word.dataset.kind = kind;
+        });
+      }
+    }
+  }
+
+  /** One sentence for a screen reader. */
+  function sentence(results) {
+    return results.map((result, index) => {
+      const name = results.length > 1 ? `${"AB"[index]}: ` : "";
+      const { run } = result;
+      if (run.end) return `${name}the run ended at ${shown(run.end.time_s)} s: ${run.end.reason}.`;
+      const hz = result.sweep?.minus_3_db_hz;
+      return `${name}largest error ${shown(run.metrics.largest_error_rad * DEG)} degrees, `
+        + `motor at its limit ${shown(100 * shareOf(run))} percent of the time`
+        + `${Number.isFinite(hz) ? `, bandwidth ${shown(hz)} hertz` : ""}.`;
+    }).join(" ");
+  }
+
+  return { Board, sentence, shareOf };
+})();

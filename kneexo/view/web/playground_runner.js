@@ -1,0 +1,92 @@
+// Requests to the workers of the page: the newest values win, and nothing blocks.
+"use strict";
+
+const Runner = (() => {
+  /** A worker with the simulator. Its requests answer with one message or, for a sweep, several. */
+  class Crew {
+    constructor(source, models) {
+      this.worker = new Worker(source);
+      this.waiting = new Map();
+      this.count = 0;
+      this.worker.addEventListener("message", (event) => this.hear(event.data));
+      this.worker.addEventListener("error", (event) => this.fail(event.message));
+      this.worker.postMessage({ id: 0, kind: "load", ...models });
+    }
+
+    hear(answer) {
+      const request = this.waiting.get(answer.id);
+      if (!request) return;
+      if (answer.point) {
+        request.onPoint(answer.point);
+        return;
+      }
+      this.waiting.delete(answer.id);
+      request.onAnswer(answer);
+    }
+
+    fail(message) {
+      const requests = [...this.waiting.values()];
+      this.waiting.clear();
+      for (const request of requests) request.onAnswer({ error: message || "the simulator stopped" });
+    }
+
+    ask(message, onAnswer, onPoint = () => {}) {
+      const id = ++this.count;
+      this.waiting.set(id, { onAnswer, onPoint });
+      this.worker.postMessage({ id, ...message });
+      return id;
+    }
+
+    forget(id) { this.waiting.delete(id); }
+  }
+
+  /** Runs of A and B: while one run is under way, only the newest request waits. */
+  class Runs {
+    constructor(crew, onRun) {
+      Object.assign(this, { crew, onRun, busy: [false, false], next: [null, null] });
+    }
+
+    request(index, message) {
+      this.next[index] = message;
+      if (!this.busy[index]) this.send(index);
+    }
+
+    send(index) {
+      const message = this.next[index];
+      if (!message) return;
+      this.next[index] = null;
+      this.busy[index] = true;
+      this.crew.ask({ kind: "run", setup: index, ...message }, (answer) => {
+        this.busy[index] = false;
+        this.onRun(index, answer, message);
+        this.send(index);
+      });
+    }
+  }
+
+  /** Margins and sweeps: they start when the values rest, and a newer request replaces an older. */
+  class Analyses {
+    constructor(crew, rest_ms, handlers) {
+      Object.assign(this, { crew, rest_ms, handlers, timers: [0, 0], ids: [[], []] });
+    }
+
+    request(index, messages) {
+      clearTimeout(this.timers[index]);
+      for (const id of this.ids[index]) this.crew.forget(id);
+      this.ids[index] = [];
+      this.handlers.onStart(index);
+      this.timers[index] = setTimeout(() => this.send(index, messages), this.rest_ms);
+    }
+
+    send(index, { linear, sweep }) {
+      const { onLinear, onPoint, onSweep } = this.handlers;
+      this.ids[index] = [
+        this.crew.ask({ kind: "linear", setup: index, ...linear }, (answer) => onLinear(index, answer)),
+        this.crew.ask({ kind: "sweep", setup: index, ...sweep },
+          (answer) => onSweep(index, answer), (point) => onPoint(index, point)),
+      ];
+    }
+  }
+
+  return { Analyses, Crew, Runs };
+})();

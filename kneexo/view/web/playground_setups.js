@@ -1,0 +1,230 @@
+// The set-ups A and B of the page as plain data: models, values, links and YAML. No DOM.
+"use strict";
+
+const Setups = (() => {
+  const CONTROLLER_NAMES = { smc: "sliding mode", pid: "PID", law: "own law", custom: "own system" };
+  const LOAD_NAMES = { none: "none", knee: "weight of the shank" };
+  const REFERENCE_NAMES = { sine: "sine", step: "step", ramp: "ramp", samples: "samples" };
+  const NUMBER = /^[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?$/i;
+  const LINK_PREFIXES = ["a", "b"];
+
+  /** Unit and factor of a quantity on the page. Values, links and YAML have the unit of the scenario. */
+  function display({ shown_unit: unit, shown_factor: factor }) {
+    return { unit: unit === "1" ? "" : unit, factor };
+  }
+
+  /** Text of a number with `digits` significant digits, without needless zeros. */
+  function shown(value, digits = 3) {
+    if (!Number.isFinite(value)) return "–";
+    const rounded = Number(value.toPrecision(digits));
+    const size = Math.abs(rounded);
+    if (rounded !== 0 && (size >= 1e6 || size < 1e-4)) return rounded.toExponential();
+    return String(rounded).replace("-", "−");
+  }
+
+  /** A finite number from text, else null. */
+  function parsed(text) {
+    const plain = text.trim().replace("−", "-").replace(",", ".");
+    if (!NUMBER.test(plain)) return null;
+    const value = Number(plain);
+    return Number.isFinite(value) ? value : null;
+  }
+
+  function modelsOf(data, setup) {
+    return data.scenarios[setup.scenario].models;
+  }
+
+  /** The model of a set-up. The link parser and the switches choose only existing models. */
+  function modelOf(data, setup) {
+    return modelsOf(data, setup).find(
+      (model) => model.controller === setup.controller && model.load === setup.load);
+  }
+
+  /** The existing choices of a switch, given the choice of the other one. */
+  function choices(data, setup, name) {
+    const other = name === "controller" ? "load" : "controller";
+    const all = modelsOf(data, setup);
+    const wanted = [...new Set(all.map((model) => model[name]))];
+    return wanted.filter((choice) =>
+      all.some((model) => model[name] === choice && model[other] === setup[other]));
+  }
+
+  function references(data, setup) {
+    return Object.keys(modelOf(data, setup).references);
+  }
+
+  /** All quantities that have an effect in a set-up: those of its reference come first. */
+  function quantitiesOf(data, setup) {
+    const model = modelOf(data, setup);
+    const task = model.references[setup.reference].quantities ?? [];
+    return [...task, data.duration, ...model.quantities];
+  }
+
+  function durationDefault(data, setup) {
+    return data.scenarios[setup.scenario].duration_s;
+  }
+
+  function defaultOf(data, setup, quantity) {
+    return quantity === data.duration ? durationDefault(data, setup) : quantity.value;
+  }
+
+  function valueOf(data, setup, quantity) {
+    return setup.values[quantity.name] ?? defaultOf(data, setup, quantity);
+  }
+
+  /** Values by name of all quantities that act in a set-up. */
+  function valuesOf(data, setup) {
+    const quantities = quantitiesOf(data, setup);
+    return Object.fromEntries(quantities.map((q) => [q.name, valueOf(data, setup, q)]));
+  }
+
+  function clamped(quantity, value) {
+    return Math.min(quantity.high, Math.max(quantity.low, value));
+  }
+
+  /** Set a value within its range. A value equal to the default is not stored. */
+  function setValue(data, setup, quantity, value) {
+    const inside = clamped(quantity, value);
+    if (inside === defaultOf(data, setup, quantity)) delete setup.values[quantity.name];
+    else setup.values[quantity.name] = inside;
+  }
+
+  function fresh(data, index) {
+    return { ...data.setups[index], values: { ...data.setups[index].values } };
+  }
+
+  function copied(setup) {
+    return { ...setup, values: { ...setup.values } };
+  }
+
+  /** Why the scenario would refuse the values of a set-up, or an empty text. */
+  function faultOf(data, setup) {
+    const { knee_low_rad: low, knee_high_rad: high } = modelOf(data, setup).limits;
+    const [least, most] = [low, high].map((angle) => Math.round((angle * 180e6) / Math.PI) / 1e6);
+    const get = (name) => valuesOf(data, setup)[`reference.${name}`];
+    const ends = {
+      sine: () => [get("mean_deg") - get("amplitude_deg"), get("mean_deg") + get("amplitude_deg")],
+      step: () => [get("start_deg"), get("end_deg")],
+      ramp: () => [get("start_deg"), get("end_deg")],
+    }[setup.reference]?.() ?? [];
+    const wrong = ends.find((angle) => angle < least - 1e-9 || angle > most + 1e-9);
+    if (wrong === undefined) return "";
+    return `The reference would reach ${shown(wrong)}°, and the knee moves from ${shown(least)}° to ${shown(most)}°. `
+      + `Reduce ${setup.reference === "sine" ? "the amplitude, or move the mean" : "the step"}. The curves show the last run.`;
+  }
+
+  // ------------------------------------------------------------------------------ links
+
+  /** Text for the fragment of a link: everything that differs from the page as it opens. */
+  function linkOf(data, state) {
+    const parameters = new URLSearchParams();
+    if (state.compare !== data.compare) parameters.set("compare", state.compare ? "1" : "0");
+    state.setups.forEach((setup, index) => {
+      const start = data.setups[index];
+      const prefix = LINK_PREFIXES[index];
+      for (const name of ["scenario", "controller", "load", "reference"]) {
+        if (setup[name] !== start[name]) parameters.set(`${prefix}.${name}`, String(setup[name]));
+      }
+      for (const quantity of quantitiesOf(data, setup)) {
+        const value = valueOf(data, setup, quantity);
+        const before = start.values[quantity.name] ?? defaultOf(data, setup, quantity);
+        if (value !== before) parameters.set(`${prefix}.${quantity.name}`, String(value));
+      }
+    });
+    return parameters.toString();
+  }
+
+  /** The state that a link describes. Unknown names and wrong values have no effect. */
+  function stateOf(data, fragment) {
+    const parameters = new URLSearchParams(fragment.replace(/^#/, ""));
+    const comparing = parameters.get("compare");
+    const compare = ["0", "1"].includes(comparing) ? comparing === "1" : data.compare;
+    const setups = LINK_PREFIXES.map((prefix, index) => {
+      const setup = fresh(data, index);
+      const get = (name) => parameters.get(`${prefix}.${name}`);
+      const scenario = /^\d{1,2}$/.test(get("scenario") ?? "") ? Number(get("scenario")) : -1;
+      if (scenario in data.scenarios && scenario !== setup.scenario) choose(data, setup, "scenario", scenario);
+      choosePair(data, setup, get("controller"), get("load"));
+      if (references(data, setup).includes(get("reference"))) setup.reference = get("reference");
+      for (const quantity of quantitiesOf(data, setup)) {
+        const value = parsed(get(quantity.name) ?? "");
+        if (value !== null && value >= quantity.low && value <= quantity.high) {
+          setValue(data, setup, quantity, value);
+        }
+      }
+      return setup;
+    });
+    return { compare, setups };
+  }
+
+  function choosePair(data, setup, controller, load) {
+    const wanted = { controller: controller ?? setup.controller, load: load ?? setup.load };
+    const exists = modelsOf(data, setup).some(
+      (model) => model.controller === wanted.controller && model.load === wanted.load);
+    if (exists) Object.assign(setup, wanted);
+  }
+
+  /** Change one switch of a set-up, and keep the others where they are possible. */
+  function choose(data, setup, name, choice) {
+    setup[name] = choice;
+    if (name === "scenario") {
+      setup.values = {};
+      Object.assign(setup, data.scenarios[choice].start);
+    }
+    if (!references(data, setup).includes(setup.reference)) {
+      [setup.reference] = references(data, setup);
+    }
+  }
+
+  // ------------------------------------------------------------------------------- YAML
+
+  function yamlNumber(value) {
+    const text = String(value);
+    return text.includes("e") && !text.includes(".") ? text.replace("e", ".0e") : text;
+  }
+
+  function yamlScalar(value) {
+    if (typeof value === "number") return yamlNumber(value);
+    if (Array.isArray(value)) return `[${value.map(yamlScalar).join(", ")}]`;
+    return JSON.stringify(value);
+  }
+
+  function yamlLines(tree, indent) {
+    return Object.entries(tree).flatMap(([name, value]) => {
+      const nested = value !== null && typeof value === "object" && !Array.isArray(value);
+      if (!nested) return [`${indent}${name}: ${yamlScalar(value)}`];
+      const below = yamlLines(value, `${indent}  `);
+      return below.length ? [`${indent}${name}:`, ...below] : [`${indent}${name}: {}`];
+    });
+  }
+
+  function setPath(tree, path, value) {
+    const names = path.split(".");
+    const last = names.pop();
+    let holder = tree;
+    for (const name of names) {
+      if (holder[name] === null || typeof holder[name] !== "object") holder[name] = {};
+      holder = holder[name];
+    }
+    holder[last] = value;
+  }
+
+  /** A scenario file whose run by `kneexo simulate` has the numbers of this page. */
+  function yamlOf(data, setup) {
+    const model = modelOf(data, setup);
+    const tree = structuredClone(model.scenario);
+    if (setup.reference !== "samples") tree.reference = { kind: setup.reference };
+    for (const [name, value] of Object.entries(valuesOf(data, setup))) setPath(tree, name, value);
+    const table = data.modules[model.loop.module].table;
+    setPath(tree, "simulation.integrator", "rk4");
+    setPath(tree, "simulation.step_s", table.sample_time_s / table.rk4_steps_per_tick);
+    const title = `# From a page of kneexo ${data.kneexo}. Run it: kneexo simulate FILE.yaml --out run`;
+    return `${[title, ...yamlLines(tree, "")].join("\n")}\n`;
+  }
+
+  return {
+    CONTROLLER_NAMES, LOAD_NAMES, REFERENCE_NAMES, choices, choose, clamped, copied, defaultOf,
+    display, faultOf, fresh, linkOf, modelOf, parsed, quantitiesOf, references, setValue, shown, stateOf,
+    valueOf, valuesOf, yamlOf,
+  };
+})();

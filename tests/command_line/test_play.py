@@ -1,0 +1,79 @@
+import json
+
+import pytest
+
+from kneexo.command_line.main import main
+from kneexo.view import playground
+from kneexo.view.playground import MARK
+
+
+@pytest.fixture
+def calls(monkeypatch):
+    """The scenarios and names of each page, which is only its mark."""
+    calls = []
+
+    def page(scenarios, names):
+        calls.append((scenarios, names))
+        return MARK
+
+    monkeypatch.setattr(playground, "playground_page", page)
+    return calls
+
+
+def test_the_command_writes_a_page_of_the_paper_by_default(tmp_path, capsys, calls):
+    page = tmp_path / "knee.html"
+    assert main(["play", "--out", str(page), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["scenarios"] == ["the paper's setup"]
+    assert page.read_text() == MARK
+    assert main(["play", "--out", str(page)]) == 0  # its own page may be replaced
+    assert "open it in a browser" in capsys.readouterr().out
+
+
+def test_files_values_and_presets_make_the_scenarios(tmp_path, calls):
+    file = tmp_path / "mine.yaml"
+    file.write_text("plant: {pump: {gear_ratio: 4.5}}\n")
+    out = ["--out", str(tmp_path / "knee.html")]
+    change = ["--set", "plant.pump.lag_s=0.02", "--preset", "bench", "--compare", "paper"]
+    assert main(["play", str(file), *change, *out]) == 0
+    ((scenarios, names),) = calls
+    assert names == ["mine", "preset paper"]
+    assert scenarios[0].plant.pump.gear_ratio == 4.5
+    assert [scenario.plant.pump.lag_s for scenario in scenarios] == [0.02, 0.01]
+    assert [scenario.plant.load.kind for scenario in scenarios] == ["knee", "none"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (
+            ["--compare", "papr"],
+            "preset = 'papr': must be paper, bench or leg; did you mean paper?",
+        ),
+        (["--set", "plant.pump.gear_ratio=0"], "must be finite and >= 0.01 and <= 1000"),
+        (["x.yaml"] * 9, "9 scenarios: a page has at least 1 and at most 8"),
+        (["missing.yaml"], "missing.yaml"),
+    ],
+)
+def test_a_fault_is_one_line_and_leaves_no_file(tmp_path, capsys, calls, arguments, message):
+    assert main(["play", *arguments, "--out", str(tmp_path / "knee.html")]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert error.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_other_files_stay(tmp_path, capsys, calls):
+    other = tmp_path / "other.html"
+    other.write_text("mine")
+    assert main(["play", "--out", str(other)]) == 2
+    assert "is no page of kneexo play" in capsys.readouterr().err
+    assert other.read_text() == "mine"
+    assert calls == []
+
+
+def test_the_page_opens_where_there_is_a_browser(tmp_path, monkeypatch, calls):
+    opened = []
+    monkeypatch.setattr("webbrowser.open", lambda url: opened.append(url) or True)
+    page = tmp_path / "my knee.html"
+    assert main(["play", "--out", str(page), "--open"]) == 0
+    assert opened == [page.as_uri()]

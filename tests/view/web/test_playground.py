@@ -1,0 +1,443 @@
+"""The page to play with in Chromium: from the slider to the number that a user reads."""
+
+import base64
+import json
+import math
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kneexo.analysis import large_signal_bandwidth_hz, linearize_loop, track
+from kneexo.errors import KneexoError
+from kneexo.parameters import Scenario
+from kneexo.parameters.paths import changed
+from kneexo.parameters.scenario_file import load_scenario
+from kneexo.view.playground import playground_page
+
+pytestmark = pytest.mark.slow
+
+HOSTILE = "</script><img src=x onerror=alert(1)><b>&\"'"
+"""A name that would act if the page took it for HTML."""
+
+GEAR, FREQUENCY = "plant.pump.gear_ratio", "reference.frequency_hz"
+
+
+def _file(folder, scenarios, names):
+    file = folder / "my knee.html"
+    try:
+        file.write_text(playground_page(scenarios, names), encoding="utf-8")
+    except KneexoError as error:
+        if "ziglang" in str(error):
+            pytest.skip("needs ziglang")
+        raise
+    return file
+
+
+@pytest.fixture(scope="module")
+def one(tmp_path_factory):
+    """The page of the paper's setup."""
+    return _file(tmp_path_factory.mktemp("one"), [Scenario()], ["preset paper"])
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory):
+    """The page of two scenarios, one with a hostile name."""
+    scenarios = [Scenario(), changed(Scenario(), {GEAR: 3.0})]
+    return _file(tmp_path_factory.mktemp("two"), scenarios, ["paper", HOSTILE])
+
+
+class _Page:
+    """A page in Chromium, as a user sees it."""
+
+    def __init__(self, browser, file, **options):
+        self.browser = browser
+        browser.open(file, **{"width": 1440, "height": 900} | options)
+        self.evaluate = browser.evaluate
+        self.wait()
+
+    def wait(self, index=0):
+        """Wait for all results of a set-up at its present values."""
+        self.browser.wait_for(
+            f"(({{fresh, linear, sweep}}) => fresh && linear && sweep)(Page.results[{index}])",
+            120.0,
+        )
+        self.evaluate("new Promise(requestAnimationFrame).then(() => 0)")
+
+    def type(self, name, value, index=0):
+        """Write a number into the field of a quantity, and wait for the results."""
+        self.evaluate(
+            f"""(() => {{ const box = document.getElementById("q-{name}-value");
+            box.value = {json.dumps(str(value))}; box.dispatchEvent(new Event("change")); }})()"""
+        )
+        if self.evaluate(f'document.getElementById("q-{name}-value").ariaInvalid') != "true":
+            self.wait(index)
+
+    def click(self, name, index=0):
+        self.evaluate(f"document.getElementById({json.dumps(name)}).click()")
+        self.wait(index)
+
+    def number(self, name, index=0):
+        """The number that a card of the results shows, and the words below."""
+        card = f'document.querySelectorAll("[data-number={name}] .%s")[{index}].textContent'
+        text = self.evaluate(
+            f'document.querySelectorAll("[data-number={name}] .value .number")[{index}].textContent'
+        )
+        return text, self.evaluate(card % "word")
+
+    def text(self, name):
+        return self.evaluate(f"document.getElementById({json.dumps(name)}).textContent")
+
+    def curve(self, plot, column=1):
+        """A line of a plot, as it is drawn."""
+        plots = f"Page.parts.plots.plots.find(({{name}}) => name === '{plot}')"
+        script = f"Array.from({plots}.data[{column}])"
+        return np.array(self.evaluate(script), dtype=float)
+
+    def yaml(self, index=0):
+        return self.evaluate(f"Setups.yamlOf(Page.data, Page.state.setups[{index}])")
+
+
+def _steps(scenario, page):
+    """The scenario with the steps of the page."""
+    step_s = page.evaluate(
+        """(() => { const model = Setups.modelOf(Page.data, Page.state.setups[0]);
+        const { table } = Page.data.modules[model.loop.module];
+        return table.sample_time_s / table.rk4_steps_per_tick; })()"""
+    )
+    return scenario.with_steps(step_s)
+
+
+def _same(text, value):
+    """A number with three digits is that value."""
+    return float(text.replace("−", "-")) == pytest.approx(value, rel=6e-3)
+
+
+def test_the_page_is_small_silent_and_fits(browser, one):
+    assert one.stat().st_size <= 2e6
+    for options in ({}, {"width": 390, "height": 844, "phone": True}):
+        _Page(browser, one, **options)
+        browser.require_health()
+        browser.require_width()
+
+
+def test_the_numbers_on_the_page_are_those_of_kneexo(browser, one):
+    page = _Page(browser, one)
+    for values in ({}, {FREQUENCY: 0.3}):
+        for name, value in values.items():
+            page.type(name, value)
+        scenario = changed(Scenario(), values)
+        metrics = track(_steps(scenario, page)).metrics
+        margins = linearize_loop(scenario, knee_angle_deg=40.0).margins()
+        assert _same(page.number("error")[0], metrics.max_error_deg)
+        assert _same(page.number("saturated")[0], 100.0 * metrics.saturated_share)
+        assert _same(page.number("pressure")[0], 10.0 * metrics.peak_pressure_mpa)
+        assert _same(page.number("phase")[0], margins.phase_margin_deg)
+        assert _same(page.number("gain")[0], margins.gain_margin)
+        assert _same(page.number("delay")[0], 1e3 * margins.delay_margin_s)
+    assert "limits the knee" in page.number("saturated")[1]
+    assert "does not follow" in page.number("error")[1]
+    assert _same(page.number("bandwidth")[0], large_signal_bandwidth_hz(Scenario()))
+
+
+def test_a_slider_changes_the_curves_that_are_drawn(browser, one):
+    page = _Page(browser, one)
+    page.evaluate(
+        f"""(() => {{ const slider = document.getElementById("q-{GEAR}");
+        slider.value = 450; slider.dispatchEvent(new Event("input")); }})()"""
+    )
+    page.wait()
+    gear = page.evaluate(f"Page.state.setups[0].values['{GEAR}']")
+    assert float(page.evaluate(f"document.getElementById('q-{GEAR}-value').value")) == gear > 10.0
+    result = track(_steps(changed(Scenario(), {GEAR: gear}), page))
+    angle = np.degrees(result["knee_angle_rad"])
+    np.testing.assert_allclose(page.curve("angle"), angle, atol=1e-7)
+    np.testing.assert_allclose(page.curve("error"), result.error_deg, atol=1e-7)
+    rpm = result["motor_speed_command_rad_s"] * 30.0 / math.pi
+    np.testing.assert_allclose(page.curve("command"), rpm, atol=1e-5)
+    limit = np.full(rpm.size, 5000.0)
+    np.testing.assert_allclose(page.curve("command", 3), limit, rtol=1e-12)
+    np.testing.assert_allclose(page.curve("command", 4), -limit, rtol=1e-12)
+    bar = 1e-5 * result["load_pressure_pa"]
+    np.testing.assert_allclose(page.curve("pressure"), bar, atol=1e-6 * np.abs(bar).max())
+    reference = np.degrees(result["knee_reference_rad"])
+    np.testing.assert_allclose(page.curve("angle", 3), reference, atol=1e-10)
+
+
+@pytest.mark.parametrize("reference", ["sine", "step", "ramp"])
+def test_the_yaml_of_the_page_runs_as_the_page_does(browser, one, tmp_path, reference):
+    page = _Page(browser, one)
+    page.click("controller-pid")
+    page.click("load-knee")
+    page.click(f"reference-{reference}")
+    values = {
+        GEAR: 4.5,
+        "plant.cylinder.bulk_modulus_pa": 9e8,
+        "plant.pump.internal_leakage_m3_per_s_pa": 4e-13,
+        "plant.load.segment_mass_kg": 2.25,
+        "controller.proportional_per_s": 7.0,
+    }
+    for name, value in values.items():
+        factor = page.evaluate(
+            f"""Setups.quantitiesOf(Page.data, Page.state.setups[0])
+            .find(({{name}}) => name === "{name}").shown_factor"""
+        )
+        page.type(name, value * factor)
+    file = tmp_path / "page.yaml"
+    file.write_text(page.yaml(), encoding="utf-8")
+    scenario = load_scenario(file)
+    kinds = {"controller": "pid", "plant.load": "knee", "reference": reference}
+    expected = changed(changed(Scenario(), kinds), values)
+    for name in values:
+        parent, _, leaf = name.rpartition(".")
+        holders = []
+        for root in (scenario, expected):
+            for part in parent.split("."):
+                root = getattr(root, part)
+            holders.append(getattr(root, leaf))
+        assert holders[0] == pytest.approx(holders[1], rel=1e-12)
+    metrics = track(scenario).metrics
+    error = page.evaluate("Page.results[0].run.metrics.largest_error_rad")
+    assert math.degrees(error) == pytest.approx(metrics.max_error_deg, rel=1e-6)
+
+
+def test_a_link_carries_the_values(browser, one, tmp_path):
+    page = _Page(browser, one)
+    page.click("controller-pid")
+    page.type(GEAR, 3.5)
+    fragment = page.evaluate("Setups.linkOf(Page.data, Page.state)")
+    assert fragment == f"a.controller=pid&a.{GEAR}=3.5"
+    for url in ("about:blank", f"{one.resolve().as_uri()}#{fragment}"):
+        browser.call("Page.navigate", url=url)
+        browser.wait_for("document.readyState === 'complete'")
+    page.wait()
+    state = page.evaluate("JSON.parse(JSON.stringify(Page.state.setups[0]))")
+    assert (state["controller"], state["values"]) == ("pid", {GEAR: 3.5})
+    assert page.evaluate(f"document.getElementById('q-{GEAR}-value').value") == "3.5"
+
+
+@pytest.mark.parametrize(
+    "fragment",
+    [
+        f"a.{GEAR}=1e999",
+        f"a.{GEAR}=0.5",
+        f"a.{GEAR}=21",
+        f"a.{GEAR}=NaN",
+        f"a.{GEAR}=3;alert(1)",
+        f"a.{GEAR}=0x3",
+        f"a.{GEAR}=",
+        "a.__proto__=1&a.constructor=2&__proto__.x=3",
+        "a.controller=__proto__&a.load=toString&a.reference=constructor",
+        "a.scenario=7&b.scenario=-1",
+        "compare=__proto__",
+        "%E0%A4%A&a=<script>alert(1)</script>",
+        "a.plant.unknown=3&x=y",
+    ],
+)
+def test_a_hostile_link_has_no_effect(browser, one, fragment):
+    browser.open(one, 1440, 900)
+    states = browser.evaluate(
+        f"""JSON.stringify([Setups.stateOf(Page.data, "#"), Setups.stateOf(Page.data,
+        {json.dumps("#" + fragment)})])"""
+    )
+    plain, hostile = json.loads(states)
+    assert hostile == plain
+    assert browser.evaluate("({}).x") is None
+
+
+def test_names_of_users_are_text(browser, two):
+    page = _Page(browser, two)
+    page.wait(1)
+    browser.require_health()
+    assert HOSTILE in page.text("scenario-name")
+    assert page.evaluate("document.querySelectorAll('main b, main img, header b').length") == 0
+    assert HOSTILE in page.evaluate("document.querySelector('#stage').textContent")
+
+
+def test_two_set_ups_stand_beside_each_other(browser, two):
+    page = _Page(browser, two)
+    page.wait(1)
+    assert page.evaluate("document.querySelectorAll('.stage-leg').length") == 2
+    steps = _steps(Scenario(), page).simulation
+    for index, gear in enumerate((6.0, 3.0)):
+        scenario = changed(Scenario(), {GEAR: gear}).model_copy(update={"simulation": steps})
+        result = track(scenario)
+        angle = np.degrees(result["knee_angle_rad"])
+        np.testing.assert_allclose(page.curve("angle", index + 1), angle, atol=1e-7)
+        assert _same(page.number("error", index)[0], result.metrics.max_error_deg)
+    note = page.evaluate(f"document.getElementById('q-{GEAR}').parentElement.textContent")
+    assert "B has 3" in note
+    page.type(FREQUENCY, 0.2)
+    page.evaluate("document.getElementById('copy-a-b').click()")
+    page.wait(1)
+    first, second = json.loads(page.evaluate("JSON.stringify(Page.state.setups)"))
+    assert first == second
+    assert first["values"] == {FREQUENCY: 0.2}
+    page.click("compare")
+    assert (
+        page.evaluate("getComputedStyle(document.querySelectorAll('.value.of-b')[0]).display")
+        == "none"
+    )
+    assert np.isnan(page.curve("angle", 2)).all()
+
+
+def test_the_guided_steps_tell_the_numbers_of_their_runs(browser, one):
+    page = _Page(browser, one)
+    page.click("tour-start")
+    sentences = []
+    for step in range(5):
+        error = page.evaluate("Page.results[0].run.metrics.largest_error_rad") * 180.0 / math.pi
+        text = page.text("tour-text")
+        sentences.append(text)
+        if step < 4:
+            shown = [float(number) for number in re.findall(r"(\d[\d.]*)°", text)]
+            assert any(number == pytest.approx(error, rel=0.06) for number in shown), text
+            page.click("tour-next")
+        assert page.evaluate("document.querySelectorAll('.pointed').length") == 1
+    first = large_signal_bandwidth_hz(Scenario())
+    last = large_signal_bandwidth_hz(changed(Scenario(), {GEAR: 3.0}))
+    ratio = float(re.search(r"([\d.]+) times", sentences[-1])[1])
+    assert ratio == pytest.approx(last / first, rel=6e-3)
+    page.evaluate("document.getElementById('tour-next').click()")
+    assert page.evaluate("document.getElementById('tour').hidden")
+    assert page.evaluate("document.querySelectorAll('.pointed').length") == 0
+
+
+def test_a_value_out_of_range_is_refused_with_its_range(browser, one):
+    page = _Page(browser, one)
+    for text in ("25", "gear", "1e999", ""):
+        page.type(GEAR, text)
+        row = page.evaluate(f"document.getElementById('q-{GEAR}').parentElement.textContent")
+        assert "must be 1 … 20" in row
+        assert page.evaluate("Page.state.setups[0].values") == {}
+    page.type(GEAR, "3,5")
+    assert page.evaluate("Page.state.setups[0].values") == {GEAR: 3.5}
+
+
+def test_a_reference_beyond_the_range_of_motion_is_a_sentence(browser, one):
+    page = _Page(browser, one)
+    page.evaluate(
+        """(() => { const box = document.getElementById("q-reference.amplitude_deg-value");
+        box.value = "44"; box.dispatchEvent(new Event("change")); })()"""
+    )
+    assert "would reach −4°, and the knee moves from 0° to 90°" in page.text("notice")
+    assert page.evaluate("document.getElementById('notice').hidden") is False
+    page.type("reference.amplitude_deg", "40")
+    assert page.evaluate("document.getElementById('notice').hidden") is True
+
+
+def test_the_newest_of_many_values_is_shown(browser, one):
+    page = _Page(browser, one)
+    page.evaluate(
+        f"""(() => {{ const slider = document.getElementById("q-{GEAR}");
+        for (let at = 150; at <= 400; at += 5) {{
+          slider.value = at; slider.dispatchEvent(new Event("input")); }} }})()"""
+    )
+    page.wait()
+    gear = page.evaluate(f"Page.state.setups[0].values['{GEAR}']")
+    error = page.evaluate("Page.results[0].run.metrics.largest_error_rad")
+    result = track(_steps(changed(Scenario(), {GEAR: gear}), page))
+    assert math.degrees(error) == pytest.approx(result.metrics.max_error_deg, rel=1e-6)
+
+
+def test_the_keyboard_reaches_and_moves_the_sliders(browser, one):
+    page = _Page(browser, one)
+    page.evaluate(f"document.getElementById('q-{FREQUENCY}-value').focus()")
+    before = page.evaluate(f"document.getElementById('q-{FREQUENCY}').value")
+
+    def press(key, **more):
+        for kind in ("keyDown", "keyUp"):
+            browser.call("Input.dispatchKeyEvent", type=kind, key=key, code=key, **more)
+
+    press("Tab", windowsVirtualKeyCode=9, modifiers=8)
+    assert page.evaluate("document.activeElement.id") == f"q-{FREQUENCY}"
+    press("ArrowRight", windowsVirtualKeyCode=39)
+    page.wait()
+    assert int(page.evaluate(f"document.getElementById('q-{FREQUENCY}').value")) == int(before) + 1
+    assert FREQUENCY in page.evaluate("Page.state.setups[0].values")
+    assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
+
+
+def test_a_page_without_webgl_works(browser, one):
+    script = """HTMLCanvasElement.prototype.getContext = (original => function (kind, ...more) {
+      return kind.startsWith("webgl") ? null : original.call(this, kind, ...more);
+    })(HTMLCanvasElement.prototype.getContext);"""
+    call = browser.call("Page.addScriptToEvaluateOnNewDocument", source=script)
+    try:
+        page = _Page(browser, one)
+        assert _same(page.number("bandwidth")[0], 0.224)
+    finally:
+        browser.call("Page.removeScriptToEvaluateOnNewDocument", identifier=call["identifier"])
+
+
+def test_reduced_motion_starts_no_animation(browser, one):
+    features = [{"name": "prefers-reduced-motion", "value": "reduce"}]
+    browser.call("Emulation.setEmulatedMedia", features=features)
+    try:
+        page = _Page(browser, one)
+        assert page.evaluate("Page.parts.stage.playing") is False
+    finally:
+        browser.call("Emulation.setEmulatedMedia", features=[])
+
+
+def test_paper_has_values_numbers_and_curves(browser, one):
+    page = _Page(browser, one)
+    page.type(GEAR, 4.5)
+    pages = base64.b64decode(browser.call("Page.printToPDF")["data"])
+    assert pages.startswith(b"%PDF")
+    rows = page.evaluate(
+        "[...document.querySelectorAll('#values tr')].map(({textContent}) => textContent)"
+    )
+    assert "gear ratio4.5" in rows
+    assert "controllersliding mode" in rows
+    browser.call("Emulation.setEmulatedMedia", media="print")
+    try:
+        page.evaluate("dispatchEvent(new Event('beforeprint'))")
+        shown = """[...document.querySelectorAll("#panel, #values, #plots canvas, #numbers")]
+        .map(element => element.checkVisibility())"""
+        assert page.evaluate(shown) == [True, True, True, True, True, False, True]
+    finally:
+        browser.call("Emulation.setEmulatedMedia", media="")
+
+
+def _axe():
+    """The text of axe-core, from the place that KNEEXO_AXE names or from npm."""
+    if path := os.environ.get("KNEEXO_AXE"):
+        return Path(path).read_text(encoding="utf-8")
+    if shutil.which("npm") is None:
+        pytest.skip("needs npm")
+    return None
+
+
+@pytest.fixture(scope="module")
+def axe(tmp_path_factory):
+    """The text of axe-core; skips without npm or network."""
+    if (text := _axe()) is not None:
+        return text
+    folder = tmp_path_factory.mktemp("axe")
+    command = ["npm", "install", "--no-audit", "--no-fund", "--ignore-scripts", "axe-core@4.14.1"]
+    installed = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    if installed.returncode:
+        pytest.skip("axe-core cannot be had offline")
+    return (folder / "node_modules/axe-core/axe.min.js").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("phone", [False, True])
+def test_axe_finds_nothing(browser, two, axe, phone):
+    size = {"width": 390, "height": 844, "phone": True} if phone else {}
+    page = _Page(browser, two, **size)
+    page.wait(1)
+    browser.call("Runtime.evaluate", expression=axe)
+    script = """axe.run({runOnly: ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]})
+    .then(({violations, passes}) => [passes.length, violations.map(({id, nodes}) =>
+      [id, ...nodes.map(({target}) => target.join(" "))])])"""
+    for prepare in ("0", 'document.getElementById("tour-start").click()'):
+        page.evaluate(prepare)
+        page.wait()
+        passes, violations = page.evaluate(script)
+        assert passes > 15
+        assert violations == []
