@@ -43,16 +43,23 @@ def phase_ticks(axis: Any) -> None:
 
 
 def decimal_ticks(axis: Any) -> None:
-    """Label a logarithmic axis with plain numbers, at up to three positions in each decade.
+    """Label a logarithmic axis with plain numbers.
 
-    The positions are 1, 2 and 5 if the axis shows less than 1.5 decades at the time of the call,
-    1 and 3 below 3 decades, and 1 otherwise.
+    The positions in each decade are 1, 1.5, 2, 3, 5 and 7 if the axis shows less than 0.8 decades
+    at the time of the call. They are 1, 2 and 5 below 1.5 decades, 1 and 3 below 3 decades, and 1
+    otherwise.
     """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 
     low, high = sorted(axis.get_view_interval())
     decades = math.log10(high / low) if low > 0.0 else 1.0
-    subs = (1.0, 2.0, 5.0) if decades < 1.5 else (1.0, 3.0) if decades < 3.0 else (1.0,)
+    positions = {
+        0.8: (1.0, 1.5, 2.0, 3.0, 5.0, 7.0),
+        1.5: (1.0, 2.0, 5.0),
+        3.0: (1.0, 3.0),
+        math.inf: (1.0,),
+    }
+    subs = next(subs for most, subs in positions.items() if decades < most)
     axis.set_major_locator(LogLocator(subs=subs))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_locator(NullLocator())
