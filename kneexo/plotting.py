@@ -9,7 +9,16 @@ from __future__ import annotations
 import math
 from typing import Any
 
-BLUE, GOLD, TEAL, PURPLE, BROWN = "#2166AC", "#B8860B", "#1B9E77", "#AA3377", "#5A3A22"
+BLUE = "#2166AC"
+"""Colour of the first curve, such as the knee angle."""
+GOLD = "#B8860B"
+"""Colour of the second curve."""
+TEAL = "#1B9E77"
+"""Colour of the third curve, such as the motor's command."""
+PURPLE = "#AA3377"
+"""Colour of the fourth curve, such as the tracking error."""
+BROWN = "#5A3A22"
+"""Colour of the fifth curve."""
 RED = "#CC3311"
 """Colour of limits, failures and unstable loops, and of nothing else."""
 SERIES = (BLUE, GOLD, TEAL, PURPLE, BROWN)
