@@ -196,6 +196,16 @@ def test_numbers_and_time_follow_the_run(stage):
     assert browser.evaluate("stage.duration") == 4.0
     curve = browser.evaluate("stage._trace.plot.data[1]")
     np.testing.assert_allclose(curve, np.degrees(a_run()[1] - a_run()[2]), atol=1e-9)
+    x, y = browser.evaluate("""(() => {
+      const over = document.querySelector(".u-over");
+      over.scrollIntoView();
+      const box = over.getBoundingClientRect();
+      return [box.left + 0.25 * box.width, box.top + 0.9 * box.height];
+    })()""")
+    for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
+        button = "none" if kind == "mouseMoved" else "left"
+        browser.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button=button, clickCount=1)
+    assert browser.evaluate("stage.time") == pytest.approx(1.0, abs=0.02)
     browser.require_health()
 
 
@@ -234,26 +244,35 @@ def test_keys_play_and_move_the_time(stage):
 @pytest.mark.parametrize("flat", [False, True])
 @pytest.mark.parametrize(("size", "phone"), [((1440, 1000), False), ((390, 800), True)])
 def test_the_leg_fills_its_box(stage, flat, size, phone):
-    """A leg from hip to sole takes most of the height of its box, and nothing is cut."""
+    """The leg takes most of its box, straight or bent, and no part is cut."""
     browser = stage([G1], [a_run()], size, phone, flat=flat)
-    browser.evaluate("stage.pause(), stage.seek(0), null")
-    script = """(async () => {
+    script = """(async (time) => {
+      stage.pause();
+      stage.seek(time);
+      stage.turn(-stage.orbit.azimuth, 0);
       for (let frame = 0; frame < 3; ++frame) await new Promise(requestAnimationFrame);
       const canvas = document.querySelector(".whole canvas");
       const { width, height } = canvas;
       const data = canvas.getContext("2d").getImageData(0, 0, width, height).data;
-      const rows = [], columns = [];
-      for (let k = 3; k < data.length; k += 4) {
-        if (data[k] > 0) { rows.push((k >> 2) / width | 0); columns.push((k >> 2) % width); }
+      const ends = [1, 0, 1, 0];
+      for (let k = 0; k < width * height; ++k) {
+        if (data[4 * k + 3] === 0) continue;
+        const [row, column] = [Math.floor(k / width) / height, (k % width) / width];
+        ends[0] = Math.min(ends[0], row);
+        ends[1] = Math.max(ends[1], row);
+        ends[2] = Math.min(ends[2], column);
+        ends[3] = Math.max(ends[3], column);
       }
-      const low = (v) => v.reduce((a, b) => Math.min(a, b));
-      const high = (v) => v.reduce((a, b) => Math.max(a, b));
-      return [low(rows) / height, high(rows) / height, low(columns) / width, high(columns) / width];
-    })()"""
-    top, bottom, left, right = browser.evaluate(script)
-    assert 0.0 < top < 0.15
-    assert 0.8 < bottom < 0.999
-    assert 0.0 < left < right < 0.999
+      return ends;
+    })"""
+    straight, bent = (browser.evaluate(f"{script}({time})") for time in (0.0, 3.1))
+    browser.evaluate("document.querySelector('.whole').style.flex = '0 0 8rem', null")
+    narrow = browser.evaluate(f"{script}(3.1)")
+    for top, bottom, left, right in (straight, bent, narrow):
+        assert min(top, left) > 0.004
+        assert max(bottom, right) < 0.996
+    share = max(straight[1] - straight[0], bent[3] - bent[2])
+    assert share > 0.7
     browser.require_width()
     browser.require_health()
 
@@ -275,6 +294,51 @@ def test_slow_frames_get_fewer_pixels_and_a_still_picture_all(stage):
     assert browser.evaluate("(stage._sharpness = 1, stage._adapt(100), stage._sharpness)") == 0.85
     assert browser.evaluate("(stage._adapt(20), stage._sharpness)") == 0.85
     assert browser.evaluate("(stage._adapt(5), stage._sharpness)") == pytest.approx(0.935)
+
+
+@pytest.mark.slow
+def test_pressures_are_in_words_with_their_share_of_the_rating(stage):
+    browser = stage([G1], [a_run()])
+    script = """[1.2e6, -2.5e3, 40, 0.1, -7e6].map((pressure) => {
+      const run = { time: [0], angle: [0], reference: [0], pressure: [pressure] };
+      return StageModel.readout(Object.assign(stage.legs[0], { run }), 0).pressure;
+    })"""
+    assert browser.evaluate(script) == [
+        "1.20 MPa, 34 % of rating",
+        "−2.50 kPa, < 0.1 % of rating",
+        "40.0 Pa, < 0.1 % of rating",
+        "0 Pa, < 0.1 % of rating",
+        "−7.00 MPa, 200 % of rating",
+    ]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", sorted(LINKAGES))
+def test_a_drawing_from_the_side_has_all_parts_at_their_places(name, stage):
+    """The transformation of the canvas when it draws a part, against the pose of the part."""
+    link = LINKAGES[name]
+    browser = stage([link], [a_run()], flat=True)
+    browser.evaluate("stage.pause(), null")
+    script = """(() => {
+      const { leg, parts } = stage._drawing.items[0];
+      const poses = leg.poses({ angle: 0.9, reference: 0.5, pressure: 0 });
+      const context = document.createElement("canvas").getContext("2d");
+      let matrix;
+      context.beginPath = () => { matrix = context.getTransform(); };
+      return parts.map((part) => {
+        stage._drawing._part(context, part, poses[part.frame], part.colour);
+        return [part.name, matrix.e, matrix.f, matrix.c, matrix.d];
+      });
+    })()"""
+    frames, leg = placements(link, 0.9, 0.5), parts(link)
+    drawn = browser.evaluate(script)
+    assert {name for name, *_ in drawn} == set(leg)
+    for name, x, z, along_x, along_z in drawn:
+        pose = next(frames[leg[name].frame].poses()) @ leg[name].pose
+        np.testing.assert_allclose([x, z], pose.translation()[[0, 2]], atol=1e-4, err_msg=name)
+        axis = pose.rotation().matrix()[[0, 2], 2]
+        if np.hypot(*axis) > 0.5:
+            np.testing.assert_allclose([along_x, along_z], axis, atol=1e-3, err_msg=name)
 
 
 @pytest.mark.slow
