@@ -4,13 +4,15 @@
 
 const LinearLoop = (() => {
   const STEP = 1e-6; // largest relative step of the central differences
-  const COMMAND_STEP_RAD_S = 1e-3; // change of the command that a step of a state makes at most
+  const CONTROLLER_STEP = 1e-3; // largest change of the controller's states, such as rad/s, by a step
   const PERTURBATION_STEP_RAD_S = 1e-2;
   const NEWTON_STEPS = 50;
-  const NO_FACTOR = 1e-6; // a smaller gain margin is the rounding error of a pole at frequency zero
+  const NO_FACTOR = 1e-4; // a smaller gain margin is the rounding error of a pole at frequency zero
   const LOWEST_HZ = 0.01;
   const GRID_POINTS = 1000;
   const FINEST = 10; // bisections of an interval of the grid
+  // Distances from a resonance in units of its half width.
+  const WIDTHS = Array.from({ length: 41 }, (_, k) => 1e-2 * 10 ** (k / 8));
   const REFERENCE_SIZE = 4; // θ_d and three derivatives
 
   // ------------------------------------------------------------------------------ matrices
@@ -80,8 +82,8 @@ const LinearLoop = (() => {
     return Math.exp(logarithm);
   }
 
-  // c (zI − A)⁻¹ b at z = e^{jω}, as [real, imaginary]. Not finite at a pole.
-  function transfer({ a, b, c }, angle) {
+  // zI − A and b at z = e^{jω}, after elimination: a diagonal matrix and the solution times it.
+  function reduced({ a, b }, angle) {
     const n = b.length;
     const width = n + 1;
     const re = new Float64Array(n * width);
@@ -93,15 +95,24 @@ const LinearLoop = (() => {
       re[i * width + n] = b[i];
     }
     for (let k = 0; k < n; k++) eliminate(re, im, k, n);
+    const at = (i, j) => [re[i * width + j], im[i * width + j]];
+    return b.map((_, i) => ({ pivot: at(i, i), right: at(i, n) }));
+  }
+
+  // c (zI − A)⁻¹ b, as [real, imaginary]. Not finite at a pole.
+  function transfer(system, angle) {
     let [x, y] = [0, 0];
-    for (let i = 0; i < n; i++) {
-      const [p, q] = [i * width + n, i * width + i];
-      const [u, v] = divide(re[p], im[p], re[q], im[q]);
-      x += c[i] * u;
-      y += c[i] * v;
-    }
+    reduced(system, angle).forEach(({ pivot, right }, i) => {
+      const [u, v] = divide(...right, ...pivot);
+      x += system.c[i] * u;
+      y += system.c[i] * v;
+    });
     return [x, y];
   }
+
+  // |det(zI − A)|, the product of the distances of z from the poles.
+  const determinant = (system, angle) =>
+    reduced(system, angle).reduce((size, { pivot }) => size * Math.hypot(...pivot), 1);
 
   function divide(a, b, c, d) {
     const size = c * c + d * d;
@@ -166,13 +177,18 @@ const LinearLoop = (() => {
     return columns[0].map((_, i) => column(columns, i));
   }
 
-  // Steps that exceed rounding errors. The slopes of the command limit them, because the command
-  // is the product of two variables with a kink, so that its curvature is infinite at rest.
-  function stepsAt(point, slopes) {
+  // Steps that exceed rounding errors. ``slopes`` are those of the controller's states and command.
+  // They limit the steps, because the law multiplies two variables with a kink at rest. The first
+  // states, as many as ``continuous``, and the reference have a further limit.
+  function stepsAt(point, continuous, slopes) {
     return point.map((value, j) => {
+      const last = point.length - 1;
+      if (j === last) return PERTURBATION_STEP_RAD_S;
       const step = STEP * (1 + Math.abs(value));
-      if (j === point.length - 1) return PERTURBATION_STEP_RAD_S;
-      return slopes ? Math.min(step, COMMAND_STEP_RAD_S / Math.abs(slopes[j])) : 0.1 * step;
+      if (!slopes) return 0.1 * step;
+      const steepest = Math.max(...column(slopes, j).map(Math.abs));
+      const discrete = j >= continuous && j < last - REFERENCE_SIZE;
+      return CONTROLLER_STEP / Math.max(steepest, discrete ? 1 : CONTROLLER_STEP / step);
     });
   }
 
@@ -181,7 +197,7 @@ const LinearLoop = (() => {
     let point = start;
     for (let k = 0; k < NEWTON_STEPS; k++) {
       const change = map.step(point).slice(0, map.n).map((value, i) => value - point[i]);
-      const slope = jacobian(map, point, stepsAt(point)).slice(0, map.n);
+      const slope = jacobian(map, point, stepsAt(point, 0)).slice(0, map.n);
       const square = slope.map((row, i) => row.slice(0, map.n).map((v, j) => v - (i === j ? 1 : 0)));
       const step = solve(square, change);
       if (!step.every(Number.isFinite)) return null;
@@ -195,8 +211,8 @@ const LinearLoop = (() => {
   // Numbers of the loop broken at the command: the loop's own matrices and those that open it.
   function matricesOf(map, point, continuous) {
     const { n } = map;
-    const slopes = jacobian(map, point, stepsAt(point))[n]; // of the command
-    const slope = jacobian(map, point, stepsAt(point, slopes));
+    const slopes = jacobian(map, point, stepsAt(point, continuous)).slice(continuous, n + 1);
+    const slope = jacobian(map, point, stepsAt(point, continuous, slopes));
     // A discrete state that never changes, such as the integral of a PID without integral action,
     // is no state of the loop.
     const still = (row, i) => row.every((v, j) => Math.abs(v - (i === j ? 1 : 0)) < 1e-7);
@@ -223,25 +239,53 @@ const LinearLoop = (() => {
   // L at a frequency in Hz, as [real, imaginary].
   const responseOf = (loop, period) => (frequency) => transfer(loop, 2 * Math.PI * frequency * period);
 
-  // Frequencies in Hz with L there, dense where L turns quickly.
-  function gridOf(response, highest) {
+  // Frequencies in Hz with L there, dense around each resonance and where L turns quickly.
+  function gridOf(loop, period) {
+    const highest = 0.5 / period;
     const ratio = (highest / LOWEST_HZ) ** (1 / GRID_POINTS);
-    const at = (f) => ({ f, value: response(f) });
-    const points = [at(LOWEST_HZ)];
-    const add = (low, high, depth) => {
-      const [x, y] = divide(...high.value, ...low.value);
-      const quick = Math.abs(Math.atan2(y, x)) > 0.2 || Math.abs(Math.log(Math.hypot(x, y))) > 0.3;
-      if (quick && depth < FINEST) {
-        const middle = at(0.5 * (low.f + high.f));
-        add(low, middle, depth + 1);
-        add(middle, high, depth + 1);
-      } else points.push(high);
-    };
-    for (let k = 1; k <= GRID_POINTS; k++) {
-      const f = k < GRID_POINTS ? LOWEST_HZ * ratio ** k : highest;
-      add(points.at(-1), at(f), 0);
+    const even = Array.from({ length: GRID_POINTS }, (_, k) => LOWEST_HZ * ratio ** k).concat(highest);
+    const size = (f) => determinant(loop, 2 * Math.PI * f * period);
+    const near = aroundResonances(size, even).filter((f) => f > LOWEST_HZ && f < highest);
+    const response = responseOf(loop, period);
+    const points = [];
+    for (const f of [...even, ...near].sort((a, b) => a - b)) {
+      refine(response, points, { f, value: response(f) }, 0);
     }
     return points.filter(({ value }) => value.every(Number.isFinite));
+  }
+
+  // Append a point, after points between it and the last one if L turns quickly there.
+  function refine(response, points, next, depth) {
+    const last = points.at(-1);
+    const [x, y] = last ? divide(...next.value, ...last.value) : [1, 0];
+    const quick = Math.abs(Math.atan2(y, x)) > 0.2 || Math.abs(Math.log(Math.hypot(x, y))) > 0.3;
+    if (quick && depth < FINEST) {
+      const f = 0.5 * (last.f + next.f);
+      refine(response, points, { f, value: response(f) }, depth + 1);
+      refine(response, points, next, depth + 1);
+    } else points.push(next);
+  }
+
+  // Frequencies around each pole near the unit circle, where the determinant has a minimum. Such a
+  // resonance may be much narrower than the distance of two frequencies of the grid.
+  function aroundResonances(size, grid) {
+    const sizes = grid.map(size);
+    const isLowest = (k) => sizes[k] < sizes[k - 1] && sizes[k] <= sizes[k + 1];
+    return grid.flatMap((_, k) => {
+      if (!isLowest(k)) return [];
+      const f = lowest(size, grid[k - 1], grid[k + 1]);
+      const width = (size(f) / sizes[k + 1]) * (grid[k + 1] - f);
+      return [0, ...WIDTHS].flatMap((x) => [f - x * width, f + x * width]);
+    });
+  }
+
+  // The place of the minimum of a function between two numbers.
+  function lowest(value, low, high) {
+    for (let k = 0; k < 80; k++) {
+      const [left, right] = [(2 * low + high) / 3, (low + 2 * high) / 3];
+      [low, high] = value(left) < value(right) ? [low, right] : [left, high];
+    }
+    return 0.5 * (low + high);
   }
 
   // The frequencies at which a function of L changes its sign between points of the grid.
@@ -297,14 +341,9 @@ const LinearLoop = (() => {
     const size = ([x, y]) => 1 / Math.hypot(1 + x, y);
     const values = grid.map(({ value }) => size(value));
     const best = values.reduce((most, value, i) => (value > values[most] ? i : most), 0);
-    let low = grid[Math.max(best - 1, 0)].f;
-    let high = grid[Math.min(best + 1, grid.length - 1)].f;
-    for (let k = 0; k < 60; k++) {
-      const [left, right] = [(2 * low + high) / 3, (low + 2 * high) / 3];
-      if (size(response(left)) > size(response(right))) high = right;
-      else low = left;
-    }
-    return { sensitivity_peak: size(response(low)), sensitivity_peak_frequency_hz: low };
+    const ends = [best - 1, best + 1].map((k) => grid[Math.min(Math.max(k, 0), grid.length - 1)].f);
+    const frequency = lowest((f) => -size(response(f)), ...ends);
+    return { sensitivity_peak: size(response(frequency)), sensitivity_peak_frequency_hz: frequency };
   }
 
   // The first frequency at which a gain falls below 1/√2 of its value at the lowest, or null.
@@ -383,7 +422,7 @@ const LinearLoop = (() => {
     const radius = spectralRadius(matrices.closed);
     const highest = 0.5 / period;
     const response = responseOf(matrices.loop, period);
-    const grid = gridOf(response, highest);
+    const grid = gridOf(matrices.loop, period);
     const common = {
       knee_angle_deg: angle,
       stable: radius < 1,

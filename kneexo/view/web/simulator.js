@@ -113,11 +113,14 @@ const Simulator = (() => {
 
   // ---------------------------------------------------------------------------- parameters
 
-  // The value of a map at the values of its quantities, as kneexo/export/web.py describes it.
+  // The value of a map at the values of its quantities, as map_value in kneexo/export/web_maps.py.
   const KINDS = {
     affine: (map, q) => q.reduce((sum, value, i) => sum + map.factors[i] * value, map.offset),
     power: (map, q) => q.reduce((value, x, i) => value * x ** map.exponents[i], map.factor),
-    least: (map, q) => Math.min(map.limit ?? Infinity, ...q.map((x, i) => map.factors[i] * x)),
+    least: ({ limit, factors, unit }, q) => {
+      const least = Math.min(limit ?? Infinity, ...q.map((x, i) => factors[i] * x));
+      return unit ? unit * Math.floor((least / unit) * (1 + 1e-12)) : least;
+    },
     chebyshev: (map, q) => {
       const polynomials = q.map((value, i) => chebyshev(map.terms, i, placeOf(value, map.domain[i])));
       return map.terms.reduce(
@@ -143,7 +146,7 @@ const Simulator = (() => {
       if (!Number.isFinite(values[name])) throw new Error(`${name} has no value`);
       return values[name];
     });
-    return KINDS[map.kind](map, at);
+    return Math.max(KINDS[map.kind](map, at), map.at_least ?? -Infinity);
   }
 
   // The parameters of a module: its base, changed by the maps.
@@ -231,23 +234,30 @@ const Simulator = (() => {
       pause,
       "run",
     );
-    const signal = (name) => instance.output(name, rows);
-    const period = instance.table.sample_time_s;
-    const time = Float64Array.from({ length: rows }, (_, tick) => tick * period);
-    const angle = signal("knee_angle_rad");
-    const wanted = columns[0].slice(0, rows);
     const limits = limitsOf(model, values);
-    const signals = {
+    const signals = signalsOf(instance, columns[0].slice(0, rows), limits.command_limit_rad_s);
+    const { time, shaft, hydraulic, chambers, ...shown } = signals;
+    const metrics = rows > 1 ? metricsOf(model, reference, values, limits, signals) : {};
+    return { time, columns: shown, metrics, limits, end };
+  }
+
+  // The signals of a run over time: the curves of a page, and those that only metrics need.
+  function signalsOf(instance, reference, limit) {
+    const rows = reference.length;
+    const signal = (name) => instance.output(name, rows);
+    const angle = signal("knee_angle_rad");
+    return {
+      time: Float64Array.from({ length: rows }, (_, tick) => tick * instance.table.sample_time_s),
       angle,
-      reference: wanted,
-      error: wanted.map((value, tick) => value - angle[tick]),
+      reference,
+      error: reference.map((value, tick) => value - angle[tick]),
       command: signal("motor_speed_command_rad_s"),
-      limit: new Float64Array(rows).fill(limits.command_limit_rad_s),
+      limit: new Float64Array(rows).fill(limit),
       pressure: signal("load_pressure_pa"),
+      shaft: signal("shaft_power_w"),
+      hydraulic: signal("hydraulic_power_w"),
+      chambers: ["cap_pressure_pa", "rod_side_pressure_pa"].map(signal).filter((column) => column),
     };
-    const power = [signal("shaft_power_w"), signal("hydraulic_power_w")];
-    const metrics = rows > 1 ? metricsOf(model, reference, values, limits, time, signals, power) : {};
-    return { time, columns: signals, metrics, limits, end };
   }
 
   // ------------------------------------------------------------------------------- metrics
@@ -312,7 +322,8 @@ const Simulator = (() => {
   }
 
   // Metrics after the first period of a sine, or of the whole run of another reference.
-  function settledMetrics(time, signals, settled, limit) {
+  function settledMetrics(signals, settled, limit) {
+    const { time } = signals;
     let first = indexAt(time, settled);
     const complete = time.length - first >= 2;
     const error = signals.error.subarray(complete ? first : 0);
@@ -330,11 +341,10 @@ const Simulator = (() => {
     };
   }
 
-  function metricsOf(model, reference, values, limits, time, signals, [shaft, hydraulic]) {
-    const period = time[1] - time[0];
+  function metricsOf(model, reference, values, limits, signals) {
     const settled = reference === "sine" ? 1 / values["reference.frequency_hz"] : 0;
-    const main = settledMetrics(time, signals, settled, limits.command_limit_rad_s);
-    const step = reference === "step" ? stepMetrics(time, signals.angle, values) : null;
+    const main = settledMetrics(signals, settled, limits.command_limit_rad_s);
+    const step = reference === "step" ? stepMetrics(signals.time, signals.angle, values) : null;
     const bound = errorBound(model, rangeOf(model, reference, values));
     return {
       ...main,
@@ -345,13 +355,27 @@ const Simulator = (() => {
       rms_error_overall_rad: rms(signals.error),
       saturated_share_overall: saturatedShare(signals.command, limits.command_limit_rad_s),
       peak_command_rad_s: largest(signals.command),
-      peak_pressure_pa: largest(signals.pressure),
-      pressure_over_rating_share: share(
-        signals.pressure,
-        (value) => Math.abs(value) > limits.pressure_rating_pa,
-      ),
+      ...pressureMetrics(signals, limits),
+      ...powerMetrics(signals, limits),
+    };
+  }
+
+  const shareAbove = (values, bound) => share(values, (value) => Math.abs(value) > bound);
+
+  function pressureMetrics({ pressure, chambers: [cap, rodSide] }, limits) {
+    const highest = cap?.map((value, tick) => Math.max(value, rodSide[tick]));
+    return {
+      peak_pressure_pa: largest(pressure),
+      pressure_over_rating_share: shareAbove(pressure, limits.pressure_rating_pa),
+      relief_share: highest ? shareAbove(highest, limits.relief_pressure_pa) : null,
+    };
+  }
+
+  function powerMetrics({ time, shaft, hydraulic }, limits) {
+    const period = time[1] - time[0];
+    return {
       peak_shaft_power_w: largest(shaft),
-      power_over_rating_share: share(shaft, (value) => Math.abs(value) > limits.power_rating_w),
+      power_over_rating_share: shareAbove(shaft, limits.power_rating_w),
       shaft_energy_j: integral(shaft, period, (value) => value),
       shaft_energy_delivered_j: integral(shaft, period, (value) => Math.max(value, 0)),
       hydraulic_energy_j: integral(hydraulic, period, (value) => value),

@@ -10,16 +10,15 @@ PERIOD_S = 0.01
 NYQUIST_HZ = 50.0
 
 MARGINS = """(() => {
-  const loop = %s;
-  const response = (f) => LinearLoop.transfer(loop, 2 * Math.PI * f * %g);
-  const grid = LinearLoop.gridOf(response, %g);
-  return LinearLoop.marginsOf(response, grid, %g);
+  const [loop, period] = [%s, %g];
+  const response = (f) => LinearLoop.transfer(loop, 2 * Math.PI * f * period);
+  return LinearLoop.marginsOf(response, LinearLoop.gridOf(loop, period), 0.5 / period);
 })()"""
 
 
 def margins_of(worker, a, b, c):
     loop = json.dumps({"a": a, "b": b, "c": c})
-    return worker.evaluate(MARGINS % (loop, PERIOD_S, NYQUIST_HZ, NYQUIST_HZ))
+    return worker.evaluate(MARGINS % (loop, PERIOD_S))
 
 
 @pytest.mark.parametrize("gain", [0.3, 1.2])
@@ -56,14 +55,15 @@ def test_a_loop_that_nothing_destabilizes_has_infinite_margins(worker):
 
 
 def test_a_narrow_resonance_is_not_missed(worker):
-    """A mode with a damping of 1e-4 is narrower than the distance of points of the grid."""
-    angle, radius = 1.234567, 1.0 - 1e-5
-    a = radius * np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
-    b, c = np.array([1.0, 0.0]), np.array([4e-5, 0.0])
+    """A mode that is 10,000 times narrower than the distance of two frequencies of the grid."""
+    angle, radius = 1.234567, 1.0 - 1e-7
+    turn = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+    a = radius * turn
+    b, c = np.array([1.0, 0.0]), np.array([4e-7, 0.0])
     margins = margins_of(worker, a.tolist(), b.tolist(), c.tolist())
-    f = angle / PERIOD_S / math.tau + np.linspace(-1e-3, 1e-3, 2001)
+    f = angle / PERIOD_S / math.tau + np.linspace(-1e-4, 1e-4, 20001)
     z = np.exp(2j * np.pi * f * PERIOD_S)
-    values = 4e-5 * (z - a[0, 0]) / ((z - a[0, 0]) ** 2 - a[0, 1] * a[1, 0])
+    values = 4e-7 * (z - a[0, 0]) / ((z - a[0, 0]) ** 2 - a[0, 1] * a[1, 0])
     peak = np.max(1.0 / np.abs(1.0 + values))
     assert margins["sensitivity_peak"] == pytest.approx(peak, rel=1e-3)
     assert margins["sensitivity_peak"] > 1.5

@@ -19,9 +19,12 @@ def parameters_of(worker, *maps):
     [
         ("affine", {"offset": 3.0, "factors": [2.0, -1.0]}, 3.0 + 2.0 * 1.7 - 0.4),
         ("power", {"factor": 3.0, "exponents": [2.0, -1.0]}, 3.0 * 1.7**2 / 0.4),
+        ("affine", {"offset": 3.0, "factors": [-2.0, 0.0], "at_least": 0.5}, 0.5),
+        ("affine", {"offset": 4.0, "factors": [-2.0, 0.0], "at_least": 0.5}, 0.6),
         ("least", {"limit": 100.0, "factors": [2.0, 10.0]}, 2.0 * 1.7),
         ("least", {"limit": 1.0, "factors": [2.0, 10.0]}, 1.0),
         ("least", {"limit": None, "factors": [5.0, 10.0]}, 10.0 * 0.4),
+        ("least", {"limit": None, "factors": [5.0, 10.0], "unit": 0.3}, 3.9),
     ],
 )
 def test_a_map_sets_its_parameter_alone(worker, kind, numbers, value):
