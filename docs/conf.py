@@ -237,17 +237,31 @@ def drop_old_pages(app: Sphinx) -> None:
             page.unlink()
 
 
-def place_knee(_app: Sphinx, _document: str, content: list[str]) -> None:
-    """The marker for the knee that moves becomes a frame with the page of `write_knee`."""
-    frame = '<iframe class="knee" src="knee.html" title="the knee moves" loading="lazy"></iframe>'
-    content[0] = content[0].replace("<!-- knee -->", f"```{{raw}} html\n{frame}\n```")
+FRAMES = {
+    "play": ("play.html", "the page to play with", ["play", "--preset", "leg"]),
+    "knee": ("knee.html", "the knee moves", ["view", "--preset", "leg"]),
+}
+"""Pages in frames. Marker in the Markdown: file, title, and the command that writes the file."""
 
 
-def write_knee(app: Sphinx, failure: Exception | None) -> None:
-    """The page of `kneexo view`, beside those of the site that show it."""
-    wanted = failure is None and app.builder.format == "html"
-    if wanted and main(["view", "--preset", "leg", "--out", str(app.outdir / "knee.html")]):
-        raise ExtensionError("kneexo view has failed")
+def place_frames(_app: Sphinx, document: str, content: list[str]) -> None:
+    """A marker becomes a frame with its page, and a link that opens the page alone."""
+    up = "../" * document.count("/")
+    for marker, (file, title, _) in FRAMES.items():
+        frame = (
+            f'<iframe class="{marker}" src="{up}{file}" title="{title}" loading="lazy"></iframe>\n'
+            f'<p class="{marker}-alone"><a href="{up}{file}">Open this page alone</a></p>'
+        )
+        content[0] = content[0].replace(f"<!-- {marker} -->", f"```{{raw}} html\n{frame}\n```")
+
+
+def write_frames(app: Sphinx, failure: Exception | None) -> None:
+    """The pages in frames, beside those of the site that show them."""
+    if failure is not None or app.builder.format != "html":
+        return
+    for file, _, command in FRAMES.values():
+        if main([*command, "--out", str(app.outdir / file)]):
+            raise ExtensionError(f"kneexo {command[0]} has failed")
 
 
 def finish_notebooks(_app: Sphinx, env: Any) -> None:
@@ -287,8 +301,8 @@ def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("builder-inited", drop_old_pages, priority=400)  # autosummary has 500
     app.connect("source-read", list_public_names)
     app.connect("source-read", source_links)
-    app.connect("source-read", place_knee)
-    app.connect("build-finished", write_knee)
+    app.connect("source-read", place_frames)
+    app.connect("build-finished", write_frames)
     app.connect("env-updated", finish_notebooks)
     app.add_html_math_renderer(
         "mathml",

@@ -29,6 +29,7 @@ BESIDE_PACKAGES = {
     "kneexo.sweeps.failure": ("Failure", "read_failure", "record_failure"),
     "kneexo.view.drawing": ("mechanism_svg",),
     "kneexo.view.meshcat_view": ("add_meshcat_view",),
+    "kneexo.view.play": ("Playground",),
     "kneexo.view.page": ("view_page",),
 }
 """Names that users import from the module that defines them."""

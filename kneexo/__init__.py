@@ -7,6 +7,7 @@ The short names for users, as in ``import kneexo as kx``:
 - `kneexo.responses.linearize`: poles and margins of its sampled closed loop
 - `kneexo.responses.bode`, `kneexo.responses.step`: frequency response and step response
 - `kneexo.batches.batch`: simulate many variants of it
+- `kneexo.view.play.play`: a page with sliders on which it runs in the browser
 - `kneexo.simulation.compile`: machine code of a scenario, or of a Drake diagram with symbolic
   support
 
@@ -30,7 +31,7 @@ from typing import TYPE_CHECKING, Any
 
 from kneexo.version import __version__ as __version__
 
-__all__ = ["Scenario", "batch", "bode", "compile", "linearize", "step", "track"]
+__all__ = ["Scenario", "batch", "bode", "compile", "linearize", "play", "step", "track"]
 
 if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and for editors
     from kneexo.analysis import track as track
@@ -38,6 +39,7 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
     from kneexo.parameters import Scenario as Scenario
     from kneexo.responses import bode as bode, linearize as linearize, step as step
     from kneexo.simulation import compile as compile
+    from kneexo.view.play import play as play
 else:
     _MODULES = {
         "Scenario": "kneexo.parameters",
@@ -45,6 +47,7 @@ else:
         "bode": "kneexo.responses",
         "compile": "kneexo.simulation",
         "linearize": "kneexo.responses",
+        "play": "kneexo.view.play",
         "step": "kneexo.responses",
         "track": "kneexo.analysis",
     }

@@ -9,6 +9,7 @@ import pytest
 
 import kneexo
 from kneexo import analysis, batches, parameters, responses, simulation
+from kneexo.view import play
 
 HOMES = {
     "Scenario": parameters,
@@ -16,6 +17,7 @@ HOMES = {
     "bode": responses,
     "compile": simulation,
     "linearize": responses,
+    "play": play,
     "step": responses,
     "track": analysis,
 }
@@ -58,7 +60,7 @@ def test_help_shows_the_types_of_arguments_and_result(name):
     assert f"-> '{result.__name__}'" in text
 
 
-@pytest.mark.parametrize("name", [name for name in FUNCTIONS if name != "compile"])
+@pytest.mark.parametrize("name", sorted({*FUNCTIONS} - {"compile", "play"}))
 def test_a_law_may_be_given(name):
     parameters = inspect.signature(getattr(kneexo, name)).parameters
     for argument, default in {"law": None, "initial_state": ()}.items():

@@ -106,7 +106,7 @@ def _policy(styles: Sequence[str], scripts: Sequence[str], worker: str | None, w
         "style-src": [*map(_hash, styles)] or ["'none'"],
         "img-src": ["data:", "blob:"],
         # Cells of VS Code allow workers from data URLs only.
-        "worker-src": ["'none'"] if worker is None else ["blob:", "data:"],
+        "worker-src": ["'none'"] if worker is None else ["data:"],
         "base-uri": ["'none'"],
         "form-action": ["'none'"],
     }

@@ -60,7 +60,7 @@ def test_a_worker_and_wasm_are_allowed_only_where_they_run():
     )
     policy = policy_of(page)
     assert policy["script-src"] == [hash_of("a();"), "'wasm-unsafe-eval'"]
-    assert policy["worker-src"] == ["blob:", "data:"]
+    assert policy["worker-src"] == ["data:"]
     (worker,) = (t for a, t in Elements(page).of("script") if a.get("id") == "worker")
     assert json.loads(worker) == "onmessage = 1 </script>"
 

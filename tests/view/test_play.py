@@ -1,0 +1,134 @@
+"""The page to play with in a notebook."""
+
+import html
+import re
+from contextlib import contextmanager
+
+import pytest
+
+import kneexo as kx
+from kneexo.errors import OutputError, ParameterError
+from kneexo.parameters.scenario_file import dump_scenario
+from kneexo.view import play as module
+from kneexo.view.playground import MARK
+
+
+@pytest.fixture
+def made(monkeypatch):
+    """The arguments of each page that is made; the page itself is a short text."""
+    calls = []
+
+    def page(scenarios, names):
+        calls.append((list(scenarios), tuple(names)))
+        return f'{MARK}<p title="a">&amp; "{names[0]}"</p>'
+
+    monkeypatch.setattr(module, "playground_page", page)
+    return calls
+
+
+def test_scenarios_files_and_names(made, tmp_path):
+    pid = kx.Scenario().changed({"controller": "pid"})
+    path = tmp_path / "mine.yaml"
+    path.write_text(dump_scenario(pid), encoding="utf-8")
+    leg = kx.Scenario.preset("leg")
+    assert kx.play().names == ("preset paper",)
+    assert kx.play(leg, path, str(path), pid).names == ("preset leg", "mine", "mine", "scenario 4")
+    assert kx.play(pid, path, names=["mine", "other"]).names == ("mine", "other")
+    assert made[0][0] == [kx.Scenario()]
+    assert made[1][0] == [leg, pid, pid, pid]
+    assert made[2] == ([pid, pid], ("mine", "other"))
+
+
+def test_wrong_names_are_refused(made):
+    with pytest.raises(ParameterError, match="names: 1 names for 2 scenarios; must be one for"):
+        kx.play(kx.Scenario(), kx.Scenario(), names=["mine"])
+    with pytest.raises(ParameterError, match="must be a Scenario or the path"):
+        kx.play(3)
+    assert made == []
+
+
+def test_a_cell_has_the_page_in_a_frame(made):
+    page = kx.play(kx.Scenario(), names=['"><script>'])
+    cell = page._repr_html_()
+    (source,) = re.findall(r'^<iframe srcdoc="([^"]*)" title="[^"<>]*" [^<>]*></iframe>$', cell)
+    assert html.unescape(source) == page.html
+    assert 'sandbox="allow-scripts allow-downloads"' in cell
+    assert "<p" not in repr(page)
+
+
+def test_a_page_is_written_and_replaced_but_nothing_else(made, tmp_path):
+    page = kx.play()
+    path = page.write(tmp_path / "new" / "knee.html")
+    assert path.read_text("utf-8") == page.html
+    assert page.write(str(path)) == path
+    other = tmp_path / "other.html"
+    other.write_text("<p>mine</p>")
+    for place, message in ((other, "is no page of kneexo play"), (tmp_path / "a.txt", "in .html")):
+        with pytest.raises(OutputError, match=message):
+            page.write(place)
+    assert other.read_text() == "<p>mine</p>"
+    assert not (tmp_path / "a.txt").exists()
+
+
+def test_the_browser_opens_a_file_with_the_page(made, monkeypatch, tmp_path):
+    monkeypatch.setattr(module.tempfile, "tempdir", str(tmp_path))
+    addresses = []
+    monkeypatch.setattr(module.webbrowser, "open", lambda url: not addresses.append(url))
+    page = kx.play()
+    path = page.open()
+    assert addresses == [path.as_uri()]
+    assert path.read_text("utf-8") == page.html
+    monkeypatch.setattr(module.webbrowser, "open", lambda url: False)
+    with pytest.raises(OutputError, match=r"no browser here; .*\.html has the page, open it"):
+        page.open()
+
+
+NOTEBOOKS = {
+    "jupyterlab": "",
+    # The policy of a cell in VS Code, which the frame inherits.
+    "vs_code": (
+        "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval'; style-src 'unsafe-inline'; "
+        "img-src https: http: data:; font-src https:; connect-src https:; child-src https: data:"
+    ),
+}
+
+
+@contextmanager
+def frame_in(browser):
+    """The calls of the browser reach the frame of the page, which has a process of its own."""
+    frames = []
+    while not frames:
+        targets = browser.call("Target.getTargets")["targetInfos"]
+        frames = [target["targetId"] for target in targets if target["type"] == "iframe"]
+    outer = browser._session
+    attached = browser.call("Target.attachToTarget", targetId=frames[0], flatten=True)
+    browser._session = attached["sessionId"]
+    try:
+        for domain in ("Runtime", "Log", "Network"):
+            browser.call(f"{domain}.enable")
+        yield
+    finally:
+        browser._session = outer
+
+
+@pytest.fixture(scope="module")
+def cell():
+    return kx.play(kx.Scenario())._repr_html_()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("notebook", NOTEBOOKS)
+def test_the_page_runs_in_the_cell_of_a_notebook(notebook, cell, browser, tmp_path):
+    outer = tmp_path / "notebook.html"
+    policy = NOTEBOOKS[notebook]
+    meta = f'<meta http-equiv="Content-Security-Policy" content="{policy}">' if policy else ""
+    outer.write_text(f"<!doctype html>{meta}{cell}", encoding="utf-8")
+    browser.open(outer, width=1000, height=950)
+    numbers = "document.querySelector('#numbers')?.innerText"
+    with frame_in(browser):
+        browser.wait_for(rf"/Largest error\s+[\d.]+/i.test({numbers})", 60.0)
+        shown = browser.evaluate(numbers)
+    (error_deg,) = re.findall(r"(?i)largest error\s+([\d.]+)", shown)
+    expected = kx.track(kx.Scenario()).metrics.max_error_deg
+    assert float(error_deg) == pytest.approx(expected, abs=0.51e-3)  # three decimals
+    assert browser.console == []
