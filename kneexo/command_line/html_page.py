@@ -1,12 +1,11 @@
 """Writes a report as one HTML page: text, tables, pictures as SVG, scenario and settings.
 
-The page can hold a compressed page of `kneexo.view`, which a button opens.
+The page can hold the stage of `kneexo.view` with moving legs.
 """
 
 from __future__ import annotations
 
 import base64
-import gzip
 import html
 import shlex
 from collections.abc import Mapping, Sequence
@@ -20,6 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from kneexo.studies.catalogue import Motion
+    from kneexo.view.page import StageContent
 
 _STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; color: #1c1e21; background: #fff; max-width: 60rem;
@@ -35,8 +35,7 @@ figure img { display: block; max-width: 100%; height: auto; }
 figure input { position: absolute; opacity: 0; }
 figure input:checked + img { width: 90rem; max-width: none; cursor: zoom-out; }
 figure input:focus-visible + img, .scroll:focus-visible { outline: 2px solid #1a6fb5; }
-.view button { font: inherit; padding: 0.5rem 1rem; }
-.view iframe { width: 100%; height: 70vh; border: 1px solid #d0d4d9; }
+.view { margin: 2rem 0; }
 figcaption { color: #50565e; font-size: 0.9rem; max-width: 44rem; }
 pre { background: #f4f5f7; padding: 0.7rem; font-size: 0.85rem; white-space: pre-wrap;
   columns: 22rem; }
@@ -48,30 +47,12 @@ footer { border-top: 1px solid #d0d4d9; margin-top: 2rem; }
   table { font-size: 7.5pt; }
   th, td { padding: 0.2rem 0.4rem; }
   .scroll, figure label { overflow: visible; }
-  .view { display: none; }
+  .view { break-inside: avoid; }
   figure, tr { break-inside: avoid; }
-  figure img { max-height: 22cm; }
+  figure img { max-height: 12cm; }
   figure input:checked + img { width: auto; max-width: 100%; }
   pre { font-size: 7pt; columns: 16rem; background: none; padding: 0; }
 }
-"""
-
-_VIEW_SCRIPT = """
-const section = document.querySelector(".view"), button = section.querySelector("button");
-button.hidden = false;
-button.onclick = async () => {
-  if (!window.DecompressionStream) {
-    button.replaceWith("This browser is too old for the view: it lacks DecompressionStream.");
-    return;
-  }
-  const text = atob(document.getElementById("view-data").textContent);
-  const bytes = new Blob([Uint8Array.from(text, (letter) => letter.charCodeAt(0))]);
-  const page = bytes.stream().pipeThrough(new DecompressionStream("gzip"));
-  const frame = document.createElement("iframe");
-  frame.title = "The knee in three dimensions";
-  frame.srcdoc = await new Response(page).text();
-  button.replaceWith(frame);
-};
 """
 
 
@@ -102,13 +83,13 @@ class ReportPage:
         For the other parameters see `html_page`. ``motions`` maps names to runs that the page shows
         in three dimensions. If ``motions`` is None or empty, the page shows no motion.
         """
-        view = ""
+        view = None
         if motions:
             from kneexo.view.legs import Leg
-            from kneexo.view.page import MOST_FRAMES_IN_REPORT, view_page
+            from kneexo.view.page import MOST_FRAMES_IN_REPORT, stage_content
 
-            legs = [Leg.of_signals(name, *motion) for name, motion in motions.items()]
-            view = view_page(legs, MOST_FRAMES_IN_REPORT)
+            legs = [Leg.of_plant(name, *motion) for name, motion in motions.items()]
+            view = stage_content(legs, MOST_FRAMES_IN_REPORT)
         return {self.name: html_page(shlex.join(self.words), report, figures, origin, view)}
 
 
@@ -117,7 +98,7 @@ def html_page(
     report: str,
     figures: Mapping[str, Figure],
     origin: Mapping[str, Any],
-    view: str = "",
+    view: StageContent | None = None,
 ) -> str:
     """Return the text of one self-contained HTML page.
 
@@ -132,8 +113,7 @@ def html_page(
     origin
         The first items of every JSON result: version, scenario and settings.
     view
-        A whole HTML page that a button shows inside the returned page. An empty text means no
-        button.
+        Runs that the page shows in three dimensions, or None.
     """
     import yaml
     from markdown_it import MarkdownIt
@@ -147,38 +127,23 @@ def html_page(
     pictures = "\n".join(_picture(name, figure) for name, figure in figures.items())
     inputs = {key: value for key, value in origin.items() if key != "kneexo"}
     text = yaml.safe_dump(inputs, sort_keys=False, allow_unicode=True)
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{html.escape(title)}</title>
-<style>{_STYLE}</style>
-</head>
-<body>
-{body}
+    from kneexo.view.web_page import self_contained_page
+
+    motion = ""
+    if view is not None:
+        motion = (
+            f'<section class="view">\n<h2>The knee in motion</h2>\n{view.body_html}\n</section>'
+        )
+    whole = f"""{body}
 {pictures}
-{_view(view) if view else ""}
+{motion}
 <footer>
 <h2>Scenario and settings</h2>
 <p>kneexo {html.escape(str(origin["kneexo"]))}: <code>{html.escape(title)}</code></p>
 <pre>{html.escape(text)}</pre>
-</footer>
-</body>
-</html>
-"""
-
-
-def _view(page: str) -> str:
-    """Return an HTML section with the compressed ``page`` and a button that shows the page."""
-    data = base64.b64encode(gzip.compress(page.encode(), mtime=0)).decode()
-    return f"""<section class="view">
-<h2>The knee in three dimensions</h2>
-<button type="button" hidden>Show the knee move</button>
-<noscript>The view needs JavaScript.</noscript>
-<script type="application/octet-stream" id="view-data">{data}</script>
-<script>{_VIEW_SCRIPT}</script>
-</section>"""
+</footer>"""
+    styles, scripts, data = ([], [], {}) if view is None else view[1:]
+    return self_contained_page(title, whole, [*styles, _STYLE], scripts, data)
 
 
 def _picture(name: str, figure: Figure) -> str:

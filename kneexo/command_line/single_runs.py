@@ -88,7 +88,7 @@ def simulate(choice: ScenarioChoice, out: Path, page: ReportPage | None = None) 
 
         report = tracking_report(result)
         (name,) = run_names([choice.path] if choice.path else [], choice.preset)
-        motions = {name: (scenario.plant.linkage, result.run.columns)}
+        motions = {name: (scenario.plant, result.run.columns)}
         files |= page.file(report, figures, origin, motions)
     m = result.metrics
     lines = [

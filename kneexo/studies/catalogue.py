@@ -20,12 +20,12 @@ from kneexo.progress import Stage
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from kneexo.parameters import LinkageParameters, Scenario
+    from kneexo.parameters import PlantParameters, Scenario
     from kneexo.parameters.quantity import Parameters
     from kneexo.result import Array
 
-    Motion = tuple[LinkageParameters, Mapping[str, Array]]
-    """A linkage, and a run with this linkage: columns (n,) by name. ``time_s`` starts at 0."""
+    Motion = tuple[PlantParameters, Mapping[str, Array]]
+    """A plant, and a run of this plant: columns (n,) by name. ``time_s`` starts at 0."""
 
 PAPER = "the paper's setup (see `kneexo params`)"
 """Description of the default `Scenario` in the help of the commands and in reports."""

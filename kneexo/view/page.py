@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -40,11 +40,35 @@ def shown_s(legs: Sequence[Leg], most_frames: int = MOST_FRAMES) -> float:
     return min(max(float(leg.time_s[-1]) for leg in legs), most_frames / (FRAMES_PER_S * len(legs)))
 
 
-def view_page(legs: Sequence[Leg], most_frames: int = MOST_FRAMES) -> str:
-    """Return one self-contained HTML page of legs beside each other, with a slider for the time.
+class StageContent(NamedTuple):
+    """The arguments of `self_contained_page` for the stage of some runs, without style of page."""
+
+    body_html: str
+    styles: list[str]
+    scripts: list[str]
+    data: dict[str, Any]
+
+
+def view_page(legs: Sequence[Leg]) -> str:
+    """Return one self-contained HTML page with the `stage_content` of some legs.
+
+    Raises `LinkageError` if a linkage cannot be assembled.
+    """
+    content = stage_content(legs)
+    return self_contained_page(
+        f"kneexo: {', '.join(leg.name for leg in legs)}",
+        f"{MARK}\n<main>\n<h1>The knee in motion</h1>\n{content.body_html}\n</main>",
+        [*content.styles, web_text("view.css")],
+        content.scripts,
+        content.data,
+    )
+
+
+def stage_content(legs: Sequence[Leg], most_frames: int = MOST_FRAMES) -> StageContent:
+    """Return the parts of a page with legs beside each other and a slider for the time.
 
     The colour of a cylinder shows its load pressure, with full colour at the rating of the leg. An
-    outline shows the reference, and a curve the error. The page ends at `shown_s`, so the rest of a
+    outline shows the reference, and a curve the error. It ends at `shown_s`, so the rest of a
     longer run is not shown. After the end of a shorter run the leg stays at its last pose.
 
     Raises `LinkageError` if a linkage cannot be assembled.
@@ -52,17 +76,13 @@ def view_page(legs: Sequence[Leg], most_frames: int = MOST_FRAMES) -> str:
     end_s = shown_s(legs, most_frames)
     last_s = max(float(leg.time_s[-1]) for leg in legs)
     cut = f"The page shows the first {end_s:.4g} of {last_s:.4g} s. " if end_s < last_s else ""
-    body = f"""{MARK}
-<main>
-<div id="stage"></div>
+    body = f"""<div id="stage"></div>
 <noscript>The view needs JavaScript.</noscript>
 <p class="stage-note">{cut}Joints, pins, cylinder and rod have the places and lengths of the
-linkage. Limbs, brace, pump and motor are illustrative. kneexo {__version__}</p>
-</main>"""
-    return self_contained_page(
-        f"kneexo: {', '.join(leg.name for leg in legs)}",
+linkage. Limbs, brace, pump and motor are illustrative. kneexo {__version__}</p>"""
+    return StageContent(
         body,
-        [*map(web_text, STAGE_STYLES), web_text("view.css")],
+        [*map(web_text, STAGE_STYLES)],
         [*map(web_text, STAGE_SCRIPTS), web_text("view.js")],
         {"legs": [_stage_leg(leg) for leg in legs], "runs": [_run(leg, end_s) for leg in legs]},
     )

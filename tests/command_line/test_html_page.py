@@ -1,7 +1,6 @@
 """Reports as HTML pages."""
 
 import base64
-import gzip
 import html
 import json
 import math
@@ -16,6 +15,7 @@ import pytest
 from kneexo.command_line.html_page import html_page
 from kneexo.command_line.main import main
 from kneexo.version import __version__
+from kneexo.view.page import StageContent
 
 VOID = {"meta", "link", "br", "hr", "img", "input", "path", "use"}
 
@@ -168,15 +168,30 @@ def test_html_of_a_study_is_its_report(short, tmp_path, capsys):
     assert [cell for cell in of_report if cell != "---"] == cells
 
 
-def test_a_view_lies_compressed_within_a_report(figure):
-    view = "<!DOCTYPE html><title>v</title>" + "<p>knee</p>" * 1000
-    text = html_page("t", "text", {"a": figure}, {"kneexo": "1"}, view)
-    data = re.search(r'id="view-data">([^<]*)<', text)[1]
-    assert gzip.decompress(base64.b64decode(data)).decode() == view
-    assert len(data) < 0.1 * len(view)
-    assert "The view needs JavaScript" in text
-    assert text == html_page("t", "text", {"a": figure}, {"kneexo": "1"}, view)
-    assert "view-data" not in html_page("t", "text", {"a": figure}, {"kneexo": "1"})
+VIEW = StageContent('<p id="stage">legs</p>', ["p { margin: 0; }"], ["var a = 1;"], {"legs": [1]})
+
+
+def test_a_page_with_moving_legs_holds_the_stage(figure):
+    text = html_page("t", "text", {"a": figure}, {"kneexo": "1"}, VIEW)
+    assert VIEW.body_html in text
+    assert "<style>p { margin: 0; }</style>" in text
+    assert "<script>var a = 1;</script>" in text
+    assert '<script type="application/json" id="legs">[1]</script>' in text
+    assert text == html_page("t", "text", {"a": figure}, {"kneexo": "1"}, VIEW)
+    assert "<script" not in html_page("t", "text", {"a": figure}, {"kneexo": "1"})
+
+
+def test_a_page_allows_only_its_scripts_and_styles(figure):
+    policies = [
+        re.search('Content-Security-Policy" content="([^"]*)"', text)[1]
+        for view in (None, VIEW)
+        for text in [html_page("t", "text", {"a": figure}, {"kneexo": "1"}, view)]
+    ]
+    assert "script-src 'none'" in policies[0]
+    assert "script-src 'sha256-" in policies[1]
+    for policy in policies:
+        assert policy.startswith("default-src 'none'")
+        assert "unsafe" not in policy
 
 
 @pytest.mark.parametrize("command", [["simulate"], ["linearize"], ["study", "bandwidth"]])
@@ -196,13 +211,6 @@ def test_html_writes_over_no_file_of_others(command, tmp_path, capsys):
 def rows_of(report):
     """Rows of the tables of a Markdown report, heads included."""
     return len(re.findall(r"^\|(?! --- )", report, re.MULTILINE))
-
-
-OPEN_VIEW = """
-document.querySelector(".view button").click();
-document.querySelector(".view").scrollIntoView();
-"""
-VIEW = "document.querySelector('.view iframe')?.contentWindow"
 
 
 @pytest.mark.slow
@@ -232,7 +240,7 @@ def test_a_browser_shows_a_report(command, report, figures, view, browser, tmp_p
     for width, phone in ((1200, False), (390, True)):
         browser.open(page, width, 800, phone=phone)
         browser.require_width()
-        counts = "['tr', 'img'].map((tag) => document.querySelectorAll(tag).length)"
+        counts = "['.scroll tr', 'figure img'].map((tag) => document.querySelectorAll(tag).length)"
         rows, pictures = browser.evaluate(counts)
         assert pictures == figures
         assert rows == rows_of((out / report).read_text()) if report else rows > 10
@@ -244,8 +252,8 @@ def test_a_browser_shows_a_report(command, report, figures, view, browser, tmp_p
         browser.require_health()
     assert browser.evaluate("document.querySelectorAll('.view').length") == view
     if view:
-        browser.evaluate(OPEN_VIEW)
-        before, after = browser.views_of_playing(VIEW)
+        browser.evaluate("document.querySelector('.view').scrollIntoView()")
+        before, after = browser.views_of_playing()
         assert 0.005 < (after.min(axis=2) < 0.9).mean() < 0.5
         assert (np.abs(after - before).max(axis=2) > 0.1).sum() > 300
         browser.require_health()
@@ -256,22 +264,20 @@ def test_a_browser_shows_a_report(command, report, figures, view, browser, tmp_p
 def test_a_report_on_paper_and_without_javascript(figure, browser, tmp_path):
     table = "| a | b |\n| --- | --- |\n| 1 | 2 |\n"
     page = tmp_path / "page.html"
-    page.write_text(html_page("t", table, {"a": figure}, {"kneexo": "1"}, "<p>knee</p>"))
+    note = StageContent("<noscript>needs JavaScript</noscript><p>note</p>", [], [], {})
+    page.write_text(html_page("t", table, {"a": figure}, {"kneexo": "1"}, note))
     browser.open(page)
     shown = "(what) => document.querySelector(what).getBoundingClientRect().height > 0"
-    parts = [".view", ".view button", "img", "table", "pre"]
-    assert browser.evaluate(f"{parts}.map({shown})") == [True, True, True, True, True]
+    parts = [".view", "img", "table", "pre"]
+    assert browser.evaluate(f"{parts}.map({shown})") == [True, True, True, True]
     browser.call("Emulation.setEmulatedMedia", media="print")
-    assert browser.evaluate(f"{parts}.map({shown})") == [False, False, True, True, True]
+    assert browser.evaluate(f"{parts}.map({shown})") == [True, True, True, True]
     browser.call("Emulation.setEmulatedMedia", media="")
-    browser.evaluate("delete window.DecompressionStream")
-    browser.evaluate("document.querySelector('.view button').click()")
-    assert "This browser is too old" in browser.evaluate("document.body.innerText")
     browser.require_health()
     browser.call("Emulation.setScriptExecutionDisabled", value=True)
     try:
         browser.open(page)
-        assert "The view needs JavaScript." in browser.evaluate("document.body.innerText")
-        assert browser.evaluate(f"{parts}.map({shown})") == [True, False, True, True, True]
+        assert "needs JavaScript" in browser.evaluate("document.body.innerText")
+        assert browser.evaluate(f"{parts}.map({shown})") == [True, True, True, True]
     finally:
         browser.call("Emulation.setScriptExecutionDisabled", value=False)

@@ -33,7 +33,7 @@ def figures(reproduction: ReproduceResult) -> dict[str, Figure]:
 def motions(reproduction: ReproduceResult) -> dict[str, Motion]:
     """Return a dictionary from title to run of Fig. 12, for sliding mode and the paper's PID."""
     return {
-        f"Fig. 12, {FIG_12_TITLES[name]}": (tracked.scenario.plant.linkage, tracked.run.columns)
+        f"Fig. 12, {FIG_12_TITLES[name]}": (tracked.scenario.plant, tracked.run.columns)
         for name, tracked in reproduction.fig12.items()
         if name in ("smc", "pid")
     }

@@ -282,9 +282,9 @@ def _tracking(result: SizeResult) -> Figure:
 
 def motions(result: SizeResult) -> dict[str, Motion]:
     """Return the walking runs with the scenario's and with the sized hardware. Skip failed runs."""
-    linkage = result.scenario.plant.linkage
+    plant = result.scenario.plant
     return {
-        label: (linkage, {**trace, "time_s": trace["time_s"] - trace["time_s"][0]})
+        label: (plant, {**trace, "time_s": trace["time_s"] - trace["time_s"][0]})
         for name, label in HARDWARE_LABELS.items()
         if (trace := result.traces[name])
     }

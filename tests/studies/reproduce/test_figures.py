@@ -17,9 +17,9 @@ def test_the_view_shows_the_runs_of_fig_12(known):
         "Fig. 12, sliding-mode control",
         "Fig. 12, PID as in the paper (P, 5 1/s)",
     ]
-    for (linkage, columns), name in zip(shown.values(), ("smc", "pid"), strict=True):
+    for (plant, columns), name in zip(shown.values(), ("smc", "pid"), strict=True):
         tracked = known.fig12[name]
-        assert linkage is tracked.scenario.plant.linkage
+        assert plant is tracked.scenario.plant
         assert columns["knee_angle_rad"] is tracked.run["knee_angle_rad"]
         assert columns["time_s"] is tracked.run.time_s
 

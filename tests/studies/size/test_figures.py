@@ -241,8 +241,8 @@ def test_every_axis_has_its_own_label_and_title(drawn, check_caption):
 def test_the_view_shows_what_walks(sized):
     shown = motions(sized)
     assert list(shown) == ["hardware as it is", "sized hardware"]
-    for (linkage, columns), trace in zip(shown.values(), sized.traces.values(), strict=True):
-        assert linkage is sized.scenario.plant.linkage
+    for (plant, columns), trace in zip(shown.values(), sized.traces.values(), strict=True):
+        assert plant is sized.scenario.plant
         assert columns["time_s"][0] == 0.0
         np.testing.assert_allclose(np.diff(columns["time_s"]), np.diff(trace["time_s"]))
         assert columns["knee_angle_rad"] is trace["knee_angle_rad"]
