@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from kneexo.compiler import LoopMargins, Transfer, margins
@@ -23,3 +24,10 @@ class Margins(Result, LoopMargins):
 def stability_margins(loop: Transfer) -> Margins:
     """Return gain, phase, delay and disk margins of a loop as `kneexo.compiler.margins` does."""
     return Margins(**vars(margins(loop)))
+
+
+def soundness(disk_margin: float, least: float = SOUND_DISK_MARGIN) -> str:
+    """Return the verdict on a disk margin: sound, small margin, or unstable for nan."""
+    if math.isnan(disk_margin):
+        return "unstable"
+    return "sound" if disk_margin >= least else "small margin"

@@ -126,7 +126,7 @@ def html_page(
         body = f"<h1>{html.escape(title)}</h1>\n{body}"
     pictures = "\n".join(_picture(name, figure) for name, figure in figures.items())
     inputs = {key: value for key, value in origin.items() if key != "kneexo"}
-    text = yaml.safe_dump(inputs, sort_keys=False, allow_unicode=True)
+    text = yaml.dump(inputs, Dumper=_lists_in_lines(), sort_keys=False, allow_unicode=True)
     from kneexo.view.web_page import self_contained_page
 
     motion = ""
@@ -134,9 +134,11 @@ def html_page(
         motion = (
             f'<section class="view">\n<h2>The knee in motion</h2>\n{view.body_html}\n</section>'
         )
-    whole = f"""{body}
+    whole = f"""<main>
+{body}
 {pictures}
 {motion}
+</main>
 <footer>
 <h2>Scenario and settings</h2>
 <p>kneexo {html.escape(str(origin["kneexo"]))}: <code>{html.escape(title)}</code></p>
@@ -144,6 +146,21 @@ def html_page(
 </footer>"""
     styles, scripts, data = ([], [], {}) if view is None else view[1:]
     return self_contained_page(title, whole, [*styles, _STYLE], scripts, data)
+
+
+def _lists_in_lines() -> Any:
+    """Return a class of PyYAML that writes each list in one line."""
+    import yaml
+
+    class Dumper(yaml.SafeDumper):
+        """Writes YAML with each list in one line."""
+
+    def listed(dumper: Dumper, values: Sequence[Any]) -> Any:
+        return dumper.represent_sequence("tag:yaml.org,2002:seq", values, flow_style=True)
+
+    for kind in (list, tuple):
+        Dumper.add_representer(kind, listed)
+    return Dumper
 
 
 def _picture(name: str, figure: Figure) -> str:

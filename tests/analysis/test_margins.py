@@ -20,7 +20,7 @@ from linear_cases import (
 )
 
 from kneexo.analysis.loop_equilibrium import find_equilibrium
-from kneexo.analysis.margins import stability_margins
+from kneexo.analysis.margins import soundness, stability_margins
 from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.compiler import loop_at
 from kneexo.diagrams import make_closed_loop
@@ -299,3 +299,11 @@ def test_the_loop_of_the_diagram_has_the_same_margins(loops, margins):
     # Two poles near z = 1 multiply the rounding errors of the matrices by 1e5 at 0.1 Hz.
     np.testing.assert_allclose(opened.response(f), expected, rtol=1e-9)
     assert vars(stability_margins(opened)) == pytest.approx(vars(margins["pid_tuned"]), rel=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("disk_margin", "verdict"),
+    [(0.5, "sound"), (math.inf, "sound"), (0.499, "small margin"), (math.nan, "unstable")],
+)
+def test_a_loop_is_sound_from_half_a_disk_margin_on(disk_margin, verdict):
+    assert soundness(disk_margin) == verdict

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from kneexo.analysis.margins import soundness
 from kneexo.parameters import RPM
 from kneexo.studies.controller.result import ControllerResult, LimitCycleCase
 from kneexo.studies.markdown import number, percent
@@ -31,6 +32,8 @@ def report(result: ControllerResult) -> str:
         verdict=lambda claim: f"**{claim.verdict}**",
         holds_there=lambda claim: percent(claim.sound_share),
         lines=list(_lines(result)),
+        saturated=lambda row: percent(row["saturated_share"]),
+        soundness=lambda row: soundness(row["disk_margin"], result.settings.sound_disk_margin),
         linear_loop=lambda case: "stable" if case.stable else "unstable",
         acceleration=lambda case: number(acceleration_rad_s2(case)),
         demand=acceleration_rad_s2(result.limit_cycle[0]) / limit,

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from kneexo.analysis.margins import SOUND_DISK_MARGIN, soundness
 from kneexo.studies.markdown import number
 from kneexo.studies.order.rows import FrequencyRow, SwitchingRow
 from kneexo.studies.order.study import ORDERS, OrderResult
@@ -28,6 +29,9 @@ def report(result: OrderResult) -> str:
         complementary_sensitivity_bandwidth=lambda row: _small_signal(
             row, row.complementary_sensitivity_bandwidth_hz
         ),
+        verdict=lambda row: soundness(row.disk_margin),
+        sound_disk_margin=SOUND_DISK_MARGIN,
+        oscillation=lambda row: "oscillates" if row.oscillates else "calm",
         ranges=_ranges,
         paper_bandwidth_hz=PAPER_BANDWIDTH_HZ,
         inside=_largest(oscillating),

@@ -23,10 +23,10 @@ def test_every_cell_of_the_report_is_in_the_study(by_hand, tables, check_cells):
     assert [row[1] for row in claims[1:]] == [claim.case for claim in by_hand.claims()]
     for table in lines:
         assert table[0][1:] == [
-            *("k/Φ (1/s)", "max error (deg)", "command change (rpm/sample)", "saturated share"),
+            *("k/Φ (1/s)", "max error (deg)", "command change (rpm/sample)", "saturated"),
             "max error at 1 Hz (deg)",
             *(f"{size}° step, settling to ±0.2° (s)" for size in (2, 20)),
-            *("disk margin", "phase margin (deg)"),
+            *("disk margin", "phase margin (deg)", "verdict"),
         ]
     # Along λ, Φ and η through the default: λ = 20, Φ = 3.2, η = 2.8e5.
     assert by_hand.centre == (1, 2, 1)
@@ -47,7 +47,11 @@ def test_every_cell_of_the_report_is_in_the_study(by_hand, tables, check_cells):
         for n, value in enumerate(along):
             at = tuple(n if i == axis else c for i, c in enumerate((1, 2, 1)))
             slope = beta * GRID.etas_m_s3[at[2]] / GRID.phis_m_s2[at[1]]
-            rows.append([value, slope, *(float(by_hand.values[name][at]) for name in columns)])
+            cells = [float(by_hand.values[name][at]) for name in columns]
+            share, margin = cells[2], cells[6]
+            cells[2] = "–" if math.isnan(share) else f"{100 * share:.0f} %"
+            verdict = "sound" if margin >= 0.5 else "small margin"
+            rows.append([value, slope, *cells, "unstable" if math.isnan(margin) else verdict])
         check_cells(shown, rows)
         assert shown[0][0] == ("λ (1/s)", "Φ (m/s²)", "η (m/s³)")[axis]
     per_sample = math.pi / 30.0 / 0.002  # rad/s² of 1 rpm in a sample

@@ -23,6 +23,12 @@ def small_signal(row, name):
     return "none below Nyquist" if math.isnan(getattr(row, name)) else getattr(row, name)
 
 
+def verdict(disk_margin):
+    if math.isnan(disk_margin):
+        return "unstable"
+    return "sound" if disk_margin >= 0.5 else "small margin"
+
+
 def test_every_cell_of_the_report_is_in_its_row(study, tables, check_cells):
     tracking, speeds, bandwidth, frequency, switching = tables(report(study))
 
@@ -77,6 +83,7 @@ def test_every_cell_of_the_report_is_in_its_row(study, tables, check_cells):
                 "complementary sensitivity −3 dB (Hz)": small_signal(
                     row, "complementary_sensitivity_bandwidth_hz"
                 ),
+                "verdict": verdict(row.disk_margin),
             }
             for row in study.frequency
         ],
@@ -90,6 +97,7 @@ def test_every_cell_of_the_report_is_in_its_row(study, tables, check_cells):
                 "swing of the rod's velocity (mm/s)": row.velocity_swing_mm_s,
                 "swing of P_L (MPa)": row.load_pressure_swing_mpa,
                 "largest error (deg)": row.max_error_deg,
+                "verdict": "oscillates" if row.oscillates else "calm",
             }
             for row in study.switching
         ],
