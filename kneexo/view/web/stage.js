@@ -8,6 +8,7 @@ const Stage = (() => {
   const HOME = { azimuth: 0.42, elevation: 0.12, zoom: 1 };
   const SIDE = { azimuth: 0, elevation: 0, zoom: 1 };
   const LONGEST_FRAME_MS = 45;
+  const SMALL_PIXELS = 120_000; // a picture of this size takes no time
   const LEAST_SHARPNESS = 0.5;
   const MANY_LEGS = 3;
 
@@ -197,7 +198,9 @@ const Stage = (() => {
       const { clientWidth: width, clientHeight: height } = canvas;
       if (width === 0 || height === 0) return;
       const still = Math.max(devicePixelRatio, this._drawing.stillPixels);
-      const pixels = Math.min(this.playing ? this._sharpness * devicePixelRatio : still, 2);
+      const moving = this._sharpness * devicePixelRatio;
+      const enough = Math.min(Math.sqrt(SMALL_PIXELS / (width * height)), devicePixelRatio);
+      const pixels = Math.min(this.playing ? Math.max(moving, enough) : still, 2);
       const [columns, rows] = [Math.round(width * pixels), Math.round(height * pixels)];
       if (canvas.width !== columns || canvas.height !== rows) {
         Object.assign(canvas, { width: columns, height: rows });

@@ -7,6 +7,13 @@ const StageElements = (() => {
   const DASHES = [[], [8, 4], [2, 3]];
   const READOUTS = ["knee angle", "reference", "error", "pressure"];
 
+  const ERROR_AXIS = {
+    label: "reference minus angle (deg)",
+    size: 60,
+    space: 24,
+    values: (_, ticks) => ticks.map((tick) => String(tick).replace("-", "−")),
+  };
+
   /** A new element with properties and children, which may be texts. */
   function make(tag, properties = {}, children = []) {
     const element = Object.assign(document.createElement(tag), properties);
@@ -132,7 +139,7 @@ const StageElements = (() => {
       if (runs.length === 0) return;
       const tables = runs.map(({ run }) => [
         Array.from(run.time),
-        Array.from(run.angle, (angle, k) => ((angle - run.reference[k]) * 180) / Math.PI),
+        Array.from(run.angle, (angle, k) => ((run.reference[k] - angle) * 180) / Math.PI),
       ]);
       const data = tables.length > 1 ? uPlot.join(tables) : tables[0];
       this.plot = new uPlot(this._options(runs), data, this.element);
@@ -149,7 +156,7 @@ const StageElements = (() => {
         legend: { show: runs.length > 1, live: false },
         cursor: { y: false, points: { show: false }, drag: { x: false, y: false } },
         scales: { x: { time: false } },
-        axes: [{ label: "time in s", size: 32, labelSize: 20 }, { label: "error in degrees", size: 60, space: 24 }],
+        axes: [{ label: "time (s)", size: 32, labelSize: 20 }, ERROR_AXIS],
         series: [
           {},
           ...runs.map((leg, k) => ({
@@ -165,7 +172,7 @@ const StageElements = (() => {
     }
 
     _size() {
-      return { width: Math.max(this.element.clientWidth, 240), height: 180 };
+      return { width: Math.max(this.element.clientWidth, 240), height: 200 };
     }
 
     resize() {

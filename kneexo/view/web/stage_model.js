@@ -112,7 +112,7 @@ const StageModel = (() => {
     return {
       "knee angle": degrees(angle, 1),
       reference: degrees(reference, 1),
-      error: degrees(angle - reference, 2),
+      error: degrees(reference - angle, 2),
       pressure: `${pressureText(pressure)}, ${share < 0.1 ? "< 0.1" : signed(share, 2)} % of rating`,
     };
   }
