@@ -72,7 +72,8 @@ def web_model(scenario: Scenario) -> dict[str, Any]:
         The numbers that a user varies, with label, unit, range and source.
     ``references``
         ``sine``, ``step`` and ``ramp``, each with module, base, maps and quantities. A sampled
-        reference is ``samples`` with its four ``columns`` at the ticks, as base64 of doubles.
+        reference is ``samples`` with its ``range_deg`` and its four ``columns`` at the ticks, as
+        base64 of doubles.
     ``limits``
         Bounds of the signals, each a number, None, or a formula.
     ``controller``, ``load``
@@ -277,7 +278,8 @@ def _references(scenario: Scenario) -> dict[str, Any]:
         table = reference_table(scenario.reference)
         rows = np.array([table.value(period * k) for k in range(ticks + 1)])
         columns = base64.b64encode(np.ascontiguousarray(rows.T).tobytes()).decode()
-        references["samples"] = {"columns": columns, "ticks": ticks}
+        range_deg = list(scenario.reference.range_deg)
+        references["samples"] = {"columns": columns, "ticks": ticks, "range_deg": range_deg}
     return references
 
 

@@ -28,7 +28,7 @@ Ranges = Mapping[str, tuple[float, float]]
 TOLERANCE = 1e-12
 """Largest difference of a formula, relative to the largest magnitude of the parameter."""
 
-_POINTS = 48
+_POINTS = 32
 """Number of points at which each formula is proven."""
 
 _NODES = (24, 48, 96)
@@ -157,6 +157,7 @@ class _Probe:
         self.ranges = ranges
         self._evaluate = evaluate
         self._known: dict[tuple[float, ...], Array] = {}
+        self._points: dict[tuple[str, ...], list[dict[str, float]]] = {}
         random = np.random.default_rng(0)
         share = random.uniform(0.2, 0.8, len(ranges)).tolist()
         self.centre = {
@@ -193,17 +194,21 @@ class _Probe:
         ).tolist()
 
     def points(self, names: Sequence[str]) -> list[dict[str, float]]:
-        """Return random points; half of the coordinates lie at the ends of their ranges."""
-        points = []
-        for _ in range(_POINTS):
-            share = self._random.uniform(-0.5, 1.5, len(names)).clip(0.0, 1.0).tolist()
-            points.append(
+        """Return random points, the same for the same names.
+
+        Half of the coordinates lie at the ends of their ranges.
+        """
+        if (key := tuple(names)) not in self._points:
+            shares = self._random.uniform(-0.5, 1.5, (_POINTS, len(names))).clip(0.0, 1.0)
+            ends = [self.ranges[name] for name in names]
+            self._points[key] = [
                 {
-                    name: self.ranges[name][0] * (1.0 - part) + self.ranges[name][1] * part
-                    for part, name in zip(share, names, strict=True)
+                    name: low * (1.0 - part) + high * part
+                    for name, (low, high), part in zip(names, ends, share, strict=True)
                 }
-            )
-        return points
+                for share in shares.tolist()
+            ]
+        return self._points[key]
 
 
 def _fits(

@@ -53,7 +53,12 @@ SLIDERS: Mapping[type[Parameters], Mapping[str, Slider]] = {
     BldcPumpParameters: {
         "gear_ratio": Slider("gear ratio", 1.0, 20.0, _DECADE, "log"),
         "speed_limit_rad_s": Slider(
-            "speed limit of the motor", 1000 * RPM, 15000 * RPM, _DECADE, "log", _RPM
+            "speed limit of the motor",
+            500 * RPM,
+            5000 * RPM,
+            "a tenth of the paper's limit to the limit of the command, above which nothing changes",
+            "log",
+            _RPM,
         ),
         "lag_s": Slider(
             "time constant of the motor", 0.002, 0.1, "quick to slow speed loops", "log", _MS
@@ -70,7 +75,7 @@ SLIDERS: Mapping[type[Parameters], Mapping[str, Slider]] = {
     CylinderParameters: {
         "mass_kg": Slider("moving mass", 1.2, 2.5, "the bounds of Table 2, widened"),
         "bulk_modulus_pa": Slider(
-            "bulk modulus of the oil", 2e8, 2.5e9, "oil with air to stiff oil", "log", _BAR
+            "bulk modulus of the oil", 2e8, 2e9, "oil with air to stiff oil", "log", _BAR
         ),
         "damping_n_s_per_m": Slider(
             "damping of the rod", 0.0, 500.0, "from the paper's value to heavy viscous friction"
@@ -94,7 +99,7 @@ SLIDERS: Mapping[type[Parameters], Mapping[str, Slider]] = {
             "relief pressure", 1.2e6, 7e6, "a third to twice the rating", "log", _BAR
         ),
         "dead_volume_m3": Slider(
-            "dead volume", 3e-6, 5e-5, "short to long hoses", "log", ("cm³", 1e6)
+            "dead volume", 5e-6, 5e-5, "short to long hoses", "log", ("cm³", 1e6)
         ),
         "entrained_air": Slider("entrained air", 0.0, 0.03, "up to twice the common 1.5 %"),
     },
