@@ -23,7 +23,7 @@ def add_view(subparsers: Any) -> None:
         view,
         "show runs in three dimensions: an HTML page with a time slider",
         "The page is one file that any browser opens, without network. Several runs stand beside "
-        "each other. The cylinder's colour is its pressure, the grey shank is the reference.",
+        "each other. The cylinder's colour is its pressure, the black outline is the reference.",
         file=arguments.out,
     )
     parser.add_argument(

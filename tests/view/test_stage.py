@@ -241,6 +241,52 @@ def test_keys_play_and_move_the_time(stage):
 
 
 @pytest.mark.slow
+def test_a_drag_turns_the_legs_and_the_wheel_scrolls_the_page(stage):
+    browser = stage([G1], [a_run()], (800, 400))
+
+    def mouse(kind, x, y, **options):
+        browser.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **options)
+
+    before = browser.evaluate("stage.orbit")
+    mouse("mousePressed", 200, 200, button="left", buttons=1, clickCount=1)
+    mouse("mouseMoved", 150, 230, button="left", buttons=1)
+    mouse("mouseReleased", 150, 230, button="left", clickCount=1)
+    mouse("mouseMoved", 300, 300)
+    after = browser.evaluate("stage.orbit")
+    assert after["azimuth"] - before["azimuth"] == pytest.approx(0.4)
+    assert after["elevation"] - before["elevation"] == pytest.approx(0.24)
+    mouse("mouseWheel", 200, 200, deltaX=0, deltaY=100)
+    browser.wait_for("scrollY > 0")
+    assert browser.evaluate("stage.orbit.zoom") == 1.0
+    mouse("mouseWheel", 200, 200, deltaX=0, deltaY=-100, modifiers=2)  # Ctrl
+    browser.wait_for("stage.orbit.zoom > 1")
+    browser.evaluate("stage.resetView(), null")
+    assert browser.evaluate("stage.orbit") == before
+    assert (
+        browser.evaluate("getComputedStyle(document.querySelector('canvas')).touchAction")
+        == "pan-y"
+    )
+
+
+@pytest.mark.slow
+def test_less_motion_waits_for_play_and_paper_has_the_whole_curve(stage, browser):
+    features = [{"name": "prefers-reduced-motion", "value": "reduce"}]
+    browser.call("Emulation.setEmulatedMedia", features=features)
+    try:
+        stage([G1], [a_run()])
+        browser.evaluate("new Promise((done) => setTimeout(done, 300))")
+        assert browser.evaluate("[stage.playing, stage.time]") == [False, 0]
+    finally:
+        browser.call("Emulation.setEmulatedMedia", features=[])
+    width = "document.querySelector('.stage-trace canvas').clientWidth"
+    assert browser.evaluate(width) > 1200
+    browser.evaluate("window.dispatchEvent(new Event('beforeprint')), null")
+    browser.wait_for(f"{width} === 600")
+    browser.evaluate("window.dispatchEvent(new Event('afterprint')), null")
+    browser.wait_for(f"{width} > 1200")
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("flat", [False, True])
 @pytest.mark.parametrize(("size", "phone"), [((1440, 1000), False), ((390, 800), True)])
 def test_the_leg_fills_its_box(stage, flat, size, phone):

@@ -11,6 +11,7 @@ const Stage = (() => {
   const SMALL_PIXELS = 120_000; // a picture of this size takes no time
   const LEAST_SHARPNESS = 0.5;
   const MANY_LEGS = 3;
+  const PAPER_PX = 600;
 
   const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
@@ -133,7 +134,11 @@ const Stage = (() => {
         this._trace?.resize();
         this._update();
       }).observe(this.element);
-      window.addEventListener("beforeprint", () => this._draw(true));
+      window.addEventListener("beforeprint", () => {
+        this._trace?.resize(PAPER_PX);
+        this._draw(true);
+      });
+      window.addEventListener("afterprint", () => this._trace?.resize());
     }
 
     /** Draw a new frame soon. */

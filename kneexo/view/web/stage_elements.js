@@ -171,12 +171,13 @@ const StageElements = (() => {
       };
     }
 
-    _size() {
-      return { width: Math.max(this.element.clientWidth, 240), height: 200 };
+    _size(width = this.element.clientWidth) {
+      return { width: Math.max(width, 240), height: 200 };
     }
 
-    resize() {
-      this.plot?.setSize(this._size());
+    /** Fit the curve to its element, or to a width in CSS pixels. */
+    resize(width) {
+      this.plot?.setSize(this._size(width));
     }
 
     move() {
