@@ -31,7 +31,9 @@ from kneexo.diagrams.signals import (
     LAW_OUTPUTS,
     NEEDED_SETTINGS,
     SIGNALS,
+    WEARER_OUTPUTS,
 )
+from kneexo.diagrams.wearer import add_wearer, moment_of, wearer_parts
 from kneexo.errors import ParameterError, close_names, question
 from kneexo.parameters import (
     Cia402Parameters,
@@ -51,6 +53,7 @@ def make_closed_loop(
     reference: System | None = None,
     signals: Sequence[str] | None = None,
     external_reference: bool = False,
+    external_moment: bool = False,
 ) -> Diagram:
     """Build the closed loop of a scenario, by default with the paper's sliding-mode controller.
 
@@ -61,12 +64,16 @@ def make_closed_loop(
       ``encoder_phase``; a `PassThrough` for an encoder that is not quantized.
     - ``reference``: the knee reference.
     - ``controller``: see `make_controller`.
+    - ``wearer`` and ``cuff``, only with a wearer: `WearerKnee` moves along the reference, and
+      `Cuff` acts on the plant. ``moment`` is the biological moment, if the wearer has one.
+    - ``load_cell``: `LoadCell`, only with a wearer or a torque controller.
     - ``drive``: `Cia402Drive`, only with a bus of this kind.
     - ``can_bus``: `DiscreteTimeDelay`, only for a bus with latency.
     - ``signals`` and ``log``: a `Multiplexer` and a `VectorLogSink`, which logs the columns
       ``columns(signals)`` at the control period. They are absent for ``signals=()``.
 
-    Inputs: ``disturbance_force`` and, with a load, ``knee_torque``. An unconnected input is zero.
+    Inputs: ``disturbance_force`` and, with a load and without a wearer, ``knee_torque``. An
+    unconnected input is zero.
     Outputs: each of `available_signals`. Drake logs the state before an update, so that the logged
     command at t was held until t. The paper's ideal case (Fig. 9) is
     `kneexo.studies.paper.IDEAL_SMC`.
@@ -87,6 +94,8 @@ def make_closed_loop(
         Names in `SIGNALS` of the signals to log. None: all available signals.
     external_reference
         True: an input port ``knee_reference`` replaces the subsystem ``reference``.
+    external_moment
+        True: an input port ``biological_moment`` replaces the subsystem ``moment`` if it exists.
 
     Raises
     ------
@@ -113,11 +122,15 @@ def make_closed_loop(
         elif reference.num_output_ports() != 1 or reference.get_output_port().size() != 4:
             raise ParameterError("reference: must have one output port of size 4")
         source = builder.AddNamedSystem("reference", reference)
+    wearer = add_wearer(
+        builder, scenario, plant, source.get_output_port(), external_moment=external_moment
+    )
     controller = controller or make_controller(scenario)
     builder.AddNamedSystem("controller", controller)
     ports = {name: plant.GetOutputPort(name) for name in SIGNALS if plant.HasOutputPort(name)} | {
         "knee_reference": source.get_output_port(),
         "encoder_reading": encoder.get_output_port(),
+        **wearer,
     }
     for index in range(controller.num_input_ports()):
         port = controller.get_input_port(index)
@@ -157,7 +170,7 @@ def make_closed_loop(
     builder.Connect(command, plant.GetInputPort("motor_speed_command"))
 
     for name in ("disturbance_force", "knee_torque"):
-        if plant.HasInputPort(name):
+        if plant.HasInputPort(name) and not (name == "knee_torque" and "wearer_motion" in wearer):
             builder.ExportInput(plant.GetInputPort(name), name)
     for name in available:
         builder.ExportOutput(ports[name], name)
@@ -189,12 +202,20 @@ def available_signals(
         missing |= {name for name in CONTROLLER_SIGNALS if outputs.get(name) != len(SIGNALS[name])}
         if scenario.controller.kind == "law" and scenario.estimator.kind == "exact":
             missing.discard("estimated_state")  # the law reads the state of the plant
-    elif scenario.controller.kind != "smc":
+    elif scenario.controller.kind == "pid":
         missing |= {"estimated_state", *LAW_OUTPUTS}
+    else:
+        missing.add("desired_torque" if scenario.controller.kind == "smc" else "sliding_variable")
     if scenario.bus.kind != "cia402":
         missing.add("target_velocity")
     if scenario.plant.full_order is None:
         missing |= set(FULL_ORDER_OUTPUTS)
+    if scenario.wearer.kind == "none":
+        missing |= set(WEARER_OUTPUTS)
+    if scenario.has_load_cell:
+        missing.discard("measured_force")
+    if moment_of(scenario) is None:
+        missing.add("biological_moment")
     return tuple(name for name in SIGNALS if name not in missing)
 
 
@@ -233,6 +254,8 @@ def loop_values(scenario: Scenario) -> Iterator[tuple[str, dict[str, float]]]:
         yield "encoder", {"0[0]": 0.0}
     if not isinstance(scenario.reference, SampledReference):
         yield "reference", knee_reference.context_values(scenario.reference)
+    for part in wearer_parts(scenario):
+        yield part.name, part.values()
     for part in controller_parts(scenario):
         yield f"controller/{part.name}", part.values()
     if isinstance(scenario.bus, Cia402Parameters):
@@ -240,14 +263,15 @@ def loop_values(scenario: Scenario) -> Iterator[tuple[str, dict[str, float]]]:
 
 
 def plant_states(scenario: Scenario) -> dict[str, StateVariable]:
-    """Return a dictionary from name to continuous state of the plant, in the order of the Context.
+    """Return a dictionary from name to continuous state of plant, wearer and load cell.
 
-    A state has the same name as in the compiled closed loop, such as ``plant/motor.x[0]``.
+    The dictionary has the order of the Context. A state has the same name as in the compiled closed
+    loop, such as ``plant/motor.x[0]``.
     """
     return {
         name: state
-        for part in _plant_parts(scenario)
-        for name, state in zip(state_names(part, "plant"), part.states, strict=True)
+        for path, part in _continuous_parts(scenario)
+        for name, state in zip(state_names(part, path), part.states, strict=True)
     }
 
 
@@ -259,9 +283,15 @@ def plant_start(scenario: Scenario) -> dict[str, float]:
     """
     return {
         name: value
-        for part in _plant_parts(scenario)
-        for name, value in zip(state_names(part, "plant"), part.start_state(), strict=True)
+        for path, part in _continuous_parts(scenario)
+        for name, value in zip(state_names(part, path), part.start_state(), strict=True)
     }
+
+
+def _continuous_parts(scenario: Scenario) -> Iterator[tuple[str, Part]]:
+    """Yield each part of plant, wearer and load cell, with the path of its subsystem."""
+    yield from (("plant", part) for part in _plant_parts(scenario))
+    yield from (("", part) for part in wearer_parts(scenario))
 
 
 def _plant_parts(scenario: Scenario) -> list[Part]:

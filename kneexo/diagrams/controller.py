@@ -22,6 +22,7 @@ from kneexo.parameters import (
     PidParameters,
     Scenario,
     SlidingModeParameters,
+    TorqueParameters,
 )
 from kneexo.rod_polynomial import controller_polynomial
 from kneexo.systems import (
@@ -29,6 +30,7 @@ from kneexo.systems import (
     knee_coordinates,
     pid_controller,
     sliding_mode_controller,
+    torque_controller,
 )
 from kneexo.systems.function_law import LAW_COMMAND
 from kneexo.user_code import function_at, user_code
@@ -43,6 +45,8 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
     encoder_reading      1     rad                   θ_4 as read by the encoder
     knee_reference       4     rad, rad/s, …         θ_d and its derivatives to the third
     rod_state            3     m, m/s, m/s²          only with the estimator ``exact``
+    measured_force       2     N, s                  reading of the load cell, age; torque only
+    biological_moment    1     N·m                   only with torque in the mode ``assist``
     **output port**
     motor_speed_command  1     rad/s                 motor side, held for a sample
     ===================  ====  ====================  ==============================================
@@ -50,8 +54,8 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
     Subsystems: ``coordinates`` (`KneeCoordinates`), ``rod_reference`` (`RodReference`) and ``law``.
     There is also an ``estimator`` if the law has the input ``estimated_state`` and the estimator is
     not ``exact``. More outputs: ``measured_knee_angle``, ``measured_rod_extension`` and
-    ``rod_reference``. An estimator adds ``estimated_state``, and the sliding-mode law adds
-    ``sliding_variable``.
+    ``rod_reference``. An estimator adds ``estimated_state``, the sliding-mode law adds
+    ``sliding_variable``, and the torque controller adds ``desired_torque``.
 
     Parameters
     ----------
@@ -104,7 +108,7 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
         elif name == "knee_reference":
             builder.ConnectInput(knee_reference, port)
         else:
-            builder.ExportInput(port, name if name == LAW_COMMAND else "rod_state")
+            builder.ExportInput(port, "rod_state" if name == "estimated_state" else name)
     for name in LAW_OUTPUTS:
         if law.HasOutputPort(name):
             outputs[name] = law.GetOutputPort(name)
@@ -198,6 +202,15 @@ def _parts(scenario: Scenario, custom_law: System | None = None) -> list[Part]:
                 lambda: pid_controller.context_values(law, believed),
             )
         )
+    elif isinstance(law, TorqueParameters):
+        parts.append(
+            Part(
+                "law",
+                lambda: systems.TorqueController(law, believed, polynomial),
+                lambda: torque_controller.context_values(law, believed, polynomial),
+            )
+        )
+        parts += _estimator_parts(scenario)
     return parts
 
 

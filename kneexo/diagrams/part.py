@@ -37,9 +37,10 @@ class Part(NamedTuple):
 def state_names(part: Part, path: str) -> list[str]:
     """Return the names that a compiled model gives the continuous states of a part.
 
-    ``path`` is the path of the subsystem that contains the part, such as ``plant``.
+    ``path`` is the path of the subsystem that contains the part, such as ``plant``, or empty.
     """
-    return [f"{path}/{part.name}.x[{index}]" for index in range(len(part.states))]
+    system = f"{path}/{part.name}" if path else part.name
+    return [f"{system}.x[{index}]" for index in range(len(part.states))]
 
 
 def add_parts(builder: Any, parts: Iterable[Part]) -> dict[str, Any]:

@@ -221,6 +221,19 @@ def _start_extension_and_force(
     return extension, force
 
 
+def start_rod_force(
+    parameters: PlantParameters,
+    initial_knee_angle_rad: float,
+    initial_offset_m: float,
+    table_1: RodPolynomialParameters,
+) -> float:
+    """Return the force of the rod on its load at the start, in N; see `make_plant`."""
+    extension, force = _start_extension_and_force(
+        parameters, initial_knee_angle_rad, initial_offset_m, table_1
+    )
+    return force - parameters.cylinder.stiffness_n_per_m * extension
+
+
 def _holding_pressures_pa(parameters: PlantParameters, force: float) -> tuple[float, ...]:
     """Return the pressures in Pa that hold ``force`` in N.
 

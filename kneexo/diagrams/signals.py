@@ -32,6 +32,7 @@ SIGNALS = {
         "estimated_rod_acceleration_m_s2",
     ),
     "sliding_variable": ("sliding_variable_m_s2",),
+    "desired_torque": ("desired_torque_n_m",),
     "target_velocity": ("target_velocity_units",),
     "motor_speed_command": ("motor_speed_command_rad_s",),
     "motor_speed": ("motor_speed_rad_s",),
@@ -46,6 +47,12 @@ SIGNALS = {
     "chamber_pressures": ("cap_pressure_pa", "rod_side_pressure_pa"),
     "makeup_flow": ("cap_makeup_flow_m3_s", "rod_side_makeup_flow_m3_s"),
     "relief_flow": ("cap_relief_flow_m3_s", "rod_side_relief_flow_m3_s"),
+    "measured_force": ("measured_force_n", "measured_force_age_s"),
+    "wearer_motion": ("wearer_angle_rad", "wearer_rate_rad_s"),
+    "interaction_torque": ("interaction_torque_n_m",),
+    "interaction_power": ("power_of_wearer_w", "power_into_exoskeleton_w"),
+    "cuff_slip": ("cuff_slip_rad",),
+    "biological_moment": ("biological_moment_n_m",),
 }
 """For each signal of the closed loop, the names of its columns, which end with the unit."""
 
@@ -62,13 +69,26 @@ The plant's ports have the same names.
 FULL_ORDER_OUTPUTS = ("chamber_pressures", "makeup_flow", "relief_flow")
 """Names of further output ports of a plant of full order, which its ``cylinder`` provides."""
 
+WEARER_OUTPUTS = {
+    "measured_force": "load_cell",
+    "wearer_motion": "wearer",
+    "interaction_torque": "cuff",
+    "interaction_power": "cuff",
+    "cuff_slip": "cuff",
+}
+"""For each signal of wearer and load cell, the name of the subsystem that has its output port."""
+
 NEEDED_SETTINGS = {
+    **dict.fromkeys(WEARER_OUTPUTS, "wearer.kind = leg"),
+    "measured_force": "wearer.kind = leg or controller.kind = torque",
+    "biological_moment": "wearer.moment",
+    "desired_torque": "controller.kind = torque",
     **dict.fromkeys(FULL_ORDER_OUTPUTS, "plant.full_order = true"),
     "target_velocity": "bus.kind = cia402",
 }
 """The setting of a scenario that a signal needs, by the name of the signal."""
 
-LAW_OUTPUTS = ("sliding_variable",)
+LAW_OUTPUTS = ("sliding_variable", "desired_torque")
 """Names of output ports of a control law that the controller exports if they exist."""
 
 CONTROLLER_SIGNALS = frozenset(

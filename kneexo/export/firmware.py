@@ -23,6 +23,7 @@ from kneexo.compiler import (
     write_c,
     write_sil,
 )
+from kneexo.diagrams.wearer import moment_of
 from kneexo.errors import ParameterError
 from kneexo.export.target import (
     ENCODER_COUNT,
@@ -113,6 +114,11 @@ def _firmware(
 ) -> tuple[CSource, Vectors]:
     """Return the result of `make_firmware`; for ``solver`` see `loop_inputs`."""
     require_step(step_s)
+    if what == "loop" and moment_of(scenario) is not None:
+        raise ParameterError(
+            "wearer.moment: a loop in C computes its inputs, and must have no table of the moment; "
+            "export the controller, or the loop as FMU"
+        )
     if what == "loop" and isinstance(scenario.reference, SampledReference):
         raise ParameterError(
             f"reference.kind = {scenario.reference.kind!r}: a loop in C computes its reference, "
@@ -190,6 +196,12 @@ def make_sil(
             f"bus.kind = {scenario.bus.kind!r}, bus.latency_samples = "
             f"{scenario.bus.latency_samples}: neither controller nor plant contains the bus; must "
             f"be none and 0 for software in the loop"
+        )
+    if scenario.has_load_cell:
+        raise ParameterError(
+            f"wearer.kind = {scenario.wearer.kind!r}, controller.kind = "
+            f"{scenario.controller.kind!r}: the plant contains neither wearer nor load cell; must "
+            f"be none, and no torque controller, for software in the loop"
         )
     if "rod_state" in make_target(scenario, "controller", counts=True).inputs:
         raise ParameterError(

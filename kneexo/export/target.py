@@ -56,7 +56,8 @@ def make_target(scenario: Scenario, what: str, *, counts: bool = False) -> Targe
     """Return controller, plant or loop of a scenario as a diagram, with its ports in C.
 
     ``controller``
-        `make_controller`. Inputs: encoder reading and knee reference. Output: motor speed command.
+        `make_controller`. Inputs: encoder reading and knee reference, and with torque control the
+        reading of the load cell. Output: motor speed command.
         With ``counts``, the reading of a quantized encoder is replaced by its count, a whole
         number.
     ``plant``
@@ -64,7 +65,7 @@ def make_target(scenario: Scenario, what: str, *, counts: bool = False) -> Targe
         encoder reading, the count of a quantized encoder, and the signals of the plant.
     ``loop``
         `make_closed_loop`. Inputs: external forces. The knee reference is an input too if it is
-        sampled. Outputs: all available signals.
+        sampled, and so is the biological moment of a wearer. Outputs: all available signals.
 
     Raises `ParameterError` for another ``what`` and for a law that is called as Python, and the
     errors of `make_closed_loop`.
@@ -193,7 +194,9 @@ def _plant(scenario: Scenario) -> Target:
 
 def _loop(scenario: Scenario) -> Target:
     sampled = isinstance(scenario.reference, SampledReference)
-    diagram = make_closed_loop(scenario, signals=(), external_reference=sampled)
+    diagram = make_closed_loop(
+        scenario, signals=(), external_reference=sampled, external_moment=True
+    )
     inputs = tuple(diagram.get_input_port(i).get_name() for i in range(diagram.num_input_ports()))
     outputs = available_signals(scenario)
     tick = scenario.controller.sample_time_s

@@ -31,6 +31,8 @@ from kneexo.parameters.reference import (
     SineReference,
     read_reference,
 )
+from kneexo.parameters.torque import LoadCellParameters, TorqueParameters
+from kneexo.parameters.wearer import LegParameters, NoWearer, Wearer
 
 DEFAULT_DURATION_S = 30.0
 """Duration of a run in s if neither the scenario nor a sampled reference has one: Fig. 12."""
@@ -102,15 +104,21 @@ class Scenario(Parameters):
         ObserverParameters | DifferenceParameters | ExactParameters, Field(discriminator="kind")
     ] = ObserverParameters()
     controller: Annotated[
-        SlidingModeParameters | PidParameters | CustomControllerParameters | LawParameters,
+        SlidingModeParameters
+        | PidParameters
+        | TorqueParameters
+        | CustomControllerParameters
+        | LawParameters,
         Field(discriminator="kind"),
     ] = SlidingModeParameters()
+    load_cell: LoadCellParameters = LoadCellParameters()
     bus: Annotated[
         NoBus | Cia402Parameters,
         Field(discriminator="kind"),
         Words({"can": {"kind": "cia402"}}),
     ] = NoBus()
     reference: Reference = SineReference()
+    wearer: Wearer = NoWearer()
     initial_offset_m: float = quantity(
         0.0, "m", "rod position minus reference at the start (Fig. 9: 89 mm off)", ge=-0.15, le=0.15
     )
@@ -174,13 +182,19 @@ class Scenario(Parameters):
         return self.model_copy(update={"controller": controller})
 
     def without_quantizers(self) -> Scenario:
-        """Return the scenario for linear analysis, in which encoder and bus do not round.
+        """Return the scenario for linear analysis, in which no part rounds.
 
-        The latency of the bus remains.
+        Encoder, load cell and bus do not round, the load cell has no noise, and the cuff does not
+        slip. The latency of the bus remains.
         """
         encoder = self.encoder.model_copy(update={"quantized": False})
+        cell = self.load_cell.model_copy(update={"quantized": False, "noise_n": 0.0, "seed": None})
         bus = NoBus(latency_samples=self.bus.latency_samples)
-        return self.model_copy(update={"encoder": encoder, "bus": bus})
+        update: dict[str, Any] = {"encoder": encoder, "load_cell": cell, "bus": bus}
+        if isinstance(self.wearer, LegParameters):
+            cuff = self.wearer.cuff.model_copy(update={"slip_torque_n_m": None})
+            update["wearer"] = self.wearer.model_copy(update={"cuff": cuff})
+        return self.model_copy(update=update)
 
     @property
     def duration_s(self) -> float:
@@ -205,6 +219,11 @@ class Scenario(Parameters):
     def quantized(self) -> bool:
         """True if the encoder rounds angles to counts or the bus rounds the command."""
         return self.encoder.quantized or self.bus.velocity_unit_rad_s > 0.0
+
+    @property
+    def has_load_cell(self) -> bool:
+        """True if a wearer or a torque controller needs the load cell."""
+        return self.wearer.kind != "none" or self.controller.kind == "torque"
 
     @property
     def command_limit_rad_s(self) -> float:
@@ -247,4 +266,33 @@ class Scenario(Parameters):
                 f"bus.kind = {self.bus.kind} with latency_samples = {self.bus.latency_samples} "
                 f"needs a discrete controller"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _wearer_fits(self) -> Scenario:
+        leg = self.wearer
+        assists = isinstance(self.controller, TorqueParameters) and self.controller.mode == "assist"
+        if not isinstance(leg, LegParameters):
+            if assists:
+                raise ValueError("controller.mode = assist needs wearer.moment; add a wearer")
+            return self
+        if self.plant.load.kind == "none":
+            raise ValueError(
+                "wearer.kind = leg needs plant.load.kind = knee, on which the cuff acts; add "
+                "plant: {load: knee}"
+            )
+        if leg.moment is None and (assists or leg.effort != 1.0):
+            why = "controller.mode = assist" if assists else f"wearer.effort = {leg.effort:g}"
+            raise ValueError(
+                f"{why} needs wearer.moment; add a table, or the path of a CSV file with the "
+                f"columns time_s and knee_moment_nm"
+            )
+        if leg.moment is not None:
+            start_s, end_s = leg.moment.times_s[0], leg.moment.times_s[-1]
+            if start_s > 0.0 or end_s < self.duration_s:
+                raise ValueError(
+                    f"wearer.moment covers {start_s:g} … {end_s:g} s, and the run lasts from 0 to "
+                    f"{self.duration_s:g} s; must cover it; extend the table, or reduce "
+                    f"simulation.duration_s"
+                )
         return self

@@ -64,8 +64,8 @@ class LoadCellParameters(Parameters):
 class TorqueParameters(Parameters):
     """Torque controller of the knee: PI on the rod force, with feedforward of the rod speed.
 
-    The default gains suit a cuff of 1500 N·m/rad. On a locked rod the loop gain is 89 times larger,
-    and the loop is unstable.
+    The default gains suit a cuff of 1500 N·m/rad and the default observer. On a locked rod the loop
+    gain is 89 times larger, and the loop is unstable.
     """
 
     kind: Literal["torque"] = "torque"
@@ -76,14 +76,14 @@ class TorqueParameters(Parameters):
     )
     sample_time_s: float = sample_time()
     proportional_rad_s_per_n: float = quantity(
-        2.0,
+        4.0,
         "(rad/s)/N",
-        "assumption: crossover at 3.5 Hz behind a cuff of 1500 N·m/rad",
+        "assumption: crossover at 7 Hz behind a cuff of 1500 N·m/rad, at 45°",
         ge=0,
         le=1e4,
     )
     integral_rad_s2_per_n: float = quantity(
-        15.0,
+        5.0,
         "(rad/s²)/N",
         "assumption: below (1 − γ)(C_t + k_p) ≥ k_i(τ_m + γT/2), the limit of passivity",
         ge=0,
@@ -93,9 +93,10 @@ class TorqueParameters(Parameters):
         0.0, "1/s", "assumption: none; rate at which the integral decays", ge=0, le=100
     )
     speed_feedforward: float = quantity(
-        0.9,
+        0.5,
         "1",
-        "assumption: γ, share of the measured rod speed; 1 with an integral is never passive",
+        "assumption: γ, share of the measured rod speed; the gain margin is near 1/γ, and 1 with "
+        "an integral is never passive",
         ge=0,
         le=1,
     )

@@ -101,10 +101,10 @@ class CuffParameters(Parameters):
     damping_n_m_s_per_rad: float = quantity(
         5.0, "N·m·s/rad", "assumption: damping of soft tissue", ge=0, le=1e4
     )
-    slip_torque_n_m: float = quantity(
-        40.0,
+    slip_torque_n_m: float | None = quantity(
+        None,
         "N·m",
-        "assumption: the strap slips at 133 N, 0.30 m from the knee",
+        "assumption: left out, the strap does not slip; 40 N·m are 133 N, 0.30 m from the knee",
         ge=0.1,
         le=1e4,
     )

@@ -49,9 +49,11 @@ from kneexo.diagrams.controller import (
 )
 from kneexo.diagrams.law import held_command, law_inputs, runs_as_python
 from kneexo.diagrams.signals import SIGNALS, columns
+from kneexo.diagrams.wearer import moment_of, moment_spline
 from kneexo.errors import CompilationError, KneexoError
 from kneexo.parameters import (
     LawParameters,
+    MomentTable,
     SampledReference,
     Scenario,
 )
@@ -74,6 +76,7 @@ _SOURCES = (
     "rod_polynomial.py",
 )
 _BAKED_IN = ("sample_time_s",)  # numbers that the leaf systems turn into constants
+_SEED = "seed"  # decides by its presence, not by its number
 
 
 # ------------------------------------------------------------------------------ structure
@@ -90,7 +93,9 @@ def structure(parameters: Parameters) -> tuple[tuple[str, Any], ...]:
     values = vars(parameters)
     for name, nested in _structural_fields(type(parameters)):
         value = values[name]
-        if nested and value is not None:
+        if name == _SEED:
+            fields.append((name, value is not None))
+        elif nested and value is not None:
             fields.append((name, structure(value)))
         elif name in _BAKED_IN or not isinstance(value, float):
             fields.append((name, value))
@@ -124,6 +129,8 @@ def structure_key(scenario: Scenario) -> str:
         fields["nominal"] = fields["plant"]
     fields.pop("simulation", None)  # decides how a loop is run, not its equations
     fields.pop("polynomial", None)  # has only numbers, also where it is left out
+    if not scenario.has_load_cell:
+        del fields["load_cell"]
     if isinstance(scenario.reference, SampledReference):
         fields["reference"] = scenario.reference.kind  # the samples enter by an open input
     law = scenario.controller
@@ -156,13 +163,18 @@ def _fingerprint() -> str:
 def scenario_diagram(scenario: Scenario) -> Any:
     """Build the diagram of the closed loop; an input port replaces a reference with samples.
 
-    The input port ``law_command`` replaces a law that runs as Python.
+    An input port replaces a biological moment too. The input port ``law_command`` replaces a law
+    that runs as Python.
     """
     external = isinstance(scenario.reference, SampledReference)
     held = held_command(scenario)
     controller = None if held is None else make_controller(scenario, held)
     return make_closed_loop(
-        scenario, controller=controller, signals=(), external_reference=external
+        scenario,
+        controller=controller,
+        signals=(),
+        external_reference=external,
+        external_moment=True,
     )
 
 
@@ -185,6 +197,7 @@ def _model(key: str, scenario: Scenario) -> CompiledModel:
             scenario_start(scenario)
             inputs = [LAW_COMMAND] if runs_as_python(scenario) else []
             inputs += ["knee_reference"] if scenario.reference.kind == "samples" else []
+            inputs += [] if moment_of(scenario) is None else ["biological_moment"]
             make_diagram = partial(_diagram, key, scenario)
             _models[key] = compile_by_key(key, make_diagram, inputs=inputs)
         return _models[key]
@@ -301,6 +314,20 @@ def reference_table(reference: SampledReference) -> InputTable:
     return input_table(knee_reference.sampled_spline(reference), derivatives=3)
 
 
+@lru_cache(maxsize=64)
+def _inputs(law_command: bool, reference: Any, moment: MomentTable | None) -> InputTable:
+    """Return the table of a model's inputs, in their order.
+
+    They are the command of a law in Python, zero; the samples of ``reference``; and ``moment``.
+    """
+    tables = [_NO_INPUTS] if law_command else []
+    if isinstance(reference, SampledReference):
+        tables.append(reference_table(reference))
+    if moment is not None:
+        tables.append(input_table(moment_spline(moment)))
+    return stack_tables(*tables) if len(tables) > 1 else (tables or [_NO_INPUTS])[0]
+
+
 def _require_reference_in_range(scenario: Scenario) -> None:
     knee_reference.require_reference_in_range(scenario.reference, scenario.plant.knee)
 
@@ -308,19 +335,16 @@ def _require_reference_in_range(scenario: Scenario) -> None:
 def scenario_run(scenario: Scenario, model: CompiledModel) -> tuple[Array, State, InputTable]:
     """Return parameters, initialized state and input table of a scenario for its compiled model.
 
-    The input table is empty unless the reference has samples. Raises `ParameterError` and
-    `LinkageError` as `make_closed_loop` does.
+    The input table is empty unless the reference has samples or the wearer a moment. Raises
+    `ParameterError` and `LinkageError` as `make_closed_loop` does.
     """
-    reference = scenario.reference
     _require_reference_in_range(scenario)
     parameters, start = _parameters(scenario, model), scenario_start(scenario)
     state = State(
         np.array([start.get(name, 0.0) for name in model.state_names]),
         np.zeros(len(model.discrete_names)),
     )
-    inputs = reference_table(reference) if isinstance(reference, SampledReference) else _NO_INPUTS
-    if runs_as_python(scenario) and inputs is not _NO_INPUTS:
-        inputs = stack_tables(_NO_INPUTS, inputs)  # the command comes first
+    inputs = _inputs(runs_as_python(scenario), scenario.reference, moment_of(scenario))
     return parameters, model.initialized(parameters, state, inputs), inputs
 
 

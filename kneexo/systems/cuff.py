@@ -13,17 +13,17 @@ from kneexo.systems.state_variable import StateVariable
 
 def context_values(parameters: CuffParameters) -> dict[str, float]:
     """Return a dictionary {name: value} of the Context parameters of `Cuff`."""
-    return values_of(
-        parameters,
-        "stiffness_n_m_per_rad",
-        "damping_n_m_s_per_rad",
-        "slip_torque_n_m",
-        "slip_damping_n_m_s_per_rad",
-    )
+    slip = ("slip_torque_n_m", "slip_damping_n_m_s_per_rad") * _slips(parameters)
+    return values_of(parameters, "stiffness_n_m_per_rad", "damping_n_m_s_per_rad", *slip)
 
 
-STATE_VARIABLES = (StateVariable("cuff_slip_rad"),)
-"""Continuous states of `Cuff` in their order."""
+def _slips(parameters: CuffParameters) -> bool:
+    return parameters.slip_torque_n_m is not None
+
+
+def state_variables(parameters: CuffParameters) -> tuple[StateVariable, ...]:
+    """Return the continuous states of `Cuff`; a cuff that does not slip has none."""
+    return (StateVariable("cuff_slip_rad"),) * _slips(parameters)
 
 
 class Cuff(NamedLeaf):
@@ -31,7 +31,7 @@ class Cuff(NamedLeaf):
 
     τ_i = τ_s + b_c (dθ_h/dt − dθ/dt),  τ_s = k_c (θ_h − θ − δ),  dθ/dt = −(dx/dt)/r,
     dδ/dt = (τ_s − clip(τ_s, ±τ_0))/c.
-    Above the slip torque τ_0 of its spring the cuff slides along the leg.
+    Above the slip torque τ_0 of its spring the cuff slides along the leg. Without τ_0 δ is zero.
 
     ==================  ====  ==========  =====================================================
     input port          size  unit
@@ -46,7 +46,8 @@ class Cuff(NamedLeaf):
     interaction_power   2     W           τ_i dθ_h/dt given by the leg, τ_i dθ/dt taken by the exo
     ==================  ====  ==========  =====================================================
 
-    State: δ in rad. Context parameters by name: all numbers of `CuffParameters`. The torque on the
+    State: δ in rad, if the cuff slips. Context parameters by name: all numbers of `CuffParameters`,
+    without those of the slip if it does not. The torque on the
     leg is −τ_i. The cuff dissipates the difference of its powers, less what its spring stores.
     Raises `SimulationError` when the rate of δ is not finite. Source: a spring and damper in series
     with a rigid-viscoplastic element (Bingham), which regularizes dry friction.
@@ -58,15 +59,18 @@ class Cuff(NamedLeaf):
         self._angle = self.DeclareVectorInputPort("knee_angle", 1)
         self._velocity = self.DeclareVectorInputPort("rod_velocity", 1)
         self._arm = self.DeclareVectorInputPort("moment_arm", 1)
-        self.DeclareContinuousState(BasicVector_[self._scalar]([0.0]))
-        declare, state = self._declare_output, self.xc_ticket()
-        sources = (self._leg, self._angle, self._velocity, self._arm, state)
+        self._slides = _slips(parameters)
+        if self._slides:
+            self.DeclareContinuousState(BasicVector_[self._scalar]([0.0]))
+        declare = self._declare_output
+        state = (self.xc_ticket(),) if self._slides else ()
+        sources = (self._leg, self._angle, self._velocity, self._arm, *state)
         self._torque = declare("interaction_torque", 1, lambda c: [self._calc(c)], *sources)
-        declare("cuff_slip", 1, lambda c: [self._slip(c)], state)
+        declare("cuff_slip", 1, lambda c: [self._slip(c)], *(state or [self.nothing_ticket()]))
         declare("interaction_power", 2, self._calc_power, *sources)
 
     def _slip(self, context: Any) -> Any:
-        return context.get_continuous_state_vector().GetAtIndex(0)
+        return context.get_continuous_state_vector().GetAtIndex(0) if self._slides else 0.0
 
     def _spring_torque(self, context: Any) -> Any:
         strain = self._leg.Eval(context)[0] - self._angle.Eval(context)[0] - self._slip(context)
@@ -85,6 +89,8 @@ class Cuff(NamedLeaf):
 
     def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
         """Set the rate of the slip. Raises `SimulationError` when it is not finite."""
+        if not self._slides:
+            return
         p = self.parameters(context)
         torque = self._spring_torque(context)
         excess = torque - clip(torque, -p.slip_torque_n_m, p.slip_torque_n_m)

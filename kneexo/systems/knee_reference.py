@@ -194,12 +194,19 @@ def sampled_spline(parameters: SampledReference) -> Any:
 
 
 @lru_cache(maxsize=64)
+def start_motion(parameters: Reference) -> tuple[float, float]:
+    """Return θ_d in rad and dθ_d/dt in rad/s at t = 0."""
+    if isinstance(parameters, SampledReference):
+        spline = sampled_spline(parameters)
+        return float(spline.value(0.0)[0, 0]), float(spline.EvalDerivative(0.0, 1)[0, 0])
+    evaluate = {"sine": sine, "step": step, "ramp": ramp}[parameters.kind]
+    angle, rate, *_ = evaluate(0.0, SimpleNamespace(**context_values(parameters)))
+    return float(angle), float(rate)
+
+
 def start_angle_rad(parameters: Reference) -> float:
     """Return θ_d at t = 0 in rad."""
-    if isinstance(parameters, SampledReference):
-        return float(sampled_spline(parameters).value(0.0)[0, 0])
-    evaluate = {"sine": sine, "step": step, "ramp": ramp}[parameters.kind]
-    return float(evaluate(0.0, SimpleNamespace(**context_values(parameters)))[0])
+    return start_motion(parameters)[0]
 
 
 @lru_cache(maxsize=64)

@@ -40,10 +40,12 @@ def fixed(leg=(0.5, 0.0), knee=0.5, velocity=0.0, arm=0.1, slip=0.0):
 
 
 def test_ports_and_state(leaf):
-    structure = leaf.structure(Cuff())
+    for parameters, states in ((CuffParameters(), 0), (CuffParameters(**NUMBERS), 1)):
+        assert leaf.structure(Cuff(parameters)).continuous == states
+    structure = leaf.structure(Cuff(CuffParameters(**NUMBERS)))
     assert structure.inputs == {name: len(ranges) for name, ranges in INPUTS.items()}
     assert structure.outputs == {"interaction_torque": 1, "cuff_slip": 1, "interaction_power": 2}
-    assert (structure.continuous, structure.discrete) == (1, [])
+    assert structure.discrete == []
     assert structure.feedthrough == {
         (name, port) for name in INPUTS for port in ("interaction_torque", "interaction_power")
     }
@@ -85,6 +87,17 @@ def test_power_lost_between_leg_and_exoskeleton_is_not_negative():
     given, taken = system.GetOutputPort("interaction_power").Eval(context)
     # Without strain only the damper: 4 N·m·s/rad at 1.3 rad/s.
     assert given - taken == pytest.approx(4.0 * 1.3**2)
+
+
+def test_a_cuff_without_slip_torque_does_not_slip(leaf):
+    rigid = Cuff(CuffParameters(stiffness_n_m_per_rad=1000.0, damping_n_m_s_per_rad=4.0))
+    probe = leaf.Probe(rigid, FAR)
+    probe.check_conversions()
+    probe.check_outputs_follow_every_source()
+    z = probe.points(1)[0]
+    _, leg, leg_rate, knee, velocity, arm, stiffness, damping = z
+    torque = stiffness * (leg - knee) + damping * (leg_rate + velocity / arm)
+    assert probe.results(z)[:2] == pytest.approx([torque, 0.0], rel=1e-12)
 
 
 def test_above_its_limit_the_cuff_slips_until_the_spring_has_the_slip_torque():
