@@ -77,7 +77,7 @@ FILES = {
     "colour: red": r"known here: bus, controller, encoder",
     # words and kinds
     "controller: PID": r"must be smc, pid, .* or a mapping; did you mean pid\?$",
-    "controller: lqr": r"controller = 'lqr': must be smc, pid, custom",
+    "controller: lqr": r"controller = 'lqr': must be smc, pid, torque, custom",
     "controller: {kind: lqr}": r"controller.kind = 'lqr': must be 'smc', 'pid'",
     "controller: [pid]": r"must be smc, pid, .* or a mapping$",
     "bus: canbus": r"must be none, cia402, can or a mapping; did you mean can\?$",

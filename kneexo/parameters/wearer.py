@@ -138,7 +138,7 @@ class LegParameters(Parameters):
         ge=1e-3,
         le=10,
     )
-    mass_kg: float = quantity(4.575, "kg", "Winter 2009, Table 4.1: leg and foot", ge=0, le=50)
+    leg_mass_kg: float = quantity(4.575, "kg", "Winter 2009, Table 4.1: leg and foot", ge=0, le=50)
     centre_of_mass_m: float = quantity(
         0.261, "m", "Winter 2009, Table 4.1: knee to centre of mass of leg and foot", ge=0, le=1
     )

@@ -314,12 +314,17 @@ def reference_table(reference: SampledReference) -> InputTable:
     return input_table(knee_reference.sampled_spline(reference), derivatives=3)
 
 
-@lru_cache(maxsize=64)
-def _inputs(law_command: bool, reference: Any, moment: MomentTable | None) -> InputTable:
-    """Return the table of a model's inputs, in their order.
+def scenario_inputs(scenario: Scenario) -> InputTable:
+    """Return the input table of a scenario for its compiled model.
 
-    They are the command of a law in Python, zero; the samples of ``reference``; and ``moment``.
+    The inputs are the command of a law in Python (zero), the samples of the reference, and the
+    biological moment of the wearer. Inputs that the model does not have are left out.
     """
+    return _stacked(runs_as_python(scenario), scenario.reference, moment_of(scenario))
+
+
+@lru_cache(maxsize=64)
+def _stacked(law_command: bool, reference: Any, moment: MomentTable | None) -> InputTable:
     tables = [_NO_INPUTS] if law_command else []
     if isinstance(reference, SampledReference):
         tables.append(reference_table(reference))
@@ -344,7 +349,7 @@ def scenario_run(scenario: Scenario, model: CompiledModel) -> tuple[Array, State
         np.array([start.get(name, 0.0) for name in model.state_names]),
         np.zeros(len(model.discrete_names)),
     )
-    inputs = _inputs(runs_as_python(scenario), scenario.reference, moment_of(scenario))
+    inputs = scenario_inputs(scenario)
     return parameters, model.initialized(parameters, state, inputs), inputs
 
 

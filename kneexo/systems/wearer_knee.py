@@ -30,7 +30,7 @@ def context_values(parameters: LegParameters, load: KneeLoadParameters) -> dict[
         **values_of(
             parameters,
             "inertia_kg_m2",
-            "mass_kg",
+            "leg_mass_kg",
             "centre_of_mass_m",
             "bare_stiffness_n_m_per_rad",
             "loss_modulus_n_m_per_rad",
@@ -128,7 +128,7 @@ class WearerKnee(NamedLeaf):
         def weight(knee_angle: Any) -> Any:
             return weight_torque(
                 knee_angle,
-                mass=p.mass_kg,
+                mass=p.leg_mass_kg,
                 centre_of_mass=p.centre_of_mass_m,
                 thigh_inclination=p.thigh_inclination_rad,
                 gravity=p.gravity_m_s2,

@@ -127,6 +127,54 @@ def test_a_loop_in_c_takes_no_sampled_reference(tmp_path, capsys, no_compiler):
     assert main([*options, "--what", "controller", "--vectors-s", "0.1"]) == 0
 
 
+WEARER = {
+    "plant": {"load": {"kind": "knee"}},
+    "wearer": {"kind": "leg", "motion": "active", "cuff": {"slip_torque_n_m": 0.1}},
+    "controller": {"kind": "torque", "mode": "impedance"},
+    "load_cell": {"noise_n": 2.0, "seed": 5, "dropout_start_s": 0.101, "dropout_s": 0.03},
+}
+
+
+@pytest.mark.slow
+def test_a_loop_with_a_wearer_in_c_is_the_compiled_loop(exported):
+    scenario = scenario_of(**WEARER).with_steps(largest_step_s(scenario_of(**WEARER), "loop"))
+    source, vectors = make_firmware(scenario, "loop", vectors_s=0.3)
+    outputs, run = exported.Replay(source)(vectors.inputs), simulate(scenario)
+    assert np.ptp(run["measured_force_n"]) > 4.0
+    assert run["measured_force_age_s"].max() == pytest.approx(0.03)
+    for column, name in enumerate(field.name for field in source.plan.outputs):
+        scale = np.abs(run[name]).max()
+        # Rounding, amplified by the gain on the differences of the observer, 1/T = 500 1/s.
+        np.testing.assert_allclose(
+            outputs[:, column], run[name][1:151], rtol=0, atol=1e-9 * scale, err_msg=name
+        )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("precision", ["double", "float"])
+def test_a_torque_controller_in_c_is_that_of_the_loop(exported, precision):
+    scenario = scenario_of(**WEARER)
+    source, vectors = make_firmware(scenario, "controller", vectors_s=0.3, precision=precision)
+    assert [field.name for field in source.plan.inputs][-2:] == [
+        "measured_force_n",
+        "measured_force_age_s",
+    ]
+    command = simulate_compiled(scenario)["motor_speed_command_rad_s"][1:151]
+    outputs = exported.Replay(source)(vectors.inputs)[:, 0]
+    # In float, 24 bits of an angle of 1 rad are 6e-8 rad, 3e-5 rad/s of the estimated rate and
+    # 0.03 rad/s of the motor.
+    atol = 1e-9 if precision == "double" else 1e-3
+    np.testing.assert_allclose(outputs, command, rtol=0, atol=atol * np.abs(command).max())
+
+
+def test_a_loop_in_c_takes_no_table_of_a_moment():
+    wearer = {"kind": "leg", "moment": {"times_s": (0, 1), "moments_n_m": (0, 9)}}
+    with pytest.raises(
+        ParameterError, match=r"^wearer\.moment: a loop in C .* or the loop as FMU$"
+    ):
+        make_firmware(scenario_of(plant=WEARER["plant"], wearer=wearer), "loop")
+
+
 def test_what_comes_from_outside_is_zero():
     scenario = scenario_of(plant={"load": {"kind": "knee"}})
     exported = make_target(scenario, "plant")
@@ -300,6 +348,7 @@ def test_controller_and_plant_in_c_are_the_compiled_loop(
     [
         ("bus.latency_samples=2", "bus.latency_samples = 2: neither controller nor plant contains"),
         ("estimator.kind=exact", "estimator.kind = 'exact': no sensor measures the state of the"),
+        ("controller=torque", "controller.kind = 'torque': the plant contains neither wearer nor"),
     ],
 )
 def test_a_loop_that_two_modules_cannot_form_is_refused(tmp_path, short, capsys, value, line):

@@ -338,6 +338,31 @@ def test_loaded_loop_of_full_order_follows_the_compiled_run(path, fmu_instance):
     assert loop.get("cap_pressure_pa", "rod_side_pressure_pa") == [3e5, 4e5]
 
 
+@pytest.mark.slow
+def test_loop_with_a_wearer_follows_the_compiled_run_with_the_moment_as_input(path, fmu_instance):
+    scenario = Scenario(
+        plant={"load": "knee"},
+        wearer={
+            "kind": "leg",
+            "motion": "active",
+            "effort": 0.8,
+            "moment": {"times_s": (0.0, 0.6), "moments_n_m": (10.0, 10.0)},
+        },
+        controller={"kind": "torque", "mode": "assist"},
+        load_cell={"noise_n": 2.0, "seed": 5},
+        simulation=SimulationParameters(duration_s=0.6),
+    )
+    data = _compiled(scenario)
+    loop = fmu_instance(path("loop", 3, scenario))
+    loop.set([("biological_moment_n_m", 10.0)])
+    loop.start()
+    names = list(columns(available_signals(scenario)))
+    rows = _loop_run(loop, _steps(data), *names)
+    assert np.ptp(data["interaction_torque_n_m"]) > 0.5
+    for name, values in zip(names, rows.T, strict=True):
+        assert _relative(values, data[name]) < 1e-9, name
+
+
 def test_sampled_reference_is_an_input(path, fmu_instance):
     samples = SampledReference(times_s=(0.0, 0.3, 0.6), angles_deg=(20.0, 30.0, 25.0))
     scenario = Scenario(reference=samples, simulation=SimulationParameters(duration_s=0.6))

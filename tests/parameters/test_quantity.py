@@ -25,6 +25,7 @@ from kneexo.parameters import (
     KneeParameters,
     LawParameters,
     LinkageParameters,
+    MomentTable,
     PidParameters,
     PlantParameters,
     RodPolynomialParameters,
@@ -55,6 +56,7 @@ OWN_LAW = Path(__file__).parents[2] / "examples" / "own_law.py"
 NEEDED = {
     CustomControllerParameters: {"make": "module:function"},
     LawParameters: {"function": f"{OWN_LAW}:law"},
+    MomentTable: {"times_s": (0.0, 1.0), "moments_n_m": (0.0, 1.0)},
 }
 """What has no default, where numbers are tried."""
 CLASSES = list(dict.fromkeys(classes_of(Scenario)))
@@ -108,6 +110,7 @@ def test_number_has_unit_range_and_provenance(
     listed = typing.get_origin(field.annotation) is tuple
     assert listed or re.fullmatch(r">=? \S+ and <= \S+", allowed_range(field))
     kinds = "Tables? |Sections? |Eq\\. |Fig\\. |assumption|given by the user|standard gravity"
+    kinds += "|Winter 2009|arXiv "
     run = "three periods|the control period|accuracy of|rod position minus reference"
     assert re.match(f"({kinds}|{run})", source_of(field)), source_of(field)
 
@@ -135,6 +138,11 @@ def test_choices_have_a_provenance() -> None:
 
 
 SUFFIXES = {
+    "(rad/s)/N": "_rad_s_per_n",
+    "(rad/s²)/N": "_rad_s2_per_n",
+    "N·m/rad": "_n_m_per_rad",
+    "N·m·s/rad": "_n_m_s_per_rad",
+    "kg·m²": "_kg_m2",
     "1": "",
     "deg": "_deg",
     "deg/s": "_deg_s",
@@ -233,7 +241,10 @@ def test_bounds_are_exact(model: type[Parameters], name: str, field: FieldInfo) 
         assert "is out of range" in fault(model, **{name: value})
 
 
-COUPLED = ("must be below", "must not exceed", "must be at least", "must be 0 or >=")
+COUPLED = (
+    *("must be below", "must not exceed", "must be at least", "must be 0 or >="),
+    *("must be at most", "needs a seed"),
+)
 
 
 @given(data=st.data(), key=st.sampled_from(sorted(BOUNDED)))
@@ -342,7 +353,7 @@ def test_value_outside_the_range_is_rejected(data: st.DataObject, key: str) -> N
         (
             Scenario,
             {"controller": {"kind": "lqr"}},
-            "controller.kind = 'lqr': must be 'smc', 'pid', 'custom' or 'law'",
+            "controller.kind = 'lqr': must be 'smc', 'pid', 'torque', 'custom' or 'law'",
         ),
         (
             Scenario,

@@ -23,6 +23,10 @@ from kneexo.parameters import (
     KneeParameters,
     Law,
     LawParameters,
+    LegParameters,
+    LoadCellParameters,
+    MomentTable,
+    NoWearer,
     PidParameters,
     PlantParameters,
     RampReference,
@@ -33,11 +37,14 @@ from kneexo.parameters import (
     SineReference,
     SlidingModeParameters,
     StepReference,
+    TorqueParameters,
     scenario_file,
 )
 from kneexo.parameters.quantity import Parameters
 from kneexo.parameters.scenario_file import dump_scenario, load_scenario, read_value
 from kneexo.studies.paper import IDEAL_SMC
+
+_KINDS = "'smc', 'pid', 'torque', 'custom' or 'law'"
 
 OWN_LAW = Path(__file__).parents[2] / "examples" / "own_law.py"
 
@@ -341,8 +348,11 @@ def test_fault_is_one_line_with_file_line_and_path(
     ("text", "parts"),
     [
         ("plant: {linkage: G9}", ["linkage", "'G9'", "G1, G2, G3"]),
-        ("controller: {kind: lqr}", ["controller.kind = 'lqr'", "'smc', 'pid', 'custom' or 'law'"]),
-        ("controller: {kind: }", ["controller.kind", "'smc', 'pid', 'custom' or 'law'"]),
+        (
+            "controller: {kind: lqr}",
+            ["controller.kind = 'lqr'", _KINDS],
+        ),
+        ("controller: {kind: }", ["controller.kind", _KINDS]),
         ("encoder: &e {quantized: *e}", ["encoder.quantized.quantized", "too deep"]),
         ("plant: &a [*a]", ["plant.0.0.0", "too deep"]),
         ("controller: smd", ["controller = 'smd'", "did you mean smc?"]),
@@ -547,15 +557,29 @@ def instances_of(model: type[Parameters]) -> st.SearchStrategy[Parameters]:
     if model is LawParameters:  # its function has one gain and no state
         fields["values"] = st.fixed_dictionaries({"gain": st.floats(-1e6, 1e6)})
         fields["initial_state"] = st.just(())
+    if model is Scenario:  # a wearer needs a load, a moment must cover the run
+        fields["wearer"] = st.just(NoWearer()) | instances_of(LegParameters)
+    if model is LegParameters:
+        fields["loss_modulus_n_m_per_rad"] = st.just(0.0)
+        fields["effort"] = st.just(1.0)
+    if model is MomentTable:
+        fields = {"times_s": st.just((-1.0, 1e5)), "moments_n_m": st.just((3.0, -4.0))}
 
     def build(drawn: dict[str, typing.Any]) -> Parameters:
-        if model is PidParameters:
+        if model in (PidParameters, TorqueParameters):
             drawn["anti_windup_s"] = max(drawn["anti_windup_s"], drawn["sample_time_s"])
         if model is Scenario:  # the reference must lie within the range of motion
             low, high = drawn["reference"].range_deg
             knee = drawn["plant"].knee
             if low < knee.flexion_min_deg or high > knee.flexion_max_deg:
                 del drawn["reference"], drawn["plant"]
+            if drawn.get("plant", PlantParameters()).load.kind == "none":
+                del drawn["wearer"]
+            law, leg = drawn["controller"], drawn.get("wearer", NoWearer())
+            if law.kind == "torque" and getattr(leg, "moment", None) is None:
+                drawn["controller"] = law.model_copy(update={"mode": "impedance"})
+        if model is LoadCellParameters and drawn["seed"] is None:
+            del drawn["noise_n"]
         if model is SineReference and drawn["ramp_s"] < 1e-3:
             del drawn["ramp_s"]
         if model is CylinderParameters and drawn["rod_diameter_m"] > 0.98 * drawn["bore_m"]:
@@ -599,7 +623,7 @@ def test_small_and_large_floats_are_floats_in_yaml_1_1(file: File) -> None:
 def test_dump_is_documented() -> None:
     lines = dump_scenario(Scenario()).splitlines()
     assert "    mass_kg: 1.6  # kg, >= 0.01 and <= 1000" in lines
-    assert "controller:  # kind: smc, pid, custom, law" in lines
+    assert "controller:  # kind: smc, pid, torque, custom, law" in lines
     assert "  rod_map: linkage  # linkage, polynomial" in lines
     assert "nominal: null" in lines
     (line,) = (line for line in lines if line.startswith("polynomial: null  # "))

@@ -12,9 +12,9 @@ def test_the_leg_is_that_of_winters_table() -> None:
     # Winter 2009, Table 4.1, leg and foot: 0.061 of the mass; centre of mass at 0.606 and radius of
     # gyration about the knee 0.735 of the length of the shank, 0.246 of the height.
     leg, length = LegParameters(), 0.246 * 1.75
-    assert leg.mass_kg == pytest.approx(0.061 * 75.0, rel=1e-3)
+    assert leg.leg_mass_kg == pytest.approx(0.061 * 75.0, rel=1e-3)
     assert leg.centre_of_mass_m == pytest.approx(0.606 * length, rel=2e-3)
-    assert leg.inertia_kg_m2 == pytest.approx(leg.mass_kg * (0.735 * length) ** 2, rel=2e-3)
+    assert leg.inertia_kg_m2 == pytest.approx(leg.leg_mass_kg * (0.735 * length) ** 2, rel=2e-3)
 
 
 def test_the_bare_spring_lacks_what_the_bank_adds_at_1_hz() -> None:

@@ -38,8 +38,8 @@ from kneexo.parameters.quantity import Parameters
 from kneexo.rod_polynomial import completed
 from kneexo.simulation import compiled, simulate_compiled
 from kneexo.simulation.compiled import (
-    reference_table,
     scenario_diagram,
+    scenario_inputs,
     scenario_run,
     scenario_values,
     structure_key,
@@ -108,6 +108,36 @@ STRUCTURES = {
         encoder=FREE,
         controller=SlidingModeParameters(sample_time_s=0.005),
         reference=SineReference(frequency_hz=1.0, ramp_s=0.05),
+    ),
+    "impedance, active wearer, slip, noise": Scenario(
+        encoder=FREE,
+        plant=PlantParameters(load=KneeLoadParameters()),
+        wearer={"kind": "leg", "motion": "active", "cuff": {"slip_torque_n_m": 0.1}},
+        controller={"kind": "torque", "mode": "impedance"},
+        load_cell={"quantized": False, "noise_n": 2.0, "seed": 1},
+        reference=SineReference(frequency_hz=1.0),
+    ),
+    "assist, active wearer, samples, moment": Scenario(
+        encoder=FREE,
+        plant=PlantParameters(load=KneeLoadParameters()),
+        wearer={
+            "kind": "leg",
+            "motion": "active",
+            "effort": 0.8,
+            "moment": {"times_s": (0, 0.03, 10), "moments_n_m": (5, -20, 3)},
+        },
+        controller={"kind": "torque", "mode": "assist"},
+        load_cell={"quantized": False, "dropout_start_s": 0.0301, "dropout_s": 0.02},
+        reference=SampledReference(times_s=(0.0, 0.05, 0.1), angles_deg=(30, 31, 29)),
+        simulation=SimulationParameters(duration_s=10.0),
+    ),
+    "assist as needed, passive wearer": Scenario(
+        encoder=FREE,
+        plant=PlantParameters(load=KneeLoadParameters(thigh_inclination_rad=1.5)),
+        wearer={"kind": "leg", "motion": "passive"},
+        controller={"kind": "torque", "mode": "assist_as_needed", "band_rad": 0.0},
+        load_cell={"quantized": False},
+        reference=StepReference(time_s=0.01),
     ),
     "continuous": IDEAL_SMC.model_copy(update={"initial_offset_m": -0.01}),
 }
@@ -178,6 +208,8 @@ EVERYTHING = {
     "ramp": STRUCTURES["can 2, ramp"],
     "samples": STRUCTURES["pid, can 1, samples"],
     "cia402": STRUCTURES["cia402"],
+    "impedance": STRUCTURES["impedance, active wearer, slip, noise"],
+    "assist": STRUCTURES["assist, active wearer, samples, moment"],
 }
 
 
@@ -208,10 +240,8 @@ def nudged(value):
 def numbers(scenario):
     """All that a compiled run gets from a scenario besides its structure."""
     start = tuple(compiled.scenario_start(scenario).items())
-    table = ()
-    if isinstance(scenario.reference, SampledReference):
-        inputs = reference_table(scenario.reference)
-        table = (inputs.breaks.tobytes(), inputs.coefficients.tobytes())
+    inputs = scenario_inputs(scenario)
+    table = (inputs.breaks.tobytes(), inputs.coefficients.tobytes())
     return tuple(scenario_values(scenario).items()), start, table
 
 
@@ -229,6 +259,10 @@ def test_every_quantity_changes_the_numbers_or_the_structure(case):
     unused = set() if base.encoder.quantized else {"encoder.phase_rad"}
     if base.controller.kind == "pid" and base.estimator.kind == "observer":
         unused |= {"estimator.time_constant_s"}
+    if not base.has_load_cell:
+        unused |= {".".join(("load_cell", *path)) for path, _ in quantities(base.load_cell)}
+    elif base.wearer.cuff.slip_torque_n_m is None:
+        unused |= {"wearer.cuff.slip_damping_n_m_s_per_rad"}
     assert inert == set(WITHOUT_EFFECT) | unused
 
 

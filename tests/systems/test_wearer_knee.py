@@ -12,7 +12,7 @@ BANK_HZ = np.array([0.06, 0.3, 1.4142, 6.6667, 33.333])
 WEIGHTS = np.array([1.3939, 0.9620, 0.9980, 0.9620, 1.3939])
 NUMBERS = {
     "inertia_kg_m2": 0.4,
-    "mass_kg": 4.0,
+    "leg_mass_kg": 4.0,
     "centre_of_mass_m": 0.25,
     "stiffness_n_m_per_rad": 3.0,
     "loss_modulus_n_m_per_rad": 0.8,
@@ -124,7 +124,7 @@ def dynamic_stiffness(system, frequencies_hz):
 
 
 def test_loss_modulus_is_constant_and_the_stiffness_is_meant_at_1_hz():
-    system = leg("passive", mass_kg=0.0, damping_n_m_s_per_rad=0.0)
+    system = leg("passive", leg_mass_kg=0.0, damping_n_m_s_per_rad=0.0)
     frequencies = np.geomspace(0.1, 20.0, 200)
     loss = dynamic_stiffness(system, frequencies).imag
     np.testing.assert_allclose(loss, 0.8, rtol=0.008)  # ripple of five elements
@@ -133,7 +133,7 @@ def test_loss_modulus_is_constant_and_the_stiffness_is_meant_at_1_hz():
 
 
 def test_stiffness_grows_with_frequency_as_causality_requires():
-    system = leg("passive", mass_kg=0.0, damping_n_m_s_per_rad=0.0)
+    system = leg("passive", leg_mass_kg=0.0, damping_n_m_s_per_rad=0.0)
     low, high = dynamic_stiffness(system, [0.5, 5.0]).real
     # Kramers and Kronig: (2/π) h ln(f/f_0); the ripple of the loss modulus is 0.8 %.
     assert high - low == pytest.approx(2.0 / math.pi * 0.8 * math.log(10.0), rel=0.02)
