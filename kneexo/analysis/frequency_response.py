@@ -186,7 +186,7 @@ class FrequencyResponse(Result):
             "Gain and phase of the knee angle relative to its reference, measured with sines. "
             f"The curve interpolates the mean of {trials} monotonically (PCHIP)."
         )
-        ax = axes_or_new(ax, 1, 2, caption=caption, figsize=(10, 4))
+        ax = axes_or_new(ax, 1, 2, caption=caption, figsize=(8.6, 3.9))
         f = self.frequencies_hz
         fine = np.linspace(f[0], f[-1], 400)
         gains, phases = np.abs(self.response), _phase_deg(self.response)

@@ -71,7 +71,7 @@ class PolynomialFit(Result):
             "Rod extension over knee angle (a) and its inverse (b). The three curves coincide. "
             "The lower panels show the linkage minus each polynomial."
         )
-        ax = axes_or_new(ax, 2, 2, caption=caption, sharex="col", figsize=(9, 5.6))
+        ax = axes_or_new(ax, 2, 2, caption=caption, sharex="col", figsize=(8.4, 5.6))
         table = self.table
         angle, rod = self.angle_deg, self.extension_mm
         self._plot_map(ax[0, 0], angle, rod, self.p_mm_deg, table.p_mm_deg)

@@ -17,7 +17,7 @@ from kneexo.analysis.rate_limit import (
     rate_limited_follower,
     rate_limited_gain,
 )
-from kneexo.plotting import BLUE, RED, SERIES, phase_ticks
+from kneexo.plotting import BLUE, RED, SERIES, decimal_ticks, phase_ticks
 from kneexo.result import Array
 from kneexo.studies.bandwidth.study import BandwidthResult, decibel, unwrapped_deg
 from kneexo.studies.plots import (
@@ -58,11 +58,11 @@ def plot_map(result: BandwidthResult) -> Figure:
     They show gain, phase, and the shares of time at the motor's speed and acceleration limits.
     """
     figure, axes = plt.subplots(
-        2, 2, figsize=(10, 8.2), sharex=True, sharey=True, layout="constrained"
+        2, 2, figsize=(8.4, 7.8), sharex=True, sharey=True, layout="constrained"
     )
     figure.set_label(
         "Gain, phase lead and the motor's limits over frequency and amplitude of the reference. "
-        "Darker is worse. Hatched cells have no result." + _gain_returns(result)
+        "Darker is worse." + _gain_returns(result)
     )
     f, amplitudes = result.frequencies_hz, result.amplitudes_deg
     share, phase = Normalize(0.0, 100.0), result.phase_deg
@@ -88,7 +88,7 @@ def plot_map(result: BandwidthResult) -> Figure:
     axes[1, 0].plot(reached, amplitudes, ".:", color=RED, label=label, path_effects=OUTLINE)
     plain_ticks(axes[0, 0].xaxis, _TICKS_HZ)
     plain_ticks(axes[0, 0].yaxis, amplitudes)
-    legend_below(figure, axes.flat, ncols=3, fontsize=9, facecolor="0.9")
+    legend_below(figure, axes.flat, ncols=3, fontsize=8, facecolor="0.9")
     return figure
 
 
@@ -209,7 +209,7 @@ def plot_rate_limit(result: BandwidthResult) -> Figure:
 
     aω is the amplitude of the rod speed that the reference requires. R is the rod's speed limit.
     """
-    figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
+    figure, axes = plt.subplots(1, 2, figsize=(8.6, 4.0), layout="constrained")
     figure.set_label(
         "A follower with limited speed turns a fast sine into a triangle (left). "
         "ρ is its speed limit over the largest speed of the sine. "
@@ -222,8 +222,8 @@ def plot_rate_limit(result: BandwidthResult) -> Figure:
     for colour, ratio in zip(SERIES, (0.8, _RATIO_AT_MINUS_3_DB, 0.3), strict=False):
         follower = rate_limited_follower(time, target, math.tau * ratio)
         axes[0].plot(time[shown] - 2.5, follower[shown], colour, label=f"ρ = {ratio:.3g}")
-    axes[0].set(xlabel="time (periods)", ylabel="position (amplitudes)", ylim=(-1.1, 1.6))
-    axes[0].legend(loc="upper center", fontsize=8, ncols=4)
+    axes[0].set(xlabel="time (periods)", ylabel="position (amplitudes)", ylim=(-1.1, 1.8))
+    axes[0].legend(loc="upper center", fontsize=8, ncols=2)
     reached = result.frequencies_hz / result.bandwidths["rate_limit_hz"][:, None]
     demand = reached / _RATIO_AT_MINUS_3_DB
     colours = shades(result.amplitudes_deg.size)
@@ -241,6 +241,7 @@ def plot_rate_limit(result: BandwidthResult) -> Figure:
         xscale="log",
         ylim=(-45.0, 5.0),
     )
+    decimal_ticks(axes[1].xaxis)
     axes[1].grid(alpha=0.3)
     axes[1].legend(loc="lower left", fontsize=8)
     return figure

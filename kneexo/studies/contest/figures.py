@@ -19,7 +19,7 @@ def outcome(result: ContestResult) -> Figure:
 
     Two panels show the largest errors on the test plants, one for each of the two references.
     """
-    figure, grid = plt.subplots(2, 2, figsize=(9.5, 8.0), layout="constrained")
+    figure, grid = plt.subplots(2, 2, figsize=(8.4, 7.6), layout="constrained")
     axes, key = grid.ravel()[:3], grid[1, 1]
     figure.set_label(
         "Largest errors of each controller on the test plants, in the task of the tuning (a) and "

@@ -58,7 +58,7 @@ def lambda_and_slope(result: ControllerResult) -> Figure:
     def at(name: str) -> Array:
         return result.values[name][:, ::-1, eta]
 
-    figure, axes = plt.subplots(2, 2, figsize=(9.5, 7.8), layout="constrained", sharex=True)
+    figure, axes = plt.subplots(2, 2, figsize=(8.4, 7.4), layout="constrained", sharex=True)
     panels: tuple[tuple[Array, Normalize, str, Worse], ...] = (
         (at("max_error_deg"), _ERROR_NORM, _ERROR, "high"),
         (at("mean_command_change_rpm"), _CHANGE_NORM, _CHANGE, "high"),
@@ -92,7 +92,7 @@ def phi_and_eta(result: ControllerResult) -> Figure:
     phis, etas = result.settings.phis_m_s2, result.settings.etas_m_s3
     beta = result.slope_per_s[phi, eta] * phis[phi] / etas[eta]
     figure, axes = plt.subplots(
-        2, 2, figsize=(9.5, 7.8), layout="constrained", sharex=True, sharey=True
+        2, 2, figsize=(8.4, 7.4), layout="constrained", sharex=True, sharey=True
     )
     at = {name: values[lambda_] for name, values in result.values.items()}
     panels: tuple[tuple[Array, Normalize, str, Worse], ...] = (
@@ -134,7 +134,7 @@ def claims(result: ControllerResult) -> Figure:
     grid, values = result.settings, result.values
     lambdas, phis, etas = grid.lambdas_per_s, grid.phis_m_s2, grid.etas_m_s3
     error, change = values["max_error_deg"], values["mean_command_change_rpm"]
-    figure, axes = plt.subplots(2, 2, figsize=(9.5, 7.5), layout="constrained")
+    figure, axes = plt.subplots(2, 2, figsize=(8.4, 7.2), layout="constrained")
     (faster, chattering), (adherent, collapse) = axes
 
     figure.set_label(
@@ -182,7 +182,7 @@ def limit_cycle(result: ControllerResult) -> Figure:
     """Draw the error of the limit cycle over time, and mark its place on the map of T_f and k/Φ."""
     grid = result.settings
     law, observer = observed_smc(result.scenario)
-    figure = plt.figure(figsize=(9.5, 7.5), layout="constrained")
+    figure = plt.figure(figsize=(8.4, 7.2), layout="constrained")
     axes = figure.subplot_mosaic([["error", "error"], ["map", "margin"]], height_ratios=(1.0, 1.2))
     error = axes["error"]
     figure.set_label(

@@ -26,7 +26,7 @@ def tracking(result: OrderResult) -> Figure:
     figure, ax = plt.subplots(
         len(loads),
         2,
-        figsize=(9, 1.0 + 2.2 * len(loads)),
+        figsize=(8.4, 1.0 + 2.2 * len(loads)),
         sharex=True,
         layout="constrained",
         squeeze=False,

@@ -40,7 +40,7 @@ def motions(reproduction: ReproduceResult) -> dict[str, Motion]:
 
 
 def _plot_fig9(run: Run) -> Figure:
-    figure, ax = plt.subplots(1, 2, figsize=(10, 3.8), layout="constrained")
+    figure, ax = plt.subplots(1, 2, figsize=(8.6, 3.8), layout="constrained")
     figure.set_label(
         "Ideal sliding mode from a wrong start, as in Fig. 9. "
         "The rod extension reaches its reference (a), and the error decays exponentially (b)."
@@ -61,7 +61,7 @@ def _plot_fig9(run: Run) -> Figure:
 def _plot_fig12(cases: Mapping[str, TrackingResult]) -> Figure:
     shown = {name: cases[name] for name in FIG_12_TITLES}
     figure, axes = plt.subplots(
-        len(shown), 2, figsize=(10, 3 * len(shown)), sharex=True, layout="constrained"
+        len(shown), 2, figsize=(8.6, 2.8 * len(shown)), sharex=True, layout="constrained"
     )
     figure.set_label(
         "Tracking of three controllers, as in Fig. 12. "
@@ -88,7 +88,7 @@ def _plot_fig13(response: FrequencyResponse) -> Figure:
 
 
 def _plot_eq27(reproduction: ReproduceResult) -> Figure:
-    figure, ax = plt.subplots(1, 2, figsize=(10, 3.8), layout="constrained")
+    figure, ax = plt.subplots(1, 2, figsize=(8.6, 3.8), layout="constrained")
     figure.set_label(
         "Eq. 27 as printed, with a sample time of 2 ms. "
         "With exact states a higher gain excites the hydraulic mode (a). "

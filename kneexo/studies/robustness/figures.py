@@ -43,7 +43,7 @@ def distribution(result: RobustnessResult) -> Figure:
     columns = min(3, len(names))
     rows = math.ceil(len(names) / columns)
     figure, axes = plt.subplots(
-        rows, columns, figsize=(3.6 * columns, 2.9 * rows), layout="constrained", squeeze=False
+        rows, columns, figsize=(2.9 * columns, 2.8 * rows), layout="constrained", squeeze=False
     )
     figure.set_label(
         "Distribution of each metric over the sampled plants. A curve shows the share of the "
@@ -94,7 +94,7 @@ def tornado(result: RobustnessResult) -> Figure:
     figure, axes = plt.subplots(
         1,
         len(merits),
-        figsize=(2.6 + 2.7 * len(merits), 1.5 + 0.42 * len(order)),
+        figsize=(2.6 + 2.2 * len(merits), 1.5 + 0.42 * len(order)),
         layout="constrained",
         squeeze=False,
         sharey=True,
@@ -187,7 +187,7 @@ def importance(result: RobustnessResult) -> Figure:
     correlations = result.correlations()
     ranks = np.array([[correlations[m][path] for m in merits] for path in names])
     figure, axes = plt.subplots(
-        1, 2, figsize=(10.5, 1.9 + 0.36 * len(names)), layout="constrained", sharey=True
+        1, 2, figsize=(9.4, 1.9 + 0.36 * len(names)), layout="constrained", sharey=True
     )
     figure.set_label(
         "Importance of each uncertain value. "

@@ -71,7 +71,7 @@ def figures(result: SizeResult) -> dict[str, Figure]:
 
 
 def _sweeps(result: SizeResult) -> Figure:
-    figure, grid = plt.subplots(2, 2, figsize=(9.5, 7.8), layout="constrained")
+    figure, grid = plt.subplots(2, 2, figsize=(8.4, 7.6), layout="constrained")
     axes, settings = grid.ravel()[:3], result.settings
     figure.set_label(
         "Bandwidth and largest error over each value of the hardware, all others as they are. "
@@ -203,7 +203,7 @@ def _gains(result: SizeResult) -> Figure:
         for name in ("max_error_deg", "disk_margin", "meets")
     )
     figure, axes = plt.subplots(
-        1, shape[0], figsize=(1.5 + 4.6 * shape[0], 4.4), layout="constrained", squeeze=False
+        1, shape[0], figsize=(1.2 + 3.8 * shape[0], 4.4), layout="constrained", squeeze=False
     )
     figure.set_label(
         "Largest error in walking (first number, colour) and disk margin (second number) over the "
@@ -301,7 +301,7 @@ def last_stride(
 
 
 def _demand(result: SizeResult) -> Figure:
-    figure, axes = plt.subplots(2, 2, figsize=(9.5, 6.4), sharex=True, layout="constrained")
+    figure, axes = plt.subplots(2, 2, figsize=(8.4, 6.2), sharex=True, layout="constrained")
     figure.set_label(
         "What walking requires of the hardware over a gait cycle. "
         "Rod speed, pump flow, load pressure and shaft power, and those of the closed loop with "

@@ -38,7 +38,7 @@ def condition(result: SlidingResult) -> Figure:
     The run in the left panel starts outside the layer. The runs in the right panel follow the
     reference.
     """
-    figure, ax = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
+    figure, ax = plt.subplots(1, 2, figsize=(8.4, 4), layout="constrained")
     load = result.settings.loads_n[0]
     figure.set_label(
         "The rate sgn(s)·ds/dt of the sliding variable outside the boundary layer, with the full "
@@ -76,7 +76,7 @@ def error_bound(result: SlidingResult) -> Figure:
     """
     loads, law = result.settings.loads_n, result.law
     figure, ax = plt.subplots(
-        1, len(loads), figsize=(4.5 * len(loads), 4), layout="constrained", squeeze=False
+        1, len(loads), figsize=(4.2 * len(loads), 4), layout="constrained", squeeze=False
     )
     figure.set_label(
         "Error of the rod and its bound Φ/λ², with the full order of the cylinder. "
