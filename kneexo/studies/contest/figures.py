@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from kneexo.plotting import RED, SERIES, decimal_ticks
 from kneexo.studies.contest.study import INFEASIBLE_DEG, ContestResult, errors_of
-from kneexo.studies.plots import ecdf, legend_below, merged_legend
+from kneexo.studies.plots import ecdf, legend_below
 
 
 def outcome(result: ContestResult) -> Figure:
@@ -24,25 +26,20 @@ def outcome(result: ContestResult) -> Figure:
     figure.set_label(
         "Largest errors of each controller on the test plants, in the task of the tuning (a) and "
         "in another task (b), and disk margin over the error of (a) (c). "
-        "A curve further left is better. In (c) higher is better too."
+        "A curve further left is better. In (c) higher is better too. "
+        "Thick solid lines and discs belong to the controllers that the contest tuned."
     )
-    for name, colour in _colours(result.entrants).items():
-        tuned = name in result.settings.contestants
-        style: dict[str, Any] = {"color": colour, "lw": 2.0 if tuned else 1.0}
-        style["ls"] = "-" if tuned else "--"
+    handles = []
+    for name, style in _styles(result).items():
         errors = errors_of(result.tested[name])
-        ecdf(axes[0], errors, label=name, **style)
-        ecdf(axes[1], errors_of(result.other_reference[name]), **style)
+        line = {key: style[key] for key in ("color", "ls", "lw")}
+        marks = {key: style[key] for key in ("color", "marker", "ms", "mew")}
+        ecdf(axes[0], errors, label=name, **line)
+        ecdf(axes[1], errors_of(result.other_reference[name]), **line)
         margins = [values["disk_margin"] for values in result.tested[name]]
-        axes[2].plot(
-            np.where(np.isfinite(errors), errors, np.nan),
-            margins,
-            "o" if tuned else "x",
-            ms=3.5,
-            color=colour,
-            alpha=0.6,
-            mew=0.8,
-        )
+        finite = np.where(np.isfinite(errors), errors, np.nan)
+        axes[2].plot(finite, margins, ls="none", alpha=0.6, **marks)
+        handles.append(Line2D([], [], label=name, **style))
     other = result.settings.other_reference
     axes[0].set(ylabel="share of the test plants", title="(a) the task of the tuning")
     axes[1].set(
@@ -56,15 +53,24 @@ def outcome(result: ContestResult) -> Figure:
         ax.set(xscale="log", xlabel="largest error (deg)")
         decimal_ticks(ax.xaxis)
         ax.grid(alpha=0.3)
-    for marker, label in (("o", "tuned here"), ("x", "not tuned here")):
-        axes[2].plot([], [], marker, color="0.3", ms=3.5, mew=0.8, ls="none", label=f"(c) {label}")
     least = result.settings.least_disk_margin
     label = f"(c) least in the tuning, {least:g}"
-    axes[2].axhline(least, color=RED, ls=":", lw=1.2, label=label)
+    handles.append(axes[2].axhline(least, color=RED, ls=":", lw=1.2, label=label))
     key.set_axis_off()  # its place is that of the legend
-    entries = merged_legend((axes[0], axes[2]))
-    key.legend(entries.values(), entries, loc="center")
+    key.legend(handles=handles, loc="center", handlelength=3.0)
     return figure
+
+
+def _styles(result: ContestResult) -> dict[str, dict[str, Any]]:
+    """Return a dictionary from the name of each controller to the style of its line and marks."""
+    untuned = itertools.cycle(zip(("--", ":", "-.", (0, (6, 1))), "x+^v", strict=True))
+    styles: dict[str, dict[str, Any]] = {}
+    for name, colour in _colours(result.entrants).items():
+        tuned = name in result.settings.contestants
+        line, marker = ("-", "o") if tuned else next(untuned)
+        styles[name] = {"color": colour, "ls": line, "lw": 2.0 if tuned else 1.1}
+        styles[name] |= {"marker": marker, "ms": 3.5, "mew": 0.8}
+    return styles
 
 
 def _colours(names: Iterable[str]) -> dict[str, str]:

@@ -192,7 +192,7 @@ def _walking_limits(axis: Axes, result: SizeResult) -> None:
 
 
 def _legend_below(axis: Axes) -> None:
-    axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), fontsize=9, ncols=2)
+    axis.legend(loc="upper center", bbox_to_anchor=(0.5, -0.2), fontsize=9)
 
 
 def _gains(result: SizeResult) -> Figure:

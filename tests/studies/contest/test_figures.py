@@ -43,8 +43,8 @@ def test_the_outcome_shows_each_entrant_at_its_errors_and_margins(contest, curve
         assert y == pytest.approx(expected, nan_ok=True)
         tuned = name in contest.settings.contestants
         for ax in (here, there):
-            assert ax.lines[n].get_linestyle() == ("-" if tuned else "--")
-        assert margins.lines[n].get_marker() == ("o" if tuned else "x")
+            assert (ax.lines[n].get_linestyle() == "-") == tuned
+        assert (margins.lines[n].get_marker() == "o") == tuned
         assert len({ax.lines[n].get_color() for ax in (here, there, margins)}) == 1
     least = contest.settings.least_disk_margin
     assert list(curves(margins)[f"(c) least in the tuning, {least:g}"][1]) == [least, least]
@@ -81,9 +81,12 @@ def test_the_legend_names_everybody_once():
     *panels, key = figures(made_up())["contest"].axes
     assert all(ax.get_legend() is None for ax in panels)  # a legend hides no data
     legend = [text.get_text() for text in key.get_legend().get_texts()]
-    assert legend[:3] == ["SMC", "PID", "SMC, default"]
-    assert legend[3:5] == ["(c) tuned here", "(c) not tuned here"]
-    assert len(legend) == 6
+    assert legend == ["SMC", "PID", "SMC, default", "(c) least in the tuning, 0.5"]
+    # Each entry has the line of (a) and (b) and the mark of (c).
+    for n, handle in enumerate(key.get_legend().get_lines()[:3]):
+        assert handle.get_linestyle() == panels[0].lines[n].get_linestyle()
+        assert handle.get_marker() == panels[2].lines[n].get_marker()
+        assert handle.get_color() == panels[0].lines[n].get_color()
 
 
 def test_a_contest_whose_every_run_failed_is_drawn():
