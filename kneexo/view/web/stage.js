@@ -186,10 +186,11 @@ const Stage = (() => {
       this._figures.forEach((figure, index) => {
         const leg = this.legs[index];
         this._drawing.pose(index, leg.at(this.time));
-        if (all || this._visible.has(figure.element)) {
+        if (all || this._visible.has(figure.element) || !figure.isDrawn) {
+          figure.isDrawn = figure.whole.clientWidth > 0;
           this._paint(index, figure.whole, this.orbit, false);
           // The enlarged linkage may follow at half the rate where frames are slow.
-          if (!this.playing || this._sharpness > 0.9 || this._count % 2 === 0) {
+          if (all || !this.playing || this._sharpness > 0.9 || this._count % 2 === 0) {
             this._paint(index, figure.joint, SIDE, true);
           }
         }

@@ -8,7 +8,7 @@ const StageElements = (() => {
   const READOUTS = ["knee angle", "reference", "error", "pressure"];
 
   const ERROR_AXIS = {
-    label: "reference minus angle (deg)",
+    label: "error (deg)",
     size: 60,
     space: 24,
     values: (_, ticks) => ticks.map((tick) => String(tick).replace("-", "−")),
@@ -38,7 +38,8 @@ const StageElements = (() => {
     const values = {};
     const rows = READOUTS.map((text) => {
       values[text] = make("dd");
-      return make("div", {}, [make("dt", { textContent: text }), values[text]]);
+      const title = text === "error" ? "reference minus knee angle" : "";
+      return make("div", { title }, [make("dt", { textContent: text }), values[text]]);
     });
     const boxes = make("div", { className: "stage-boxes" }, [whole.element, joint.element]);
     const numbers = make("dl", { className: "stage-readout" }, rows);
