@@ -35,8 +35,10 @@ const Page = (() => {
     parts.latest[index] = request;
     results[index].fresh = false;
     parts.runs.request(index, request);
-    const sweep = { ...requestOf({ ...setup, reference: "sine" }), frequencies: SWEEP_HZ };
-    parts.analyses.request(index, { linear: request, sweep });
+    const sweep = requestOf({ ...setup, reference: "sine" });
+    const near = results[index].near_hz; // the search is quicker beside the last result
+    if (near) sweep.near_hz = near;
+    parts.analyses.request(index, { linear: request, sweep, frequencies: SWEEP_HZ });
   }
 
   function onRun(index, answer, request) {
@@ -58,6 +60,7 @@ const Page = (() => {
     onStart(index) {
       delete results[index].linear;
       delete results[index].sweep;
+      delete results[index].swept;
       parts.bode.clear(index, SWEEP_HZ);
       draw();
     },
@@ -68,9 +71,11 @@ const Page = (() => {
     onPoint(index, point) { parts.bode.add(index, point); },
     onSweep(index, answer) {
       results[index].sweep = answer;
-      parts.bode.setMinus3db(index, results[index].sweep.minus_3_db_hz);
+      results[index].near_hz = answer.minus_3_db_hz ?? results[index].near_hz;
+      parts.bode.setMinus3db(index, answer.minus_3_db_hz);
       draw();
     },
+    onEnd(index) { results[index].swept = true; },
   };
 
   // -------------------------------------------------------------------------- drawing

@@ -39,13 +39,13 @@ const Numbers = (() => {
       : [`−3 dB, below this ${shown(frequency)} Hz`, "bad"];
   }
 
-  function ofMargin(linear, value, enough, thin, words) {
+  function ofMargin(linear, value, enough, thin, words = () => null) {
     if (!linear) return ["computing", "plain"];
     if (linear.failure || linear.error) return [linear.failure ?? linear.error, "plain"];
     if (!linear.stable) return ["unstable", "bad"];
     if (value == null || value === Infinity) return ["no limit", "good"];
-    if (value >= enough) return [words?.[0] ?? "comfortable", "good"];
-    return value >= thin ? [words?.[1] ?? "just enough", "fair"] : [words?.[2] ?? "thin", "bad"];
+    if (value >= enough) return [words(value) ?? "comfortable", "good"];
+    return value >= thin ? [words(value) ?? "just enough", "fair"] : [words(value) ?? "thin", "bad"];
   }
 
   function ofPressure(run) {
@@ -79,7 +79,7 @@ const Numbers = (() => {
     { name: "delay", label: "Delay margin", unit: "ms",
       value: ({ linear }) => margin(linear, "delay_margin_s", 1e3),
       word: ({ linear, sample_time_s: sample }) => ofMargin(linear, linear?.delay_margin_s, 2 * sample, sample,
-        ["two samples or more", "one sample", "less than a sample"]) },
+        (value) => `${Math.floor(value / sample)} samples`) },
     { name: "pressure", label: "Peak pressure", unit: "bar",
       value: ({ run }) => shown(1e-5 * run.metrics.peak_pressure_pa), word: ({ run }) => ofPressure(run) },
   ];

@@ -78,13 +78,17 @@ const Runner = (() => {
       this.timers[index] = setTimeout(() => this.send(index, messages), this.rest_ms);
     }
 
-    send(index, { linear, sweep }) {
-      const { onLinear, onPoint, onSweep } = this.handlers;
-      this.ids[index] = [
-        this.crew.ask({ kind: "linear", setup: index, ...linear }, (answer) => onLinear(index, answer)),
-        this.crew.ask({ kind: "sweep", setup: index, ...sweep },
-          (answer) => onSweep(index, answer), (point) => onPoint(index, point)),
-      ];
+    /** Ask for the margins, then the −3 dB frequency, then the points of the sweep. */
+    send(index, { linear, sweep, frequencies }) {
+      const { onLinear, onPoint, onSweep, onEnd } = this.handlers;
+      const ask = (message, onAnswer) => {
+        this.ids[index].push(this.crew.ask(message, onAnswer, (point) => onPoint(index, point)));
+      };
+      ask({ kind: "linear", setup: index, ...linear }, (answer) => onLinear(index, answer));
+      ask({ kind: "sweep", setup: index, ...sweep, frequencies: [] }, (answer) => {
+        onSweep(index, answer);
+        ask({ kind: "sweep", setup: index, ...sweep, frequencies }, () => onEnd(index));
+      });
     }
   }
 

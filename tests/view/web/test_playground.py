@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from kneexo.analysis import large_signal_bandwidth_hz, linearize_loop, track
-from kneexo.errors import KneexoError
+from kneexo.errors import KneexoError, SimulationError
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 from kneexo.parameters.scenario_file import load_scenario
@@ -328,6 +328,52 @@ def test_a_reference_beyond_the_range_of_motion_is_a_sentence(browser, one):
     assert page.evaluate("document.getElementById('notice').hidden") is False
     page.type("reference.amplitude_deg", "40")
     assert page.evaluate("document.getElementById('notice').hidden") is True
+
+
+def test_a_run_that_fails_shows_its_curve_to_the_end_and_the_reason(browser, one):
+    page = _Page(browser, one)
+    values = {
+        FREQUENCY: 0.27,
+        GEAR: 1.9,
+        "controller.lambda_per_s": 9.0,
+        "controller.eta_m_s3": 4500.0,
+    }
+    for name, value in values.items():
+        page.type(name, value)
+    with pytest.raises(SimulationError):
+        track(_steps(changed(Scenario(), values), page))
+    end_s = page.evaluate("Page.results[0].run.end.time_s")
+    assert 0.0 < end_s < 30.0
+    assert page.text("notice").startswith(
+        f"The run ended at {end_s:.3g} s: the knee or the cylinder"
+    )
+    assert page.evaluate("document.getElementById('notice').hidden") is False
+    angle = page.curve("angle")
+    assert np.isfinite(angle).sum() == angle.size == round(end_s / 0.002) + 1
+    low, high = page.evaluate("Page.parts.plots.range")
+    assert (low, high) == (0.0, 30.0)
+    assert page.number("error")[1] == "the run ended early"
+
+
+def test_the_sweep_draws_its_points_and_the_bandwidth(browser, one):
+    page = _Page(browser, one)
+    browser.wait_for("Page.results[0].swept", 120.0)
+    grid, gain = page.evaluate("Page.parts.bode.plots[0].chart.data.slice(0, 2)")
+    phase = page.evaluate("Page.parts.bode.plots[1].chart.data[1]")
+    points = page.evaluate("Page.parts.bode.points[0]")
+    assert len(points) >= 17
+    drawn = {hz: pair for hz, *pair in zip(grid, gain, phase, strict=True)}
+    for point in points:
+        decibels = 20.0 * math.log10(point["gain"])
+        assert drawn[point["frequency_hz"]] == pytest.approx([decibels, point["phase_deg"]])
+    slow, fast = points[0], points[-1]
+    assert slow["saturated_share"] == 0.0
+    assert fast["saturated_share"] > 0.5
+    hz = large_signal_bandwidth_hz(Scenario())
+    assert page.evaluate("Page.parts.bode.minus3db[0]") == pytest.approx(hz, rel=1e-3)
+    known = [i for i, value in enumerate(gain) if value is not None]
+    at = np.interp(hz, np.array(grid)[known], np.array(gain, dtype=float)[known])
+    assert at == pytest.approx(-3.0103, abs=0.05)
 
 
 def test_the_newest_of_many_values_is_shown(browser, one):
