@@ -14,7 +14,12 @@ const Simulator = (() => {
   const ERROR_SHARE = 2 / 30; // of the amplitude; see ERROR_SHARE in kneexo/analysis/verdict.py
   const SETTLING_BAND = 0.02; // share of a step, as SETTLING_BAND in kneexo/analysis/tracking.py
 
-  const bytesOf = (base64) => Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0));
+  function bytesOf(base64) {
+    const text = atob(base64);
+    const bytes = new Uint8Array(text.length);
+    for (let k = 0; k < bytes.length; k++) bytes[k] = text.charCodeAt(k);
+    return bytes;
+  }
 
   const radians = (degrees) => (degrees * Math.PI) / 180;
 
