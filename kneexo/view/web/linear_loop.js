@@ -202,7 +202,7 @@ const LinearLoop = (() => {
       const step = solve(square, change);
       if (!step.every(Number.isFinite)) return null;
       point = point.map((value, i) => (i < map.n ? value - step[i] : value));
-      const small = (value, i) => Math.abs(value) < 1e-11 * (1 + Math.abs(point[i]));
+      const small = (value, i) => Math.abs(value) < 1e-9 * (1 + Math.abs(point[i]));
       if (step.every(small)) return change.every((value) => Math.abs(value) < 1e-6) ? point : null;
     }
     return null;

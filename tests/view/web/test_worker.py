@@ -1,4 +1,133 @@
-"""Requests and answers of the worker; its runs are compared with the compiled engine."""
+"""Runs, margins and sweeps of the worker, compared with the compiled engine and its analyses."""
+
+import math
+
+import numpy as np
+import pytest
+
+from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
+from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.analysis.sine_estimate import SineEstimateSettings, estimate_sine
+from kneexo.analysis.tracking import track
+from kneexo.errors import KneexoError, LinearizationError
+from kneexo.export.web import web_model, web_modules
+from kneexo.parameters import Scenario
+from kneexo.parameters.paths import value_at
+from kneexo.parameters.presets import with_preset
+
+QUICK = {"reference.frequency_hz": 1.0, "reference.amplitude_deg": 5.0}
+"""A sine of 1 Hz, which a short run repeats."""
+
+SCENARIOS = {
+    f"{name} {controller}": Scenario(**(values | {"controller": {"kind": controller}}))
+    for name, values in {
+        "paper": {},
+        "load": {"plant": {"load": {"kind": "knee"}}},
+        "leg": with_preset("leg", {}),
+    }.items()
+    for controller in ("smc", "pid")
+}
+
+DEGREES = {
+    "largest_error_overall_rad": "max_error_overall_deg",
+    "rms_error_overall_rad": "rms_error_overall_deg",
+    "rms_error_rad": "rms_error_deg",
+    "largest_error_rad": "max_error_deg",
+}
+RPM = {
+    "mean_command_change_rad_s": "mean_command_change_rpm",
+    "peak_command_rad_s": "peak_command_rpm",
+}
+SAME = (
+    *("saturated_share", "pressure_over_rating_share", "power_over_rating_share"),
+    *("peak_shaft_power_w", "shaft_energy_j", "shaft_energy_delivered_j", "hydraulic_energy_j"),
+)
+MARGINS = (
+    *("gain_margin", "gain_margin_frequency_hz", "lower_gain_margin"),
+    *("phase_margin_deg", "phase_margin_frequency_hz"),
+    *("delay_margin_s", "delay_margin_frequency_hz"),
+)
+
+
+def loaded(worker, scenario, name="model"):
+    """Load the model of a scenario into the worker and return it."""
+    model = web_model(scenario)
+    worker.ask(kind="load", modules=web_modules([model]), models={name: model})
+    return model
+
+
+def in_kneexo(scenario, model, duration_s):
+    """The run of the compiled engine with the steps of a module."""
+    table = web_modules([model])[model["loop"]["module"]]["table"]
+    step_s = table["sample_time_s"] / table["rk4_steps_per_tick"]
+    settings = {"duration_s": duration_s, "integrator": "rk4", "step_s": step_s}
+    return track(scenario.changed({f"simulation.{k}": v for k, v in settings.items()}))
+
+
+def check_metrics(metrics, result):
+    expected = result.metrics
+    pairs = {name: math.radians(getattr(expected, other)) for name, other in DEGREES.items()}
+    pairs |= {name: getattr(expected, other) * math.pi / 30.0 for name, other in RPM.items()}
+    pairs |= {name: getattr(expected, name) for name in SAME}
+    pairs["peak_pressure_pa"] = 1e6 * expected.peak_pressure_mpa
+    pairs["saturated_share_overall"] = result.verdict.saturated_share
+    pairs["largest_error_time_s"] = result.verdict.max_error_time_s
+    pairs["error_bound_rad"] = math.radians(result.verdict.error_bound_deg)
+    for name, value in pairs.items():
+        assert metrics[name] == pytest.approx(value, rel=1e-6, abs=1e-12), name
+    assert metrics["tracks"] == result.verdict.tracks
+
+
+def check_run(answer, result):
+    for name, column in {
+        "angle": "knee_angle_rad",
+        "reference": "knee_reference_rad",
+        "command": "motor_speed_command_rad_s",
+        "pressure": "load_pressure_pa",
+    }.items():
+        expected = result[column]
+        size = np.max(np.abs(expected))
+        np.testing.assert_allclose(answer["columns"][name], expected, rtol=0.0, atol=1e-8 * size)
+    np.testing.assert_array_equal(answer["time"], result.run.time_s)
+    check_metrics(answer["metrics"], result)
+
+
+def dense_grid(loop):
+    """Frequencies in Hz, dense also around a resonance without damping."""
+    poles = np.linalg.eigvals(loop.loop_matrices[0])
+    poles = poles[poles.imag > 0.0]
+    centres = np.angle(poles) / loop.sample_time_s / math.tau
+    widths = (1.0 - np.abs(poles)) / loop.sample_time_s / math.tau
+    near = centres + np.linspace(-10.0, 10.0, 2001)[:, None] * widths
+    grid = np.append(loop.frequency_grid(), near)
+    return grid[(grid > 0.02) & (grid < 0.5 / loop.sample_time_s)]
+
+
+def check_margins(answer, scenario):
+    """Compare margins; return whether the loop is stable."""
+    try:
+        loop = linearize_loop(scenario, knee_angle_deg=scenario.reference.middle_deg)
+    except LinearizationError:
+        assert answer["stable"] is None
+        assert answer["failure"]
+        return False
+    assert answer["largest_eigenvalue"] == pytest.approx(abs(loop.eigenvalues[0]), abs=1e-5)
+    assert answer["stable"] == loop.stable
+    if loop.stable:
+        expected = loop.margins()
+        for name in MARGINS:
+            value = getattr(expected, name)
+            smallest = 1e-4 if name == "lower_gain_margin" else 0.0  # a pole at zero frequency
+            assert answer[name] == pytest.approx(value, rel=1e-3, abs=smallest, nan_ok=True), name
+        peak = np.max(np.abs(loop.sensitivity(dense_grid(loop))))
+        # The distance 1/peak of L from −1 has an absolute error too.
+        assert 1.0 / answer["sensitivity_peak"] == pytest.approx(1.0 / peak, rel=1e-3, abs=2e-6)
+        for name, value in (
+            ("feedback_bandwidth_hz", loop.complementary_sensitivity_bandwidth_hz()),
+            ("bandwidth_linear_hz", loop.bandwidth_hz()),
+        ):
+            assert answer[name] == (None if math.isnan(value) else pytest.approx(value, rel=1e-3))
+    return loop.stable
 
 
 def test_a_wrong_request_has_an_answer_in_words(worker):
@@ -6,5 +135,163 @@ def test_a_wrong_request_has_an_answer_in_words(worker):
     assert worker.ask(kind="run", model="none")["error"] == "model none is not loaded"
 
 
-def test_loading_has_an_answer(worker):
-    assert worker.ask(kind="load", modules={}, models={}) == {"id": worker._count, "points": []}
+@pytest.mark.slow
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_each_quantity_has_the_effect_of_its_parameter(worker, name):
+    """Curves and metrics of stable loops, and margins, at both ends of each slider."""
+    scenario = SCENARIOS[name].changed(QUICK)
+    model = loaded(worker, scenario)
+    quantities = model["quantities"] + model["references"]["sine"]["quantities"]
+    assert len(quantities) > 10
+    stable = 0
+    for quantity in quantities:
+        for value in (quantity["low"], quantity["high"]):
+            values = QUICK | {quantity["name"]: value}
+            try:
+                changed = scenario.changed(values)
+            except KneexoError:  # such as a sine that leaves the range of motion
+                continue
+            request = {"model": "model", "reference": "sine", "values": values}
+            margins = worker.ask(kind="linear", **request)
+            answer = worker.ask(kind="run", duration_s=2.5, **request)
+            where = f"{quantity['name']} = {value}"
+            assert answer.get("error") is margins.get("error") is None, (where, answer, margins)
+            try:
+                if not check_margins(margins, changed):
+                    continue
+                stable += 1
+                result = in_kneexo(changed, model, 2.5)
+                assert answer["end"] is None
+                if value_at(changed, "reference.frequency_hz") >= 0.5:  # else there are no metrics
+                    check_run(answer, result)
+            except AssertionError as error:
+                raise AssertionError(f"{where}: {error}") from error
+    assert stable > len(quantities)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["paper smc", "paper pid", "leg smc"])
+def test_minus_3_db_and_its_points_are_those_of_kneexo(worker, name):
+    scenario = SCENARIOS[name].changed({"reference.amplitude_deg": 20.0})
+    loaded(worker, scenario)
+    values = {"reference.amplitude_deg": 20.0}
+    request = {"kind": "sweep", "model": "model", "values": values}
+    answer = worker.ask(frequencies=[0.2, 1.37], **request)
+    settings = SineEstimateSettings(averaged_cycles=2, largest_cycles=6)
+    assert [point["frequency_hz"] for point in answer["points"][:2]] == [0.2, 1.37]
+    for point in answer["points"][:2]:
+        at = scenario.changed({"reference.frequency_hz": point["frequency_hz"]})
+        estimate = estimate_sine(at, settings)
+        gain = complex(*(point["gain"] * f(math.radians(point["phase_deg"])) for f in TURN))
+        assert abs(gain - estimate.response) < 1e-3 * abs(estimate.response)
+        for share in ("speed_limited_share", "acceleration_limited_share"):
+            assert point[share] == pytest.approx(getattr(estimate, share), abs=2e-3)
+        assert point["saturated_share"] >= point["speed_limited_share"]
+    expected = large_signal_bandwidth_hz(scenario)
+    # Both searches end when the gain is 1/√2 to 0.05 %.
+    assert answer["minus_3_db_hz"] == pytest.approx(expected, rel=1.5e-3)
+    alone = worker.ask(frequencies=[], near_hz=expected, **request)
+    assert alone["minus_3_db_hz"] == pytest.approx(expected, rel=1.5e-3)
+    assert len(alone["points"]) <= 8
+
+
+TURN = (math.cos, math.sin)
+
+
+@pytest.mark.slow
+def test_a_newer_request_cancels_the_older_one_of_its_set_up(worker):
+    loaded(worker, Scenario())
+    request = {"kind": "run", "model": "model", "reference": "sine", "values": {}}
+    numbers = [
+        worker.send(setup=setup, duration_s=duration_s, **request)
+        for setup, duration_s in ((0, 100.0), (1, 1.0), (0, 2.0))
+    ]
+    answers = {answer["id"]: answer for answer in (worker.receive() for _ in numbers)}
+    assert answers[numbers[0]] == {"id": numbers[0], "cancelled": True}
+    assert answers[numbers[1]]["time"][-1] == 1.0
+    assert answers[numbers[2]]["time"][-1] == 2.0
+
+
+@pytest.mark.slow
+def test_a_run_between_the_points_of_a_sweep_changes_neither(worker):
+    loaded(worker, Scenario())
+    sweep = {"kind": "sweep", "model": "model", "values": {}, "frequencies": [0.5]}
+    run = {"kind": "run", "model": "model", "reference": "sine", "values": {}, "duration_s": 3.0}
+    alone = worker.ask(**sweep), worker.ask(**run)
+    numbers = worker.send(**sweep), worker.send(**run)
+    answers, points = {}, []
+    while len(answers) < 2:
+        answer = worker.receive()
+        if "point" in answer:
+            points.append(answer["point"])
+        else:
+            answers[answer["id"]] = answer
+    assert next(iter(answers)) == numbers[1]  # the run does not wait for the sweep
+    assert points == alone[0]["points"]
+    assert answers[numbers[1]]["columns"] == alone[1]["columns"]
+
+
+@pytest.mark.slow
+def test_a_step_has_the_metrics_of_a_step(worker):
+    reference = {"kind": "step", "start_deg": 30.0, "end_deg": 33.0, "time_s": 0.5}
+    scenario = Scenario(reference=reference)
+    model = loaded(worker, scenario)
+    answer = worker.ask(kind="run", model="model", reference="step", values={}, duration_s=2.0)
+    result = in_kneexo(scenario, model, 2.0)
+    check_run(answer, result)
+    step, metrics = result.step, answer["metrics"]
+    assert metrics["rise_time_s"] == pytest.approx(step.rise_time_s)
+    assert metrics["settling_time_s"] == pytest.approx(step.settling_time_s)
+    assert metrics["overshoot_percent"] == pytest.approx(step.overshoot_percent, rel=1e-6)
+    short = worker.ask(kind="run", model="model", reference="step", values={}, duration_s=0.51)
+    assert short["metrics"]["rise_time_s"] is short["metrics"]["settling_time_s"] is None
+    assert not short["metrics"]["tracks"]
+
+
+@pytest.mark.slow
+def test_samples_are_a_reference_and_end_with_a_constant_angle(worker):
+    times, angles = (0.0, 0.5, 1.0, 1.5), (30.0, 40.0, 35.0, 45.0)
+    scenario = Scenario(
+        reference={"kind": "samples", "times_s": times, "angles_deg": angles},
+        simulation={"duration_s": 1.5},
+    )
+    model = loaded(worker, scenario)
+    request = {"kind": "run", "model": "model", "reference": "samples", "values": {}}
+    check_run(worker.ask(duration_s=1.5, **request), in_kneexo(scenario, model, 1.5))
+    longer = worker.ask(duration_s=2.0, **request)
+    assert longer["columns"]["reference"][-1] == pytest.approx(math.radians(45.0))
+    assert longer["columns"]["angle"][-1] == pytest.approx(math.radians(45.0), abs=1e-3)
+    margins = worker.ask(**(request | {"kind": "linear"}))
+    assert margins["knee_angle_deg"] == 37.5
+
+
+@pytest.mark.slow
+def test_a_run_shorter_than_a_period_has_the_error_of_the_whole_run(worker):
+    model = loaded(worker, Scenario())
+    request = {"kind": "run", "model": "model", "reference": "sine", "values": {}}
+    metrics = worker.ask(duration_s=2.0, **request)["metrics"]
+    result = in_kneexo(Scenario(), model, 2.0)
+    assert metrics["settled"] is False
+    assert metrics["saturated_share"] is metrics["mean_command_change_rad_s"] is None
+    assert math.degrees(metrics["largest_error_rad"]) == pytest.approx(result.verdict.max_error_deg)
+
+
+@pytest.mark.slow
+def test_a_run_that_fails_ends_with_time_and_reason(worker):
+    scenario = Scenario(reference={"amplitude_deg": 1.0, "mean_deg": 88.9, "frequency_hz": 1.0})
+    pid = {"kind": "pid", "proportional_per_s": 1e3}
+    loaded(worker, scenario.changed({"controller": pid}))
+    request = {"model": "model", "reference": "sine", "values": {}}
+    answer = worker.ask(kind="run", duration_s=20.0, **request)
+    assert 0.0 < answer["end"]["time_s"] < 20.0
+    assert "range of motion" in answer["end"]["reason"]
+    assert answer["time"][-1] == pytest.approx(answer["end"]["time_s"])
+    for column in answer["columns"].values():
+        assert len(column) == len(answer["time"])
+        assert np.isfinite(column).all()
+    margins = worker.ask(kind="linear", **request)
+    assert margins["stable"] is False
+    assert margins["largest_eigenvalue"] > 1.0
+    sweep = worker.ask(kind="sweep", frequencies=[1.0], **request)
+    assert sweep["minus_3_db_hz"] is None
+    assert "range of motion" in sweep["failure"]
