@@ -5,10 +5,12 @@ from __future__ import annotations
 from itertools import combinations
 
 from kneexo.parameters import Scenario, Uncertainty
+from kneexo.parameters.labels import labels
 from kneexo.parameters.paths import changed
 from kneexo.parameters.uncertainty import realize
 from kneexo.studies.catalogue import replay_commands
 from kneexo.studies.contest.study import COLUMNS, ContestResult, Tuning
+from kneexo.studies.markdown import number
 from kneexo.studies.template import filled
 
 
@@ -18,8 +20,9 @@ def report(result: ContestResult) -> str:
 
     def gains(tuning: Tuning) -> str:
         ranges = result.settings.contestants[tuning.contestant].gains
+        words = labels(tuning.gains)
         return ", ".join(
-            f"{path.split('.')[-1]} = {value:.4g}{_at_bound(ranges[path], value)}"
+            f"{words[path]} = {number(value)}{_at_bound(ranges[path], value)}"
             for path, value in tuning.gains.items()
         )
 
@@ -27,6 +30,7 @@ def report(result: ContestResult) -> str:
         "contest/report.md",
         result=result,
         settings=result.settings,
+        left_out=list(labels(result.left_out).values()),
         other=result.settings.other_reference,
         summary=result.summary(),
         rows={label: (name, ".3g") for name, label in COLUMNS.items()},

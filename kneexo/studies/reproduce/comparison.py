@@ -72,7 +72,7 @@ class Comparison:
             return ""
         if self.number.kind == "upper bound":
             return f"below {self.number.printed}"
-        return f"differs by at most {0.5 * self.precision:g}"
+        return f"± {0.5 * self.precision:g}"
 
     @property
     def judgement(self) -> str:

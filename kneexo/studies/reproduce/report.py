@@ -49,6 +49,7 @@ def report(result: ReproduceResult) -> str:
         computed=lambda row: f"{row.computed:{row.number.form}}",
         difference=lambda row: f"{row.difference:+.3g}",
         criterion=lambda row: row.criterion,
+        verdict=lambda row: DOES_NOT_HOLD if row.judgement == DOES_NOT_HOLD else HOLDS,
         method=lambda row: row.number.method,
         named=_named,
         controller=lambda row: _CONTROLLERS[row["name"]],

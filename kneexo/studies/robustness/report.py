@@ -11,6 +11,7 @@ import numpy as np
 
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario
+from kneexo.parameters.labels import labels, value_text
 from kneexo.parameters.uncertainty import realize
 from kneexo.studies.catalogue import replay_commands
 from kneexo.studies.markdown import number
@@ -24,7 +25,6 @@ from kneexo.studies.robustness.study import (
     merit_value,
     merit_values,
     quantile,
-    short_names,
     worst,
     worst_value,
 )
@@ -39,12 +39,13 @@ _STRONGEST = 2
 
 def report(result: RobustnessResult) -> str:
     """Return the report on a robustness study in Markdown."""
-    names = short_names(result.uncertainty.values)
+    names = labels(result.uncertainty.values)
     merits = [merit for merit in _COMPARED if merit in result.merits]
     distribution = {merit: _distribution(result, merit) for merit in result.merits}
     return filled(
         "robustness/report.md",
         result=result,
+        left_out=list(labels(result.left_out).values()),
         scenario=result.scenario,
         names=names,
         known=[names[path] for path, span in result.uncertainty.values.items() if span.known],
@@ -80,16 +81,9 @@ def failed_runs(result: RobustnessResult) -> dict[str, Scenario]:
     return runs
 
 
-def shown(value: Any) -> str:
-    """Return a metric, an uncertain value or an option as short text.
-
-    A number that is not finite becomes ``fails``.
-    """
-    if isinstance(value, float):
-        return number(value) if math.isfinite(value) else "fails"
-    if isinstance(value, Mapping):
-        return ", ".join(f"{key} = {shown(item)}" for key, item in value.items()) or "default"
-    return "none" if value is None else str(value)
+def shown(value: float) -> str:
+    """Return a metric as short text; ``fails`` for a number that is not finite."""
+    return number(value) if math.isfinite(value) else "fails"
 
 
 def _distribution(result: RobustnessResult, merit: str) -> list[str]:
@@ -126,7 +120,7 @@ def _corners(
     """
     corners = [worst(result.corners, merit) for merit in merits]
     for path, name in names.items():
-        yield [name, *(shown(corner.values[path]) for corner in corners)]
+        yield [name, *(value_text(path, corner.values[path]) for corner in corners)]
     yield [
         "**the metric there**",
         *(shown(worst_value(result.corners, merit)) for merit in merits),

@@ -490,10 +490,3 @@ def _neighbours(corner: Corner, sizes: Sequence[int]) -> Iterator[Corner]:
 
 
 # ---------------------------------------------------------------------------------- summary
-
-
-def short_names(paths: Iterable[str]) -> dict[str, str]:
-    """Return a dictionary from path to the last part, or to the path if last parts coincide."""
-    last = {path: path.rpartition(".")[2] for path in paths}
-    names = list(last.values())
-    return {path: name if names.count(name) == 1 else path for path, name in last.items()}

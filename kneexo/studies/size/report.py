@@ -93,7 +93,7 @@ def _measured(result: SizeResult, numbers: Mapping[str, Any]) -> Iterator[dict[s
         label, unit, _ = HARDWARE[path]
         for row in sweep:
             if row["factor"] in shown:
-                yield {"hardware": f"{label} {row['value']:.4g} {unit}".rstrip()} | row
+                yield {"hardware": f"{label} {number(row['value'], '.4g')} {unit}".rstrip()} | row
 
 
 def _walked(numbers: Mapping[str, Any], names: Sequence[str]) -> list[str]:

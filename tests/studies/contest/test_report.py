@@ -15,6 +15,18 @@ from kneexo.studies.contest.study import (
     ContestSettings,
 )
 
+GAINS = {
+    "lambda_per_s": "λ (1/s)",
+    "phi_m_s2": "Φ (m/s²)",
+    "eta_m_s3": "η (m/s³)",
+    "time_constant_s": "time constant (s)",
+    "proportional_per_s": "proportional (1/s)",
+    "integral_per_s2": "integral (1/s²)",
+    "derivative": "derivative",
+    "filter_s": "filter (s)",
+}
+"""Words of the gains, by name."""
+
 
 def said_gains(contest, tuning):
     """Gains as the report has them: a mark on those within 2 % of the way from a bound."""
@@ -23,7 +35,9 @@ def said_gains(contest, tuning):
         span = contest.settings.contestants[tuning.contestant].gains[path]
         share = math.log(value / span.low) / math.log(span.high / span.low)
         mark = "" if 0.02 < share < 0.98 else " (at its bound)"
-        texts.append(f"{path.split('.')[1]} = {value:.4g}{mark}")
+        text = f"{value:.3g}"
+        text = f"{float(text):.0f}" if "e+" in text and value < 1e6 else text
+        texts.append(f"{GAINS[path.split('.')[1]]} = {text}{mark}")
     return ", ".join(texts)
 
 
@@ -108,7 +122,7 @@ def test_the_report_says_what_did_not_converge_or_fit():
     assert "- unstable:" not in text  # nobody was better there
     assert "| worst error (deg) | 0.4 | ∞ |" in text
     assert "∞" in text
-    assert "and so left out: plant.load.knee_torque_n_m." in " ".join(text.split())
+    assert "and so left out: knee torque (N·m)." in " ".join(text.split())
 
 
 def test_the_first_failed_run_of_each_controller_is_repeated_by_a_command():

@@ -28,7 +28,7 @@ def test_the_report_has_each_number_of_the_paper_beside_ours(known, tables):
     numbers = known.results()
     comparison, more, *_ = tables(report(known))
     heads = ["quantity", "unit", "paper", "kneexo", "difference"]
-    assert comparison[0] == [*heads, "holds if it", "verdict", "how obtained"]
+    assert comparison[0] == [*heads, "holds within", "verdict", "how obtained"]
     assert more[0] == ["quantity", "unit", "kneexo", "how obtained"]
     judged, others = iter(comparison[1:]), iter(more[1:])
     for path, paper in PAPER.items():
@@ -59,13 +59,14 @@ def test_the_report_has_each_number_of_the_paper_beside_ours(known, tables):
                 assert bound == paper
                 assert (ours < bound) == (verdict == "holds")
             else:
-                assert criterion.startswith("differs by at most ")
+                assert criterion.startswith("± ")
                 assert bound == 0.5 * 10.0 ** Decimal(printed).as_tuple().exponent
                 within = abs(ours - paper) <= bound * (1.0 + 1e-9)
-                assert verdict == ("holds within what the paper prints" if within else NOT)
+                assert verdict == ("holds" if within else NOT)
     assert [*judged, *others] == []
     judgements = [row["judgement"] for row in numbers["comparison"]]
-    assert [row[6] for row in comparison[1:]] == [j for j in judgements if j != "not printed"]
+    kinds = [j.removesuffix(" within what the paper prints") for j in judgements]
+    assert [row[6] for row in comparison[1:]] == [k for k in kinds if k != "not printed"]
 
 
 def test_the_screen_has_the_judgements(known, check_screen):

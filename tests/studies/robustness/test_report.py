@@ -19,6 +19,8 @@ from kneexo.studies.robustness.study import (
     MERITS,
 )
 
+WORDS = {"mass_kg": "mass (kg)", "lag_s": "lag (s)", "latency_samples": "latency (samples)"}
+
 
 def test_every_cell_of_the_report_is_in_the_visits(by_hand, tables, check_cells):
     findings, summary, corners, *effects = tables(report(by_hand))
@@ -37,17 +39,17 @@ def test_every_cell_of_the_report_is_in_the_visits(by_hand, tables, check_cells)
     check_cells(
         corners,
         [
-            ["mass_kg", 1.4, 1.8, 1.8],
-            ["lag_s", 0.005, 0.02, 0.02],
-            ["latency_samples", 0.0, 1.0, 1.0],
+            ["mass (kg)", 1.4, 1.8, 1.8],
+            ["lag (s)", 0.005, 0.02, 0.02],
+            ["latency (samples)", 0.0, 1.0, 1.0],
             ["**the metric there**", 2.3, 0.6 * 0.3, 0.6 * 0.7],
         ],
     )
     assert len(effects) == 3
     alone = {
-        "mass_kg": (1.1, 0.8),
-        "lag_s": (0.7, 1.6),
-        "latency_samples": (1.0, 1.2, 1.25),
+        "mass (kg)": (1.1, 0.8),
+        "lag (s)": (0.7, 1.6),
+        "latency (samples)": (1.0, 1.2, 1.25),
     }
     correlations = by_hand.results()["rank_correlation"]
     for table, merit in zip(effects, ("rms_error_deg", *merits[1:]), strict=True):
@@ -57,7 +59,7 @@ def test_every_cell_of_the_report_is_in_the_visits(by_hand, tables, check_cells)
         strengths = [abs(float(row[1].removesuffix("*"))) for row in table[1:]]
         assert strengths == sorted(strengths, reverse=True)
         for n, (path, values) in enumerate(correlations[merit].items()):
-            name = path.rpartition(".")[2]
+            name = WORDS[path.rpartition(".")[2]]
             rank, ends, *linear = by_name[name]
             assert rank == f"{values:.2f}" + ("*" if n == 2 else "")
             shown = [float(value) for value in ends.split(" / ")]
@@ -73,8 +75,11 @@ def test_the_screen_has_the_findings(by_hand, check_screen):
     assert "disk margin 0.7 0.84 0.63 1.33 0.63 0.42" in lines[2:8]
     counts = "1 of 5 samples, 0 of 3 corners, 0 of 7 plants with one value changed."
     assert f"- Failed in part or unstable: {counts}\n" in text
-    assert "rank correlation: rms error (deg): lag_s 1.00; bandwidth (Hz): lag_s 1.00; disk" in text
-    assert "disk margin: lag_s 1.00.\n" in text
+    assert (
+        "rank correlation: rms error (deg): lag (s) 1.00; bandwidth (Hz): lag (s) 1.00; disk"
+        in text
+    )
+    assert "disk margin: lag (s) 1.00.\n" in text
 
 
 def test_the_words_count_as_the_results_do(by_hand):
@@ -90,7 +95,7 @@ def test_the_words_count_as_the_results_do(by_hand):
     assert f"at least {100.0 * 0.05 ** (1 / 5):.4g} % of all plants" in text
     assert "worse than every corner visited in: largest error (deg)." in text
     assert "3 of 12 corners" in text
-    assert "left out: plant.load.knee_torque_n_m." in text
+    assert "left out: knee torque (N·m)." in text
 
 
 def test_values_above_chance_and_those_that_the_controller_knows_are_told(by_hand):
@@ -104,9 +109,9 @@ def test_values_above_chance_and_those_that_the_controller_knows_are_told(by_han
             local_failures=(),
         )
     )
-    assert "believes in the nominal plant, but knows lag_s." in text
+    assert "believes in the nominal plant, but knows lag (s)." in text
     # Of eight samples √(3.84/7) = 0.74 may be chance: ρ is 1 of the lag, 0.58 of the mass.
-    idle = "Not above chance (95 %): mass_kg, latency_samples."
+    idle = "Not above chance (95 %): mass (kg), latency (samples)."
     assert text.count(idle) == 3
     assert "No local sensitivity" not in text
 

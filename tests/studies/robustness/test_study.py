@@ -48,7 +48,6 @@ from kneexo.studies.robustness.study import (
     quantile,
     rank_correlation,
     robustness_study,
-    short_names,
     worst,
 )
 from kneexo.sweeps import parallel, parallel_map
@@ -362,14 +361,6 @@ def test_a_quantile_is_one_of_the_values(values, share):
     level = quantile(assessments, "disk_margin", share)
     assert level in values
     assert sum(v <= level for v in values) >= share * len(values) - 1e-9
-
-
-def test_short_names_stay_apart():
-    assert short_names(["plant.a.x", "plant.b.x", "plant.c.y"]) == {
-        "plant.a.x": "plant.a.x",
-        "plant.b.x": "plant.b.x",
-        "plant.c.y": "y",
-    }
 
 
 # ------------------------------------------------------------------------------- with the loop
