@@ -195,7 +195,7 @@ def test_values_that_do_not_apply_are_left_out_and_reported(formula):
     result = robustness_study(Scenario(), UNCERTAINTY, FEW.model_copy(update={"corners_max": 40}))
     assert result.left_out == ("plant.load.segment_mass_kg", "plant.load.knee_torque_n_m")
     assert set(result.uncertainty.values) == set(UNCERTAINTY.values) - set(result.left_out)
-    assert "left out: plant.load.segment_mass_kg, plant.load.knee_torque_n_m." in report(result)
+    assert "left out: segment mass (kg), knee torque (N·m)." in report(result)
     assert result.results()["left_out"] == list(result.left_out)
 
 
