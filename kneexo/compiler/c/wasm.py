@@ -7,10 +7,13 @@ The module has the parameters as a vector that the host may write, and one call 
 from __future__ import annotations
 
 import hashlib
+import json
 from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from ..errors import CompilationError
+from ..native.cache import load, store
 from .build import REQUIRED_FLAGS, linked
 from .cross import zig_command
 from .source import CSource
@@ -68,9 +71,25 @@ def wasm_table(source: CSource) -> dict[str, Any]:
 def wasm_module(source: CSource) -> WasmModule:
     """Compile a model in C to a WebAssembly module by Zig.
 
+    The module is stored in the cache of compiled models; the same C and the same version of Zig
+    give the stored module.
+
     Raises `CompilationError` in single precision, and its subclass `BuildError` if Zig is not
     installed or fails.
     """
     files, name = wasm_files(source), f"{source.name}.wasm"
-    code = linked(name, files, *zig_command("WebAssembly"), *_TARGET, *_FLAGS)
+    command = (*zig_command("WebAssembly"), *_TARGET, *_FLAGS)
+    key = json.dumps([_zig_version(), *command[1:], files])
+    code = load(key)
+    if code is None:
+        code = linked(name, files, *command)
+        store(key, code)
     return WasmModule(code, wasm_table(source) | {"sha256": hashlib.sha256(code).hexdigest()})
+
+
+def _zig_version() -> str:
+    """Return the version of the package ``ziglang``, or no text for a package without metadata."""
+    try:
+        return version("ziglang")
+    except PackageNotFoundError:
+        return ""

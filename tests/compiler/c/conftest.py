@@ -27,6 +27,7 @@ def zig(tmp_path, monkeypatch):
         (package / "__main__.py").write_text(FAKE_ZIG.replace("FAILS", str(fails)))
         monkeypatch.syspath_prepend(tmp_path)
         monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+        monkeypatch.setenv("KNEEXO_CACHE_DIR", str(tmp_path / "cache"))  # it makes no real modules
 
     return install
 

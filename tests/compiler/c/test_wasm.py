@@ -11,7 +11,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, LinearSystem, Sine
 
 from kneexo.compiler import CompilationError, Interface, read_diagram, source_of
-from kneexo.compiler.c import cross
+from kneexo.compiler.c import cross, wasm
 from kneexo.compiler.c.wasm import wasm_files, wasm_module, wasm_table
 
 
@@ -98,6 +98,15 @@ def test_a_module_is_compiled_for_webassembly_alone(zig):
     assert module.table["sha256"] == hashlib.sha256(module.code).hexdigest()
 
 
+def test_a_module_is_compiled_once(zig, monkeypatch):
+    zig()
+    first = wasm_module(source())
+    monkeypatch.setattr(wasm, "linked", None)
+    assert wasm_module(source()) == first
+    with pytest.raises(TypeError):  # other C is compiled
+        wasm_module(source(step_s=0.001))
+
+
 def test_without_zig_the_remedy_is_said(monkeypatch):
     monkeypatch.setattr(cross, "find_spec", lambda name: None)
     message = "^WebAssembly: the compiler Zig is not installed; pip install ziglang$"
@@ -173,6 +182,7 @@ def test_the_bytes_of_a_module_are_repeatable(real_zig, tmp_path, monkeypatch):
     folder.mkdir()
     monkeypatch.setenv("TMPDIR", str(folder))
     monkeypatch.setattr("tempfile.tempdir", None)
+    monkeypatch.setenv("KNEEXO_CACHE_DIR", str(folder))
     monkeypatch.setenv("ZIG_LOCAL_CACHE_DIR", str(folder))
     monkeypatch.setenv("ZIG_GLOBAL_CACHE_DIR", str(folder))  # without what Zig has stored
     assert wasm_module(source()).code == first
