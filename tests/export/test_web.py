@@ -13,7 +13,7 @@ from kneexo.errors import KneexoError
 from kneexo.export.web import START, web_model, web_modules, with_structure
 from kneexo.export.web_code import SHIPPED
 from kneexo.export.web_maps import map_value
-from kneexo.parameters import Scenario, gait_reference
+from kneexo.parameters import PlantParameters, Scenario, gait_reference
 from kneexo.simulation.compiled import simulate_together
 
 CURVES = ("knee_angle_rad", "motor_speed_command_rad_s", "load_pressure_pa")
@@ -245,3 +245,24 @@ def test_the_other_structure_has_its_defaults_and_the_rest_stays():
     assert with_structure(scenario, "smc", "none") == scenario
     back = with_structure(other, "smc", "none")
     assert back == scenario.changed({"controller.lambda_per_s": 20.0})
+
+
+def test_the_loop_without_quantizers_adds_no_half_count():
+    model = model_of(Scenario())
+    modules = web_modules([model])
+    offsets = {}
+    for name in ("loop", "smooth"):
+        place = modules[model[name]["module"]]["table"]["params"].index("coordinates.offset_rad")
+        offsets[name] = model[name]["base"][place]
+        (formula,) = (m for m in model[name]["maps"] if m["index"] == place)
+        turned = map_value(formula, {"encoder.mounting_error_rad": 0.01})
+        assert turned == pytest.approx(offsets[name] - 0.01, abs=1e-15)
+    assert offsets == {"loop": pytest.approx(math.pi / 4096.0), "smooth": 0.0}
+
+
+@pytest.mark.slow
+def test_a_controller_of_another_plant_keeps_its_limit():
+    limits = web_model(Scenario(nominal=PlantParameters()))["limits"]
+    slow = {"plant.pump.speed_limit_rad_s": 100.0}
+    assert limits["command_limit_rad_s"] == pytest.approx(5000.0 * math.pi / 30.0)
+    assert map_value(limits["motor_speed_limit_rad_s"], slow) == 100.0
