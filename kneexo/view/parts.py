@@ -32,6 +32,7 @@ _BRACE, _CUFF, _SOLE = Rgba(0.25, 0.28, 0.33), Rgba(0.16, 0.18, 0.22), Rgba(0.20
 _PIN, _PIN_COLOUR = Cylinder(0.003, 0.056), Rgba(0.15, 0.15, 0.18)
 _ICR = Cylinder(0.002, 0.06)
 _UPRIGHT_LAYER_M = 0.028  # behind the brackets, in front of the limb
+_INSET_M = 0.002  # equal surfaces of skin and ghost would flicker
 _SPACING_M = 0.30  # distance of legs beside each other
 _ACROSS = RotationMatrix.MakeXRotation(0.5 * np.pi)
 
@@ -109,11 +110,19 @@ def parts(linkage: LinkageParameters) -> dict[str, Part]:
         for name, part in result.items()
     }
     ghosts = {
-        f"{REFERENCE}_{name}": replace(part, frame=REFERENCE, colour=_GHOST_COLOUR, role=GHOST)
+        f"{REFERENCE}_{name}": Part(REFERENCE, _shrunk(part.shape), part.pose, _GHOST_COLOUR, GHOST)
         for name, part in result.items()
         if part.role == SKIN and part.frame == "shank"
     }
     return result | ghosts
+
+
+def _shrunk(shape: Shape) -> Shape:
+    """Return a smaller shape, which lies within the skin where knee angle and reference agree."""
+    if isinstance(shape, Capsule):
+        return Capsule(shape.radius() - _INSET_M, shape.length())
+    assert isinstance(shape, Ellipsoid)
+    return Ellipsoid(shape.a() - _INSET_M, shape.b() - _INSET_M, shape.c() - _INSET_M)
 
 
 def _between(start: complex, end: complex, layer_m: float) -> RigidTransform:
@@ -214,5 +223,5 @@ def look_at_legs(meshcat: Meshcat, legs: int) -> None:
     """Let the camera see ``legs`` legs beside each other from the side. Hide grid and axes."""
     for path in ("/Grid", "/Axes"):
         meshcat.SetProperty(path, "visible", False)
-    distance = 0.70 + 0.5 * _SPACING_M * (legs - 1)
+    distance = 0.62 + 0.5 * _SPACING_M * (legs - 1)
     meshcat.SetCameraPose([0.5 * distance, -distance, 0.05], [-0.04, 0.0, -0.03])

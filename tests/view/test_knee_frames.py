@@ -5,7 +5,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from pydrake.geometry import Box, Cylinder, Rgba, SceneGraph
+from pydrake.geometry import Box, Capsule, Cylinder, Rgba, SceneGraph
 
 from kneexo.errors import LinkageError, ParameterError
 from kneexo.linkage import encoder_angle
@@ -95,8 +95,15 @@ def test_parts_are_limbs_bones_links_pins_actuator_and_the_ghost_of_the_referenc
     assert {name for name in shapes if name.startswith("reference")} == GHOSTS
     assert set(shown.poses(0.5)) == set(shapes)
     assert shown.inspector.GetName(shown.system.source) == "left"
-    for ghost in GHOSTS:
-        assert type(shapes[ghost]) is type(shapes[ghost.removeprefix("reference_")])
+    for ghost in GHOSTS:  # within the skin that it agrees with
+        skin = shapes[ghost.removeprefix("reference_")]
+        assert type(shapes[ghost]) is type(skin)
+        if isinstance(skin, Capsule):
+            assert skin.radius() - shapes[ghost].radius() == pytest.approx(0.002)
+            assert skin.length() == shapes[ghost].length()
+        else:
+            gaps = [getattr(skin, axis)() - getattr(shapes[ghost], axis)() for axis in "abc"]
+            assert gaps == pytest.approx([0.002] * 3)
     assert shapes["rod"].radius() < shapes["cylinder"].radius()
     assert isinstance(shapes["link_2"], Box)  # two shapes, so that colour is not all
     assert isinstance(shapes["link_4"], Cylinder)

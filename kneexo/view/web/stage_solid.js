@@ -3,7 +3,7 @@
 /* Draws legs in three dimensions by three.js. One WebGL canvas serves the boxes of all legs. */
 const StageSolid = (() => {
   const FIELD_DEG = 24;
-  const OUTLINE_M = 0.0035;
+  const OUTLINE_M = 0.0045;
   const OUTLINE_COLOUR = 0x15181c;
   const SOFTWARE = /swiftshader|llvmpipe|software|basic render/i;
   const SKIN_LAYER = 1; // not in the view of the linkage
