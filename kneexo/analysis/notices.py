@@ -43,7 +43,9 @@ def omissions(scenario: Scenario) -> tuple[str, ...]:
     left_out = {
         "load on the knee": knee is None,
         "weight of the shank": knee is not None and knee.segment_mass_kg * knee.gravity_m_s2 == 0.0,
-        "torque of the wearer": knee is not None and knee.knee_torque_n_m == 0.0,
+        "torque of the wearer": (
+            knee is not None and knee.knee_torque_n_m == 0.0 and scenario.wearer.kind == "none"
+        ),
         "full order of the cylinder (valves, friction, air)": full is None,
         "friction of the seals": full is not None and not friction,
         "air in the oil": full is not None and full.entrained_air == 0.0,
@@ -80,13 +82,19 @@ def wrapped(line: str) -> str:
 def notices(scenario: Scenario) -> Iterator[str]:
     """Yield a line for each property of a run of ``scenario`` that its user may not expect.
 
-    Besides the `model_notices`, a line says that the run ends within the first period of a
-    sinusoidal reference, before it has settled. A line says that the run holds the first or the
-    last sample of its reference for more than `LONGEST_HOLD` of its duration.
+    Besides the `model_notices`, a line says that a torque controller does not track. A line says
+    that the run ends within the first period of a sinusoidal reference, before it has settled. A
+    line says that the run holds the first or the last sample of its reference for more than
+    `LONGEST_HOLD` of its duration.
 
     Raises `LinkageError` when the linkage cannot be assembled.
     """
     yield from model_notices(scenario)
+    if scenario.controller.kind == "torque":
+        yield (
+            "the controller controls the torque, so that the error is only the distance of the "
+            "knee from the reference"
+        )
     reference, duration_s = scenario.reference, scenario.duration_s
     if (period := period_s(scenario)) >= duration_s:
         yield (
