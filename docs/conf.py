@@ -238,19 +238,24 @@ def drop_old_pages(app: Sphinx) -> None:
 
 
 FRAMES = {
-    "play": ("play.html", "the page to play with", ["play", "--preset", "leg"]),
-    "knee": ("knee.html", "the knee moves", ["view", "--preset", "leg"]),
+    "play": ("play.html", "The page to play with", ["play", "--preset", "leg"]),
+    "knee": ("knee.html", "The knee moves", ["view", "--preset", "leg"]),
 }
 """Pages in frames. Marker in the Markdown: file, title, and the command that writes the file."""
 
 
 def place_frames(_app: Sphinx, document: str, content: list[str]) -> None:
-    """A marker becomes a frame with its page, and a link that opens the page alone."""
+    """A marker becomes a frame with its page, and a link that opens the page alone.
+
+    Where the style hides a frame, on a phone and on paper, the page to play with has its picture.
+    """
     up = "../" * document.count("/")
     for marker, (file, title, _) in FRAMES.items():
+        picture = f'<img src="{up}_images/playground.png" alt="" loading="lazy">'
+        shown = f"{picture if marker == 'play' else ''}{title}: open it alone"
         frame = (
             f'<iframe class="{marker}" src="{up}{file}" title="{title}" loading="lazy"></iframe>\n'
-            f'<p class="{marker}-alone"><a href="{up}{file}">Open this page alone</a></p>'
+            f'<p class="{marker}-alone"><a href="{up}{file}">{shown}</a></p>'
         )
         content[0] = content[0].replace(f"<!-- {marker} -->", f"```{{raw}} html\n{frame}\n```")
 
