@@ -114,7 +114,7 @@ EXTERNAL = {
     *("Expression", "FramePoseVector", "MeshcatVisualizer"),
     *("kneexo.compiler.equations.symbolic.T", "kneexo.simulation.coroutines.Result"),
     *("kneexo.simulation.coroutines.Answer", "functools.partial", "numpy.linalg.lstsq"),
-    *("jinja2.UndefinedError", "Multiplexer"),
+    *("jinja2.UndefinedError", "Multiplexer", "RandomSource", "Stage.unpack"),
     *("control.StateSpace", "pandas.DataFrame", "concurrent.futures.Executor"),
 }
 
@@ -238,7 +238,7 @@ def drop_old_pages(app: Sphinx) -> None:
 
 
 FRAMES = {
-    "play": ("play.html", "The page to play with", ["play", "--preset", "leg"]),
+    "play": ("playground.html", "The page to play with", ["play", "--preset", "leg"]),
     "knee": ("knee.html", "The knee moves", ["view", "--preset", "leg"]),
 }
 """Pages in frames. Marker in the Markdown: file, title, and the command that writes the file."""

@@ -43,12 +43,13 @@ def map_value(formula: Map, values: Mapping[str, float]) -> float:
 
     With the numbers q in the order of ``of``, the value is by ``kind``:
 
-    - ``affine``: ``offset`` + Σ ``factors``[i] q[i];
-    - ``power``: ``factor`` Π q[i]^``exponents``[i];
-    - ``least``: the least of ``limit`` (unless None) and ``factors``[i] q[i]; if ``unit`` is
-      present, rounded down to whole units;
-    - ``chebyshev``: Σ c Π T_n[i](u[i]) over the ``terms`` [c, n[0], n[1], …], with Chebyshev
-      polynomials T and u[i] = (2 q[i] − low − high)/(high − low) for the ``domain`` [low, high].
+    - ``affine``: ``offset`` plus the sum of all f[i] q[i], with the ``factors`` f;
+    - ``power``: ``factor`` times the product of all q[i]^e[i], with the ``exponents`` e;
+    - ``least``: the least of ``limit`` (unless None) and all f[i] q[i], with the ``factors`` f; if
+      ``unit`` is present, rounded down to whole units;
+    - ``chebyshev``: the sum of all c T_n[0](u[0]) T_n[1](u[1]) …, with the ``terms`` [c, n[0],
+      n[1], …], Chebyshev polynomials T and u[i] = (2 q[i] − low − high)/(high − low) for the
+      ``domain`` [low, high].
 
     If ``at_least`` is present, the value is at least this number.
     """
