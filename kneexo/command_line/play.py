@@ -73,7 +73,7 @@ def play(
 
     require_page(out)
     require_count(len(scenarios or (None,)) + (compare is not None))
-    names = run_names(scenarios, preset)
+    names = [", ".join([name, *values]) for name in run_names(scenarios, preset)]
     loaded = []
     for path in scenarios or (None,):
         with named_in_errors(path):

@@ -14,6 +14,7 @@ from kneexo.files.writing import require_mark
 from kneexo.parameters import Scenario
 from kneexo.parameters.fields import kind_of
 from kneexo.parameters.law import Law
+from kneexo.parameters.paths import changed
 from kneexo.parameters.quantity import Parameters
 from kneexo.version import __version__
 from kneexo.view.stage import STAGE_SCRIPTS, STAGE_STYLES, stage_leg
@@ -172,13 +173,18 @@ def _entry(scenario: Scenario, name: str) -> dict[str, Any]:
     The first model is that of the scenario. The models of other controllers and loads follow, if
     they can be made.
     """
+    duration_s = min(max(scenario.duration_s, _SHORTEST_RUN_S), LONGEST_RUN_S)
+    scenario = changed(scenario, {"simulation.duration_s": duration_s})
     own = _model(scenario)
     models = [own, *_variants(scenario, own)]
+    for model in models[1:]:
+        if model["references"].get("samples") == own["references"].get("samples"):
+            model["references"].pop("samples", None)  # the page takes those of the first model
     knee, limits = scenario.plant.knee, own["limits"]
     return {
         "name": name,
         "models": models,
-        "duration_s": min(max(scenario.duration_s, _SHORTEST_RUN_S), LONGEST_RUN_S),
+        "duration_s": duration_s,
         "start": {
             "controller": own["controller"],
             "load": own["load"],

@@ -36,7 +36,7 @@ def test_files_values_and_presets_make_the_scenarios(tmp_path, calls):
     change = ["--set", "plant.pump.lag_s=0.02", "--preset", "bench", "--compare", "paper"]
     assert main(["play", str(file), *change, *out]) == 0
     ((scenarios, names),) = calls
-    assert names == ["mine", "preset paper"]
+    assert names == ["mine, plant.pump.lag_s=0.02", "preset paper"]
     assert scenarios[0].plant.pump.gear_ratio == 4.5
     assert [scenario.plant.pump.lag_s for scenario in scenarios] == [0.02, 0.01]
     assert [scenario.plant.load.kind for scenario in scenarios] == ["knee", "none"]

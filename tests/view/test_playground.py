@@ -27,12 +27,18 @@ def _models_without_maps(monkeypatch):
             "controller": scenario.controller.kind,
             "load": scenario.plant.load.kind,
             "quantities": [],
-            "references": {"sine": {"quantities": []}},
+            "references": {"sine": {"quantities": []}} | _samples(scenario),
             "limits": {"knee_low_rad": 0.0, "knee_high_rad": 1.5},
         }
 
     monkeypatch.setattr(playground, "web_model", web_model)
     monkeypatch.setattr(playground, "web_modules", lambda models: {})
+
+
+def _samples(scenario):
+    if scenario.reference.kind != "samples":
+        return {}
+    return {"samples": {"ticks": round(scenario.duration_s / scenario.controller.sample_time_s)}}
 
 
 SCENARIOS = {
@@ -58,7 +64,7 @@ def test_the_values_of_a_model_are_a_scenario_file_of_the_same_scenario(name, tm
     plain = json.loads(json.dumps(entry["models"][0]["scenario"]))
     file = tmp_path / "scenario.yaml"
     file.write_text(yaml.safe_dump(plain))
-    assert load_scenario(file) == SCENARIOS[name]
+    assert load_scenario(file) == SCENARIOS[name].with_duration()
 
 
 def test_a_scenario_has_models_of_both_controllers_and_loads_its_own_first():
@@ -89,6 +95,15 @@ def test_a_page_shows_a_run_of_half_a_second_to_a_minute():
     for duration, shown in ((0.1, 0.5), (20.0, 20.0), (1000.0, 60.0)):
         scenario = changed(Scenario(), {"simulation.duration_s": duration})
         assert playground_data([scenario], ["x"])["scenarios"][0]["duration_s"] == shown
+
+
+def test_models_share_the_samples_of_a_minute_at_most():
+    gait = {"kind": "gait", "frequency_hz": 0.1, "cycles": 10}
+    models = playground_data([changed(Scenario(), {"reference": gait})], ["x"])["scenarios"][0][
+        "models"
+    ]
+    assert models[0]["references"]["samples"] == {"ticks": 30_000}
+    assert [list(model["references"]) for model in models[1:]] == [["sine"]] * 3
 
 
 def test_a_page_escapes_names_and_is_marked():

@@ -7,7 +7,7 @@ const Page = (() => {
   const REST_MS = 350; // margins and sweep start when the values have not changed for this time
   const PAPER_PX = 680; // width of the curves on A4 and letter
   const ANNOUNCE_MS = 1500;
-  const data = JSON.parse(document.getElementById("playground").textContent);
+  const data = prepared(JSON.parse(document.getElementById("playground").textContent));
   const state = Setups.stateOf(data, location.hash);
   const results = [{}, {}];
   const byId = (id) => document.getElementById(id);
@@ -361,13 +361,19 @@ const Page = (() => {
     setCompare(state.compare);
   }
 
-  /** Models by key, for the workers. The key is the place of the model in the page. */
-  function modelsByKey() {
-    const entries = data.scenarios.flatMap(({ models }, s) => models.map((model, m) => {
+  /** Give each model its key, the place in the page, and the samples that it shares with the first. */
+  function prepared(page) {
+    page.scenarios.forEach(({ models }, s) => models.forEach((model, m) => {
       model.key = `${s}/${m}`;
-      return [model.key, model];
+      const { samples } = models[0].references;
+      if (samples) model.references.samples ??= samples;
     }));
-    return Object.fromEntries(entries);
+    return page;
+  }
+
+  /** Models by key, for the workers. */
+  function modelsByKey() {
+    return Object.fromEntries(data.scenarios.flatMap(({ models }) => models.map((model) => [model.key, model])));
   }
 
   return { calm, data, parts, results, start, state };
