@@ -55,8 +55,8 @@ class LoadCellParameters(Parameters):
     def _noise_can_be_repeated(self) -> LoadCellParameters:
         if self.noise_n > 0.0 and self.seed is None:
             raise ValueError(
-                f"noise_n = {self.noise_n:g} N needs a seed, so that the run can be repeated; add "
-                f"seed: 1"
+                f"noise_n = {self.noise_n:g} N: seed must be given, so that the run can be "
+                f"repeated; add seed: 1"
             )
         return self
 

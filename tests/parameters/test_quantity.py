@@ -243,7 +243,7 @@ def test_bounds_are_exact(model: type[Parameters], name: str, field: FieldInfo) 
 
 COUPLED = (
     *("must be below", "must not exceed", "must be at least", "must be 0 or >="),
-    *("must be at most", "needs a seed"),
+    *("must be at most", "seed must be given"),
 )
 
 

@@ -169,7 +169,9 @@ def test_compiled_noise_is_bit_equal_to_drakes():
 
 
 def test_noise_without_seed_is_refused_in_one_line():
-    with pytest.raises(ParameterError, match=r"noise_n = 2 N needs a seed, .*; add seed: 1\Z"):
+    with pytest.raises(
+        ParameterError, match=r"noise_n = 2 N: seed must be given, .*; add seed: 1\Z"
+    ):
         LoadCellParameters(noise_n=2.0)
 
 
