@@ -70,6 +70,7 @@ RK4 would add 60 % to this damping.
 SHIPPED: Mapping[str, Mapping[str, Any]] = {
     "paper": {},
     "paper with load": {"plant": {"load": "knee"}},
+    "bench": with_preset("bench", {}),
     "leg": with_preset("leg", {}),
 }
 """Scenarios whose modules come with the package, for both controllers of the paper."""

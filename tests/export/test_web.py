@@ -18,6 +18,7 @@ from kneexo.simulation.compiled import simulate_together
 
 CURVES = ("knee_angle_rad", "motor_speed_command_rad_s", "load_pressure_pa")
 SIGNALS = ("knee_reference", "knee_angle", "motor_speed_command", "load_pressure")
+BENCH = Scenario.model_validate(SHIPPED["bench"])
 LEG = Scenario.model_validate(SHIPPED["leg"])
 
 
@@ -118,7 +119,7 @@ def test_a_page_runs_the_loop_of_the_engine(run_on_page):
 
 STRUCTURES = [
     with_structure(scenario, controller, load)
-    for scenario, loads in ((Scenario(), ("none", "knee")), (LEG, ("knee",)))
+    for scenario, loads in ((Scenario(), ("none", "knee")), (BENCH, ("knee",)), (LEG, ("knee",)))
     for load in loads
     for controller in ("smc", "pid")
 ]
@@ -126,7 +127,8 @@ STRUCTURES = [
 
 def name_of(scenario):
     order = "reduced" if scenario.plant.full_order is None else "full"
-    return f"{scenario.controller.kind} {scenario.plant.load.kind} {order}"
+    bus = scenario.bus.kind
+    return f"{scenario.controller.kind}, load {scenario.plant.load.kind}, {order} order, bus {bus}"
 
 
 @pytest.mark.slow
