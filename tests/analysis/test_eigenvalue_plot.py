@@ -52,5 +52,9 @@ def test_an_inset_hides_no_eigenvalue(others):
     assert drawn([*SLOW, *others]).child_axes == []
 
 
+def test_two_slow_eigenvalues_get_an_inset():
+    assert len(drawn(SLOW[:2]).child_axes) == 1
+
+
 def test_a_single_slow_eigenvalue_needs_no_inset():
     assert drawn([0.95, 0.2]).child_axes == []

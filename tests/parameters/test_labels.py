@@ -33,6 +33,11 @@ def test_labels_of_values_with_the_same_words_begin_with_the_part():
     }
 
 
+def test_one_more_part_is_enough_if_it_tells_the_values_apart():
+    paths = ["plant.cylinder.mass_kg", "plant.load.mass_kg"]
+    assert list(labels(paths).values()) == ["cylinder mass (kg)", "load mass"]
+
+
 @pytest.mark.parametrize(
     ("path", "value", "text"),
     [
