@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from heapq import heappop, heappush
-from itertools import pairwise
 
 Point = tuple[int, int]
 """A point of the grid, (x, y)."""
 
 _DIRECTIONS = ((1, 0), (-1, 0), (0, 1), (0, -1))
-_BEND, _CROSSING, _SHARED, _BESIDE_BOX, _OFF_CENTRE = 4.0, 5.0, 60.0, 2.0, 0.4
-"""Costs of a route in steps of the grid."""
+_BEND, _SHARED, _END_IN_USE, _BESIDE_BOX, _OFF_CENTRE = 4.0, 5.0, 60.0, 2.0, 0.4
+"""Costs of a route in steps of the grid. A point in another wire costs `_SHARED`."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,6 @@ class Wiring:
         self._boxes, self._size = boxes, size
         self._owner = {point: name for name, box in boxes.items() for point in box.points()}
         self._beside = {point for box in boxes.values() for point in box.points(1)}
-        self._steps: set[frozenset[Point]] = set()
         self._points: set[Point] = set()
 
     def connect(self, source: str, target: str) -> list[Point]:
@@ -64,7 +62,7 @@ class Wiring:
         best: dict[tuple[Point, Point], float] = {}
         came: dict[tuple[Point, Point], tuple[Point, Point]] = {}
         for point, way, cost in self._boxes[source].ports():
-            price = cost + (_SHARED if point in self._points else 0.0)
+            price = cost + (_END_IN_USE if point in self._points else 0.0)
             best[point, way] = price
             heappush(queue, (price, point, way))
         goal, lowest = None, float("inf")
@@ -73,7 +71,7 @@ class Wiring:
             if price > best[point, way]:
                 continue
             if (point, way) in ends and (point, way) in came:
-                shared = _SHARED if point in self._points else 0.0
+                shared = _END_IN_USE if point in self._points else 0.0
                 if price + ends[point, way] + shared < lowest:
                     goal, lowest = (point, way), price + ends[point, way] + shared
                 continue
@@ -81,7 +79,7 @@ class Wiring:
                 if turn == (-way[0], -way[1]):
                     continue
                 after = (point[0] + turn[0], point[1] + turn[1])
-                step = self._step(point, after, target)
+                step = self._step(after, target)
                 if step is None:
                     continue
                 total = price + step + (_BEND if turn != way else 0.0)
@@ -92,16 +90,14 @@ class Wiring:
             raise ValueError(f"no way from {source} to {target}")
         return self._laid(goal, came)
 
-    def _step(self, point: Point, after: Point, target: str) -> float | None:
-        """Return the cost of a step, or None for a step that leaves the grid or meets a box."""
+    def _step(self, after: Point, target: str) -> float | None:
+        """Return the cost of a step to ``after``, or None outside the grid or in another box."""
         if not (0 <= after[0] <= self._size[0] and 0 <= after[1] <= self._size[1]):
             return None
         if self._owner.get(after, target) != target:
             return None
         cost = 1.0 + (_BESIDE_BOX if after in self._beside else 0.0)
-        if frozenset((point, after)) in self._steps:
-            cost += _SHARED
-        return cost + (_CROSSING if after in self._points else 0.0)
+        return cost + (_SHARED if after in self._points else 0.0)
 
     def _laid(
         self, goal: tuple[Point, Point], came: Mapping[tuple[Point, Point], tuple[Point, Point]]
@@ -113,7 +109,6 @@ class Wiring:
             path.append(at[0])
         path.reverse()
         self._points.update(path)
-        self._steps.update(map(frozenset, pairwise(path)))
         return path
 
 

@@ -61,3 +61,13 @@ def test_a_box_without_a_way_to_it_is_refused():
     wall = {"wall": Box(10, 5, 1, 5)}
     with pytest.raises(ValueError, match="no way from a to b"):
         Wiring(beside(3, 17) | wall, (20, 10)).connect("a", "b")
+
+
+def test_two_crossings_are_better_than_a_common_piece_in_a_gap():
+    walls = {f"wall {y}": Box(10, y, 0, half) for y, half in ((2, 2), (7, 1), (12, 2))}
+    ends = {name: Box(x, y, 2, 1) for name, x, y in (("a", 3, 5), ("b", 17, 5))}
+    ends |= {name: Box(x, y, 2, 1) for name, x, y in (("c", 3, 1), ("d", 17, 1))}
+    wiring = Wiring(ends | walls, (20, 14))
+    first, second = wiring.connect("a", "b"), wiring.connect("c", "d")
+    assert (10, 5) in first
+    assert (10, 9) in second
