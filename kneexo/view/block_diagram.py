@@ -59,6 +59,12 @@ _SYMBOLS = {
     "load_flow": "$Q_L$ (m³/s)",
     "load_pressure": "$P_L$ (Pa)",
     "load_force": "$F_L$ (N)",
+    "rod_force": "$F$ (N)",
+    "rod_velocity": r"$\dot x$ (m/s)",
+    "measured_force": "(N, s)",
+    "interaction_torque": "(N·m)",
+    "biological_moment": "(N·m)",
+    "wearer_motion": "(rad, rad/s)",
 }
 """Symbol and unit of a signal."""
 
@@ -75,9 +81,9 @@ def block_diagram(scenario: Scenario = Scenario()) -> Figure:
     systems = dict(_blocks(diagram))
     slots = dict(_slots(systems))
     rows = 1 + max(row for _, row in slots.values())
-    size = (42, 9 * rows + 2)
+    size = (44, 10 * rows + 1)
     boxes = {
-        name: Box(7 + 14 * column, size[1] - 6 - 9 * row, *_HALF)
+        name: Box(8 + 14 * column, size[1] - 6 - 10 * row, *_HALF)
         for name, (column, row) in slots.items()
     }
     figure = plt.figure(figsize=(_STEP * size[0], _STEP * (size[1] + 5)))
@@ -96,7 +102,7 @@ def block_diagram(scenario: Scenario = Scenario()) -> Figure:
         _draw_block(ax, box, colour, name, words)
     _draw_wires(ax, boxes, size, _wires(diagram))
     period = f"microcontroller, every {1e3 * scenario.controller.sample_time_s:g} ms"
-    for x, colour, text in ((2, _MACHINE, "machine"), (16, _CONTROLLER, period)):
+    for x, colour, text in ((3, _MACHINE, "machine"), (17, _CONTROLLER, period)):
         _draw_key(ax, x, colour, text)
     return figure
 
@@ -105,7 +111,7 @@ class _Block:
     """A block of the diagram: the class of its system, and whether it runs on the target."""
 
     def __init__(self, system: System, part_of_controller: bool) -> None:
-        self.kind = type(system).__name__.rstrip("_")
+        self.kind = type(system).__name__.partition("_")[0]
         self.part_of_controller = part_of_controller
 
 
@@ -175,7 +181,7 @@ def _words(scenario: Scenario) -> dict[str, str]:
     estimator = "differences"
     if isinstance(scenario.estimator, ObserverParameters):
         estimator = f"observer, {1e3 * scenario.estimator.time_constant_s:g} ms"
-    laws = {"smc": "sliding mode", "pid": "PID"}
+    laws = {"smc": "sliding mode", "pid": "PID", "torque": "torque control"}
     words = laws.get(law.kind, law.kind)
     if isinstance(law, LawParameters):
         words = law.function.short_name
@@ -198,6 +204,10 @@ def _words(scenario: Scenario) -> dict[str, str]:
         "cylinder": "reduced order" if plant.full_order is None else "full order",
         "knee": "polynomial" if plant.rod_map == "polynomial" else "four-bar linkage",
         "load": "weight, torques",
+        "load_cell": "on the rod",
+        "cuff": "straps and flesh",
+        "wearer": "leg of the wearer",
+        "moment": "of the muscles",
     }
 
 
@@ -212,7 +222,7 @@ def _draw_block(ax: Axes, box: Box, colour: str, name: str, words: str) -> None:
     ax.add_patch(block)
     centred: dict[str, Any] = {"ha": "center", "va": "center", "zorder": 3}
     ax.text(box.x, box.y + 0.8, name, fontsize=10, family="monospace", **centred)
-    ax.text(box.x, box.y - 0.8, words, fontsize=8.5, color="0.25", **centred)
+    ax.text(box.x, box.y - 0.8, words, fontsize=8.7, color="0.25", **centred)
 
 
 def _draw_key(ax: Axes, x: float, colour: str, text: str) -> None:
@@ -254,7 +264,7 @@ def _label(
     join = "\n" if len(signals) == 1 else " "
     lines = [join.join(filter(None, (name, _SYMBOLS.get(name)))) for name in signals]
     halo = {"boxstyle": "round,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.9}
-    text = ax.text(0, 0, "\n".join(lines), ha="center", va="center", fontsize=8.5, bbox=halo)
+    text = ax.text(0, 0, "\n".join(lines), ha="center", va="center", fontsize=8.7, bbox=halo)
     text.set_zorder(4)
     extent = text.get_window_extent().transformed(ax.transData.inverted())
     width, height = 0.5 * extent.width + 0.4, 0.5 * extent.height + 0.3
@@ -276,12 +286,12 @@ def _label(
         if x - width < left or x + width > right or y - height < -1.5 or y + height > top:
             total += 500.0
         nearest = min(math.hypot(p[0] - x, p[1] - y) for p in path)
-        return total + 3.0 * nearest + (0.0 if y >= path[0][1] else 3.0)
+        return total + 6.0 * nearest + (0.0 if y >= path[0][1] else 3.0)
 
     beside = [0.0, height + 0.3, height + _HALF[1] + 0.2]
     shifts = [
         (along, sign * shift)
-        for along in (0.0, width, -width)
+        for along in (0.0, width, -width, 2.0 * width, -2.0 * width)
         for shift in beside
         for sign in (1, -1)
     ]

@@ -92,7 +92,7 @@ class Wiring:
 
     def _step(self, after: Point, target: str) -> float | None:
         """Return the cost of a step to ``after``, or None outside the grid or in another box."""
-        if not (0 <= after[0] <= self._size[0] and 0 <= after[1] <= self._size[1]):
+        if not (0 < after[0] < self._size[0] and 0 < after[1] < self._size[1]):
             return None
         if self._owner.get(after, target) != target:
             return None

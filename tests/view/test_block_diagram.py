@@ -19,6 +19,8 @@ PLANT = {"motor-cylinder", "cylinder-motor", "cylinder-knee", "knee-encoder", "e
 LOAD = {"knee-load", "load-cylinder"}
 SMC = {"reference-rod_reference", "rod_reference-law", "estimator-law", "coordinates-estimator"}
 BUS = {"law-drive", "drive-can_bus", "can_bus-motor"}
+WEARER = {"reference-wearer", "wearer-cuff", "cuff-wearer", "cuff-load", "knee-cuff"}
+WEARER |= {"cylinder-cuff", "cylinder-load_cell"}
 PID = {"controller": {"kind": "pid"}}
 CASES = {
     "paper": (Scenario(), PLANT | SMC | {"law-motor"}),
@@ -31,6 +33,10 @@ CASES = {
     "exact states": (
         changed(LEG, {"estimator": {"kind": "exact"}}),
         (PLANT | LOAD | SMC | BUS | {"cylinder-law"}) - {"estimator-law", "coordinates-estimator"},
+    ),
+    "wearer": (
+        changed(LEG, {"wearer": {"kind": "leg"}}),
+        PLANT | LOAD | SMC | BUS | WEARER,
     ),
     "function": (LEG.with_law(law), PLANT | LOAD | SMC | BUS | {"coordinates-law"}),
 }
