@@ -6,6 +6,7 @@ After a change of the page, ``python tests/test_playground_picture.py`` takes th
 from __future__ import annotations
 
 import io
+import time
 import typing
 from pathlib import Path
 
@@ -30,7 +31,6 @@ def picture(browser: typing.Any, folder: Path) -> Image.Image:
     browser.open(page, width=WIDTH, height=HEIGHT)
     text = "document.querySelector('#numbers').textContent"
     browser.wait_for(f"/Phase margin\\s*[0-9.]+\\s*deg/.test({text})", 60.0)
-    browser.wait_for("!document.querySelector('main').textContent.includes('computing')", 120.0)
     browser.evaluate(
         f"""(async () => {{
           const play = document.querySelector("#stage .play");
@@ -38,12 +38,21 @@ def picture(browser: typing.Any, folder: Path) -> Image.Image:
           const slider = document.querySelector("#stage .stage-bar input[type=range]");
           slider.value = {MOMENT_S};
           slider.dispatchEvent(new Event("input", {{ bubbles: true }}));
-          await new Promise((resolve) => setTimeout(resolve, 1500));
         }})()"""
     )
-    pixels = browser.picture()
+    pixels = at_rest(browser)
     browser.call("Emulation.setScrollbarsHidden", hidden=False)
     return Image.fromarray((255.0 * pixels).round().astype(np.uint8))
+
+
+def at_rest(browser: typing.Any) -> np.ndarray:
+    """The picture of a page when it has been the same for 6 s: the sweep has ended."""
+    pictures = [browser.picture()]
+    while len(pictures) < 4 or any(not np.array_equal(pictures[-1], p) for p in pictures[-4:-1]):
+        assert len(pictures) < 120, "the page moves for 4 min"
+        time.sleep(2.0)
+        pictures.append(browser.picture())
+    return pictures[-1]
 
 
 def as_file(image: Image.Image) -> bytes:

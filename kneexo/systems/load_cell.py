@@ -73,13 +73,13 @@ class LoadCell(NamedLeaf):
     n_k is the random number of sample k (see `unit_noise`), without ``seed`` zero. From
     ``dropout_start_s`` on, for ``dropout_s``, the cell repeats its last reading.
 
-    ==============  ====  =====  ==============================================================
-    input port      size  unit
-    ==============  ====  =====  ==============================================================
-    rod_force       1     N      F, positive when the rod pushes
+    ===============  ====  =====  =============================================================
+    input port       size  unit
+    ===============  ====  =====  =============================================================
+    rod_force        1     N      F, positive when the rod pushes
     **output port**
-    measured_force  2     N, s   reading, and the age of the reading
-    ==============  ====  =====  ==============================================================
+    measured_force   2     N, s   reading, and the age of the reading
+    ===============  ====  =====  =============================================================
 
     State: z in kN. The discrete state, updated every ``sample_time_s``, has the last reading, its
     age, and with ``seed`` the three states of the generator. ``Simulator.Initialize()`` sets them
