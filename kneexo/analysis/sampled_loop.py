@@ -334,11 +334,13 @@ class SampledLoop(Result):
         if L is multiplied by any complex factor inside the disk with the diameter 1/γ … γ. No disk
         is drawn if the loop is unstable or the disk margin is 2 or more.
         """
-        caption = (
-            "Nyquist plot of the loop transfer L. The curve touches the disk of the disk margin. "
-            "The ends of its diameter are the factors 1/γ and γ on the gain, drawn at −γ and −1/γ. "
-            "So its centre lies left of −1."
-        )
+        reach = 0.5 * self.margins().disk_margin if self.stable else math.nan
+        caption = "Nyquist plot of the loop transfer L."
+        if reach < 1.0:  # otherwise the disk is no circle; nan: an unstable loop
+            caption += (
+                " The curve touches the disk of the disk margin. The disk reaches from −γ to −1/γ, "
+                "if the gain may change by the factors 1/γ … γ. So its centre lies left of −1."
+            )
         ax = axes_or_new(ax, caption=caption, figsize=(5.5, 5.5))
         loop = self.loop_response(self.frequency_grid())
         ax.plot(loop.real, loop.imag, BLUE, lw=1.2, label="L, f > 0")
@@ -346,8 +348,7 @@ class SampledLoop(Result):
         circle = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 361))
         ax.plot(circle.real, circle.imag, color="0.3", lw=0.8, label="|L| = 1")
         ax.plot([-1.0], [0.0], "+", color=RED, ms=9, mew=1.5, label="−1")
-        reach = 0.5 * self.margins().disk_margin if self.stable else math.nan
-        if reach < 1.0:  # otherwise the disk is no circle; nan: an unstable loop
+        if reach < 1.0:
             gain = (1.0 + reach) / (1.0 - reach)
             disk = -0.5 * (gain + 1.0 / gain) + 0.5 * (gain - 1.0 / gain) * circle
             label = f"disk margin {2.0 * reach:.3g}"

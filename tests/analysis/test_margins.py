@@ -256,6 +256,7 @@ def test_the_loop_touches_the_disk_that_it_keeps_out(loops, margins, name):
     assert (axes.get_xlim(), axes.get_ylim()) == ((-3.5, 1.5), (-2.5, 2.5))
     shown = axes.patches[0].get_label()
     assert shown == f"disk margin {margins[name].disk_margin:.3g}"
+    assert "The curve touches the disk" in axes.figure.get_label()
     circle = axes.patches[0].get_path().vertices @ [1.0, 1.0j]
     m = margins[name]
     # On the real axis the disk spans the gains that the loop stands.
@@ -274,6 +275,7 @@ def test_the_loop_touches_the_disk_that_it_keeps_out(loops, margins, name):
 def test_an_unstable_loop_has_no_disk(unstable):
     axes = unstable.plot_nyquist()
     assert not axes.patches
+    assert axes.figure.get_label() == "Nyquist plot of the loop transfer L."
     plt.close(axes.figure)
 
 
