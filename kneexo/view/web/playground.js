@@ -253,6 +253,7 @@ const Page = (() => {
     byId("text-area").value = text;
     byId("text-dialog").showModal();
     byId("text-area").select();
+    byId("text-area").scrollTop = 0;
     navigator.clipboard?.writeText(text).then(
       () => { byId("text-hint").textContent = `Copied. ${hint}`; }, () => {});
   }

@@ -213,8 +213,13 @@ const Setups = (() => {
   function yamlOf(data, setup) {
     const model = modelOf(data, setup);
     const tree = structuredClone(model.scenario);
-    if (setup.reference !== "samples") tree.reference = { kind: setup.reference };
-    for (const [name, value] of Object.entries(valuesOf(data, setup))) setPath(tree, name, value);
+    if (setup.reference !== data.scenarios[setup.scenario].start.reference) {
+      tree.reference = { kind: setup.reference };
+    }
+    for (const quantity of quantitiesOf(data, setup)) {
+      const value = valueOf(data, setup, quantity);
+      if (value !== defaultOf(data, setup, quantity)) setPath(tree, quantity.name, value);
+    }
     const table = data.modules[model.loop.module].table;
     setPath(tree, "simulation.integrator", "rk4");
     setPath(tree, "simulation.step_s", table.sample_time_s / table.rk4_steps_per_tick);

@@ -14,7 +14,7 @@ import pytest
 
 from kneexo.analysis import large_signal_bandwidth_hz, linearize_loop, track
 from kneexo.errors import KneexoError, SimulationError
-from kneexo.parameters import Scenario
+from kneexo.parameters import Scenario, SineReference
 from kneexo.parameters.paths import changed
 from kneexo.parameters.scenario_file import load_scenario
 from kneexo.view.playground import playground_page
@@ -166,6 +166,25 @@ def test_a_slider_changes_the_curves_that_are_drawn(browser, one):
     np.testing.assert_allclose(page.curve("pressure"), bar, atol=1e-6 * np.abs(bar).max())
     reference = np.degrees(result["knee_reference_rad"])
     np.testing.assert_allclose(page.curve("angle", 3), reference, atol=1e-10)
+
+
+def test_samples_and_the_numbers_of_a_design_are_in_the_yaml(browser, tmp_path):
+    walk = {"kind": "gait", "frequency_hz": 0.3, "cycles": 2}
+    design = {"plant.pump.lag_s": 0.02, "controller.lambda_per_s": 15.0, "reference": walk}
+    scenario = changed(Scenario(), design)
+    page = _Page(browser, _file(tmp_path, [scenario], ["walk"]))
+    page.type(GEAR, 5.0)
+    file = tmp_path / "page.yaml"
+    file.write_text(page.yaml(), encoding="utf-8")
+    written = load_scenario(file)
+    expected = _steps(changed(scenario.with_duration(), {GEAR: 5.0}), page)
+    assert written.model_copy(update={"simulation": expected.simulation}) == expected
+    metrics = track(written).metrics
+    error = page.evaluate("Page.results[0].run.metrics.largest_error_rad")
+    assert math.degrees(error) == pytest.approx(metrics.max_error_deg, rel=1e-6)
+    page.click("reference-sine")
+    file.write_text(page.yaml(), encoding="utf-8")
+    assert load_scenario(file).reference == SineReference()
 
 
 @pytest.mark.parametrize("reference", ["sine", "step", "ramp"])
