@@ -99,7 +99,7 @@ def test_a_library_comes_with_its_licence():
 def test_a_browser_runs_scripts_and_worker_and_nothing_else(browser, tmp_path):
     script = """
     const text = JSON.parse(document.getElementById("worker").textContent);
-    const worker = new Worker(URL.createObjectURL(new Blob([text])));
+    const worker = new Worker(`data:text/javascript,${encodeURIComponent(text)}`);
     worker.onmessage = (event) => { window.answer = event.data; };
     worker.postMessage(JSON.parse(document.getElementById("d").textContent));
     """
