@@ -241,7 +241,7 @@ PAPER_NUMBERS = (
         "mm",
         ("fig9", "final_error_mm"),
         ".1e",
-        "same run; two decimals, as the paper prints lengths",
+        "run of Fig. 9; two decimals, as the paper prints lengths",
         "0.00",
     ),
     PaperNumber(
@@ -262,18 +262,18 @@ PAPER_NUMBERS = (
         "4",
     ),
     PaperNumber(
-        "same with the best PID found",
+        "largest error with the best PID found",
         "deg",
         ("fig12", "pid_tuned", "max_error_deg"),
         ".3f",
         "same encoder and budget of chattering as SMC (`benchmarks/tune_pid.py`)",
     ),
     PaperNumber(
-        "same with reference velocity fed forward",
+        "largest error with the best PID and reference velocity fed forward",
         "deg",
         ("fig12", "pid_feedforward", "max_error_deg"),
         ".3f",
-        "as above; SMC also uses the reference's derivatives",
+        "same encoder and budget; SMC also uses the reference's derivatives",
     ),
     PaperNumber(
         "peak motor speed at 0.1 Hz (Section 5: at its limit)",
@@ -294,7 +294,7 @@ PAPER_NUMBERS = (
         reason=_REDUCED_ORDER,
     ),
     PaperNumber(
-        "phase there (Fig. 13)", "deg", ("fig13", "phase_at_bandwidth_deg"), ".1f", "fundamental"
+        "phase at −3 dB (Fig. 13)", "deg", ("fig13", "phase_at_bandwidth_deg"), ".1f", "fundamental"
     ),
     PaperNumber(
         "bandwidth with gear 3:1",
