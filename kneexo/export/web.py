@@ -16,7 +16,14 @@ import numpy as np
 from kneexo.compiler import CSource
 from kneexo.diagrams.closed_loop import plant_start
 from kneexo.errors import KneexoError
-from kneexo.export.web_code import REFERENCES, loop_source, module_of, modules, reference_source
+from kneexo.export.web_code import (
+    REFERENCES,
+    loop_source,
+    module_of,
+    modules,
+    reference_source,
+    require_slow_modes,
+)
 from kneexo.export.web_maps import Map, fit_maps
 from kneexo.linkage import pose
 from kneexo.parameters import SampledReference, Scenario, StepReference
@@ -79,10 +86,12 @@ def web_model(scenario: Scenario) -> dict[str, Any]:
     ``controller``, ``load``
         The kinds of these parts.
 
-    Raises `ParameterError` for a law that is called as Python, the errors of `make_closed_loop`,
-    and `CompilationError` if a module must be compiled and Zig is not installed.
+    Raises `ParameterError` for a law that is called as Python and for a mode of the plant that the
+    steps of a module cannot follow. Raises the errors of `make_closed_loop`. Raises
+    `CompilationError` if a module must be compiled and Zig is not installed.
     """
     scenario = completed(scenario)
+    require_slow_modes(scenario)
     sliders = dict(sliders_of(scenario))
     ranges = {path: (slider.low, slider.high) for path, slider in sliders.items()}
     ranges[START] = _start_range(scenario)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import math
 import re
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
@@ -67,6 +68,13 @@ Without leakage the oil is nearly undamped, and its resonance sets the gain marg
 RK4 would add 60 % to this damping.
 """
 
+_OIL_ANGLE, _STABLE = 0.56, 2.7
+"""Largest accepted product of step and rate, for the resonance of the oil and for a decaying mode.
+
+At 0.56 the errors of RK4 reach 10 % of the load pressure; see `rk4_step_s`. Beyond 2.78 RK4 is
+unstable.
+"""
+
 SHIPPED: Mapping[str, Mapping[str, Any]] = {
     "paper": {},
     "paper with load": {"plant": {"load": "knee"}},
@@ -105,6 +113,43 @@ def loop_source(scenario: Scenario, *, smooth: bool = False) -> CSource:
         step_s=0.002 / (_SMOOTH_STEPS if smooth else _STEPS)[order],
         tick_s=scenario.controller.sample_time_s,
     )
+
+
+def require_slow_modes(scenario: Scenario) -> None:
+    """Raise `ParameterError` if the steps of a module are too long for the plant's fastest mode.
+
+    The oil of the reduced order resonates at √(4β_e Ā²/(V_t m)) (Eq. 15, 16). In the full order,
+    friction F with the band v_0 decays at F/(v_0 m), and an empty chamber, of the volume V_d, fills
+    through its make-up valve C at β_e C/V_d.
+    """
+    cylinder, full = scenario.plant.cylinder, scenario.plant.full_order
+    if full is None:
+        spring = 4.0 * cylinder.bulk_modulus_pa * cylinder.mean_area_m2**2
+        rate = math.sqrt(spring / (cylinder.total_volume_m3 * cylinder.mass_kg))
+        modes = [("cylinder.mass_kg", "kg", rate, _OIL_ANGLE, 2)]
+    else:
+        friction = full.coulomb_friction_n + full.stribeck_friction_n
+        valve = cylinder.bulk_modulus_pa * full.makeup_conductance_m3_per_s_pa
+        modes = [
+            (
+                "full_order.friction_band_m_s",
+                "m/s",
+                friction / full.friction_band_m_s / cylinder.mass_kg,
+                _STABLE,
+                1,
+            ),
+            ("full_order.dead_volume_m3", "m³", valve / full.dead_volume_m3, _STABLE, 1),
+        ]
+    for name, unit, rate, angle, power in modes:
+        highest = angle * _STEPS["reduced" if full is None else "full"] / 0.002
+        if rate > highest:
+            path = f"plant.{name}"
+            value = value_at(scenario, path)
+            raise ParameterError(
+                f"{path} = {value:g} {unit}: makes a mode of {rate:.3g} 1/s, "
+                f"which a page cannot follow; must be at least "
+                f"{value * (rate / highest) ** power:.3g} {unit} here"
+            )
 
 
 @lru_cache(maxsize=16)

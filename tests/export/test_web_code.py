@@ -3,6 +3,7 @@
 import base64
 import json
 import math
+import re
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
@@ -20,6 +21,7 @@ from kneexo.export.web_code import (
     module_of,
     modules,
     reference_source,
+    require_slow_modes,
     shipped_sources,
     write_shipped,
 )
@@ -113,3 +115,44 @@ def test_a_reference_module_follows_its_formula(web_run):
         -0.2 * w**3 * np.sin(w * t),
     ]
     np.testing.assert_allclose(columns.T, expected, rtol=0, atol=1e-12 * w**3)
+
+
+@pytest.mark.parametrize(
+    ("preset", "changes", "place", "least"),
+    [
+        # λ = 2807 1/s at 1.6 kg, Table 2; 0.56/(0.002 s/15) = 4200 1/s; λ² is as 1/m
+        (
+            "paper",
+            {"plant.cylinder.mass_kg": 0.3},
+            "plant.cylinder.mass_kg",
+            1.6 * (2807 / 4200) ** 2,
+        ),
+        # 1.72e9 Pa · 2e-10 m³/(s·Pa)/81000 1/s
+        (
+            "leg",
+            {"plant.full_order.dead_volume_m3": 3e-6},
+            "plant.full_order.dead_volume_m3",
+            4.247e-6,
+        ),
+        # 40 N/(1.6 kg · 81000 1/s)
+        (
+            "leg",
+            {"plant.full_order.friction_band_m_s": 1e-4},
+            "plant.full_order.friction_band_m_s",
+            3.086e-4,
+        ),
+    ],
+)
+def test_a_mode_too_fast_for_the_page_is_refused_with_the_least_value(
+    preset, changes, place, least
+):
+    scenario = Scenario.preset(preset)
+    with pytest.raises(ParameterError) as caught:
+        require_slow_modes(scenario.changed(changes))
+    text = str(caught.value)
+    assert text.startswith(f"{place} = ")
+    named = float(re.search(r"at least (\S+) ", text)[1])
+    assert named == pytest.approx(least, rel=2e-3)
+    require_slow_modes(scenario.changed({place: 1.01 * named}))
+    with pytest.raises(ParameterError):
+        require_slow_modes(scenario.changed({place: 0.99 * named}))
