@@ -469,20 +469,13 @@ def test_paper_has_values_numbers_and_curves(browser, one):
         browser.call("Emulation.setEmulatedMedia", media="")
 
 
-def _axe():
-    """The text of axe-core, from the place that KNEEXO_AXE names or from npm."""
+@pytest.fixture(scope="module")
+def axe(tmp_path_factory):
+    """The text of axe-core, from the file `KNEEXO_AXE` or npm; skips without npm or network."""
     if path := os.environ.get("KNEEXO_AXE"):
         return Path(path).read_text(encoding="utf-8")
     if shutil.which("npm") is None:
         pytest.skip("needs npm")
-    return None
-
-
-@pytest.fixture(scope="module")
-def axe(tmp_path_factory):
-    """The text of axe-core; skips without npm or network."""
-    if (text := _axe()) is not None:
-        return text
     folder = tmp_path_factory.mktemp("axe")
     command = ["npm", "install", "--no-audit", "--no-fund", "--ignore-scripts", "axe-core@4.14.1"]
     installed = subprocess.run(command, cwd=folder, capture_output=True, text=True)
