@@ -1,8 +1,8 @@
-"""Measured flexion of the knee over the gait cycle of walking.
+"""Measured walking: flexion of the knee over the gait cycle, and the net moment of a stride.
 
-The data are the mean of 56 strides of one healthy adult. They are derived from NONAN GaitPrint
-(Wiles et al., Scientific Data), CC BY 4.0; the first lines of
-``kneexo/data/gait_knee_flexion.csv`` say more.
+The flexion is the mean of 56 strides of one healthy adult. It is derived from NONAN GaitPrint
+(Wiles et al., Scientific Data), CC BY 4.0. The moment belongs to another adult. It is derived from
+an example of opensim-core, Apache-2.0. The first lines of the files in ``kneexo/data`` say more.
 """
 
 from __future__ import annotations
@@ -23,9 +23,7 @@ def gait_knee_flexion() -> tuple[Array, Array, Array]:
     Each array has the shape (101,). The cycle begins at heel contact (0 %) and ends at the next
     heel contact of the same leg (100 %). The measured flexions at both ends differ by 0.03°.
     """
-    text = files("kneexo").joinpath("data", "gait_knee_flexion.csv").read_text(encoding="utf-8")
-    rows = [line for line in text.splitlines() if line[:1].isdigit()]
-    percent, mean, deviation = np.array([row.split(",") for row in rows], dtype=float).T
+    percent, mean, deviation = _columns("gait_knee_flexion.csv")
     return percent, mean, deviation
 
 
@@ -33,3 +31,21 @@ def gait_start_percent() -> float:
     """Return the time of least flexion in % after heel contact. `gait_reference` starts there."""
     percent, mean, _ = gait_knee_flexion()
     return float(percent[np.argmin(mean)])
+
+
+def gait_knee_moment() -> tuple[Array, Array, Array]:
+    """Return time in s, knee flexion in deg and net knee moment in N·m of measured walking.
+
+    Each array has the shape (1350,). The samples are 1 ms apart, from 0.450 s to 1.799 s, which is
+    1.2 strides of one adult. A positive moment flexes the knee. The moment includes the reaction
+    of the ground.
+    """
+    time, flexion, moment = _columns("knee_angle_moment_walk.csv")
+    return time, flexion, moment
+
+
+def _columns(name: str) -> Array:
+    """Return the columns of numbers of a file in ``kneexo/data``, one in each row."""
+    text = files("kneexo").joinpath("data", name).read_text(encoding="utf-8")
+    rows = [line for line in text.splitlines() if line[:1].isdigit()]
+    return np.array([row.split(",") for row in rows], dtype=float).T

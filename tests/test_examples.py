@@ -14,7 +14,7 @@ from kneexo.parameters import CylinderParameters, KneeLoadParameters, PlantParam
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 MASS, BULK_MODULUS = "plant.cylinder.mass_kg", "plant.cylinder.bulk_modulus_pa"
-SHORT = ("own_law", "drake_loop", "bode", "thousand_runs", "pendulum")
+SHORT = ("own_law", "drake_loop", "bode", "thousand_runs", "pendulum", "stride_load")
 
 
 @pytest.fixture
@@ -100,3 +100,22 @@ def test_the_pendulum_of_the_example_loses_its_energy(run_example):
         assert angles[[0, -1]] == pytest.approx([start, end], abs=0.01)
         # Damping b/(2 m l²) = 0.2 1/s: after 5 s a small swing has at most exp(−1) of its start.
         assert np.abs(angles[500:]).max() < (0.5 if start < 100.0 else 0.4) * start
+
+
+def test_the_chapter_on_sizing_has_the_table_that_the_example_prints(capsys):
+    runpy.run_path(str(EXAMPLES / "stride_load.py"), run_name="__main__")
+    whole, half = capsys.readouterr().out.split("share 0.5 of the moment\n")
+    rows = [line for line in whole.splitlines() if line.startswith("|")]
+    assert len(rows) == 7
+    chapter = (EXAMPLES.parent / "docs" / "sizing.md").read_text(encoding="utf-8")
+    assert "\n".join(rows) in chapter
+    for line, sentence in (
+        ("power -162 … 77 W", "power into the knee is −162 … 77 W"),
+        ("follow the rod in 13% of the samples", "follow the rod in 13 % of the samples"),
+        ("27.6% of the samples: below -0.1 MPa", "In 28 % of the samples"),
+    ):
+        assert line in whole
+        assert sentence in chapter
+    assert "| 1.41 | 1.38 |" in half
+    assert "| 1.87 |" in half
+    assert "P_1 1.38 MPa and P_2 1.87 MPa" in chapter

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from kneexo.errors import ParameterError
-from kneexo.gait import GAIT_STRIDE_S, gait_knee_flexion, gait_start_percent
+from kneexo.gait import GAIT_STRIDE_S, gait_knee_flexion, gait_knee_moment, gait_start_percent
 from kneexo.parameters import gait_reference
 from kneexo.systems.knee_reference import make_knee_reference, reference_range_deg
 
@@ -33,6 +33,25 @@ def test_the_data_name_their_source_and_licence():
     assert all(line.startswith("#") for line in head)
     for credit in ("NONAN GaitPrint", "Wiles et al.", "CC BY 4.0", f"{GAIT_STRIDE_S:.3f} s"):
         assert credit in "".join(head)
+
+
+def test_the_moment_names_its_source_and_has_its_licence():
+    data = files("kneexo").joinpath("data")
+    head = data.joinpath("knee_angle_moment_walk.csv").read_text(encoding="utf-8").splitlines()[:3]
+    assert all(line.startswith("#") for line in head)
+    for credit in ("opensim-core", "id_walk.sto", "0435b081", "Apache-2.0", "flexion positive"):
+        assert credit in "".join(head)
+    licence = data.joinpath("knee_angle_moment_walk.LICENSE.txt").read_text(encoding="utf-8")
+    assert "Apache License" in licence
+    assert "9. Accepting Warranty or Additional Liability." in licence
+
+
+def test_the_moment_is_as_printed_in_its_file():
+    time, flexion, moment = gait_knee_moment()
+    assert time == pytest.approx(0.45 + 0.001 * np.arange(1350), abs=1e-9)
+    assert (flexion[0], moment[0]) == (21.6655, -64.2495)
+    assert (flexion[-1], moment[-1]) == (9.2031, -7.3544)
+    assert (flexion.max(), moment.min(), moment.max()) == (72.2343, -65.2298, 34.0237)
 
 
 def test_the_data_span_one_cycle():
@@ -130,6 +149,10 @@ def test_bad_input_is_one_line(frequency, cycles, message):
 
 
 @pytest.mark.slow
-def test_a_built_wheel_ships_the_data(wheel):
-    data = "kneexo/data/gait_knee_flexion.csv"
+@pytest.mark.parametrize(
+    "name",
+    ["gait_knee_flexion.csv", "knee_angle_moment_walk.csv", "knee_angle_moment_walk.LICENSE.txt"],
+)
+def test_a_built_wheel_ships_the_data(wheel, name):
+    data = f"kneexo/data/{name}"
     assert (wheel / data).read_bytes() == (Path(__file__).parents[1] / data).read_bytes()

@@ -23,6 +23,7 @@ from kneexo.analysis.polynomial_fit import PolynomialFit, fit_polynomials
 from kneexo.analysis.rate_limit import rate_limit_bandwidth_hz, rate_limited_gain
 from kneexo.analysis.sampled_loop import SampledLoop, linearize_loop
 from kneexo.analysis.sine_estimate import SineEstimate, estimate_sine
+from kneexo.analysis.stride import StrideLoad, stride_load
 from kneexo.analysis.tracking import (
     StepMetrics,
     TrackingMetrics,
@@ -45,6 +46,7 @@ __all__ = [
     "SineEstimate",
     "Stability",
     "StepMetrics",
+    "StrideLoad",
     "TrackingMetrics",
     "TrackingResult",
     "Verdict",
@@ -63,6 +65,7 @@ __all__ = [
     "simulate_diagram",
     "sinestream",
     "step_metrics",
+    "stride_load",
     "track",
     "tracking_metrics",
 ]

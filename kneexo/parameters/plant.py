@@ -25,6 +25,12 @@ RPM = 2.0 * math.pi / 60.0
 ATMOSPHERE_PA = 101_325.0
 """Standard atmosphere in Pa. All other pressures in kneexo are relative to this pressure."""
 
+LOWEST_PRESSURE_PA = -0.1e6
+"""Relative pressure in Pa below which a warning says that oil would evaporate and release air.
+
+Assumption: 1 % of an atmosphere above vacuum.
+"""
+
 AIR_EXPONENT = 1.4
 """Polytropic exponent of entrained air.
 

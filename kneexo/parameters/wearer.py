@@ -39,7 +39,8 @@ BANK_STIFFNESS = sum(
 LARGEST_LOSS = 0.38
 """Largest loss modulus h relative to the stiffness k; above, the bare spring is negative."""
 
-_LARGEST_MOMENT = 1e3
+LARGEST_MOMENT_N_M = 1e3
+"""Largest magnitude in N·m of a moment of the knee that a file may have."""
 
 
 class MomentTable(Parameters):
@@ -52,7 +53,7 @@ class MomentTable(Parameters):
         (), "s", "given by the user; strictly increasing", ge=-LONGEST_TIME_S, le=LONGEST_TIME_S
     )
     moments_n_m: tuple[float, ...] = quantities(
-        (), "N·m", "given by the user", ge=-_LARGEST_MOMENT, le=_LARGEST_MOMENT
+        (), "N·m", "given by the user", ge=-LARGEST_MOMENT_N_M, le=LARGEST_MOMENT_N_M
     )
 
     @model_validator(mode="after")
@@ -78,7 +79,7 @@ def read_moment(value: Any, directory: Any) -> Any:
     path = Path(directory, value)
     table = read_table(path, ("time_s", "knee_moment_nm"), "")
     table.require("time_s", -LONGEST_TIME_S, LONGEST_TIME_S, "s")
-    table.require("knee_moment_nm", -_LARGEST_MOMENT, _LARGEST_MOMENT, "N·m")
+    table.require("knee_moment_nm", -LARGEST_MOMENT_N_M, LARGEST_MOMENT_N_M, "N·m")
     try:
         return MomentTable(
             times_s=tuple(table.columns["time_s"]),
