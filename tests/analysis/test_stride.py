@@ -68,6 +68,7 @@ def test_most_extension_moment_power_and_share_within_the_speed_of_the_pump():
 def test_half_the_moment_takes_half_the_force():
     half = stride_load(share=0.5)
     assert half.rod_force_n == pytest.approx(0.5 * LOAD.rod_force_n, rel=1e-12)
+    assert half.knee_power_w == pytest.approx(0.5 * LOAD.knee_power_w, rel=1e-12)
     assert half.cap_pressure_pa.max() == pytest.approx(1.38e6, abs=0.005e6)
     assert half.rod_side_pressure_pa.max() == pytest.approx(1.87e6, abs=0.005e6)
     assert np.array_equal(half.rod_speed_m_s, LOAD.rod_speed_m_s)
