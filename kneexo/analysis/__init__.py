@@ -13,6 +13,13 @@ from kneexo.analysis.frequency_response import (
     sinestream,
 )
 from kneexo.analysis.margins import Margins
+from kneexo.analysis.output_impedance import (
+    MeasuredImpedance,
+    OutputImpedance,
+    measure_impedance,
+    output_impedance,
+)
+from kneexo.analysis.passivity import PassivityLimits, passivity_limits
 from kneexo.analysis.plant_linearization import (
     OperatingPoint,
     PlantLinearization,
@@ -38,7 +45,10 @@ from kneexo.simulation import Run, simulate, simulate_diagram
 __all__ = [
     "FrequencyResponse",
     "Margins",
+    "MeasuredImpedance",
     "OperatingPoint",
+    "OutputImpedance",
+    "PassivityLimits",
     "PlantLinearization",
     "PolynomialFit",
     "Run",
@@ -59,6 +69,9 @@ __all__ = [
     "large_signal_bandwidth_hz",
     "linearize_loop",
     "linearize_plant",
+    "measure_impedance",
+    "output_impedance",
+    "passivity_limits",
     "rate_limit_bandwidth_hz",
     "rate_limited_gain",
     "simulate",

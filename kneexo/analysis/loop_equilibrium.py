@@ -32,13 +32,15 @@ from kneexo.systems.function_law import hides_state
 class Equilibrium:
     """Equilibrium of a sampled loop at a constant reference, with a diagram for derivatives.
 
-    ``diagram`` has the scalar type AutoDiffXd. Loops that differ only in numbers share it.
-    ``context`` holds the parameters of this loop. ``point`` contains the states x of the plant and
+    ``diagram`` has the scalar type AutoDiffXd, and ``float_diagram`` is the same diagram of floats.
+    Loops that differ only in numbers share them. ``context`` belongs to ``float_diagram`` and holds
+    the parameters and the state of this loop. ``point`` contains the states x of the plant and
     then the discrete states z of the controller, in the units of the Context. The number of states
     x is ``continuous_states``. ``reference`` (4,) is θ_d in rad and its three derivatives.
     """
 
     diagram: Any
+    float_diagram: Any
     context: Any
     point: Array
     continuous_states: int
@@ -210,7 +212,7 @@ def find_equilibrium(
     z = np.concatenate([context.get_discrete_state(i).CopyToVector() for i in groups])
     n, m = x.size, z.size
     point = np.concatenate([x, z])
-    equilibrium = Equilibrium(automatic, context, point, n, reference, period_s)
+    equilibrium = Equilibrium(automatic, diagram, context, point, n, reference, period_s)
 
     def changes(point: Array) -> tuple[Array, Array]:
         """Return dx/dt and z⁺ − z, and their Jacobian in (x, z)."""

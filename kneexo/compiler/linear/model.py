@@ -180,6 +180,78 @@ class LinearModel:
         c, d = self.c @ first.jump_state, self.d + self.c @ first.jump_input
         return replace(self, c=c, d=d)
 
+    def prescribed(self, states: Sequence[str]) -> LinearModel:
+        """Return the model in which the motion of some continuous states is given, as inputs.
+
+        The new inputs follow the others, and have the names of the states. The outputs
+        ``rate of STATE`` follow the others too. They are the rates that the states would have by
+        their equations, so an input of the model can be found that causes the prescribed motion.
+        The states need not suit each other: a caller gives a position and its rate.
+
+        Raises `ParameterError` for a name that is no continuous state of the model, or is there
+        twice, and `LinearizationError` for the model of a periodic orbit.
+        """
+        if self.period_s is not None and not self.ticks:
+            raise LinearizationError("the model of a periodic orbit has no rates of its states")
+        fixed = [self._continuous_index(name) for name in states]
+        if len(set(fixed)) < len(fixed):
+            raise ParameterError(f"states = {quoted(states)}: names a state twice")
+        free = [index for index in range(len(self.a)) if index not in fixed]
+        rates = (self.ticks[0].rate_state, self.ticks[0].rate_input) if self.ticks else ()
+        rate_state, rate_input = rates or (self.a, self.b)
+        ticks = tuple(
+            replace(
+                tick,
+                jump_state=tick.jump_state[np.ix_(free, free)],
+                jump_input=np.hstack([tick.jump_input, tick.jump_state[:, fixed]])[free],
+                rate_state=tick.rate_state[np.ix_(free, free)],
+                rate_input=np.hstack([tick.rate_input, tick.rate_state[:, fixed]])[free],
+            )
+            for tick in self.ticks
+        )
+        a = rate_state[np.ix_(free, free)]
+        b = np.hstack([rate_input, rate_state[:, fixed]])[free]
+        if ticks:
+            a, b = over_period(ticks)
+        point, names = self.operating_point, tuple(self.state_names[index] for index in fixed)
+        return replace(
+            self,
+            a=a,
+            b=b,
+            c=np.vstack([self.c, rate_state[fixed]])[:, free],
+            d=np.vstack(
+                [
+                    np.hstack([self.d, self.c[:, fixed]]),
+                    np.hstack([rate_input, rate_state[:, fixed]])[fixed],
+                ]
+            ),
+            state_names=tuple(self.state_names[index] for index in free),
+            input_names=self.input_names + names,
+            output_names=self.output_names + tuple(f"rate of {name}" for name in names),
+            operating_point=OperatingPoint(
+                point.time_s,
+                point.state[free],
+                np.append(point.inputs, point.state[fixed]),
+                np.append(point.outputs, np.zeros(len(fixed))),
+            ),
+            ticks=ticks,
+        )
+
+    def _continuous_index(self, name: str) -> int:
+        """Return the index of a continuous state; raise `ParameterError` if there is none."""
+        index = self.state_names.index(name) if name in self.state_names else -1
+        unit = np.eye(len(self.a), self.a.shape[1] + self.b.shape[1])
+        moves = any(
+            (np.hstack([tick.jump_state, tick.jump_input])[index] != unit[index]).any()
+            for tick in self.ticks
+        )
+        if index < 0 or moves:
+            raise ParameterError(
+                f"states: {quoted(name)} is no continuous state; states: "
+                f"{', '.join(self.state_names)}"
+            )
+        return index
+
     def to_control(self) -> Any:
         """Return the model as a `control.StateSpace` with named states, inputs and outputs.
 

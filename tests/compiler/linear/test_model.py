@@ -84,6 +84,42 @@ def test_outputs_after_the_updates_see_the_new_value():
     assert later.a is model.a
 
 
+def test_a_prescribed_motion_takes_the_force_of_its_equation():
+    """The force u of a sine, by hand: m dv/dt = −k x − b v + z + u, dz/dt = −z/τ + v."""
+    mass, spring, damper, lag = 2.0, 30.0, 0.7, 0.4
+    a = [[0, 1, 0], [-spring / mass, -damper / mass, 1 / mass], [0, 1, -1 / lag]]
+    system = LinearSystem(a, [[0], [1 / mass], [0]], [[0, 0, 1]], [[0]])
+    s = 2j * np.pi * FREQUENCIES_HZ[1:]
+    z = 1.0 / (s + 1.0 / lag)  # for v = 1
+    force = mass * s + spring / s + damper - z
+    for period_s in (None, 0.05):
+        model = linearize(system, inputs=["u0"], outputs=["y0"], period_s=period_s)
+        moved = model.prescribed(model.state_names[:2])
+        assert moved.state_names == model.state_names[2:]
+        assert moved.input_names == ("u0", *model.state_names[:2])
+        assert moved.output_names == ("y0", *(f"rate of {x}" for x in model.state_names[:2]))
+        pole = -1.0 / lag if period_s is None else np.exp(-period_s / lag)
+        assert moved.eigenvalues == pytest.approx([pole], rel=1e-12)
+        response = moved.sine_response(FREQUENCIES_HZ[1:])
+        assert response[:, 0, 2] == pytest.approx(z, rel=1e-10)
+        rate = response[:, 2, 1] / s + response[:, 2, 2]  # of v, from x and v
+        assert (s - rate) / response[:, 2, 0] == pytest.approx(force, rel=1e-10)
+        # The rate of x is v, and it does not depend on anything else.
+        assert response[:, 1] == pytest.approx(np.tile([0.0, 0.0, 1.0], (3, 1)), abs=1e-14)
+
+
+def test_only_continuous_states_can_be_prescribed(held):
+    model = linearize(held, inputs=["motor.speed"], outputs=["y"])
+    names = model.state_names
+    moved = model.prescribed(names[1:2])
+    assert moved.monodromy.shape == (3, 3)
+    for wrong in ("hold.x[9]", names[-1]):
+        with pytest.raises(ParameterError, match=r"\Astates: .* is no continuous state; .*hold"):
+            model.prescribed([wrong])
+    with pytest.raises(ParameterError, match=r"\Astates = .*: names a state twice\Z"):
+        model.prescribed([names[0], names[0]])
+
+
 def test_python_control_has_the_names(held):
     system = linearize(held, inputs=["motor.speed"], outputs=["y", "hold:y"]).to_control()
     assert system.input_labels == ["motor_speed"]
