@@ -22,8 +22,8 @@ def add_play(subparsers: Any) -> None:
         "play",
         play,
         "make a page to play with: sliders, curves and the moving leg in the browser",
-        "The page is one file that any browser opens, without network. The closed loop runs in the "
-        "browser, so each value that changes shows its effect at once. Two scenarios are compared.",
+        "The page is one file that any browser opens without network. The closed loop runs in the "
+        "browser, so a changed value shows its effect at once. The page compares two scenarios.",
         duration_s=3.0,
         file=arguments.out,
     )
@@ -38,14 +38,14 @@ def add_play(subparsers: Any) -> None:
     parser.add_argument(
         "--compare",
         metavar="NAME",
-        help="preset that the page also has, unchanged, for a comparison: paper, bench or leg",
+        help="unchanged preset to compare with: paper, bench or leg",
     )
     parser.add_argument(
         "--out",
         metavar="FILE.html",
         type=arguments.place,
         required=True,
-        help="the page; replaces a page of an earlier play",
+        help="file of the page; an earlier page of this command is replaced",
     )
     parser.add_argument(
         "--open", dest="browser", action="store_true", help="show the page in this system's browser"
@@ -62,9 +62,9 @@ def play(
 ) -> Outcome:
     """Return an HTML page on which the closed loops of scenarios run and can be changed.
 
-    ``values`` (each NAME=VALUE) change every scenario, which starts from ``preset`` if it is given.
-    Without files the page has the preset, by default the paper's setup. ``compare`` is the name of
-    a preset that the page has too. If ``browser`` is True, the
+    A scenario starts from ``preset`` if it is given. ``values`` (each NAME=VALUE) change every
+    scenario. Without files the page has the preset, by default the paper's setup. ``compare`` is
+    the name of a preset that the page adds without these changes. If ``browser`` is True, the
     browser opens the page.
     """
     from kneexo.command_line.output import to_json

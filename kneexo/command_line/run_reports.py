@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from kneexo.analysis.margins import Margins
 
 Row = tuple[str, ...]
-"""The cells of a line of a table."""
+"""The cells of a row of a table."""
 
 
 def tracking_report(result: TrackingResult) -> str:
-    """Return the report on a run in Markdown: findings, values beside their limits, more values."""
+    """Return the report on a run in Markdown: findings, values with limits, other values."""
     verdict = result.verdict
     return document(
         "# A run beside its reference",
@@ -34,7 +34,7 @@ def tracking_report(result: TrackingResult) -> str:
 
 
 def _limits(result: TrackingResult) -> Iterator[Row]:
-    """Yield a line for each limit of a run, with the verdict on the run's largest value."""
+    """Yield a row for each limit of a run, with the verdict on the run's largest value."""
     scenario, metrics, verdict = result.scenario, result.metrics, result.verdict
     plant, run, step = scenario.plant, result.run, result.step
     if step is None:
@@ -111,8 +111,8 @@ def linear_report(
 ) -> str:
     """Return the report on a linearized plant and sampled loop in Markdown.
 
-    ``lines`` are the lines of `kneexo.analysis.verdict.loop_lines`. The table of the margins
-    replaces those with margins. ``model`` describes what the model leaves out.
+    ``lines`` are the lines of `kneexo.analysis.verdict.loop_lines`. A table replaces the lines with
+    margins. ``model`` has the lines on the omissions of the model.
     """
     margins, table = loop.margins(), list[Row]()
     findings = [next(iter(lines))]
@@ -140,15 +140,15 @@ def linear_report(
         markdown_table(("change of the loop", "margin", "at (Hz)", "criterion", "verdict"), table)
         if table
         else "",
-        f"A margin is sound if it is at least that of a disk margin of {SOUND_DISK_MARGIN:g}. A "
-        "delay must be able to grow by one sample."
+        "A margin of gain or phase is sound if it is at least the one that a disk margin of "
+        f"{SOUND_DISK_MARGIN:g} guarantees. The delay margin must be at least one sample."
         if table
         else "",
     )
 
 
 def _poles(plant: PlantLinearization) -> Iterator[Row]:
-    """Yield a line for each real pole, and one for each pair of complex poles."""
+    """Yield a row for each real pole and for each pair of complex poles."""
     scale = float(np.max(np.abs(plant.poles)))
     for pole, frequency, ratio in zip(plant.poles, *plant.damping, strict=True):
         if pole.imag < 0.0:
@@ -160,7 +160,7 @@ def _poles(plant: PlantLinearization) -> Iterator[Row]:
 
 
 def _margins(m: Margins, sample_time_s: float) -> Iterator[Row]:
-    """Yield a line for each margin of a stable loop, with its criterion and the verdict on it."""
+    """Yield a row for each margin of a stable loop, with its criterion and verdict."""
     half = 0.5 * SOUND_DISK_MARGIN
     gain, phase_deg = (1.0 + half) / (1.0 - half), math.degrees(2.0 * math.atan(half))
     decibels = f" ({20.0 * math.log10(m.gain_margin):.3g} dB)" if m.gain_margin < math.inf else ""

@@ -22,8 +22,8 @@ def add_view(subparsers: Any) -> None:
         "view",
         view,
         "show runs in three dimensions: an HTML page with a time slider",
-        "The page is one file that any browser opens, without network. Several runs stand beside "
-        "each other. The cylinder's colour is its pressure, the black outline is the reference.",
+        "The page is one file that any browser opens without network. Several runs stand beside "
+        "each other. The cylinder's colour is its pressure. The black outline is the reference.",
         file=arguments.out,
     )
     parser.add_argument(
@@ -93,7 +93,7 @@ def view(
             notices.append(f"kneexo: {shown(caption)}: {failure}; shown up to there")
         legs.append(leg)
     if (end_s := shown_s(legs)) < max(leg.time_s[-1] for leg in legs):
-        notices.append(f"kneexo: only the first {end_s:.4g} s are shown: the page is full")
+        notices.append(f"kneexo: the page is full, so it shows only the first {end_s:.4g} s")
     names = [leg.name for leg in legs]
     return Outcome(
         f"{shown(out)}: {', '.join(map(shown, names))}; open it in a browser\n",

@@ -1,6 +1,6 @@
-"""The numbers that a page lets a user vary, with their label, range and the reason for the range.
+"""The numbers that a user of a page can vary, with label, range and reason of the range.
 
-A slider covers values that show an effect, within the much wider range that a field allows.
+A slider covers the values that show an effect. The range that a field allows is much wider.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Slider:
     """The reason for the range."""
     scale: Literal["linear", "log"] = "linear"
     shown: tuple[str, float] | None = None
-    """A unit for people, and the factor that converts a value to this unit."""
+    """Unit on the page, and the factor from the unit of the field; None: the unit of the field."""
 
 
 _RPM = ("rpm", 1.0 / RPM)
@@ -56,7 +56,7 @@ SLIDERS: Mapping[type[Parameters], Mapping[str, Slider]] = {
             "speed limit of the motor",
             500 * RPM,
             5000 * RPM,
-            "a tenth of the paper's limit to the limit of the command, above which nothing changes",
+            "a tenth of the paper's limit to the limit of the command; no effect above it",
             "log",
             _RPM,
         ),
@@ -87,14 +87,21 @@ SLIDERS: Mapping[type[Parameters], Mapping[str, Slider]] = {
     },
     KneeLoadParameters: {
         "segment_mass_kg": Slider("mass of the shank", 0.0, 6.0, "none to a heavy leg with shoe"),
-        "centre_of_mass_m": Slider("lever of the shank", 0.05, 0.4, "within a shank"),
+        "centre_of_mass_m": Slider("lever of the shank's weight", 0.05, 0.4, "within a shank"),
         "knee_torque_n_m": Slider(
-            "torque of the wearer", -15.0, 15.0, "about the weight of a raised shank, both ways"
+            "torque of the wearer",
+            -15.0,
+            15.0,
+            "about the torque of a raised shank's weight, in both directions",
         ),
-        "disturbance_n": Slider("force on the rod", -200.0, 200.0, "a fifth of the rated force"),
+        "disturbance_n": Slider(
+            "force on the rod", -200.0, 200.0, "about a fifth of the rated force"
+        ),
     },
     FullCylinderParameters: {
-        "coulomb_friction_n": Slider("seal friction", 0.0, 60.0, "none to one half above a guess"),
+        "coulomb_friction_n": Slider(
+            "seal friction", 0.0, 60.0, "none to 1.5 times the preset leg"
+        ),
         "relief_pressure_pa": Slider(
             "relief pressure", 1.2e6, 7e6, "a third to twice the rating", "log", _BAR
         ),
@@ -106,17 +113,19 @@ SLIDERS: Mapping[type[Parameters], Mapping[str, Slider]] = {
     SlidingModeParameters: {
         "lambda_per_s": Slider("λ, slope of the sliding surface", 2.0, 100.0, _DECADE, "log"),
         "phi_m_s2": Slider("Φ, boundary layer", 0.1, 100.0, "chattering to sluggish", "log"),
-        "eta_m_s3": Slider("η, reaching rate", 1e3, 1e7, "weak to more than full speed", "log"),
-        "area_uncertainty": Slider("assumed area deviation", 0.0, 0.3, "1/7 covers both chambers"),
+        "eta_m_s3": Slider("η, reaching rate", 1e3, 1e7, "weak to saturated", "log"),
+        "area_uncertainty": Slider(
+            "assumed area deviation", 0.0, 0.3, "1/7 covers the areas of both chambers"
+        ),
     },
     PidParameters: {
-        "proportional_per_s": Slider("P gain", 0.5, 100.0, "lazy to unstable", "log"),
+        "proportional_per_s": Slider("P gain", 0.5, 100.0, "sluggish to unstable", "log"),
         "integral_per_s2": Slider("I gain", 0.0, 100.0, "none to unstable"),
         "derivative": Slider("D gain", 0.0, 0.5, "none to unstable"),
         "filter_s": Slider(
             "filter of the error", 0.004, 0.1, "two samples to five times the default", "log", _MS
         ),
-        "velocity_feedforward": Slider("velocity feedforward", 0.0, 1.2, "none to a little much"),
+        "velocity_feedforward": Slider("velocity feedforward", 0.0, 1.2, "none to 20 % too much"),
     },
     ObserverParameters: {
         "time_constant_s": Slider(
@@ -128,15 +137,17 @@ SLIDERS: Mapping[type[Parameters], Mapping[str, Slider]] = {
             "mounting error of the encoder",
             -0.05,
             0.05,
-            "about 3° both ways",
+            "about ±3°",
             shown=("deg", 180.0 / math.pi),
         ),
     },
     SineReference: {
         "amplitude_deg": Slider("amplitude", 1.0, 44.0, "within the range of motion"),
-        "frequency_hz": Slider("frequency", 0.02, 5.0, "slow bending to above the limit", "log"),
+        "frequency_hz": Slider(
+            "frequency", 0.02, 5.0, "slow bending to above the bandwidth", "log"
+        ),
         "mean_deg": Slider("mean", 5.0, 85.0, "within the range of motion"),
-        "ramp_s": Slider("time of growth", 0.0, 10.0, "none to a slow start"),
+        "ramp_s": Slider("time to full amplitude", 0.0, 10.0, "none to a slow start"),
     },
     StepReference: {
         "start_deg": Slider("start", 1.0, 89.0, "within the range of motion"),
@@ -146,7 +157,9 @@ SLIDERS: Mapping[type[Parameters], Mapping[str, Slider]] = {
     RampReference: {
         "start_deg": Slider("start", 1.0, 89.0, "within the range of motion"),
         "end_deg": Slider("end", 1.0, 89.0, "within the range of motion"),
-        "rate_deg_s": Slider("rate", 1.0, 200.0, "slow bending to far above the limit", "log"),
+        "rate_deg_s": Slider(
+            "rate", 1.0, 200.0, "slow bending to far above the motor's limit", "log"
+        ),
         "time_s": Slider("start of the motion", 0.0, 10.0, "early in a run"),
     },
 }
@@ -156,9 +169,9 @@ SLIDERS: Mapping[type[Parameters], Mapping[str, Slider]] = {
 def sliders_of(parameters: Parameters, path: str = "") -> Iterator[tuple[str, Slider]]:
     """Yield the dotted path and the slider of each number in ``parameters`` that has a slider.
 
-    ``path`` is the path of ``parameters``, with a dot at its end. The range of a slider is extended
-    to the present value, and cut to the range that the field allows. The nominal plant is left out,
-    because it is not what runs.
+    ``path`` is the path of ``parameters`` with a dot at its end, or empty. The range of a slider
+    includes the present value, and lies within the range of the field. The nominal plant has no
+    sliders, because only the controller's design uses it.
     """
     fields = type(parameters).model_fields
     for name, slider in SLIDERS.get(type(parameters), {}).items():

@@ -239,8 +239,8 @@ def _draw_wires(
     wiring = Wiring(boxes, size)
 
     def distance(ends: tuple[str, str]) -> tuple[int, tuple[str, str]]:
-        one, other = (boxes[name] for name in ends)
-        return abs(one.x - other.x) + abs(one.y - other.y), ends
+        start, end = (boxes[name] for name in ends)
+        return abs(start.x - end.x) + abs(start.y - end.y), ends
 
     paths = {}
     for ends in sorted(wires, key=distance):

@@ -175,19 +175,19 @@ def _entry(scenario: Scenario, name: str) -> dict[str, Any]:
     """
     duration_s = min(max(scenario.duration_s, _SHORTEST_RUN_S), LONGEST_RUN_S)
     scenario = changed(scenario, {"simulation.duration_s": duration_s})
-    own = _model(scenario)
-    models = [own, *_variants(scenario, own)]
+    first = _model(scenario)
+    models = [first, *_variants(scenario, first)]
     for model in models[1:]:
-        if model["references"].get("samples") == own["references"].get("samples"):
+        if model["references"].get("samples") == first["references"].get("samples"):
             model["references"].pop("samples", None)  # the page takes those of the first model
-    knee, limits = scenario.plant.knee, own["limits"]
+    knee, limits = scenario.plant.knee, first["limits"]
     return {
         "name": name,
         "models": models,
         "duration_s": duration_s,
         "start": {
-            "controller": own["controller"],
-            "load": own["load"],
+            "controller": first["controller"],
+            "load": first["load"],
             "reference": scenario.reference.kind,
         },
         "leg": stage_leg(
@@ -204,11 +204,11 @@ def _model(scenario: Scenario) -> dict[str, Any]:
     return {**web_model(scenario), "scenario": _differences(scenario)}
 
 
-def _variants(scenario: Scenario, own: dict[str, Any]) -> Iterator[dict[str, Any]]:
+def _variants(scenario: Scenario, first: dict[str, Any]) -> Iterator[dict[str, Any]]:
     """Yield the models of the other combinations of controller and load."""
-    for controller in dict.fromkeys((own["controller"], *_CONTROLLERS)):
-        for load in dict.fromkeys((own["load"], *_LOADS)):
-            if (controller, load) == (own["controller"], own["load"]):
+    for controller in dict.fromkeys((first["controller"], *_CONTROLLERS)):
+        for load in dict.fromkeys((first["load"], *_LOADS)):
+            if (controller, load) == (first["controller"], first["load"]):
                 continue
             # A machine without Zig has the modules of the most common structures only.
             with suppress(KneexoError):

@@ -1,5 +1,6 @@
 // Linearizes a sampled loop and computes its margins, as kneexo.analysis.sampled_loop and
-// kneexo.compiler.margins do. Works on the module without quantizers by differences of one tick.
+// kneexo.compiler.margins do. The linear model comes from differences of single ticks of the module
+// without quantizers.
 "use strict";
 
 const LinearLoop = (() => {
@@ -69,7 +70,7 @@ const LinearLoop = (() => {
   // The largest magnitude of an eigenvalue: the limit of |A^m|^(1/m), for m = 2, 4, 8 … 2^50.
   function spectralRadius(matrix) {
     let power = matrix;
-    let logarithm = 0; // of the factor taken out of the power
+    let logarithm = 0; // of the factor by which the powers were scaled
     let exponent = 1;
     for (let k = 0; k < 50; k++) {
       const size = Math.hypot(...power.flat());
@@ -82,7 +83,7 @@ const LinearLoop = (() => {
     return Math.exp(logarithm);
   }
 
-  // zI − A and b at z = e^{jω}, after elimination: a diagonal matrix and the solution times it.
+  // Make zI − A at z = e^{jω} diagonal by elimination, together with the right-hand side b.
   function reduced({ a, b }, angle) {
     const n = b.length;
     const width = n + 1;
@@ -110,7 +111,7 @@ const LinearLoop = (() => {
     return [x, y];
   }
 
-  // |det(zI − A)|, the product of the distances of z from the poles.
+  // |det(zI − A)|, which is the product of the distances from z to all poles.
   const determinant = (system, angle) =>
     reduced(system, angle).reduce((size, { pivot }) => size * Math.hypot(...pivot), 1);
 
@@ -119,7 +120,7 @@ const LinearLoop = (() => {
     return [(a * c + b * d) / size, (b * c - a * d) / size];
   }
 
-  // Make column k of a complex matrix with a right-hand side diagonal, by its largest pivot.
+  // Eliminate column k of a complex matrix with right-hand side, by the column's largest pivot.
   function eliminate(re, im, k, n) {
     const width = n + 1;
     const size = (i) => re[i * width + k] ** 2 + im[i * width + k] ** 2;
@@ -208,7 +209,7 @@ const LinearLoop = (() => {
     return null;
   }
 
-  // Numbers of the loop broken at the command: the loop's own matrices and those that open it.
+  // Matrices of the closed loop, and of the loop that is open at the command.
   function matricesOf(map, point, continuous) {
     const { n } = map;
     const slopes = jacobian(map, point, stepsAt(point, continuous)).slice(continuous, n + 1);
@@ -236,10 +237,10 @@ const LinearLoop = (() => {
 
   // ------------------------------------------------------------------------------- margins
 
-  // L at a frequency in Hz, as [real, imaginary].
+  // The loop transfer L at a frequency in Hz, as [real, imaginary].
   const responseOf = (loop, period) => (frequency) => transfer(loop, 2 * Math.PI * frequency * period);
 
-  // Frequencies in Hz with L there, dense around each resonance and where L turns quickly.
+  // Frequencies in Hz and the values of L, dense near each resonance and where L turns quickly.
   function gridOf(loop, period) {
     const highest = 0.5 / period;
     const ratio = (highest / LOWEST_HZ) ** (1 / GRID_POINTS);
@@ -254,7 +255,7 @@ const LinearLoop = (() => {
     return points.filter(({ value }) => value.every(Number.isFinite));
   }
 
-  // Append a point, after points between it and the last one if L turns quickly there.
+  // Append a point. If L turns quickly before the point, first append points between.
   function refine(response, points, next, depth) {
     const last = points.at(-1);
     const [x, y] = last ? divide(...next.value, ...last.value) : [1, 0];
@@ -290,13 +291,13 @@ const LinearLoop = (() => {
 
   // The frequencies at which a function of L changes its sign between points of the grid.
   function crossings(response, grid, of) {
-    const found = [];
+    const frequencies = [];
     for (let k = 1; k < grid.length; k++) {
       const negative = of(grid[k - 1].value) < 0;
       if (negative === of(grid[k].value) < 0) continue;
-      found.push(bisect((f) => of(response(f)) < 0 === negative, grid[k - 1].f, grid[k].f));
+      frequencies.push(bisect((f) => of(response(f)) < 0 === negative, grid[k - 1].f, grid[k].f));
     }
-    return found;
+    return frequencies;
   }
 
   // The place between two numbers where a condition ends.
@@ -393,7 +394,7 @@ const LinearLoop = (() => {
     return { instance, map, start: [...instance.states(), ...reference, 0] };
   }
 
-  // Why there is no linear loop at an equilibrium, or null. See find_equilibrium in
+  // The reason why an equilibrium has no linear loop, or null. See find_equilibrium in
   // kneexo/analysis/loop_equilibrium.py.
   function obstacle(model, values, instance, map, point) {
     const command = Math.abs(map.step(point)[map.n]);

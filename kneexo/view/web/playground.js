@@ -4,7 +4,7 @@
 const Page = (() => {
   const { element } = Curves;
   const SWEEP_HZ = Array.from({ length: 17 }, (_, i) => Number((0.05 * 10 ** (i / 7)).toPrecision(3)));
-  const REST_MS = 350; // margins and sweep start when the values have not changed for this time
+  const REST_MS = 350; // margins and sweep start after the values have not changed for this time
   const PAPER_PX = 680; // width of the curves on A4 and letter
   const ANNOUNCE_MS = 1500;
   const data = prepared(JSON.parse(document.getElementById("playground").textContent));
@@ -80,7 +80,7 @@ const Page = (() => {
 
   // -------------------------------------------------------------------------- drawing
 
-  /** Draw at the next frame; many results within a frame are drawn once. */
+  /** Draw at the next frame, once for all results that come before it. */
   function draw() {
     if (drawing) return;
     drawing = true;
@@ -143,7 +143,7 @@ const Page = (() => {
     const sines = shownSetups().map((index) => sineOf(state.setups[index]));
     const same = new Set(sines).size === 1;
     const lines = same ? sines.slice(0, 1) : sines.map((text, index) => `${"AB"[index]}: ${text}`);
-    const text = `${lines.join(" ")} Filled mark: the motor reaches its limit at this frequency. Open mark: it does not.`;
+    const text = `${lines.join(" ")} At a filled mark the motor reaches its limit. At an open mark it stays below its limit.`;
     if (byId("bode-caption").textContent !== text) byId("bode-caption").textContent = text;
     byId("key").replaceChildren(...key());
   }
@@ -153,7 +153,7 @@ const Page = (() => {
     const sine = { ...setup, reference: "sine" };
     const values = Setups.valuesOf(data, sine);
     const [amplitude, mean] = ["amplitude_deg", "mean_deg"].map((name) => Setups.shown(values[`reference.${name}`]));
-    return `Sines of ±${amplitude}° about ${mean}°.`;
+    return `Measured with sines of ±${amplitude}° about ${mean}°.`;
   }
 
   function key() {
@@ -267,7 +267,7 @@ const Page = (() => {
   function showYaml() {
     const { index } = parts.panel;
     const title = state.compare ? `Set-up ${"AB"[index]} as YAML` : "These values as YAML";
-    showText(title, "Save it as FILE.yaml; kneexo simulate FILE.yaml --out run makes the same run.",
+    showText(title, "Save this text as FILE.yaml. The command kneexo simulate FILE.yaml --out run makes the same run.",
       Setups.yamlOf(data, state.setups[index]));
   }
 
@@ -290,8 +290,8 @@ const Page = (() => {
       const row = element("tr");
       row.append(element("th", { scope: "row" }, quantity.label));
       for (const index of indices) {
-        const own = Setups.quantitiesOf(data, state.setups[index]).find((q) => q.name === quantity.name);
-        row.append(element("td", {}, own ? Controls.text(own, Setups.valueOf(data, state.setups[index], own)) : "–"));
+        const present = Setups.quantitiesOf(data, state.setups[index]).find((q) => q.name === quantity.name);
+        row.append(element("td", {}, present ? Controls.text(present, Setups.valueOf(data, state.setups[index], present)) : "–"));
       }
       row.append(element("td", {}, Setups.display(quantity).unit));
       table.append(row);
@@ -346,7 +346,7 @@ const Page = (() => {
   function start() {
     byId("copy-link").hidden = location.protocol === "about:"; // inside a notebook
     byId("scenario-name").textContent = data.scenarios.map(({ name }) => name).join(", ");
-    byId("made-by").textContent = `Made by kneexo ${data.kneexo}. The page works without network; nothing leaves it.`;
+    byId("made-by").textContent = `kneexo ${data.kneexo} made this page. The page needs no network and sends no data.`;
     const text = JSON.parse(byId("worker").textContent);
     const source = `data:text/javascript,${encodeURIComponent(text)}`; // VS Code blocks blobs
     const models = { modules: data.modules, models: modelsByKey() };
@@ -362,7 +362,7 @@ const Page = (() => {
     setCompare(state.compare);
   }
 
-  /** Give each model its key, the place in the page, and the samples that it shares with the first. */
+  /** Give each model a key from its place in the page, and the samples of the first model. */
   function prepared(page) {
     page.scenarios.forEach(({ models }, s) => models.forEach((model, m) => {
       model.key = `${s}/${m}`;

@@ -1,4 +1,4 @@
-// The frequency response of the page: gain and phase, which grow point by point.
+// The frequency response of the page: gain and phase, point by point as the sweep measures them.
 "use strict";
 
 const Bode = (() => {

@@ -57,7 +57,7 @@ const Controls = (() => {
 
     head() {
       const bar = element("div", { class: "bar panel-head" });
-      const title = element("h2", {}, "Turn a value");
+      const title = element("h2", {}, "Change a value");
       const actions = element("span", { class: "actions" });
       actions.append(this.button("reset-all", "Reset all", () => this.reset()));
       bar.append(title, actions);
@@ -173,7 +173,7 @@ const Controls = (() => {
       return row;
     }
 
-    /** Say range and source of a quantity below the sliders. */
+    /** Show range and source of a quantity below the sliders. */
     tell(quantity) {
       this.hint.textContent = quantity
         ? `${quantity.label}: ${hint(quantity)}`
@@ -191,7 +191,7 @@ const Controls = (() => {
       else this.rows.get(quantity).note.textContent = `must be ${range(quantity)}`;
     }
 
-    /** The slider keeps its position, although the value is rounded: so each key press moves it. */
+    /** Set a rounded value. The slider keeps its exact position, so that each key press moves it. */
     slide(quantity, at) {
       this.set(quantity, valueAt(quantity, at));
       this.rows.get(quantity).slider.value = at;
@@ -221,7 +221,7 @@ const Controls = (() => {
       note.textContent = this.noteOf(quantity, value);
     }
 
-    /** In a comparison: the value of the other set-up, if it differs. */
+    /** Return the value of the other set-up in a comparison, if the values differ. */
     noteOf(quantity, value) {
       if (!this.state.compare) return "";
       const same = Setups.quantitiesOf(this.data, this.other).find((q) => q.name === quantity.name);

@@ -12,7 +12,7 @@ const Curves = (() => {
   const RPM = 30 / Math.PI;
   const MINUS_3_DB = 20 * Math.log10(Math.SQRT1_2);
 
-  // Each plot: what it shows, and the columns of a run in the unit of the axis.
+  // Each plot has a column of a run, the factor to the unit of its axis, and perhaps an extra column.
   const PLOTS = [
     { name: "angle", title: "Knee angle", unit: "deg", factor: DEG, height: 150, extra: "reference" },
     { name: "error", title: "Error, reference minus angle", unit: "deg", factor: DEG, height: 100 },
@@ -34,7 +34,7 @@ const Curves = (() => {
     };
   }
 
-  /** A column on the times of the longer run: null where a run has no sample. */
+  /** A column at the times of the longer run. The column is null where its run has no sample. */
   function onTime(run, column, time, factor) {
     const values = new Array(time.length).fill(null);
     const same = run.time.length < 2 || Math.abs(run.time[1] - time[1]) < 1e-12;
@@ -82,7 +82,7 @@ const Curves = (() => {
 
     /** Series in the order of the columns: time, A, B, then the extra lines of A and of B. */
     series(plot) {
-      const own = COLOURS.map((stroke) => ({ stroke, width: 1.75 }));
+      const main = COLOURS.map((stroke) => ({ stroke, width: 1.75 }));
       const extra = COLOURS.flatMap((colour, index) => {
         if (plot.extra === "reference") {
           return [{ stroke: index ? colour : REFERENCE, width: 1.25, dash: index ? [2, 4] : [6, 4] }];
@@ -90,7 +90,7 @@ const Curves = (() => {
         const limit = { stroke: index ? colour : LIMIT, width: 1, dash: index ? [2, 6] : [2, 3] };
         return plot.extra === "limit" ? [limit, limit] : [];
       });
-      return [{}, ...[...own, ...extra].map((line) => ({ ...line, points: { show: false } }))];
+      return [{}, ...[...main, ...extra].map((line) => ({ ...line, points: { show: false } }))];
     }
 
     options(plot, last) {
@@ -112,7 +112,7 @@ const Curves = (() => {
       };
     }
 
-    /** Show runs (one or two); the zoom stays where it was if the duration is the same. */
+    /** Show one or two runs. The zoom stays the same if the duration stays the same. */
     show(runs) {
       const longest = runs.reduce((a, b) => (b.time.length > a.time.length ? b : a));
       const time = longest.time;
@@ -133,12 +133,12 @@ const Curves = (() => {
       const empty = new Array(time.length).fill(null);
       const column = (run, name, factor) => (run ? onTime(run, run.columns[name], time, factor) : empty);
       const [a, b] = this.runs;
-      const own = [a, b].map((run) => column(run, plot.name, plot.factor));
+      const main = [a, b].map((run) => column(run, plot.name, plot.factor));
       const extra = [a, b].flatMap((run) => {
         if (plot.extra === "reference") return [column(run?.same_reference ? null : run, "reference", DEG)];
         return plot.extra === "limit" ? [1, -1].map((sign) => column(run, "limit", sign * RPM)) : [];
       });
-      return [time, ...own, ...extra];
+      return [time, ...main, ...extra];
     }
 
     follow(chart) {
@@ -193,7 +193,7 @@ const Curves = (() => {
       if (chart === this.plots[0].chart) this.onCursor(index == null ? null : plot.data[0][index]);
     }
 
-    /** Fit the plots to the width, or to `paper` px. On a phone one plot is shown at a time, with its time axis. */
+    /** Fit the plots to the width, or to `paper` px. A phone shows one plot at a time, with its time axis. */
     resize(paper = 0) {
       const width = paper || Math.floor(this.parent.clientWidth);
       if (width < 50) return;
@@ -219,7 +219,7 @@ const Curves = (() => {
     return value.toFixed(digits).replace("-", "−");
   }
 
-  /** Tell a screen reader the extremes of a plot. */
+  /** Label a plot with its extremes for a screen reader. */
   function describe(plot, runs) {
     const parts = runs.map((run, index) => {
       let low = Infinity;

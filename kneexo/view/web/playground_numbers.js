@@ -1,4 +1,4 @@
-// The numbers of the page, each with a word of judgement.
+// The numbers of the page, each with a verdict in words.
 "use strict";
 
 const Numbers = (() => {
@@ -6,14 +6,14 @@ const Numbers = (() => {
   const { shown } = Setups;
   const DEG = 180 / Math.PI;
 
-  // Judgement of a number: [word, class]. Classes: good, fair, bad, plain.
+  // Each verdict is [words, class]. The classes are good, fair, bad and plain.
   function ofError(run) {
     const bound = run.metrics.error_bound_rad;
     const error = run.metrics.largest_error_rad;
     if (run.end) return ["the run ended early", "bad"];
-    if (run.metrics.tracks) return [`follows: at most ${shown(bound * DEG)}°`, "good"];
+    if (run.metrics.tracks) return [`follows (bound ${shown(bound * DEG)}°)`, "good"];
     if (error <= bound) return ["does not settle", "bad"];
-    return [`does not follow: above ${shown(bound * DEG)}°`, "bad"];
+    return [`does not follow (bound ${shown(bound * DEG)}°)`, "bad"];
   }
 
   /** Share of the time at the limit, after the first period if the run is long enough. */
@@ -23,8 +23,8 @@ const Numbers = (() => {
 
   function ofShare(share) {
     if (!Number.isFinite(share)) return ["", "plain"];
-    if (share === 0) return ["of the time: never", "good"];
-    return share < 0.05 ? ["of the time: seldom", "fair"] : ["of the time: it limits the knee", "bad"];
+    if (share === 0) return ["never", "good"];
+    return share < 0.05 ? ["seldom", "fair"] : ["the motor limits the knee", "bad"];
   }
 
   function ofBandwidth(result, frequency) {
@@ -32,27 +32,27 @@ const Numbers = (() => {
     const hz = result.minus_3_db_hz;
     if (result.error || result.failure) return [result.error ?? result.failure, "plain"];
     if (!Number.isFinite(hz)) return ["no −3 dB point", "plain"];
-    if (!frequency) return ["−3 dB for such sines", "plain"];
+    if (!frequency) return ["−3 dB at the sine's amplitude", "plain"];
     const ratio = hz / frequency;
     return ratio > 1
-      ? [`−3 dB at ${shown(ratio, 2)} × this frequency`, "good"]
-      : [`−3 dB, below this ${shown(frequency)} Hz`, "bad"];
+      ? [`−3 dB, ${shown(ratio, 2)} × the sine's frequency`, "good"]
+      : [`−3 dB, below the sine's ${shown(frequency)} Hz`, "bad"];
   }
 
-  function ofMargin(linear, value, enough, thin, words = () => null) {
+  function ofMargin(linear, value, enough, least, words = () => null) {
     if (!linear) return ["computing", "plain"];
     if (linear.failure || linear.error) return [linear.failure ?? linear.error, "plain"];
     if (!linear.stable) return ["unstable", "bad"];
     if (value == null || value === Infinity) return ["no limit", "good"];
-    if (value >= enough) return [words(value) ?? "comfortable", "good"];
-    return value >= thin ? [words(value) ?? "just enough", "fair"] : [words(value) ?? "thin", "bad"];
+    if (value >= enough) return [words(value) ?? "large", "good"];
+    return value >= least ? [words(value) ?? "sufficient", "fair"] : [words(value) ?? "too small", "bad"];
   }
 
   function ofPressure(run) {
     const peak = run.metrics.peak_pressure_pa;
     const rating = run.limits.pressure_rating_pa;
     const share = peak / rating;
-    const text = `${shown(100 * share, 2)} % of the ${shown(rating * 1e-5)} bar rating`;
+    const text = `${shown(100 * share, 2)} % of the rating, ${shown(rating * 1e-5)} bar`;
     return [text, share <= 0.8 ? "good" : share <= 1 ? "fair" : "bad"];
   }
 
@@ -65,7 +65,7 @@ const Numbers = (() => {
   const ROWS = [
     { name: "error", label: "Largest error", unit: "deg",
       value: ({ run }) => shown(run.metrics.largest_error_rad * DEG), word: ({ run }) => ofError(run) },
-    { name: "saturated", label: "Motor at its limit", unit: "%",
+    { name: "saturated", label: "Motor at its limit", unit: "% of the time",
       value: ({ run }) => shown(100 * shareOf(run)), word: ({ run }) => ofShare(shareOf(run)) },
     { name: "bandwidth", label: "Bandwidth", unit: "Hz",
       value: ({ sweep }) => (sweep && Number.isFinite(sweep.minus_3_db_hz) ? shown(sweep.minus_3_db_hz) : "–"),
@@ -84,7 +84,7 @@ const Numbers = (() => {
       value: ({ run }) => shown(1e-5 * run.metrics.peak_pressure_pa), word: ({ run }) => ofPressure(run) },
   ];
 
-  /** Rows of numbers: each has a value and a judgement for each set-up. */
+  /** Cards of numbers. Each card has a value and a verdict for each set-up. */
   class Board {
     constructor(parent) {
       this.cells = ROWS.map((row) => {

@@ -1,8 +1,8 @@
-// Requests to the workers of the page: the newest values win, and nothing blocks.
+// Requests to the workers of the page. A newer request replaces an older one, and the page never waits.
 "use strict";
 
 const Runner = (() => {
-  /** A worker with the simulator. Its requests answer with one message or, for a sweep, several. */
+  /** A worker with the simulator. It answers a request with one message, or a sweep with several. */
   class Crew {
     constructor(source, models) {
       this.worker = new Worker(source);
@@ -40,7 +40,7 @@ const Runner = (() => {
     forget(id) { this.waiting.delete(id); }
   }
 
-  /** Runs of A and B: while one run is under way, only the newest request waits. */
+  /** Runs of A and B. While a run is under way, only the newest request waits. */
   class Runs {
     constructor(crew, onRun) {
       Object.assign(this, { crew, onRun, busy: [false, false], next: [null, null] });
@@ -64,7 +64,7 @@ const Runner = (() => {
     }
   }
 
-  /** Margins and sweeps: they start when the values rest, and a newer request replaces an older. */
+  /** Margins and sweeps. They start when the values rest. A newer request replaces an older one. */
   class Analyses {
     constructor(crew, rest_ms, handlers) {
       Object.assign(this, { crew, rest_ms, handlers, timers: [0, 0], ids: [[], []] });

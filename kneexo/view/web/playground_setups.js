@@ -2,7 +2,7 @@
 "use strict";
 
 const Setups = (() => {
-  const CONTROLLER_NAMES = { smc: "sliding mode", pid: "PID", law: "own law", custom: "own system" };
+  const CONTROLLER_NAMES = { smc: "sliding mode", pid: "PID", law: "your law", custom: "your controller" };
   const LOAD_NAMES = { none: "none", knee: "weight of the shank" };
   const REFERENCE_NAMES = { sine: "sine", step: "step", ramp: "ramp", samples: "samples" };
   const NUMBER = /^[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?$/i;
@@ -40,12 +40,12 @@ const Setups = (() => {
       (model) => model.controller === setup.controller && model.load === setup.load);
   }
 
-  /** The existing choices of a switch, given the choice of the other one. */
+  /** The choices of a switch that have a model with the present choice of the other switch. */
   function choices(data, setup, name) {
     const other = name === "controller" ? "load" : "controller";
     const all = modelsOf(data, setup);
-    const wanted = [...new Set(all.map((model) => model[name]))];
-    return wanted.filter((choice) =>
+    const existing = [...new Set(all.map((model) => model[name]))];
+    return existing.filter((choice) =>
       all.some((model) => model[name] === choice && model[other] === setup[other]));
   }
 
@@ -53,7 +53,7 @@ const Setups = (() => {
     return Object.keys(modelOf(data, setup).references);
   }
 
-  /** All quantities that have an effect in a set-up: those of its reference come first. */
+  /** All quantities that have an effect in a set-up, those of its reference first. */
   function quantitiesOf(data, setup) {
     const model = modelOf(data, setup);
     const task = model.references[setup.reference].quantities ?? [];
@@ -72,7 +72,7 @@ const Setups = (() => {
     return setup.values[quantity.name] ?? defaultOf(data, setup, quantity);
   }
 
-  /** Values by name of all quantities that act in a set-up. */
+  /** Values by name of all quantities that have an effect in a set-up. */
   function valuesOf(data, setup) {
     const quantities = quantitiesOf(data, setup);
     return Object.fromEntries(quantities.map((q) => [q.name, valueOf(data, setup, q)]));
@@ -109,8 +109,8 @@ const Setups = (() => {
     }[setup.reference]?.() ?? [];
     const wrong = ends.find((angle) => angle < least - 1e-9 || angle > most + 1e-9);
     if (wrong === undefined) return "";
-    return `The reference would reach ${shown(wrong)}°, and the knee moves from ${shown(least)}° to ${shown(most)}°. `
-      + `Reduce ${setup.reference === "sine" ? "the amplitude, or move the mean" : "the step"}. The curves show the last run.`;
+    return `The reference would reach ${shown(wrong)}°, but the knee moves only from ${shown(least)}° to ${shown(most)}°. `
+      + `Reduce ${setup.reference === "sine" ? "the amplitude, or change the mean" : "the step"}. The curves show the previous run.`;
   }
 
   // ------------------------------------------------------------------------------ links
@@ -158,13 +158,13 @@ const Setups = (() => {
   }
 
   function choosePair(data, setup, controller, load) {
-    const wanted = { controller: controller ?? setup.controller, load: load ?? setup.load };
+    const requested = { controller: controller ?? setup.controller, load: load ?? setup.load };
     const exists = modelsOf(data, setup).some(
-      (model) => model.controller === wanted.controller && model.load === wanted.load);
-    if (exists) Object.assign(setup, wanted);
+      (model) => model.controller === requested.controller && model.load === requested.load);
+    if (exists) Object.assign(setup, requested);
   }
 
-  /** Change one switch of a set-up, and keep the others where they are possible. */
+  /** Change one switch of a set-up. The other switches keep their choices where these are possible. */
   function choose(data, setup, name, choice) {
     setup[name] = choice;
     if (name === "scenario") {
@@ -209,7 +209,7 @@ const Setups = (() => {
     holder[last] = value;
   }
 
-  /** A scenario file whose run by `kneexo simulate` has the numbers of this page. */
+  /** The scenario file of a set-up. `kneexo simulate` of this file gives the numbers of this page. */
   function yamlOf(data, setup) {
     const model = modelOf(data, setup);
     const tree = structuredClone(model.scenario);

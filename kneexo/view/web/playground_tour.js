@@ -12,23 +12,23 @@ const Tour = (() => {
   const percent = (run) => shown(100 * Numbers.shareOf(run), 2);
   const error = (run) => shown(run.metrics.largest_error_rad * DEG, 2);
 
-  // `values(start)` are the values of the step, as factors of or in place of the first ones.
+  // `values(v)` returns the changed values of a step from the first values `v`.
   const STEPS = [
     { title: "A slow sine", target: '[data-plot="angle"]', values: () => ({}),
-      text: ({ run, value }) => `The knee follows ${shown(value(FREQUENCY))} Hz. The largest error is `
+      text: ({ run, value }) => `The reference has ${shown(value(FREQUENCY))} Hz. The largest error is `
         + `${error(run)}°, and the motor is at its limit ${percent(run)} % of the time.` },
     { title: "Four times as fast", target: '[data-plot="command"]', values: (v) => ({ [FREQUENCY]: 4 * v[FREQUENCY] }),
-      text: ({ run }) => `Now the error is ${error(run)}°. The command sits at its limit ${percent(run)} % of the `
-        + "time. The rod runs at its highest speed up, then down, so the sine becomes a triangle." },
+      text: ({ run }) => `Now the error is ${error(run)}°. The command is at its limit ${percent(run)} % of the `
+        + "time. The rod moves out and in at its highest speed, so the sine becomes a triangle." },
     { title: "A stronger controller?", target: '[data-plot="error"]',
       values: (v) => ({ [FREQUENCY]: 4 * v[FREQUENCY], [LAMBDA]: 2 * v[LAMBDA] }),
-      text: ({ run, before }) => `λ is twice as large. The error was ${before ? error(before) : "–"}°, and is ${error(run)}°. `
-        + "No controller can ask for more than the motor's highest speed." },
+      text: ({ run, before }) => `λ is twice as large. The error was ${before ? error(before) : "–"}° before, and is ${error(run)}° now. `
+        + "No controller can command more than the motor's highest speed." },
     { title: "A smaller motion", target: '[data-plot="angle"]',
       values: (v) => ({ [FREQUENCY]: 4 * v[FREQUENCY], [AMPLITUDE]: v[AMPLITUDE] / 5 }),
-      text: ({ run }) => "A fifth of the amplitude needs a fifth of the speed. The knee follows again: the error is "
+      text: ({ run }) => "A fifth of the amplitude needs a fifth of the speed. Now the error is "
         + `${error(run)}°, and the motor is at its limit ${percent(run)} % of the time.` },
-    { title: "Turn the gear", target: "#bode", values: (v) => ({ [FREQUENCY]: 4 * v[FREQUENCY], [GEAR]: v[GEAR] / 2 }),
+    { title: "Half the gear ratio", target: "#bode", values: (v) => ({ [FREQUENCY]: 4 * v[FREQUENCY], [GEAR]: v[GEAR] / 2 }),
       text: ({ sweep, first }) => {
         const [now, then] = [sweep?.minus_3_db_hz, first?.minus_3_db_hz];
         if (!Number.isFinite(now)) return "Half the gear ratio gives the pump twice the speed. The sweep is running.";
@@ -52,7 +52,7 @@ const Tour = (() => {
 
     start() {
       this.saved = this.page.begin();
-      this.told = STEPS.map(() => ({})); // run and sweep of each step, when they have come
+      this.answers = STEPS.map(() => ({})); // run and sweep of each step, once they are computed
       this.box.hidden = false;
       this.go(0);
     }
@@ -70,14 +70,14 @@ const Tour = (() => {
       document.getElementById("tour-title").focus();
     }
 
-    /** Write the sentence of the present step anew: the page calls it after each result. */
+    /** Write the sentences of the present step again. The page calls this after each result. */
     tell() {
       if (this.at < 0) return;
       const { run, sweep, fresh } = this.page.results();
       if (!run || !fresh) return;
-      this.told[this.at] = { run, sweep: sweep ?? this.told[this.at].sweep };
-      const before = this.told[this.at - 1]?.run;
-      const first = this.told[0].sweep;
+      this.answers[this.at] = { run, sweep: sweep ?? this.answers[this.at].sweep };
+      const before = this.answers[this.at - 1]?.run;
+      const first = this.answers[0].sweep;
       const text = STEPS[this.at].text({ run, sweep, before, first, value: this.page.value });
       document.getElementById("tour-text").textContent = text;
     }

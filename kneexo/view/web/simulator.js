@@ -36,15 +36,15 @@ const Simulator = (() => {
     for (const [key, model] of Object.entries(models)) loaded.set(key, model);
   }
 
-  // The model of a request, which names it by its key or holds it.
+  // The model of a request. The request has the key of the model, or the model.
   function modelOf({ model }) {
-    const found = typeof model === "string" ? loaded.get(model) : model;
-    if (!found) throw new Error(`model ${model} is not loaded`);
-    return found;
+    const data = typeof model === "string" ? loaded.get(model) : model;
+    if (!data) throw new Error(`model ${model} is not loaded`);
+    return data;
   }
 
-  // The instance of a module for one purpose. Two purposes never share a memory, so that a sweep
-  // can pause while another run uses the same module.
+  // The instance of a module for a purpose. Each purpose has a memory of its own, so a sweep can
+  // pause while another run uses the same module.
   function instanceOf(key, purpose) {
     const name = `${purpose} ${key}`;
     if (!instances.has(name)) {
@@ -81,7 +81,7 @@ const Simulator = (() => {
       return this.view(this.wasm.inputs() + 8 * index * (this.ticks + 1), this.ticks + 1);
     }
 
-    // The first ``rows`` values of an output, a copy. Null if the module lacks the output.
+    // Return a copy of the first ``rows`` values of an output, or null if the module lacks it.
     output(name, rows) {
       const index = this.table.outputs.indexOf(name);
       if (index < 0) return null;
@@ -93,7 +93,7 @@ const Simulator = (() => {
       return this.view(this.wasm.states(), states.length + discrete.length);
     }
 
-    // Start and step through all rows; return how many rows are good. ``pause`` may throw.
+    // Start and step through all rows. Return the number of rows before a failure. ``pause`` may throw.
     async run(pause) {
       if (this.wasm.start()) return 0;
       let tick = 0;
@@ -118,7 +118,7 @@ const Simulator = (() => {
 
   // ---------------------------------------------------------------------------- parameters
 
-  // The value of a map at the values of its quantities, as map_value in kneexo/export/web_maps.py.
+  // Return the value of a formula, as map_value in kneexo/export/web_maps.py does.
   const KINDS = {
     affine: (map, q) => q.reduce((sum, value, i) => sum + map.factors[i] * value, map.offset),
     power: (map, q) => q.reduce((value, x, i) => value * x ** map.exponents[i], map.factor),
@@ -135,7 +135,7 @@ const Simulator = (() => {
     },
   };
 
-  // The place of a value between the ends of its domain, −1 … 1.
+  // Scale a value from its domain to −1 … 1.
   const placeOf = (value, [low, high]) => (2 * value - low - high) / (high - low);
 
   // Chebyshev polynomials T_0, T_1 … at u, up to the highest order of variable i in the terms.
@@ -154,21 +154,21 @@ const Simulator = (() => {
     return Math.max(KINDS[map.kind](map, at), map.at_least ?? -Infinity);
   }
 
-  // The parameters of a module: its base, changed by the maps.
+  // Return the parameters of a module. Formulas replace some elements of its base.
   function parametersOf(part, values) {
     const parameters = Float64Array.from(part.base);
     for (const map of part.maps) parameters[map.index] = mapped(map, values);
     return parameters;
   }
 
-  // A limit is a number, the name of a quantity, a map, or null for none.
+  // A limit is a number, the name of a quantity, a formula, or null for no limit.
   function limitOf(limit, values) {
     if (limit === null || limit === undefined) return Infinity;
     if (typeof limit === "number") return limit;
     return typeof limit === "string" ? values[limit] : mapped(limit, values);
   }
 
-  // The limits of the motor and of the command, each at the present values.
+  // Return all limits at the present values.
   function limitsOf(model, values) {
     const names = [
       "command_limit_rad_s",
@@ -181,7 +181,7 @@ const Simulator = (() => {
     return Object.fromEntries(names.map((name) => [name, limitOf(model.limits[name], values)]));
   }
 
-  // The value of each quantity of a model, with those of the request in place of the defaults.
+  // Return the values of all quantities of a model. Values of the request replace the defaults.
   function valuesOf(model, reference, values) {
     const quantities = [...model.quantities, ...(model.references[reference]?.quantities ?? [])];
     const defaults = quantities.map(({ name, value }) => [name, value]);
@@ -229,7 +229,7 @@ const Simulator = (() => {
     return { instance, columns, rows, end: instance.endAt(rows) };
   }
 
-  // The answer to a request of kind "run": columns over time, metrics, and the end if it is early.
+  // The answer to a request of kind "run": columns over time, metrics, and an early end with its reason.
   async function run(request, pause) {
     const { reference } = request;
     const model = modelOf(request);
@@ -326,7 +326,7 @@ const Simulator = (() => {
     return radians(Math.max(bound, ...angles.map(at)));
   }
 
-  // Metrics after the first period of a sine, or of the whole run of another reference.
+  // Metrics of a run: for a sine after its first period, for another reference over the whole run.
   function settledMetrics(signals, settled, limit) {
     const { time } = signals;
     let first = indexAt(time, settled);
@@ -387,7 +387,7 @@ const Simulator = (() => {
     };
   }
 
-  // Rise time, overshoot and settling time of a step; null where the response does not reach it.
+  // Rise time, overshoot and settling time of a step. Null if the response does not reach the step.
   function stepMetrics(time, angle, values) {
     const [start, end] = ["start_deg", "end_deg"].map((name) => radians(values[`reference.${name}`]));
     const begin = values["reference.time_s"];

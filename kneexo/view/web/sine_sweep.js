@@ -64,12 +64,12 @@ const SineSweep = (() => {
     // The fit of a ramp gives the time to which a mean belongs and the fundamental of a drift.
     const times = fits.map(([, , ramp], cycle) => cycle / frequency + ramp[0]);
     const means = fits.map(([output]) => output[0]);
-    return fits.map(([output, wanted, ramp], cycle) => {
+    return fits.map(([output, reference, ramp], cycle) => {
       const near = Math.min(Math.max(cycle - 1, 0), cycles - 3);
       const three = [times, means].map((column) => column.slice(near, near + 3));
       const drift = slopeOf(...three, times[cycle]);
       const [x, y] = [1, 2].map((part) => output[part] - drift * ramp[part]);
-      return divide(x, y, wanted[1], wanted[2]);
+      return divide(x, y, reference[1], reference[2]);
     });
   }
 
@@ -78,7 +78,7 @@ const SineSweep = (() => {
     return [(a * c + b * d) / size, (b * c - a * d) / size];
   }
 
-  // How many responses at the end agree, each with the next.
+  // Count the last responses that agree, each with the next one.
   function settledCycles(responses) {
     let count = 1;
     for (let k = responses.length - 1; k > 0; k--, count++) {
@@ -128,7 +128,7 @@ const SineSweep = (() => {
     return { frequency_hz: frequency, gain: Math.hypot(x, y), phase_deg: phase, settled };
   }
 
-  // The shares of the samples at the speed limit, at the acceleration limit, and at one of them.
+  // The shares of the samples at the speed limit, at the acceleration limit, and at either limit.
   function saturation(speed, period, limits) {
     const fast = (k) => Math.abs(speed[k]) >= AT_LIMIT * limits.motor_speed_limit_rad_s;
     const steep = AT_LIMIT * limits.motor_acceleration_limit_rad_s2 * period;
@@ -148,8 +148,8 @@ const SineSweep = (() => {
 
   // -------------------------------------------------------------------------------- search
 
-  // The frequency at which the gain first falls below 1/√2, from measured points and further ones.
-  // ``excess`` measures ln(gain √2) at ln f. Null if the gain does not fall.
+  // Search the frequency at which the gain first falls below 1/√2. ``excess`` measures ln(gain √2) at
+  // ln f. Return null if the gain does not fall that far.
   async function firstFall(excess, known, near, top) {
     const bottom = Math.log(LOWEST_HZ);
     const sorted = [...known].sort((a, b) => a[0] - b[0]);
@@ -174,8 +174,8 @@ const SineSweep = (() => {
     return null;
   }
 
-  // The zero of a function that falls between two points (Illinois method: an end that stays for
-  // the second time counts half).
+  // Return the zero of a falling function between two points by the Illinois method. The value at an
+  // end that stays for the second time counts half.
   async function root(excess, [a, fa], [b, fb]) {
     let side = 0;
     while (b - a > FREQUENCY_TOLERANCE) {
@@ -193,8 +193,8 @@ const SineSweep = (() => {
     return Math.exp(0.5 * (a + b));
   }
 
-  // The answer to a request of kind "sweep". ``send`` gets each point as it is measured. Besides
-  // the requested frequencies there are points of the search for the −3 dB frequency.
+  // The answer to a request of kind "sweep". ``send`` receives each point when it is measured. The
+  // search for the −3 dB frequency adds points to the requested frequencies.
   async function sweep(request, pause, send) {
     const model = Simulator.modelOf(request);
     const values = Simulator.valuesOf(model, "sine", request.values);

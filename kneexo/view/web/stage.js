@@ -1,14 +1,14 @@
 "use strict";
 
 /*
- * A stage shows legs that move with runs: new Stage(element, { legs, trace }). The legs are data of
- * stage_leg in kneexo/view/stage.py. While the time moves, `element` dispatches "stagetime".
+ * `new Stage(element, { legs, trace })` shows legs that move as in their runs. stage_leg in
+ * kneexo/view/stage.py makes the data of the legs. `element` dispatches "stagetime" for each new time.
  */
 const Stage = (() => {
   const HOME = { azimuth: 0.42, elevation: 0.12, zoom: 1 };
   const SIDE = { azimuth: 0, elevation: 0, zoom: 1 };
   const LONGEST_FRAME_MS = 45;
-  const SMALL_PIXELS = 120_000; // a picture of this size takes no time
+  const SMALL_PIXELS = 120_000; // a picture of this size is quick to draw
   const LEAST_SHARPNESS = 0.5;
   const MANY_LEGS = 3;
   const PAPER_PX = 600;
@@ -16,7 +16,7 @@ const Stage = (() => {
   const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
   class Stage {
-    /** `trace` false leaves out the error over time, `flat` true draws without WebGL. */
+    /** With `trace` false the stage has no curve of the error. With `flat` true it draws without WebGL. */
     constructor(element, { legs, trace = true, flat = false }) {
       this.element = element;
       this.legs = legs.map((data) => new StageModel.Leg(data));
@@ -43,7 +43,7 @@ const Stage = (() => {
       return Math.max(...this.legs.map((leg) => leg.end));
     }
 
-    /** Show a run {time, angle, reference, pressure} in s, rad, rad, Pa; null shows none. */
+    /** Show a run {time, angle, reference, pressure} in s, rad, rad, Pa. For null the leg has no run. */
     setRun(index, run) {
       this.legs[index].run = run;
       this.time = Math.min(this.time, this.duration);
@@ -109,7 +109,7 @@ const Stage = (() => {
       element.append(StageElements.legend(legs));
     }
 
-    /** Draw in three dimensions, or from the side where that is not possible. */
+    /** Draw in three dimensions, or from the side if the browser has no WebGL. */
     _choose(flat) {
       this._drawing = (flat ? null : StageSolid.of(this.legs)) ?? new StageFlat(this.legs);
       this._drawing.renderer?.domElement.addEventListener("webglcontextlost", () => {
@@ -141,7 +141,7 @@ const Stage = (() => {
       window.addEventListener("afterprint", () => this._trace?.resize());
     }
 
-    /** Draw a new frame soon. */
+    /** Draw at the next frame of the browser. */
     _update() {
       this._request ??= requestAnimationFrame((now) => this._frame(now));
     }
@@ -171,7 +171,7 @@ const Stage = (() => {
       }
     }
 
-    /** Fewer pixels while frames take too long. A still picture has all its pixels. */
+    /** Reduce the pixels while frames take too long. A still picture has all pixels. */
     _adapt(passed) {
       if (!this.playing) return;
       if (passed > LONGEST_FRAME_MS) {

@@ -75,7 +75,7 @@ const StageElements = (() => {
     return { element, play, slider, clock };
   }
 
-  /** A small canvas that `draw` fills. */
+  /** A small canvas with the drawing of `draw`. */
   function swatch(width, draw) {
     const canvas = make("canvas", { width: 2 * width, height: 28 });
     canvas.style.width = `${width}px`;
@@ -132,7 +132,7 @@ const StageElements = (() => {
       this.cursor = make("div", { className: "stage-cursor" });
     }
 
-    /** Draw the runs anew. */
+    /** Draw the runs again. */
     show() {
       const runs = this.stage.legs.filter((leg) => leg.run);
       this.plot?.destroy();
@@ -188,7 +188,7 @@ const StageElements = (() => {
     }
   }
 
-  /** Drag turns the legs, two fingers or Ctrl and the wheel enlarge them; else the page scrolls. */
+  /** A drag turns the legs. Two fingers, or Ctrl and the wheel, enlarge them. Other gestures scroll. */
   function listenToGestures(canvas, stage) {
     const pointers = new Map();
     const gap = () => {
@@ -226,7 +226,7 @@ const StageElements = (() => {
     return element.matches("input[type=range]");
   }
 
-  /** Space plays, arrows move the time; with Shift they turn the legs; + and − enlarge them. */
+  /** Space plays, arrows move the time, Shift and arrows turn the legs, + and − change their size. */
   function listenToKeys(element, stage) {
     const turns = {
       ArrowLeft: [-0.1, 0],

@@ -2,13 +2,13 @@
 
 /* Draws legs from the side by canvas, where a browser has no WebGL. */
 const StageFlat = (() => {
-  /** The angle of a part's own z axis in the plane from z to x in rad, or null across the plane. */
+  /** The angle of a part's z axis from z towards x in rad, or null if this axis is across the plane. */
   function turnOf([x, y, z, w]) {
     const along = [2 * (x * z + w * y), 1 - 2 * (x * x + y * y)];
     return Math.hypot(...along) < 0.5 ? null : Math.atan2(...along);
   }
 
-  /** Add the outline of a part, whose middle is the origin and whose z axis points up, to a path. */
+  /** Add the outline of a part to a path, with its middle at the origin and its z axis up. */
   function trace(context, part, turn) {
     const [a, b, c] = part.size;
     if (part.shape === "ellipsoid") context.ellipse(0, 0, a, c, 0, 0, 2 * Math.PI);
@@ -18,7 +18,7 @@ const StageFlat = (() => {
     else context.rect(-a, -b / 2, 2 * a, b);
   }
 
-  /** How near to the viewer a part reaches: y points away from the viewer. */
+  /** The least y coordinate of a part. The y axis points away from the viewer. */
   function nearest({ position, quaternion, role, shape, size }) {
     if (role === "skin") return position[1]; // behind brace and linkage
     const isAcross = turnOf(quaternion) === null;
@@ -59,7 +59,7 @@ const StageFlat = (() => {
       this._path(context, leg.data.icr_path);
     }
 
-    /** Let the plane's x point right and z up, with all points in the picture. */
+    /** Scale the picture so that it contains all points, with x to the right and z up. */
     _look(context, { width, height }, points, zoom) {
       const [xs, zs] = [points.map((point) => point[0]), points.map((point) => point[2])];
       const [left, right] = [Math.min(...xs), Math.max(...xs)];
@@ -72,14 +72,14 @@ const StageFlat = (() => {
     }
 
     _part(context, part, [x, z, turn], colour) {
-      const own = turnOf(part.quaternion);
+      const tilt = turnOf(part.quaternion);
       context.save();
       context.translate(x, z);
       context.rotate(turn);
       context.translate(part.position[0], part.position[2]);
-      context.rotate(-(own ?? 0));
+      context.rotate(-(tilt ?? 0));
       context.beginPath();
-      trace(context, part, own);
+      trace(context, part, tilt);
       if (part.role === "ghost") {
         context.strokeStyle = "#15181c";
         context.lineWidth = 2 * this.pixel;

@@ -8,7 +8,7 @@ const StageModel = (() => {
     return new Float32Array(bytes.buffer);
   }
 
-  /** Index i of the last time that is at most t, at least 0. */
+  /** Index of the last time that is at most t, or 0. */
   function lastBefore(time, t) {
     let low = 0;
     let high = time.length - 1;
@@ -85,14 +85,14 @@ const StageModel = (() => {
     [1, "Pa"],
   ];
 
-  /** A pressure in words, three digits. */
+  /** A pressure as text with its unit and three digits. */
   function pressureText(pressure) {
     if (Math.abs(pressure) < 0.5) return "0 Pa";
     const [factor, unit] = UNITS.find(([size]) => Math.abs(pressure) >= size) ?? UNITS[2];
     return `${signed(pressure / factor, 3)} ${unit}`;
   }
 
-  /** A number with a real minus sign and so many significant digits, without an exponent. */
+  /** A number with a minus sign in place of a hyphen and with `digits` digits, without an exponent. */
   function signed(value, digits) {
     const decimals = Math.max(0, digits - 1 - Math.floor(Math.log10(Math.abs(value) || 1)));
     const text = Math.abs(value).toFixed(Math.min(decimals, digits - 1));
@@ -105,7 +105,7 @@ const StageModel = (() => {
     return `${radians < 0 && Number(text) !== 0 ? "−" : ""}${text}°`;
   }
 
-  /** What a leg shows at a time, as texts. */
+  /** The texts below a leg at a time. */
   function readout(leg, t) {
     const { angle, reference, pressure } = leg.at(t);
     const share = (100 * Math.abs(pressure)) / leg.data.rating_pa;

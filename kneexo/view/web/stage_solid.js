@@ -34,7 +34,7 @@ const StageSolid = (() => {
     return object;
   }
 
-  /** Skin hides only what lies behind the whole limb: its depth is drawn before its colour. */
+  /** Skin. Its depth is drawn before its colour, so one layer of a limb does not shine through another. */
   function skin(part) {
     const options = { transparent: true, opacity: part.colour[3], color: colourOf(part.colour) };
     const meshes = [
@@ -102,7 +102,7 @@ const StageSolid = (() => {
     return { scene, frames, cylinder: frames.cylinder.getObjectByName("cylinder").material };
   }
 
-  /** Directions of a camera: towards the viewer, to the right, up. */
+  /** Directions of a camera. `out` points towards the viewer, `right` to the right, `up` up. */
   function directions({ azimuth, elevation }) {
     const [ca, sa] = [Math.cos(azimuth), Math.sin(azimuth)];
     const [ce, se] = [Math.cos(elevation), Math.sin(elevation)];
@@ -141,7 +141,7 @@ const StageSolid = (() => {
   }
 
   class StageSolid {
-    /** `isSlow`: the processor draws, so edges are smoothed in still pictures only. */
+    /** `isSlow` means that the processor draws. Then only still pictures have smooth edges. */
     constructor(legs, isSlow) {
       this.stillPixels = isSlow ? 2 : 1;
       const antialias = !isSlow;
@@ -161,7 +161,7 @@ const StageSolid = (() => {
       try {
         return new StageSolid(legs, SOFTWARE.test(name));
       } catch {
-        return null; // the browser refuses one more WebGL canvas
+        return null; // the browser refuses another WebGL canvas
       }
     }
 

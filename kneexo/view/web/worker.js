@@ -5,7 +5,7 @@
 (() => {
   const newest = new Map(); // kind and set-up: id of the newest request
 
-  // Let the messages that wait be heard first. Throw if a newer request replaces this one.
+  // Receive the waiting messages. Throw if a newer request replaces this one.
   async function pauseOf(place, id) {
     await new Promise((resolve) => {
       const { port1, port2 } = new MessageChannel();
@@ -30,7 +30,7 @@
 
   const finite = (value) => (Number.isNaN(value) ? null : value);
 
-  // Post an answer. A number without a value becomes null; arrays change hands.
+  // Post an answer. A nan becomes null. Arrays are transferred, not copied.
   function post(id, answer) {
     const plain = Object.fromEntries(Object.entries(answer).map(([name, v]) => [name, finite(v)]));
     self.postMessage({ id, ...plain }, buffersOf(answer));

@@ -81,8 +81,8 @@ def test_every_cell_of_the_report_is_in_the_summary(contest, tables, check_cells
     for sentence in (
         f"least disk margin on {len(contest.samples)} new plants:",
         f"margin ≥ {settings.least_disk_margin:g}): {', '.join(settings.contestants)}.",
-        f"{len(contest.samples)} test plants, none",
-        f"the other reference is {task.amplitude_deg:g}° at {task.frequency_hz:g} Hz, which",
+        f"No controller was tuned on the {len(contest.samples)} test plants.",
+        f"The other reference has {task.amplitude_deg:g}° at {task.frequency_hz:g} Hz, and",
         f"at most {settings.population * settings.generations + settings.population} evaluations",
         f"on {1 + settings.training_samples} training plants",
         f"with at most {contest.budget_rpm:.1f} rpm per sample",
@@ -94,7 +94,7 @@ def test_every_cell_of_the_report_is_in_the_summary(contest, tables, check_cells
 def test_the_screen_has_the_findings(contest, check_screen):
     lines = check_screen(report(contest))
     if len(contest.settings.contestants) > 1:
-        assert lines[2] == "Smaller error: SMC than PID on 75 % of the plants."
+        assert lines[2] == "SMC has a smaller error than PID on 75 % of the plants."
 
 
 def test_the_screen_holds_all_contestants_of_the_default_settings(check_screen):
@@ -118,11 +118,11 @@ def test_the_report_says_what_did_not_converge_or_fit():
     assert "2 of 4 tunings did not converge or found no feasible gains" in text
     assert "| SMC | 2 | 0.2 | 64 | **no** |" in text
     assert "| PID | 1 | no feasible gains found |" in text
-    assert "Smaller error: SMC than PID on 75 % of the plants." in text
+    assert "SMC has a smaller error than PID on 75 % of the plants." in text
     assert "- unstable:" not in text  # nobody was better there
     assert "| worst error (deg) | 0.4 | ∞ |" in text
     assert "∞" in text
-    assert "and so left out: knee torque (N·m)." in " ".join(text.split())
+    assert "are left out: knee torque (N·m)." in " ".join(text.split())
 
 
 def test_the_first_failed_run_of_each_controller_is_repeated_by_a_command():

@@ -76,8 +76,8 @@ def test_every_cell_of_the_report_is_in_the_study(by_hand, tables, check_cells):
 def test_the_screen_has_the_findings(by_hand, check_screen):
     text = report(by_hand)
     lines = check_screen(text)
-    verdicts = [f"on {s} {c.verdict}" for s, c in zip("λΦη", by_hand.claims(), strict=True)]
-    assert lines[2] == f"The paper's claims: {', '.join(verdicts)}."
+    slope, layer, rate = (claim.verdict for claim in by_hand.claims())
+    assert lines[2] == f"The paper's claim on λ is {slope}, on Φ {layer}, on η {rate}."
     for claim in by_hand.claims():
         share, sound = (
             "–" if math.isnan(value) else f"{100 * value:.0f} %"

@@ -77,7 +77,8 @@ def test_the_screen_has_the_judgements(known, check_screen):
     failing = count["does not hold"]
     assert (
         f"Of {within + holding + failing} comparisons with the paper {within + holding} hold, "
-        f"{within} of them within what the paper prints, and {failing} do not, for these reasons:"
+        f"{within} of them to all digits that the paper prints, and {failing} do not, "
+        "for these reasons:"
     ) in text
     lines = check_screen(text, most=21)  # more of these numbers fail than of the paper's
     assert lines[2].startswith("Of ")

@@ -85,7 +85,7 @@ def test_the_screen_has_the_findings(by_hand, check_screen):
 def test_the_words_count_as_the_results_do(by_hand):
     text = report(by_hand)
     assert "Controller smc, reference sine 10 … 70 deg, 30 s. 3 uncertain values; the" in text
-    assert "believes in the nominal plant. Not in this scenario" in text
+    assert "believes in the nominal plant. Values that the scenario does not have" in text
     assert "With 95 % confidence at least" in text
     assert "of the 5 samples (seed 2020)" in text
     assert "No local sensitivity: tracking: too long." in text

@@ -142,9 +142,9 @@ def test_the_screen_has_the_findings(sized, check_screen):
         f"as it is: the largest error is {as_it_is['max_error_deg']:.3g}°, and the",
         f"asks for {motion['flow_factor']:.3g} times the flow, ",
         f" flow, {motion['peak_pressure_mpa']:.3f} MPa and {motion['peak_shaft_power_w']:.1f} W at",
-        f"- Walking at 1 Hz within 2° takes {first['flow_search']['value']:.4g} times the flow and "
-        f"an acceleration limit of {first['acceleration_search']['value']:.0f} rad/s².",
-        f"- Walking at 0.8 Hz within 2° is not reached. Flow, as a factor: "
+        f"- Walking at 1 Hz within 2° requires {first['flow_search']['value']:.4g} times the flow "
+        f"and an acceleration limit of {first['acceleration_search']['value']:.0f} rad/s².",
+        f"- No hardware of the search walks at 0.8 Hz within 2°. Factor of the flow: "
         f"{second['flow_search']['value']:.4g}. Acceleration limit (rad/s²): not reached in 1000 … "
         f"100000: best 2.6° (bound 2°) at 36000.",
     ):

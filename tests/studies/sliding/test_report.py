@@ -91,7 +91,7 @@ def test_the_findings_have_the_numbers_of_the_results(by_hand):
         "λ = 20 1/s, Φ = 3.2 m/s²",
         "Φ/λ² = 8 mm",
         "in 3 of 3 runs",
-        "the paper's k suffices from η = 20000 m/s³ on with 60 N (with the area term from 10000",
+        "the paper's k suffices for η ≥ 20000 m/s³ with 60 N (with the area term for η ≥ 10000",
         "η ≥ 33000 m/s³",
         "η ≥ 81000 m/s³",
         # Default: 2.8e5 m/s³ times 2 ms over 3.2 m/s².

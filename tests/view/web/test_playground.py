@@ -39,7 +39,7 @@ def _file(folder, scenarios, names):
 
 
 @pytest.fixture(scope="module")
-def one(tmp_path_factory):
+def single(tmp_path_factory):
     """The page of the paper's setup."""
     return _file(tmp_path_factory.mktemp("one"), [Scenario()], ["preset paper"])
 
@@ -117,16 +117,16 @@ def _same(text, value):
     return float(text.replace("−", "-")) == pytest.approx(value, rel=6e-3)
 
 
-def test_the_page_is_small_silent_and_fits(browser, one):
-    assert one.stat().st_size <= 2e6
+def test_the_page_is_small_silent_and_fits(browser, single):
+    assert single.stat().st_size <= 2e6
     for options in ({}, {"width": 390, "height": 844, "phone": True}):
-        _Page(browser, one, **options)
+        _Page(browser, single, **options)
         browser.require_health()
         browser.require_width()
 
 
-def test_the_numbers_on_the_page_are_those_of_kneexo(browser, one):
-    page = _Page(browser, one)
+def test_the_numbers_on_the_page_are_those_of_kneexo(browser, single):
+    page = _Page(browser, single)
     for values in ({}, {FREQUENCY: 0.3}):
         for name, value in values.items():
             page.type(name, value)
@@ -144,8 +144,8 @@ def test_the_numbers_on_the_page_are_those_of_kneexo(browser, one):
     assert _same(page.number("bandwidth")[0], large_signal_bandwidth_hz(Scenario()))
 
 
-def test_a_slider_changes_the_curves_that_are_drawn(browser, one):
-    page = _Page(browser, one)
+def test_a_slider_changes_the_curves_that_are_drawn(browser, single):
+    page = _Page(browser, single)
     page.evaluate(
         f"""(() => {{ const slider = document.getElementById("q-{GEAR}");
         slider.value = 450; slider.dispatchEvent(new Event("input")); }})()"""
@@ -188,8 +188,8 @@ def test_samples_and_the_numbers_of_a_design_are_in_the_yaml(browser, tmp_path):
 
 
 @pytest.mark.parametrize("reference", ["sine", "step", "ramp"])
-def test_the_yaml_of_the_page_runs_as_the_page_does(browser, one, tmp_path, reference):
-    page = _Page(browser, one)
+def test_the_yaml_of_the_page_runs_as_the_page_does(browser, single, tmp_path, reference):
+    page = _Page(browser, single)
     page.click("controller-pid")
     page.click("load-knee")
     page.click(f"reference-{reference}")
@@ -224,13 +224,13 @@ def test_the_yaml_of_the_page_runs_as_the_page_does(browser, one, tmp_path, refe
     assert math.degrees(error) == pytest.approx(metrics.max_error_deg, rel=1e-6)
 
 
-def test_a_link_carries_the_values(browser, one, tmp_path):
-    page = _Page(browser, one)
+def test_a_link_carries_the_values(browser, single, tmp_path):
+    page = _Page(browser, single)
     page.click("controller-pid")
     page.type(GEAR, 3.5)
     fragment = page.evaluate("Setups.linkOf(Page.data, Page.state)")
     assert fragment == f"a.controller=pid&a.{GEAR}=3.5"
-    for url in ("about:blank", f"{one.resolve().as_uri()}#{fragment}"):
+    for url in ("about:blank", f"{single.resolve().as_uri()}#{fragment}"):
         browser.call("Page.navigate", url=url)
         browser.wait_for("document.readyState === 'complete'")
     page.wait()
@@ -257,8 +257,8 @@ def test_a_link_carries_the_values(browser, one, tmp_path):
         "a.plant.unknown=3&x=y",
     ],
 )
-def test_a_hostile_link_has_no_effect(browser, one, fragment):
-    browser.open(one, 1440, 900)
+def test_a_hostile_link_has_no_effect(browser, single, fragment):
+    browser.open(single, 1440, 900)
     states = browser.evaluate(
         f"""JSON.stringify([Setups.stateOf(Page.data, "#"), Setups.stateOf(Page.data,
         {json.dumps("#" + fragment)})])"""
@@ -304,8 +304,8 @@ def test_two_set_ups_stand_beside_each_other(browser, two):
     assert np.isnan(page.curve("angle", 2)).all()
 
 
-def test_the_guided_steps_tell_the_numbers_of_their_runs(browser, one):
-    page = _Page(browser, one)
+def test_the_guided_steps_tell_the_numbers_of_their_runs(browser, single):
+    page = _Page(browser, single)
     page.click("tour-start")
     sentences = []
     for step in range(5):
@@ -326,8 +326,8 @@ def test_the_guided_steps_tell_the_numbers_of_their_runs(browser, one):
     assert page.evaluate("document.querySelectorAll('.pointed').length") == 0
 
 
-def test_a_value_out_of_range_is_refused_with_its_range(browser, one):
-    page = _Page(browser, one)
+def test_a_value_out_of_range_is_refused_with_its_range(browser, single):
+    page = _Page(browser, single)
     for text in ("25", "gear", "1e999", ""):
         page.type(GEAR, text)
         row = page.evaluate(f"document.getElementById('q-{GEAR}').parentElement.textContent")
@@ -337,20 +337,20 @@ def test_a_value_out_of_range_is_refused_with_its_range(browser, one):
     assert page.evaluate("Page.state.setups[0].values") == {GEAR: 3.5}
 
 
-def test_a_reference_beyond_the_range_of_motion_is_a_sentence(browser, one):
-    page = _Page(browser, one)
+def test_a_reference_beyond_the_range_of_motion_is_a_sentence(browser, single):
+    page = _Page(browser, single)
     page.evaluate(
         """(() => { const box = document.getElementById("q-reference.amplitude_deg-value");
         box.value = "44"; box.dispatchEvent(new Event("change")); })()"""
     )
-    assert "would reach −4°, and the knee moves from 0° to 90°" in page.text("notice")
+    assert "would reach −4°, but the knee moves only from 0° to 90°" in page.text("notice")
     assert page.evaluate("document.getElementById('notice').hidden") is False
     page.type("reference.amplitude_deg", "40")
     assert page.evaluate("document.getElementById('notice').hidden") is True
 
 
-def test_a_run_that_fails_shows_its_curve_to_the_end_and_the_reason(browser, one):
-    page = _Page(browser, one)
+def test_a_run_that_fails_shows_its_curve_to_the_end_and_the_reason(browser, single):
+    page = _Page(browser, single)
     values = {
         FREQUENCY: 0.27,
         GEAR: 1.9,
@@ -374,8 +374,8 @@ def test_a_run_that_fails_shows_its_curve_to_the_end_and_the_reason(browser, one
     assert page.number("error")[1] == "the run ended early"
 
 
-def test_the_sweep_draws_its_points_and_the_bandwidth(browser, one):
-    page = _Page(browser, one)
+def test_the_sweep_draws_its_points_and_the_bandwidth(browser, single):
+    page = _Page(browser, single)
     browser.wait_for("Page.results[0].swept", 120.0)
     grid, gain = page.evaluate("Page.parts.bode.plots[0].chart.data.slice(0, 2)")
     phase = page.evaluate("Page.parts.bode.plots[1].chart.data[1]")
@@ -394,8 +394,8 @@ def test_the_sweep_draws_its_points_and_the_bandwidth(browser, one):
     assert at == pytest.approx(-3.0103, abs=0.05)
 
 
-def test_the_newest_of_many_values_is_shown(browser, one):
-    page = _Page(browser, one)
+def test_the_newest_of_many_values_is_shown(browser, single):
+    page = _Page(browser, single)
     page.evaluate(
         f"""(() => {{ const slider = document.getElementById("q-{GEAR}");
         for (let at = 150; at <= 400; at += 5) {{
@@ -408,8 +408,8 @@ def test_the_newest_of_many_values_is_shown(browser, one):
     assert math.degrees(error) == pytest.approx(result.metrics.max_error_deg, rel=1e-6)
 
 
-def test_the_keyboard_reaches_and_moves_the_sliders(browser, one):
-    page = _Page(browser, one)
+def test_the_keyboard_reaches_and_moves_the_sliders(browser, single):
+    page = _Page(browser, single)
     page.evaluate(f"document.getElementById('q-{FREQUENCY}-value').focus()")
     before = page.evaluate(f"document.getElementById('q-{FREQUENCY}').value")
 
@@ -426,30 +426,30 @@ def test_the_keyboard_reaches_and_moves_the_sliders(browser, one):
     assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
 
 
-def test_a_page_without_webgl_works(browser, one):
+def test_a_page_without_webgl_works(browser, single):
     script = """HTMLCanvasElement.prototype.getContext = (original => function (kind, ...more) {
       return kind.startsWith("webgl") ? null : original.call(this, kind, ...more);
     })(HTMLCanvasElement.prototype.getContext);"""
     call = browser.call("Page.addScriptToEvaluateOnNewDocument", source=script)
     try:
-        page = _Page(browser, one)
+        page = _Page(browser, single)
         assert _same(page.number("bandwidth")[0], 0.224)
     finally:
         browser.call("Page.removeScriptToEvaluateOnNewDocument", identifier=call["identifier"])
 
 
-def test_reduced_motion_starts_no_animation(browser, one):
+def test_reduced_motion_starts_no_animation(browser, single):
     features = [{"name": "prefers-reduced-motion", "value": "reduce"}]
     browser.call("Emulation.setEmulatedMedia", features=features)
     try:
-        page = _Page(browser, one)
+        page = _Page(browser, single)
         assert page.evaluate("Page.parts.stage.playing") is False
     finally:
         browser.call("Emulation.setEmulatedMedia", features=[])
 
 
-def test_paper_has_values_numbers_and_curves(browser, one):
-    page = _Page(browser, one)
+def test_paper_has_values_numbers_and_curves(browser, single):
+    page = _Page(browser, single)
     page.type(GEAR, 4.5)
     pages = base64.b64decode(browser.call("Page.printToPDF")["data"])
     assert pages.startswith(b"%PDF")
