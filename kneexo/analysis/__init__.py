@@ -5,6 +5,7 @@ Most functions return a frozen result object, which holds data and has a method 
 """
 
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
+from kneexo.analysis.energy import EnergyBalance, energy_balance
 from kneexo.analysis.frequency_response import (
     FrequencyResponse,
     crossing,
@@ -43,6 +44,7 @@ from kneexo.analysis.verdict import Stability, Verdict
 from kneexo.simulation import Run, simulate, simulate_diagram
 
 __all__ = [
+    "EnergyBalance",
     "FrequencyResponse",
     "Margins",
     "MeasuredImpedance",
@@ -62,6 +64,7 @@ __all__ = [
     "Verdict",
     "crossing",
     "draw_trials",
+    "energy_balance",
     "estimate_sine",
     "find_operating_point",
     "fit_polynomials",

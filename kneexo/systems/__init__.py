@@ -10,6 +10,7 @@ from kneexo.systems.bldc_pump import BldcPump, BldcPump_
 from kneexo.systems.cuff import Cuff, Cuff_
 from kneexo.systems.drive import Cia402Drive, Cia402Drive_
 from kneexo.systems.encoder_count import EncoderCount, EncoderCount_
+from kneexo.systems.energy_meter import EnergyMeter, EnergyMeter_
 from kneexo.systems.four_bar_knee import FourBarKnee, FourBarKnee_
 from kneexo.systems.full_cylinder import FullCylinder, FullCylinder_
 from kneexo.systems.function_law import FunctionLaw, FunctionLaw_, HeldCommand, HeldCommand_
@@ -54,6 +55,8 @@ __all__ = [
     "Cuff_",
     "EncoderCount",
     "EncoderCount_",
+    "EnergyMeter",
+    "EnergyMeter_",
     "FourBarKnee",
     "FourBarKnee_",
     "FullCylinder",
