@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from html import escape
 from typing import Any
@@ -17,6 +17,7 @@ from kneexo.analysis.signals import period_s, saturated_share, share_above, to_r
 from kneexo.errors import KneexoError
 from kneexo.linkage import pose
 from kneexo.parameters import Scenario
+from kneexo.parameters.plant import LOWEST_PRESSURE_PA
 from kneexo.result import Result
 from kneexo.simulation import Run
 
@@ -221,7 +222,7 @@ def verdict_of(
         )
     else:
         stability = Stability.of_scenario(scenario)
-    notes = tuple(notices(scenario))
+    notes = (*notices(scenario), *_vacuum_notice(run))
     return Verdict(
         tracks=tracks,
         max_error_deg=max_error_deg,
@@ -237,6 +238,26 @@ def verdict_of(
         lines=(line, _saturation_line(limits.values()), stability.line),
         model_lines=tuple(model_lines(scenario, notes)),
     )
+
+
+def _vacuum_notice(run: Run) -> Iterator[str]:
+    """Yield a line with time and knee angle if a chamber falls below `LOWEST_PRESSURE_PA`."""
+    chambers = {
+        name: run[column]
+        for name, column in (("cap", "cap_pressure_pa"), ("rod side", "rod_side_pressure_pa"))
+        if column in run.data
+    }
+    if not chambers:
+        return
+    name, pressure = min(chambers.items(), key=lambda item: float(item[1].min()))
+    index = int(np.argmin(pressure))
+    if pressure[index] < LOWEST_PRESSURE_PA:
+        yield (
+            f"the pressure of the {name} falls to {1e-6 * pressure[index]:.3g} MPa at "
+            f"{run.time_s[index]:.4g} s and {math.degrees(run['knee_angle_rad'][index]):.3g}°, "
+            f"below {1e-6 * LOWEST_PRESSURE_PA:g} MPa, where oil evaporates; enlarge "
+            f"plant.full_order.makeup_conductance_m3_per_s_pa or the flow of the pump"
+        )
 
 
 def _error_bound(scenario: Scenario) -> tuple[float, str]:

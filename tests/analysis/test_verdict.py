@@ -127,6 +127,21 @@ def test_open_relief_valves_saturate_the_full_order():
     assert verdict.lines[1] == "Saturates: relief valves open for 40 % of the run."
 
 
+@pytest.mark.parametrize("low", ["cap", "rod_side"])
+def test_a_chamber_below_vacuum_is_a_notice_with_time_and_place(low):
+    other = {"cap": "rod_side", "rod_side": "cap"}[low]
+    pressure = np.where(np.abs(TIME - 1.5) < 1e-9, -0.27e6, -0.05e6)
+    chambers = {f"{low}_pressure_pa": pressure, f"{other}_pressure_pa": 0.2e6}
+    verdict = result(LEG, knee_angle_rad=np.radians(20.0 + 10.0 * TIME), **chambers).verdict
+    (notice,) = [note for note in verdict.notices if "evaporates" in note]
+    name = low.replace("_", " ")
+    assert notice.startswith(f"the pressure of the {name} falls to -0.27 MPa at 1.5 s and 35°, ")
+    assert "below -0.1 MPa" in notice
+    assert "evaporates" in verdict.text
+    chambers[f"{low}_pressure_pa"] = -0.0999e6
+    assert not any("evaporates" in note for note in result(LEG, **chambers).verdict.notices)
+
+
 def test_a_run_off_its_limits_names_them():
     signals = {"motor_speed_command_rad_s": -4100.0 * RPM, "load_pressure_pa": -0.35e6}
     verdict = result(**signals, shaft_power_w=2.6).verdict
