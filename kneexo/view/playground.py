@@ -196,7 +196,8 @@ def _entry(scenario: Scenario, name: str) -> dict[str, Any]:
             limits["knee_low_rad"] - math.radians(knee.overshoot_deg),
             limits["knee_high_rad"] + math.radians(knee.overshoot_deg),
             scenario.plant.cylinder.pressure_rating_pa,
-        ),
+        )
+        | {"pressure_unit": "bar"},  # as the curves and sliders of the page
     }
 
 

@@ -42,8 +42,9 @@ const Page = (() => {
   }
 
   function onRun(index, answer, request) {
+    results[index].error = answer.error;
     if (answer.error) {
-      complain(answer.error);
+      tellEnds();
       return;
     }
     const setup = state.setups[index];
@@ -101,7 +102,7 @@ const Page = (() => {
         parts.drawn = runs;
       }
       parts.board.show(visible);
-      tellEnds(runs);
+      tellEnds();
       announce(visible);
     }
     caption();
@@ -121,9 +122,12 @@ const Page = (() => {
     return `${state.compare ? `${"AB"[index]}: ` : ""}${scenario}${controller}`;
   }
 
-  function tellEnds(runs) {
-    const ends = runs.flatMap((run, index) => (run.end
-      ? [`${runs.length > 1 ? `${"AB"[index]}: ` : ""}The run ended at ${Setups.shown(run.end.time_s)} s: ${run.end.reason}`] : []));
+  function tellEnds() {
+    const ends = shownSetups().flatMap((index) => {
+      const { error, run } = results[index];
+      const text = error || (run?.end && `The run ended at ${Setups.shown(run.end.time_s)} s: ${run.end.reason}`);
+      return text ? [`${state.compare ? `${"AB"[index]}: ` : ""}${text}`] : [];
+    });
     const faults = shownSetups().map((index) => Setups.faultOf(data, state.setups[index])).filter(Boolean);
     complain([...faults, ...ends].join(" "));
   }
@@ -267,7 +271,9 @@ const Page = (() => {
   function showYaml() {
     const { index } = parts.panel;
     const title = state.compare ? `Set-up ${"AB"[index]} as YAML` : "These values as YAML";
-    showText(title, "Save this text as FILE.yaml. The command kneexo simulate FILE.yaml --out run makes the same run.",
+    const fault = Setups.faultOf(data, state.setups[index]);
+    showText(title, fault ? `kneexo refuses this file. ${fault}`
+      : "Save this text as FILE.yaml. The command kneexo simulate FILE.yaml --out run makes the same run.",
       Setups.yamlOf(data, state.setups[index]));
   }
 
@@ -380,4 +386,11 @@ const Page = (() => {
   return { calm, data, parts, results, start, state };
 })();
 
-Page.start();
+try {
+  Page.start();
+} catch (error) {
+  const notice = document.getElementById("notice");
+  notice.textContent = `This browser cannot run the simulation. ${error.message}`;
+  notice.hidden = false;
+  throw error;
+}

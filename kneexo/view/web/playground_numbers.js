@@ -9,10 +9,11 @@ const Numbers = (() => {
   // Each verdict is [words, class]. The classes are good, fair, bad and plain.
   function ofError(run) {
     const bound = run.metrics.error_bound_rad;
-    const error = run.metrics.largest_error_rad;
+    const settling = run.metrics.settling_time_s; // of a step only; null if the knee does not settle
     if (run.end) return ["the run ended early", "bad"];
+    if (settling === null) return ["does not settle", "bad"];
+    if (settling !== undefined) return [`settles within 2 % in ${shown(settling)} s`, "good"];
     if (run.metrics.tracks) return [`follows (bound ${shown(bound * DEG)}°)`, "good"];
-    if (error <= bound) return ["does not settle", "bad"];
     return [`does not follow (bound ${shown(bound * DEG)}°)`, "bad"];
   }
 

@@ -152,6 +152,11 @@ const Setups = (() => {
           setValue(data, setup, quantity, value);
         }
       }
+      if (faultOf(data, setup)) {
+        for (const name of Object.keys(setup.values)) {
+          if (name.startsWith("reference.")) delete setup.values[name];
+        }
+      }
       return setup;
     });
     return { compare, setups };

@@ -10,31 +10,34 @@ const Tour = (() => {
   const LAMBDA = "controller.lambda_per_s";
 
   const percent = (run) => shown(100 * Numbers.shareOf(run), 2);
+  const follows = (run) => `The knee ${run.metrics.tracks ? "follows" : "does not follow"}`;
   const error = (run) => shown(run.metrics.largest_error_rad * DEG, 2);
 
   // `values(v)` returns the changed values of a step from the first values `v`.
   const STEPS = [
-    { title: "A slow sine", target: '[data-plot="angle"]', values: () => ({}),
-      text: ({ run, value }) => `The reference has ${shown(value(FREQUENCY))} Hz. The largest error is `
+    { title: "The sine of the scenario", target: '[data-plot="angle"]', values: () => ({}),
+      text: ({ run, value }) => `${follows(run)} ${shown(value(FREQUENCY))} Hz. The largest error is `
         + `${error(run)}°, and the motor is at its limit ${percent(run)} % of the time.` },
     { title: "Four times as fast", target: '[data-plot="command"]', values: (v) => ({ [FREQUENCY]: 4 * v[FREQUENCY] }),
-      text: ({ run }) => `Now the error is ${error(run)}°. The command is at its limit ${percent(run)} % of the `
-        + "time. The rod moves out and in at its highest speed, so the sine becomes a triangle." },
+      text: ({ run }) => `Now the error is ${error(run)}°. The command is at its limit ${percent(run)} % of the time.`
+        + (Numbers.shareOf(run) > 0.5
+          ? " The rod moves out and in at its highest speed, so the sine becomes a triangle." : "") },
     { title: "A stronger controller?", target: '[data-plot="error"]',
       values: (v) => ({ [FREQUENCY]: 4 * v[FREQUENCY], [LAMBDA]: 2 * v[LAMBDA] }),
-      text: ({ run, before }) => `λ is twice as large. The error was ${before ? error(before) : "–"}° before, and is ${error(run)}° now. `
+      text: ({ run, before, value }) => `λ is now ${shown(value(LAMBDA))} per second. `
+        + `The error was ${before ? error(before) : "–"}° before, and is ${error(run)}° now. `
         + "No controller can command more than the motor's highest speed." },
     { title: "A smaller motion", target: '[data-plot="angle"]',
       values: (v) => ({ [FREQUENCY]: 4 * v[FREQUENCY], [AMPLITUDE]: v[AMPLITUDE] / 5 }),
-      text: ({ run }) => "A fifth of the amplitude needs a fifth of the speed. Now the error is "
+      text: ({ run }) => `A fifth of the amplitude needs a fifth of the speed. ${follows(run)} this motion. The error is `
         + `${error(run)}°, and the motor is at its limit ${percent(run)} % of the time.` },
     { title: "Half the gear ratio", target: "#bode", values: (v) => ({ [FREQUENCY]: 4 * v[FREQUENCY], [GEAR]: v[GEAR] / 2 }),
       text: ({ sweep, first }) => {
         const [now, then] = [sweep?.minus_3_db_hz, first?.minus_3_db_hz];
         if (!Number.isFinite(now)) return "Half the gear ratio gives the pump twice the speed. The sweep is running.";
         const ratio = Number.isFinite(then) ? `, ${shown(now / then, 3)} times the ${shown(then)} Hz of the first step` : "";
-        return `Half the gear ratio gives the pump twice the speed. The bandwidth is ${shown(now)} Hz${ratio}. `
-          + "The speed of motor and pump limits this knee.";
+        return `Half the gear ratio gives the pump twice the speed. The bandwidth is ${shown(now)} Hz${ratio}.`
+          + (now / then > 1.5 ? " The speed of motor and pump limits this knee." : "");
       } },
   ];
 

@@ -110,7 +110,7 @@ const StageElements = (() => {
   function legend(legs) {
     const [leg] = legs;
     const equal = legs.every((other) => other.data.rating_pa === leg.data.rating_pa);
-    const full = equal ? StageModel.pressureText(leg.data.rating_pa) : "rating";
+    const full = equal ? StageModel.pressureText(leg.data.rating_pa, leg.data.pressure_unit) : "rating";
     const colour = (name) => css(leg.data.parts.find((part) => part.name === name).colour);
     const item = (children) => make("li", {}, children);
     return make("ul", { className: "stage-legend" }, [

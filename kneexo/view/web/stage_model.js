@@ -85,8 +85,9 @@ const StageModel = (() => {
     [1, "Pa"],
   ];
 
-  /** A pressure as text with its unit and three digits. */
-  function pressureText(pressure) {
+  /** A pressure as text with its unit and three digits, in bar if the page says so. */
+  function pressureText(pressure, unitOfPage) {
+    if (unitOfPage === "bar") return `${signed(pressure * 1e-5, 3)} bar`;
     if (Math.abs(pressure) < 0.5) return "0 Pa";
     const [factor, unit] = UNITS.find(([size]) => Math.abs(pressure) >= size) ?? UNITS[2];
     return `${signed(pressure / factor, 3)} ${unit}`;
@@ -113,7 +114,7 @@ const StageModel = (() => {
       "knee angle": degrees(angle, 1),
       reference: degrees(reference, 1),
       error: degrees(reference - angle, 2),
-      pressure: `${pressureText(pressure)}, ${share < 0.1 ? "< 0.1" : signed(share, 2)} % of rating`,
+      pressure: `${pressureText(pressure, leg.data.pressure_unit)}, ${share < 0.1 ? "< 0.1" : signed(share, 2)} % of rating`,
     };
   }
 

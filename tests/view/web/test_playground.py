@@ -119,10 +119,33 @@ def _same(text, value):
 
 def test_the_page_is_small_silent_and_fits(browser, single):
     assert single.stat().st_size <= 2e6
-    for options in ({}, {"width": 390, "height": 844, "phone": True}):
+    for options in ({}, *({"width": width, "height": 844, "phone": True} for width in (390, 320))):
         _Page(browser, single, **options)
         browser.require_health()
         browser.require_width()
+
+
+def test_long_names_fit_a_phone(browser, two):
+    _Page(browser, two, width=390, height=844, phone=True).wait(1)
+    browser.require_width()
+
+
+def test_pressures_of_the_page_have_one_unit(browser, single):
+    words = _Page(browser, single).text("stage")
+    assert "load pressure −35.0 bar" in words
+    assert not re.search(r"Pa\b", words)
+
+
+def test_the_result_of_a_step_is_its_settling_time(browser, single):
+    page = _Page(browser, single)
+    page.click("reference-step")
+    scenario = changed(Scenario(), {"reference": {"kind": "step"}})
+    settling_s = track(_steps(scenario, page)).step.settling_time_s
+    seconds = re.fullmatch(r"settles within 2 % in ([\d.]+) s", page.number("error")[1])[1]
+    assert _same(seconds, settling_s)
+    page.type("reference.time_s", 9.9)
+    page.type("simulation.duration_s", 10)
+    assert page.number("error")[1] == "does not settle"
 
 
 def test_the_numbers_on_the_page_are_those_of_kneexo(browser, single):
@@ -255,6 +278,7 @@ def test_a_link_carries_the_values(browser, single, tmp_path):
         "compare=__proto__",
         "%E0%A4%A&a=<script>alert(1)</script>",
         "a.plant.unknown=3&x=y",
+        "a.reference.amplitude_deg=44&a.reference.mean_deg=85",
     ],
 )
 def test_a_hostile_link_has_no_effect(browser, single, fragment):
@@ -324,6 +348,16 @@ def test_the_guided_steps_tell_the_numbers_of_their_runs(browser, single):
     page.evaluate("document.getElementById('tour-next').click()")
     assert page.evaluate("document.getElementById('tour').hidden")
     assert page.evaluate("document.querySelectorAll('.pointed').length") == 0
+
+
+def test_the_guided_steps_say_if_the_knee_does_not_follow(browser, tmp_path):
+    slow = changed(Scenario(), {GEAR: 60.0})
+    page = _Page(browser, _file(tmp_path, [slow], ["slow"]))
+    page.click("tour-start")
+    assert page.text("tour-text").startswith("The knee does not follow 0.1 Hz.")
+    for _ in range(3):
+        page.click("tour-next")
+    assert "The knee does not follow this motion." in page.text("tour-text")
 
 
 def test_a_value_out_of_range_is_refused_with_its_range(browser, single):
@@ -434,6 +468,17 @@ def test_a_page_without_webgl_works(browser, single):
     try:
         page = _Page(browser, single)
         assert _same(page.number("bandwidth")[0], 0.224)
+    finally:
+        browser.call("Page.removeScriptToEvaluateOnNewDocument", identifier=call["identifier"])
+
+
+def test_a_page_without_workers_says_so(browser, single):
+    script = "delete window.Worker"
+    call = browser.call("Page.addScriptToEvaluateOnNewDocument", source=script)
+    try:
+        browser.open(single)
+        assert "cannot run the simulation" in browser.evaluate("notice.textContent")
+        assert browser.evaluate("notice.checkVisibility()")
     finally:
         browser.call("Page.removeScriptToEvaluateOnNewDocument", identifier=call["identifier"])
 
