@@ -32,6 +32,7 @@ from kneexo.analysis.rate_limit import rate_limit_bandwidth_hz, rate_limited_gai
 from kneexo.analysis.sampled_loop import SampledLoop, linearize_loop
 from kneexo.analysis.sine_estimate import SineEstimate, estimate_sine
 from kneexo.analysis.stride import StrideLoad, stride_load
+from kneexo.analysis.torque_response import TorqueResponse, torque_response
 from kneexo.analysis.tracking import (
     StepMetrics,
     TrackingMetrics,
@@ -59,6 +60,7 @@ __all__ = [
     "Stability",
     "StepMetrics",
     "StrideLoad",
+    "TorqueResponse",
     "TrackingMetrics",
     "TrackingResult",
     "Verdict",
@@ -82,6 +84,7 @@ __all__ = [
     "sinestream",
     "step_metrics",
     "stride_load",
+    "torque_response",
     "track",
     "tracking_metrics",
 ]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -38,7 +39,9 @@ Port = Literal["knee", "cuff"]
 
 _TORQUE = "interaction_torque"
 _LEG, _CUFF = "wearer:wearer_motion", f"cuff:{_TORQUE}"
-_POSITION, _VELOCITY = "plant/cylinder.x[0]", "plant/cylinder.x[1]"
+ROD_STATES = ("plant/cylinder.x[0]", "plant/cylinder.x[1]")
+"""Names of the states of rod position and rod velocity in the model of a closed loop."""
+
 _RECORDS_PER_SAMPLE = 8  # the torque moves between the samples of the controller
 
 
@@ -185,7 +188,8 @@ def output_impedance(
     Parameters
     ----------
     scenario
-        A scenario with ``wearer.kind = leg``. The motion of its leg has no effect.
+        A scenario with ``wearer.kind = leg``. The motion of its leg has no effect, and a biological
+        moment is left out. So the mode ``assist`` has the impedance of ``zero_torque``.
     frequency_hz
         Frequencies in Hz, (n,). By default 200 from 0.05 Hz to 98 % of half the sampling rate.
     knee_angle_deg
@@ -204,7 +208,7 @@ def output_impedance(
     """
     if port not in ("knee", "cuff"):
         raise ParameterError(f"port = {port!r}: must be knee or cuff")
-    scenario = _with_prescribed_leg(scenario, "output_impedance")
+    scenario = with_prescribed_leg(scenario, "output_impedance")
     held = TorqueParameters(
         sample_time_s=scenario.controller.sample_time_s,
         proportional_rad_s_per_n=0.0,
@@ -217,47 +221,57 @@ def output_impedance(
     f = frequency_array(frequency_hz)
     if np.any(f <= 0.0):
         raise LinearizationError(f"frequency = {f.min():g} Hz: must be > 0")
-    model, angle, arm = _linear_model(loop, knee_angle_deg)
+    # Angle and rate of the leg, and a torque that adds to that of the cuff.
+    model, angle = wearer_model(loop, knee_angle_deg, (_LEG, _CUFF), (_TORQUE, "moment_arm"))
+    arm = float(model.operating_point.outputs[1])
     s: Complex = np.asarray(2j * np.pi * f, dtype=complex)
     if port == "cuff":
         response = model.sine_response(f)[:, 0]
         impedance = response[:, 0] / s + response[:, 1]  # of angle and rate of the leg
     else:
-        model = model.prescribed((_POSITION, _VELOCITY))
+        model = model.prescribed(ROD_STATES)
         impedance = _at_the_knee(model.sine_response(f), s, arm)
     return OutputImpedance(f, impedance, port, angle, arm, model.stable, loop)
 
 
-def _with_prescribed_leg(scenario: Scenario, what: str) -> Scenario:
-    """Return a scenario whose leg follows the reference; raise `ParameterError` without a leg."""
+def with_prescribed_leg(scenario: Scenario, what: str) -> Scenario:
+    """Return a scenario whose leg follows the reference, without biological moment.
+
+    The moment does not move such a leg, and as a given torque it is no part of a response. So the
+    mode ``assist`` becomes ``zero_torque``. Raises `ParameterError` without a leg; ``what`` needs
+    it.
+    """
     if not isinstance(scenario.wearer, LegParameters):
         raise ParameterError(
             f"wearer.kind = {scenario.wearer.kind}: {what} needs wearer.kind = leg, with its cuff"
         )
-    return changed(scenario, {"wearer.motion": "prescribed"})
+    changes = {"wearer.motion": "prescribed", "wearer.moment": None, "wearer.effort": 1.0}
+    if scenario.controller.kind == "torque" and scenario.controller.mode == "assist":
+        changes["controller.mode"] = "zero_torque"
+    return changed(scenario, changes)
 
 
-def _linear_model(scenario: Scenario, knee_angle_deg: float) -> tuple[LinearModel, float, float]:
-    """Return the linear loop, the knee angle in rad and the moment arm in m.
+def wearer_model(
+    scenario: Scenario, knee_angle_deg: float, inputs: Sequence[str], outputs: Sequence[str]
+) -> tuple[LinearModel, float]:
+    """Return the linear loop of a scenario with a wearer, and the angle in rad of its knee.
 
-    The inputs are angle and rate of the leg and a torque that adds to that of the cuff. The first
-    output is the whole torque.
+    The quantizers are bypassed, and the leg rests at ``knee_angle_deg``. ``inputs`` and ``outputs``
+    are ports as in `kneexo.compiler.linearize`. Raises `LinearizationError` if the loop does not
+    rest there.
     """
     equilibrium = find_equilibrium(scenario, knee_angle_deg=knee_angle_deg)
     with warnings.catch_warnings():
         # The age of a reading is constant, and a reading depends on time only while it is missing.
         warnings.filterwarnings("ignore", "(load_cell: .*|.* of load_cell.* depend on the time.*)")
         model = linearize(
-            equilibrium.float_diagram,
-            equilibrium.context,
-            inputs=[_LEG, _CUFF],
-            outputs=[_TORQUE, "moment_arm"],
+            equilibrium.float_diagram, equilibrium.context, inputs=inputs, outputs=outputs
         )
-    return model, equilibrium.knee_angle_rad, float(model.operating_point.outputs[1])
+    return model, equilibrium.knee_angle_rad
 
 
 def _at_the_knee(response: Complex, s: Complex, moment_arm_m: float) -> Complex:
-    """Return Z from the response of `_linear_model` with prescribed rod position x and velocity v.
+    """Return Z from the response of the model with prescribed rod position x and velocity v.
 
     A torque d adds to that of the cuff. For the rates dx/dt = v and dv/dt = s v of a sine, the
     equation of dv/dt gives d, and d gives the torque τ_i. The knee moves by −x/r.
@@ -317,9 +331,9 @@ def measure_impedance(
     SimulationError
         The run fails.
     """
-    scenario = _with_prescribed_leg(scenario, "measure_impedance")
+    scenario = with_prescribed_leg(scenario, "measure_impedance")
     controller = scenario.controller
-    if not (controller.kind == "torque" and controller.mode in ("zero_torque", "assist")):
+    if not (controller.kind == "torque" and controller.mode == "zero_torque"):
         raise ParameterError(
             "controller: follows the reference, and the leg does so too; measure_impedance needs "
             "controller.kind = torque with mode = zero_torque or assist"

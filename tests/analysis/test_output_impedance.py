@@ -1,5 +1,6 @@
 """Output impedance against the formula of oil and mass, and against runs with sines."""
 
+import importlib
 import math
 from pathlib import Path
 
@@ -15,6 +16,8 @@ from kneexo.analysis import (
 )
 from kneexo.errors import LinearizationError, ParameterError
 from kneexo.parameters import KneeLoadParameters, PlantParameters, Scenario
+
+module = importlib.import_module("kneexo.analysis.output_impedance")  # not the function
 
 WEIGHTLESS = PlantParameters(load=KneeLoadParameters(segment_mass_kg=0.0))
 ANGLE_DEG = 45.0
@@ -159,7 +162,32 @@ def test_at_the_cuff_a_held_motor_is_in_series_with_the_cuff(rod_of_knee):
     assert np.abs(result.impedance * (1.0 / cuff + 1.0 / knee) - 1.0).max() < 1e-4
 
 
+@pytest.mark.slow
+def test_the_weight_of_the_shank_is_a_spring():
+    """Shank of 1.6 kg, 0.20 m from the knee, thigh hanging: K = m g l cos θ."""
+    plant = PlantParameters(load=KneeLoadParameters())
+    f = np.array([1e-4, 1e-3])
+    result = output_impedance(
+        scenario(plant=plant), f, knee_angle_deg=ANGLE_DEG, port="knee", motor_held=True
+    )
+    rest = result.impedance - oil_and_mass(f, result.moment_arm_m)
+    spring = 1.6 * 9.81 * 0.20 * math.cos(result.knee_angle_rad)
+    assert (rest * 2j * np.pi * f).real == pytest.approx([spring, spring], rel=1e-4)
+
+
 # ------------------------------------------------------------------------------ closed loop
+
+
+@pytest.mark.slow
+def test_a_biological_moment_is_no_part_of_the_impedance():
+    moment = {"times_s": (0.0, 100.0), "moments_n_m": (3.0, 9.0)}
+    leg = {"kind": "leg", "motion": "active", "effort": 0.7, "moment": moment}
+    f = [0.3, 3.0]
+    assisted = scenario(wearer=leg, controller={"mode": "assist"})
+    free = output_impedance(scenario(), f).impedance
+    assert output_impedance(assisted, f).impedance == pytest.approx(free, rel=1e-12)
+    measured = measure_impedance(assisted, 3.0, 0.2)
+    assert measured.impedance == measure_impedance(scenario(), 3.0, 0.2).impedance
 
 
 @pytest.mark.slow
@@ -220,6 +248,12 @@ def test_small_sines_measure_the_linear_impedance(frequency_hz):
     assert measured.speed_limited_share == 0.0
     torque = abs(linear.impedance[0]) * 2.0 * math.pi * frequency_hz * math.radians(0.02)
     assert measured.torque_amplitude_n_m == pytest.approx(torque, rel=2e-3)
+
+
+@pytest.mark.slow
+def test_the_uncertainty_is_that_of_the_impedance(monkeypatch):
+    monkeypatch.setattr(module, "response_uncertainty", lambda responses: 20.0 * math.pi)
+    assert measure_impedance(scenario(), 10.0, 0.2).uncertainty == pytest.approx(1.0)
 
 
 @pytest.mark.slow

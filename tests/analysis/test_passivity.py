@@ -101,6 +101,31 @@ def test_low_frequency_border_with_an_estimator(estimator):
 
 
 @pytest.mark.slow
+def test_borders_with_a_bus():
+    case = scenario(proportional_rad_s_per_n=0.05).changed(
+        {"bus": {"kind": "none", "latency_samples": 2}}
+    )
+    limit = passivity_limits(case).integral_rad_s2_per_n
+    below, above = (
+        least_real_part(case.changed({"controller.integral_rad_s2_per_n": limit * factor}), [0.01])
+        for factor in (0.999, 1.001)
+    )
+    assert below > 0.0 > above
+    proportional = case.changed(
+        {"controller.integral_rad_s2_per_n": 0.0, "controller.speed_feedforward": 0.0}
+    )
+    limit = passivity_limits(proportional).proportional_rad_s_per_n
+    below, above = (
+        least_real_part(
+            proportional.changed({"controller.proportional_rad_s_per_n": limit * factor}),
+            np.linspace(20.0, 245.0, 451),
+        )
+        for factor in (0.98, 1.02)
+    )
+    assert below > 0.0 > above
+
+
+@pytest.mark.slow
 def test_high_frequency_border():
     law = {"integral_rad_s2_per_n": 0.0, "speed_feedforward": 0.0}
     limit = passivity_limits(scenario(**law)).proportional_rad_s_per_n

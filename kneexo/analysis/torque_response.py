@@ -1,0 +1,111 @@
+"""Response of the rod force to the force that the torque controller desires."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kneexo.analysis.frequency_response import MINUS_3_DB, crossing
+from kneexo.analysis.output_impedance import ROD_STATES, wearer_model, with_prescribed_leg
+from kneexo.analysis.plant_linearization import MID_RANGE_DEG, Complex, frequency_array
+from kneexo.errors import ParameterError
+from kneexo.parameters import Scenario, TorqueParameters
+from kneexo.plotting import BLUE, TEAL, axes_or_new, decimal_ticks, phase_ticks
+from kneexo.result import Array, Result
+
+Held = Literal["rod", "leg"]
+"""What does not move: the ``rod`` or, behind spring and damper of the cuff, the ``leg``."""
+
+
+@dataclass(frozen=True, repr=False)
+class TorqueResponse(Result):
+    """Response F/F_d of the rod force to the desired force, for small forces.
+
+    ``response`` is complex, (n,), at the n ``frequency_hz``: the fundamental of F for a sine in
+    F_d. At ``bandwidth_hz`` the gain first falls to 1/√2; it is nan if the gain does not fall so
+    far, or the loop is not ``stable``.
+    """
+
+    frequency_hz: Array
+    response: Complex
+    bandwidth_hz: float
+    held: Held
+    stable: bool
+    scenario: Scenario
+
+    def plot(self, ax: Any = None) -> Any:
+        """Plot gain and phase of F/F_d; return two Matplotlib axes."""
+        caption = (
+            "Gain and phase of the rod force relative to the desired force, "
+            f"while the {self.held} does not move."
+        )
+        ax = axes_or_new(ax, 2, 1, caption=caption, sharex=True, figsize=(7, 6))
+        f = self.frequency_hz
+        ax[0].semilogx(f, 20.0 * np.log10(np.abs(self.response)), BLUE)
+        ax[0].axhline(20.0 * np.log10(MINUS_3_DB), color="0.5", ls="--", lw=1)
+        ax[1].semilogx(f, np.degrees(np.unwrap(np.angle(self.response))), BLUE)
+        if np.isfinite(self.bandwidth_hz):
+            label = f"−3 dB at {self.bandwidth_hz:.3g} Hz"
+            for axis in ax:
+                axis.axvline(self.bandwidth_hz, color=TEAL, ls="--", lw=1, label=label)
+            ax[0].legend(loc="lower left")
+        ax[0].set(ylabel="gain (dB)")
+        ax[1].set(xlabel="frequency (Hz)", ylabel="phase (deg)")
+        phase_ticks(ax[1].yaxis)
+        decimal_ticks(ax[1].xaxis)
+        for axis in ax:
+            axis.grid(alpha=0.3)
+        return ax
+
+
+def torque_response(
+    scenario: Scenario,
+    frequency_hz: ArrayLike | None = None,
+    *,
+    knee_angle_deg: float = MID_RANGE_DEG,
+    held: Held = "leg",
+) -> TorqueResponse:
+    """Compute the response of the rod force to the desired force, and its −3 dB bandwidth.
+
+    The sampled loop is linearized as in `kneexo.analysis.output_impedance`. A desired force and an
+    error of the reading with the opposite sign are the same for the controller.
+
+    Parameters
+    ----------
+    scenario
+        A scenario with ``wearer.kind = leg`` and ``controller.kind = torque``.
+    frequency_hz
+        Ascending frequencies in Hz, (n,). By default 400 from 0.01 Hz to 98 % of half the sampling
+        rate. The bandwidth is searched among them.
+    knee_angle_deg
+        Angle of the leg in deg.
+    held
+        What does not move, ``rod`` or ``leg``.
+
+    Raises
+    ------
+    ParameterError
+        The scenario has no wearer or another controller, or ``held`` is unknown.
+    LinearizationError
+        The loop does not rest at the angle.
+    """
+    if held not in ("rod", "leg"):
+        raise ParameterError(f"held = {held!r}: must be rod or leg")
+    scenario = with_prescribed_leg(scenario, "torque_response")
+    law = scenario.controller
+    if not isinstance(law, TorqueParameters):
+        raise ParameterError(
+            f"controller.kind = {law.kind}: torque_response needs controller.kind = torque"
+        )
+    if frequency_hz is None:
+        frequency_hz = np.geomspace(0.01, 0.49 / law.sample_time_s, 400)
+    f = frequency_array(frequency_hz)
+    model, _ = wearer_model(scenario, knee_angle_deg, ("load_cell:measured_force",), ("rod_force",))
+    if held == "rod":
+        model = model.prescribed(ROD_STATES)
+    response = np.asarray(-model.sine_response(f)[:, 0, 0], dtype=complex)
+    bandwidth = crossing(f, np.abs(response)) if model.stable else float("nan")
+    return TorqueResponse(f, response, bandwidth, held, model.stable, scenario)
