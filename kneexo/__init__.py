@@ -7,7 +7,7 @@ The short names for users, as in ``import kneexo as kx``:
 - `kneexo.responses.linearize`: poles and margins of its sampled closed loop
 - `kneexo.responses.bode`, `kneexo.responses.step`: frequency response and step response
 - `kneexo.batches.batch`: simulate many variants of it
-- `kneexo.view.play.play`: a page with sliders on which it runs in the browser
+- `kneexo.view.play.play`: make a page with sliders on which a scenario runs in the browser
 - `kneexo.simulation.compile`: machine code of a scenario, or of a Drake diagram with symbolic
   support
 

@@ -9,7 +9,7 @@ from kneexo.compiler import LoopMargins, Transfer, margins
 from kneexo.result import Result
 
 SOUND_DISK_MARGIN = 0.5
-"""Smallest disk margin of a sound loop. Assumption: 28° of phase or a gain of 0.6…1.67, alone."""
+"""Smallest disk margin of a sound loop. Assumption: 28° of phase alone, or gains of 0.6…1.67."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -92,7 +92,7 @@ def notices(scenario: Scenario) -> Iterator[str]:
     yield from model_notices(scenario)
     if scenario.controller.kind == "torque":
         yield (
-            "the controller controls the torque, so that the error is only the distance of the "
+            "the controller controls the torque, so the error is only the distance of the "
             "knee from the reference"
         )
     reference, duration_s = scenario.reference, scenario.duration_s

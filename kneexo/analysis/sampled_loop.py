@@ -338,8 +338,9 @@ class SampledLoop(Result):
         caption = "Nyquist plot of the loop transfer L."
         if reach < 1.0:  # otherwise the disk is no circle; nan: an unstable loop
             caption += (
-                " The curve touches the disk of the disk margin. The disk reaches from −γ to −1/γ, "
-                "if the gain may change by the factors 1/γ … γ. So its centre lies left of −1."
+                " The curve touches the disk of the disk margin. This disk reaches from −γ to "
+                "−1/γ, where 1/γ … γ are the allowed factors of the gain. So its centre lies "
+                "left of −1."
             )
         ax = axes_or_new(ax, caption=caption, figsize=(5.5, 5.5))
         loop = self.loop_response(self.frequency_grid())

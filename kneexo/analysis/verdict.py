@@ -154,7 +154,7 @@ class Verdict(Result):
 
     @property
     def text(self) -> str:
-        """The three lines and the `model_lines`, for a terminal of 100 columns."""
+        """The three ``lines`` wrapped to 100 columns, and the `model_lines`."""
         return "\n".join((*map(wrapped, self.lines), *self.model_lines))
 
     def results(self) -> dict[str, Any]:

@@ -19,9 +19,9 @@ from kneexo.systems import cuff, knee_reference, load_cell, wearer_knee
 
 
 def wearer_parts(scenario: Scenario) -> list[Part]:
-    """Return the leaf systems beside plant and controller: leg and cuff of a wearer, load cell.
+    """Return the leaf systems of wearer and load cell: leg, cuff and load cell.
 
-    The list is empty without wearer and torque controller.
+    The list is empty without a wearer and without a torque controller.
     """
     parts = []
     leg, load = scenario.wearer, scenario.plant.load
@@ -68,7 +68,7 @@ def _start_force(scenario: Scenario) -> float:
 
 @lru_cache(maxsize=64)
 def moment_spline(moment: MomentTable) -> Any:
-    """Return Drake's piecewise polynomial M(t) through the samples of a moment, in N·m over s."""
+    """Return M(t) as Drake's piecewise polynomial through the samples, in N·m over s."""
     return PiecewisePolynomial.FirstOrderHold(
         np.array(moment.times_s), np.array([moment.moments_n_m])
     )
@@ -85,8 +85,8 @@ def add_wearer(
     """Add the `wearer_parts` to a DiagramBuilder; return their output ports by signal.
 
     ``plant`` is the plant, whose ``knee_torque`` becomes the interaction torque. ``reference`` is
-    the output port of the knee reference. The biological moment is a source, or an input port if
-    ``external_moment``.
+    the output port of the knee reference. The biological moment is a source, or an input port of
+    the diagram if ``external_moment`` is True.
     """
     part = add_parts(builder, wearer_parts(scenario))
     ports = {

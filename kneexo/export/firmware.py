@@ -116,8 +116,8 @@ def _firmware(
     require_step(step_s)
     if what == "loop" and moment_of(scenario) is not None:
         raise ParameterError(
-            "wearer.moment: a loop in C computes its inputs, and must have no table of the moment; "
-            "export the controller, or the loop as FMU"
+            "wearer.moment: a loop in C must not have a table of the moment; export the controller "
+            "in C, or the loop as FMU"
         )
     if what == "loop" and isinstance(scenario.reference, SampledReference):
         raise ParameterError(
@@ -200,8 +200,8 @@ def make_sil(
     if scenario.has_load_cell:
         raise ParameterError(
             f"wearer.kind = {scenario.wearer.kind!r}, controller.kind = "
-            f"{scenario.controller.kind!r}: the plant contains neither wearer nor load cell; must "
-            f"be none, and no torque controller, for software in the loop"
+            f"{scenario.controller.kind!r}: the plant contains neither wearer nor load cell; "
+            f"software in the loop needs wearer.kind = none and controller.kind other than torque"
         )
     if "rod_state" in make_target(scenario, "controller", counts=True).inputs:
         raise ParameterError(

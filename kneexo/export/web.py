@@ -1,7 +1,7 @@
-"""Makes the closed loop of a scenario for a page: the numbers to run it in a browser.
+"""Makes the data with which a page runs the closed loop of a scenario in a browser.
 
-`web_model` returns the numbers of a scenario as data for JSON. `web_modules` returns the modules
-that these data name. `kneexo.export.web_code` makes the modules.
+`web_model` returns values, formulas and names of modules as data for JSON. `web_modules` returns
+these modules. `kneexo.export.web_code` makes the modules.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ from kneexo.systems.cylinder import PA_PER_MPA
 from kneexo.systems.knee_reference import context_values, start_angle_rad
 
 START = "start_angle_rad"
-"""Name of the number that is the reference at t = 0. It sets the initial state of the plant."""
+"""Name of the value of the reference at t = 0, which sets the initial state of the plant."""
 
 
 def with_structure(scenario: Scenario, controller: str, load: str) -> Scenario:
-    """Return a scenario with another kind of controller or load, which has its default numbers.
+    """Return a scenario with these kinds of controller and load.
 
-    ``controller`` is ``smc`` or ``pid``; ``load`` is ``none`` or ``knee``. A part that is of this
-    kind keeps its numbers.
+    ``controller`` is ``smc`` or ``pid``, and ``load`` is ``none`` or ``knee``. A part of another
+    kind is replaced by a part with default values. A part of the given kind keeps its values.
     """
     kinds = {"controller.kind": controller, "plant.load.kind": load}
     if scenario.nominal is not None:
@@ -69,7 +69,7 @@ def web_modules(models: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, Any]
 
 
 def web_model(scenario: Scenario) -> dict[str, Any]:
-    """Return the numbers by which a page runs the closed loop of a scenario, as data for JSON.
+    """Return the data with which a page runs the closed loop of a scenario, ready for JSON.
 
     ``loop`` and ``smooth``
         The loop with and without quantizers. ``module`` is the key of the module. ``base`` has the
@@ -125,14 +125,14 @@ _sources: dict[tuple[str, str], CSource] = {}
 
 
 def _loop_source(key: str, scenario: Scenario, name: str) -> CSource:
-    """Return the loop ``name`` of `_LOOPS`, which scenarios of the structure ``key`` share."""
+    """Return the loop ``name`` of `_LOOPS`. Scenarios of the structure ``key`` share this loop."""
     if (key, name) not in _sources:
         _sources[key, name] = loop_source(scenario, smooth=name == "smooth")
     return _sources[key, name]
 
 
 class _Numbers:
-    """Computes the parameters of the modules, and the `_LIMITS`, from numbers of a scenario.
+    """Computes the parameters of the modules, and the `_LIMITS`, from values of a scenario.
 
     ``places`` has the slice of each part of the vector: ``loop``, ``smooth`` and ``limits``.
     """
@@ -174,7 +174,7 @@ class _Numbers:
         return scenario, parameters, [limit(scenario) for limit in _LIMITS.values()]
 
     def split(self, maps: Mapping[int, Map]) -> dict[str, dict[int, Map]]:
-        """Return the formulas of each part of the vector; indices count within the part."""
+        """Return the formulas of each part of the vector, with indices that start at the part."""
         parts: dict[str, dict[int, Map]] = {}
         for name, place in self.places.items():
             inside = {i - place.start: m for i, m in maps.items() if place.start <= i < place.stop}
@@ -183,7 +183,7 @@ class _Numbers:
         return parts
 
     def _bounds(self, name: str) -> dict[int, dict[str, float]]:
-        """Return ``at_least`` of each initial pressure: no chamber is below the reservoir."""
+        """Return ``at_least`` of each initial pressure: the pressure of the reservoir."""
         full = self._scenario.plant.full_order
         if full is None or name not in self._columns:
             return {}
@@ -206,11 +206,11 @@ def _columns(source: CSource) -> Iterable[tuple[str, float]]:
 
 
 _PRESSURES = ("plant/cylinder.x[2]", "plant/cylinder.x[3]")
-"""Names of the states of a full order that are the pressures P_1 and P_2."""
+"""Names of the states P_1 and P_2 of a full-order cylinder."""
 
 
 def _without_reservoir(scenario: Scenario, start: Mapping[str, float]) -> dict[str, float]:
-    """Return the pressures that hold the force at the start, where each chamber holds it alone.
+    """Return the pressure of each chamber that holds the force at the start alone.
 
     F = P_1 A_1 − P_2 A_2. With P_r in the other chamber, P_1 = (F + P_r A_2)/A_1 and
     P_2 = (P_r A_1 − F)/A_2. One of them is below P_r, unless both are equal to P_r.
@@ -256,7 +256,7 @@ def _start_range(scenario: Scenario) -> tuple[float, float]:
 def _quantity(
     parameters: Parameters, path: str, slider: Slider, prefix: str = ""
 ) -> dict[str, Any]:
-    """Return a number that a user varies, as data; ``prefix`` goes before its path."""
+    """Return a quantity that a user varies, as data. Its name is its path behind ``prefix``."""
     parent, _, name = path.rpartition(".")
     holder = value_at(parameters, parent) if parent else parameters
     field = type(holder).model_fields[name]
@@ -293,7 +293,7 @@ def _references(scenario: Scenario) -> dict[str, Any]:
 
 
 def _reference(kind: str, scenario: Scenario) -> dict[str, Any]:
-    """Return a reference of this kind; its numbers are the scenario's, or defaults."""
+    """Return a reference of this kind, with values of the scenario if its kind is the same."""
     present: Any = scenario.reference
     if present.kind != kind:
         present = REFERENCES[kind]()
@@ -347,7 +347,7 @@ _LIMITS: Mapping[str, Callable[[Scenario], float]] = {
 
 
 def _limits(scenario: Scenario, values: Array, maps: Mapping[int, Map]) -> dict[str, Any]:
-    """Return the bounds of the signals: formulas, or numbers, or None where there is no bound."""
+    """Return the bound of each signal: a formula, a number, or None without a bound."""
     knee = scenario.plant.knee
     numbers = [None if math.isinf(value) else value for value in values.tolist()]
     return {
@@ -359,7 +359,7 @@ def _limits(scenario: Scenario, values: Array, maps: Mapping[int, Map]) -> dict[
 
 
 def _encoder_count(scenario: Scenario) -> dict[str, Any] | None:
-    """Return the knee angles in deg of one count over the range of motion; None: no quantizer."""
+    """Return the knee angle in deg of one count over the range of motion; None if not quantized."""
     if not scenario.encoder.quantized:
         return None
     knee = scenario.plant.knee

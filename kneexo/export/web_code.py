@@ -37,32 +37,32 @@ from kneexo.parameters.presets import with_preset
 from kneexo.systems import make_knee_reference
 
 PERTURBATION = "plant:motor_speed_command"
-"""Name of the port at which an input of a module perturbs the loop."""
+"""Name of the port at which an input of the module perturbs the loop."""
 
 OUTPUTS = (
     *("knee_angle", "rod_extension", "sliding_variable", "motor_speed_command", "motor_speed"),
     *("load_pressure", "rod_force", "shaft_power", "hydraulic_power"),
     *("chamber_pressures", "relief_flow"),
 )
-"""Names of the signals that a module of a loop outputs, as far as a scenario has them."""
+"""Names of the signals that the module of a loop outputs, if the scenario has them."""
 
 REFERENCES: Mapping[str, Any] = {
     "sine": SineReference,
     "step": StepReference,
     "ramp": RampReference,
 }
-"""The references that have a module of their own."""
+"""The references that have a module."""
 
 _STEPS = {"reduced": 15, "full": 60}
 """Number of steps of RK4 in 2 ms, by the order of the cylinder.
 
-The fastest oscillation of the reduced order, 447 Hz, turns by 0.37 rad in a step, so that the load
-pressure of a saturating loop is right to 0.4 %. In the full order, the valves of a nearly empty
-chamber make a mode of 80,000 1/s, and RK4 is stable up to 2.78 divided by its step.
+The fastest oscillation of the reduced order, 447 Hz, turns by 0.37 rad in a step, so the load
+pressure of a saturating loop has an error of 0.4 %. In the full order, the valves of a nearly empty
+chamber make a mode of 80,000 1/s. RK4 is stable for modes up to 2.78 divided by its step.
 """
 
 _SMOOTH_STEPS = {"reduced": 200, "full": 240}
-"""The same for the loop without quantizers, whose short runs give margins.
+"""Number of steps of RK4 in 2 ms for the loop without quantizers, whose short runs give margins.
 
 Without leakage the oil is nearly undamped, and its resonance sets the gain margin. With 30 steps,
 RK4 would add 60 % to this damping.
@@ -81,15 +81,15 @@ SHIPPED: Mapping[str, Mapping[str, Any]] = {
     "bench": with_preset("bench", {}),
     "leg": with_preset("leg", {}),
 }
-"""Scenarios whose modules come with the package, for both controllers of the paper."""
+"""Scenarios whose modules come with the package, with sliding mode and with PID."""
 
 _FOLDER = ("data", "web")
 
 
 def loop_source(scenario: Scenario, *, smooth: bool = False) -> CSource:
-    """Return the closed loop of a scenario in C, whose reference is an input.
+    """Return the closed loop of a scenario in C. The reference is an input.
 
-    A further input perturbs the motor speed that the plant receives. ``smooth`` leaves out the
+    Another input perturbs the motor speed that the plant receives. ``smooth`` leaves out the
     quantizers. Raises `ParameterError` for a law that is called as Python, and the errors of
     `make_closed_loop`.
     """
@@ -99,7 +99,7 @@ def loop_source(scenario: Scenario, *, smooth: bool = False) -> CSource:
         )
     scenario = scenario.without_quantizers() if smooth else scenario
     if value_at(scenario, "plant.load.kind") == "knee":
-        # A fixed factor that is zero now gives equations that suit every value.
+        # With a fixed factor of zero the equations suit every value of the parameters.
         scenario = scenario.changed({"plant.load.disturbance_amplitude_n": 0.0})
     names = [name for name in OUTPUTS if name in available_signals(scenario)]
     fields = {name: SIGNALS[name] for name in (*names, "knee_reference")}

@@ -1,8 +1,8 @@
 """Finds formulas by which a page turns a user's numbers into the parameters of a web module.
 
 Python computes the parameters of a module from a scenario. A page has no Python, so it needs this
-computation as data. The functions here probe the computation, fit one of a few formulas to each
-parameter, and prove the formulas at further points.
+computation as data. The functions here evaluate the computation at points, fit a formula to each
+parameter, and check the formulas at further points.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ Ranges = Mapping[str, tuple[float, float]]
 """Dictionary from the name of a number to the number's lowest and highest value."""
 
 TOLERANCE = 1e-12
-"""Largest difference of a formula, relative to the largest magnitude of the parameter."""
+"""Largest error of a formula, relative to the largest magnitude of the parameter."""
 
 _POINTS = 32
-"""Number of points at which each formula is proven."""
+"""Number of points at which each formula is checked."""
 
 _NODES = (24, 48, 96)
-"""Numbers of Chebyshev nodes that are tried in turn."""
+"""Numbers of Chebyshev nodes, tried in this order."""
 
 _MOST_FACTORS = 5
 """Largest number of further numbers on which a Chebyshev formula depends linearly."""
@@ -140,7 +140,7 @@ def _culprit(
     values: Mapping[str, float],
     unit: float,
 ) -> str:
-    """Return the number without which a parameter has a formula, or else the least important."""
+    """Return the number to leave out: a parameter has a formula without it, or it matters least."""
     for name in reversed(droppable):
         centre = probe.centre.copy()
         probe.fix(name, values)
@@ -168,7 +168,7 @@ class _Probe:
         self._random = random
 
     def __call__(self, point: Mapping[str, float]) -> Array:
-        """Return the parameters at a point; numbers that ``point`` lacks are at the centre."""
+        """Return the parameters at a point. Numbers that ``point`` lacks are at their centre."""
         values = {**self.centre, **point}
         key = tuple(values.values())
         if key not in self._known:
@@ -176,7 +176,7 @@ class _Probe:
         return self._known[key]
 
     def fix(self, name: str, values: Mapping[str, float]) -> None:
-        """Give a number its present value from now on."""
+        """Keep a number at its present value in all further evaluations."""
         self.centre[name] = values[name]
 
     def accepts(self, name: str) -> bool:
@@ -215,7 +215,7 @@ class _Probe:
 def _fits(
     probe: _Probe, names: Sequence[str], unit: float
 ) -> tuple[dict[int, Map], tuple[int, list[str]] | None]:
-    """Return the formulas, and the first parameter without formula with its numbers, or None."""
+    """Return the formulas and None, or the first parameter without formula, with its numbers."""
     numbers: dict[int, list[str]] = {}
     for name in names:
         for index in probe.affected(name):
@@ -233,7 +233,7 @@ def _prove(probe: _Probe, maps: Mapping[int, Map], names: Sequence[str]) -> None
     """Raise `ParameterError` if formulas are wrong where all numbers change together."""
     got, expected = [probe({})], [probe({})]
     for point in probe.points(names):
-        with suppress(KneexoError):  # these values do not fit each other
+        with suppress(KneexoError):  # the scenario refuses these values together
             expected.append(probe(point))
             got.append(got[0].copy())
             for index, formula in maps.items():
@@ -242,7 +242,7 @@ def _prove(probe: _Probe, maps: Mapping[int, Map], names: Sequence[str]) -> None
     with np.errstate(invalid="ignore"):  # a limit that is inf everywhere
         wrong = np.abs(np.array(got) - expected) > bound
     if wrong.any():
-        raise ParameterError(f"{', '.join(names)}: have a joint effect without formula")
+        raise ParameterError(f"{', '.join(names)}: no formula represents their joint effect")
 
 
 def _fit(probe: _Probe, index: int, of: list[str], unit: float) -> Map | None:
@@ -252,7 +252,7 @@ def _fit(probe: _Probe, index: int, of: list[str], unit: float) -> Map | None:
     def value(point: Mapping[str, float]) -> float:
         return float(probe(point)[index])
 
-    with suppress(KneexoError):  # some values do not fit each other
+    with suppress(KneexoError):  # the scenario refuses some values together
         proof = probe.points(of)
         expected = np.array([value(point) for point in proof])
         bound = TOLERANCE * np.abs(expected).max()
@@ -314,7 +314,7 @@ def _least(value: _Value, ranges: Ranges, unit: float) -> list[Map]:
 
 
 def _chebyshev(value: _Value, ranges: Ranges, unit: float) -> Any:
-    """Yield series with more and more terms, in one number; others may enter linearly."""
+    """Yield longer and longer Chebyshev series in one number. Other numbers may enter linearly."""
     curved = [name for name in ranges if not _is_linear(value, name, ranges[name])]
     straight = [name for name in ranges if name not in curved]
     if len(curved) > 1 or len(straight) > _MOST_FACTORS:

@@ -23,7 +23,7 @@ class EncoderParameters(Parameters):
     """Rotary encoder AMT203-V on link 4."""
 
     counts_per_revolution: int = quantity(4096, "1", "Section 2: AMT203-V, 12 bit", ge=2, le=2**24)
-    quantized: bool = choice(True, "False bypasses the quantizer, as linearization must")
+    quantized: bool = choice(True, "False bypasses the quantizer, which linearization requires")
     mounting_error_rad: float = quantity(
         0.0,
         "rad",

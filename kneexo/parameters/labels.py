@@ -1,4 +1,4 @@
-"""Words, units and values of a scenario's parameters as texts, for figures and reports."""
+"""Writes names, units and values of a scenario's parameters in words, for figures and reports."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from kneexo.parameters.scenario import Scenario
 _UNITS = frozenset(
     ("deg", "hz", "kg", "m", "m2", "m3", "mm", "n", "pa", "per", "rad", "rpm", "s", "s2", "s3", "w")
 )
-"""Parts of names that are units."""
+"""The units at the ends of names."""
 _GREEK = {"lambda": "λ", "phi": "Φ", "eta": "η"}
 
 
 def labels(paths: Iterable[str]) -> dict[str, str]:
     """Return a dictionary from dotted path to words with a unit, such as ``mass (kg)``.
 
-    If several values have the same words, their texts begin with parts of the scenario, such as
+    If several values have the same words, each text begins with the part of the scenario, such as
     ``cylinder mass (kg)``.
     """
     known, texts = list(paths), {}
@@ -39,10 +39,10 @@ def labels(paths: Iterable[str]) -> dict[str, str]:
 
 
 def value_text(path: str, value: Any) -> str:
-    """Return the value at a dotted path as text, numbers with four digits and without unit.
+    """Return the value at a dotted path as text. A number has four digits and no unit.
 
-    A value for which the file of a scenario has true or false is ``on`` or ``off``. The changed
-    values of a part stand behind, with their units.
+    A value that is true or false in a scenario file is ``on`` or ``off``. The text of a part also
+    has the changed values of this part, with their units.
     """
     words = words_of(_field(path))
     if isinstance(value, Mapping):

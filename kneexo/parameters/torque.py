@@ -24,7 +24,7 @@ class LoadCellParameters(Parameters):
     filter_s: float = quantity(
         0.001, "s", "assumption: low-pass of the amplifier, 159 Hz", ge=1e-5, le=1
     )
-    offset_n: float = quantity(0.0, "N", "assumption: zero is calibrated", ge=-1e5, le=1e5)
+    offset_n: float = quantity(0.0, "N", "assumption: none; zero is calibrated", ge=-1e5, le=1e5)
     noise_n: float = quantity(
         0.0, "N", "assumption: none; standard deviation of a sample", ge=0, le=1e4
     )
@@ -34,7 +34,7 @@ class LoadCellParameters(Parameters):
     resolution_n: float = quantity(
         4000.0 / 4096.0, "N", "assumption: ±range_n by 12 bit", ge=1e-6, le=1e4
     )
-    quantized: bool = choice(True, "False bypasses the quantizer, as linearization must")
+    quantized: bool = choice(True, "False bypasses the quantizer, which linearization requires")
     dropout_s: float = quantity(
         0.0, "s", "assumption: none; time without new readings", ge=0, le=1e5
     )
@@ -65,7 +65,7 @@ class TorqueParameters(Parameters):
     """Torque controller of the knee: PI on the rod force, with feedforward of the rod speed.
 
     The default gains suit a cuff of 1500 N·m/rad and the default observer. On a locked rod the loop
-    gain is 89 times larger, and the loop is unstable.
+    gain is about 90 times larger, and the loop is unstable.
     """
 
     kind: Literal["torque"] = "torque"
@@ -95,7 +95,7 @@ class TorqueParameters(Parameters):
     speed_feedforward: float = quantity(
         0.5,
         "1",
-        "assumption: γ, share of the measured rod speed; the gain margin is near 1/γ, and 1 with "
+        "assumption: γ, share of the estimated rod speed; the gain margin is near 1/γ; γ = 1 with "
         "an integral is never passive",
         ge=0,
         le=1,

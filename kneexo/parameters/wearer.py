@@ -23,8 +23,8 @@ MAXWELL_BANK = (
 """Corner frequency f_i in Hz and weight κ_i of each Maxwell element of `WearerKnee`.
 
 Assumption: geometric frequencies, with weights that keep the loss modulus h Σ κ_i f f_i/(f² + f_i²)
-within 0.8 % of h over 0.1…20 Hz. The real part of the bank is the growth of the stiffness with
-frequency that causality requires.
+within 0.8 % of h over 0.1…20 Hz. The real part of the bank is the stiffness, which must
+grow with frequency for a causal leg.
 """
 
 STIFFNESS_FREQUENCY_HZ = 1.0
@@ -37,7 +37,7 @@ BANK_STIFFNESS = sum(
 """Stiffness of the bank at `STIFFNESS_FREQUENCY_HZ`, relative to the loss modulus h."""
 
 LARGEST_LOSS = 0.38
-"""Largest loss modulus h relative to the stiffness k; above, the bare spring is negative."""
+"""Largest ratio of loss modulus h to stiffness k. Beyond it the bare spring is negative."""
 
 LARGEST_MOMENT_N_M = 1e3
 """Largest magnitude in N·m of a moment of the knee that a file may have."""
@@ -69,7 +69,7 @@ class MomentTable(Parameters):
 
 
 def read_moment(value: Any, directory: Any) -> Any:
-    """Return the table of a CSV file, if ``value`` is its path; return another value unchanged.
+    """Return the table of a CSV file if ``value`` is a path. Return any other value unchanged.
 
     The file has the columns ``time_s`` and ``knee_moment_nm``. A relative path starts at
     ``directory``. Raises `ParameterError` for a faulty file.
@@ -105,7 +105,7 @@ class CuffParameters(Parameters):
     slip_torque_n_m: float | None = quantity(
         None,
         "N·m",
-        "assumption: left out, the strap does not slip; 40 N·m are 133 N, 0.30 m from the knee",
+        "assumption: none, the strap does not slip; 40 N·m are 133 N, 0.30 m from the knee",
         ge=0.1,
         le=1e4,
     )
@@ -129,8 +129,8 @@ class LegParameters(Parameters):
     kind: Literal["leg"] = "leg"
     motion: Literal["prescribed", "active", "passive"] = choice(
         "prescribed",
-        "prescribed: the leg follows the reference; active: muscles move it along the reference, "
-        "against which it yields; passive: it is relaxed, from the start of the reference",
+        "prescribed: the leg follows the reference; active: muscles move the leg along the "
+        "reference, and it yields to the cuff; passive: relaxed, from the start of the reference",
     )
     inertia_kg_m2: float = quantity(
         0.458,

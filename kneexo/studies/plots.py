@@ -21,9 +21,9 @@ CENTRED: dict[str, Any] = {"ha": "center", "va": "center"}
 """Keyword arguments that centre a Matplotlib text at its point."""
 
 OUTLINE: list[AbstractPathEffect] = [withStroke(linewidth=3.0, foreground="w")]
-"""Path effects that keep a mark or line visible on each colour of a map."""
+"""Path effects with which a mark or line is visible on each colour of a map."""
 Worse = Literal["low", "high"]
-"""The worse end of a quantity, which maps draw dark."""
+"""The end of a quantity that is worse. Maps draw this end dark."""
 
 _HATCHED: dict[str, Any] = {"fc": "0.88", "ec": "0.6", "hatch": "////", "lw": 0.0}
 _CLOSEST = 0.065  # smallest distance of two tick labels, as a share of the axis
@@ -87,7 +87,7 @@ def ink(colour: ArrayLike) -> str:
 
 
 def mark_failures(ax: Axes, values: Array) -> None:
-    """Hatch the background of a map, which shows where ``values`` has no finite value.
+    """Hatch the background of a map. The hatching is visible where ``values`` is not finite.
 
     If a value is missing, the legend of the axes names the hatching.
     """

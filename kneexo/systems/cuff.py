@@ -22,7 +22,7 @@ def _slips(parameters: CuffParameters) -> bool:
 
 
 def state_variables(parameters: CuffParameters) -> tuple[StateVariable, ...]:
-    """Return the continuous states of `Cuff`; a cuff that does not slip has none."""
+    """Return the continuous states of `Cuff`. A cuff without slip torque has none."""
     return (StateVariable("cuff_slip_rad"),) * _slips(parameters)
 
 
@@ -31,7 +31,8 @@ class Cuff(NamedLeaf):
 
     τ_i = τ_s + b_c (dθ_h/dt − dθ/dt),  τ_s = k_c (θ_h − θ − δ),  dθ/dt = −(dx/dt)/r,
     dδ/dt = (τ_s − clip(τ_s, ±τ_0))/c.
-    Above the slip torque τ_0 of its spring the cuff slides along the leg. Without τ_0 δ is zero.
+    When the torque of the spring exceeds the slip torque τ_0, the cuff slides along the leg.
+    Without a slip torque, δ is zero.
 
     ==================  ====  ==========  =====================================================
     input port          size  unit
@@ -46,9 +47,9 @@ class Cuff(NamedLeaf):
     interaction_power   2     W           τ_i dθ_h/dt given by the leg, τ_i dθ/dt taken by the exo
     ==================  ====  ==========  =====================================================
 
-    State: δ in rad, if the cuff slips. Context parameters by name: all numbers of `CuffParameters`,
-    without those of the slip if it does not. The torque on the
-    leg is −τ_i. The cuff dissipates the difference of its powers, less what its spring stores.
+    State: δ in rad, if there is a slip torque. Context parameters by name: all numbers of
+    `CuffParameters`, those of the slip only with a slip torque. The torque on the leg is −τ_i. The
+    difference of the two powers is the power that the cuff dissipates or stores in its spring.
     Raises `SimulationError` when the rate of δ is not finite. Source: a spring and damper in series
     with a rigid-viscoplastic element (Bingham), which regularizes dry friction.
     """

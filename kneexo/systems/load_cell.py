@@ -1,4 +1,4 @@
-"""Load cell on the rod, with the defects of a real one."""
+"""Load cell on the rod, with offset, noise, limited range, rounding and missing readings."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ _UNIFORM_DEVIATION = math.sqrt(len(AS_183) / 12.0)  # of the sum of independent 
 def next_seeds(seeds: Any) -> list[Any]:
     """Return the next states of the generators of AS 183, s ← a s mod m.
 
-    The states are whole numbers and the products stay below 2²⁴, so they are exact in double and in
-    single precision.
+    The states are whole numbers and the products a s are below 2²⁴. So the states are exact in
+    double and in single precision.
     """
     products = [a * seed for (_, a), seed in zip(AS_183, seeds, strict=True)]
     return [
@@ -70,8 +70,8 @@ class LoadCell(NamedLeaf):
     """Load cell on the rod: low-pass, offset, noise, range, quantization and missing readings.
 
     τ dz/dt = F − z,  y = q round(clip(z + F_0 + σ n_k, ±F_max)/q).
-    n_k is the random number of sample k (see `unit_noise`), without ``seed`` zero. From
-    ``dropout_start_s`` on, for ``dropout_s``, the cell repeats its last reading.
+    n_k is the random number of sample k (see `unit_noise`), or zero without ``seed``. The cell
+    repeats its last reading for ``dropout_s``, from ``dropout_start_s`` on.
 
     ===============  ====  =====  =============================================================
     input port       size  unit
@@ -83,11 +83,11 @@ class LoadCell(NamedLeaf):
 
     State: z in kN. The discrete state, updated every ``sample_time_s``, has the last reading, its
     age, and with ``seed`` the three states of the generator. ``Simulator.Initialize()`` sets them
-    to the present force and to the seeds. A discrete generator of whole numbers is used because
-    Drake's `RandomSource` does not convert to symbolic form; it gives the same noise in Drake's
-    Simulator, in compiled runs, in C and in FMUs. Context parameters by name: the numbers of
-    `LoadCellParameters`, and ``seed_1`` … ``seed_3``. Raises `SimulationError` when dz/dt is not
-    finite. Source: Lee et al. 2020, Section 2, mention the load cell without its data.
+    to the present force and to the seeds. This generator gives the same noise in Drake's Simulator,
+    in compiled runs, in C and in FMUs. Drake's `RandomSource` does not convert to symbolic form.
+    Context parameters by name: the numbers of `LoadCellParameters`, and ``seed_1`` … ``seed_3``.
+    Raises `SimulationError` when dz/dt is not finite. Source: Lee et al. 2020, Section 2,
+    mention the load cell without its data.
     """
 
     def __init__(

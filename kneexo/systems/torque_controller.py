@@ -53,8 +53,8 @@ class TorqueController(NamedLeaf):
     ``zero_torque``: τ_d = 0;  ``assist``: τ_d = a M;
     ``impedance``: τ_d = −K_v(θ − θ_ref) − B_v(dθ/dt − dθ_ref/dt);
     ``assist_as_needed``: τ_d = −K_v dz(θ − θ_ref), where dz is zero within the band.
-    If the age of the reading exceeds ``timeout_s``, the command and I are zero: the oil holds the
-    knee. Without integral action (K_i = 0) I stays zero.
+    If the age of the reading exceeds ``timeout_s``, the command and I are zero, and the oil holds
+    the knee. Without integral action (K_i = 0) I stays zero.
 
     ===================  ====  =============  ===============================================
     input port           size  unit
@@ -69,10 +69,9 @@ class TorqueController(NamedLeaf):
     desired_torque       1     N·m            τ_d of the present inputs
     ===================  ====  =============  ===============================================
 
-    The discrete state, updated every ``sample_time_s``, has the command, which the output port
-    shows, and I. Context parameters by name: the numbers of `TorqueParameters`,
-    ``speed_gain_rad_per_m`` (G) and ``p_1`` … ``p_6`` of Eq. 10 in SI units. The pump is a velocity
-    source, so an error of the force commands a speed.
+    The discrete state, updated every ``sample_time_s``, has the command and I. Context parameters by
+    name: the numbers of `TorqueParameters`, ``speed_gain_rad_per_m`` (G), and ``p_1`` … ``p_6`` of
+    Eq. 10 in SI units. The pump is a velocity source, so an error of the force commands a speed.
     """
 
     def __init__(
@@ -131,7 +130,7 @@ class TorqueController(NamedLeaf):
         growth = growth + dt * (limited - command) / p.anti_windup_s
         growth = where_positive(p.integral_rad_s2_per_n, growth, -integral)
         stale = age - p.timeout_s
-        # As a sum, the integral is compensated for rounding in exported C of single precision.
+        # Exported C of single precision compensates rounding errors of a state that is such a sum.
         return [
             where_positive(stale, 0.0, limited),
             integral + where_positive(stale, -integral, growth),

@@ -1,4 +1,4 @@
-"""Knee of the wearer: inertia, weight, stiffness, viscous and hysteretic damping of the leg."""
+"""Knee of the wearer, with inertia, weight, stiffness, viscous and hysteretic damping."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def context_values(parameters: LegParameters, load: KneeLoadParameters) -> dict[
 
 
 def state_variables(motion: str) -> tuple[StateVariable, ...]:
-    """Return the continuous states of `WearerKnee` in order; a prescribed motion has none."""
+    """Return the continuous states of `WearerKnee` in order. A prescribed motion has none."""
     if motion == "prescribed":
         return ()
     memories = (f"leg_memory_{index + 1}_rad" for index in range(len(MAXWELL_BANK)))
@@ -75,8 +75,8 @@ class WearerKnee(NamedLeaf):
     A leg with ``passive`` motion has the strain s = θ_h − θ_0 about the neutral angle, and A = 0. A
     leg with ``active`` motion has the strain s = θ_h − θ_ref about the reference, and
     A = (e − 1) M + I d²θ_ref/dt² − W(θ_ref). Its muscles give the share e of the biological moment
-    M(t); an external torque −M + I d²θ_ref/dt² − W(θ_ref), such as that of the ground reaction,
-    balances the whole moment.
+    M(t). An external torque −M + I d²θ_ref/dt² − W(θ_ref) balances the whole moment, as the ground
+    reaction does in walking.
 
     ==================  ====  =============  ==================================================
     input port          size  unit

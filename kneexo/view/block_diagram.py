@@ -40,7 +40,7 @@ _SLOTS = {
 }  # fmt: skip
 """Column and row of each block. Other blocks follow below."""
 _PARTS_OF = {"phase_sum": "encoder", "encoder_phase": "encoder", "limit": "law", "hold": "law"}
-"""Systems that are drawn as a part of another block."""
+"""Systems that the diagram draws as a part of another block."""
 _UNNAMED = re.compile(r"[yu]\d*|sum|delayed_u")
 """Pattern of the names of ports of Drake's primitives, which say nothing about the signal."""
 _CONTROLLER, _MACHINE, _GIVEN = "#e3eefb", "#f3ead9", "#ffffff"
@@ -88,8 +88,8 @@ def block_diagram(scenario: Scenario = Scenario()) -> Figure:
     }
     figure = plt.figure(figsize=(_STEP * size[0], _STEP * (size[1] + 5)))
     figure.set_label(
-        "The closed loop: its blocks are the systems of the Drake diagram, and the words beside "
-        "the wires are the names of the ports."
+        "The closed loop. Its blocks are the systems of the Drake diagram. The words beside the "
+        "wires are the names of the ports."
     )
     ax = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     ax.set(xlim=(0, size[0]), ylim=(-5, size[1]))
@@ -116,7 +116,7 @@ class _Block:
 
 
 def _is_opened(system: System) -> bool:
-    """Return whether the subsystems of a system are drawn in place of the system."""
+    """Return whether the diagram shows the subsystems of a system in place of the system."""
     names = {"plant": "motor", "controller": "law"}
     name = system.get_name()
     return isinstance(system, Diagram) and name in names and system.HasSubsystemNamed(names[name])
@@ -163,7 +163,7 @@ def _connections(diagram: Diagram) -> Iterator[tuple[Any, Any]]:
 
 
 def _slots(systems: Any) -> Iterator[tuple[str, Point]]:
-    """Yield column and row of each block; rows without a block are closed up."""
+    """Yield column and row of each block. Rows without a block are removed."""
     known = {name: _SLOTS[name] for name in systems if name in _SLOTS}
     rows = sorted({row for _, row in known.values()})
     for name, (column, row) in known.items():
@@ -260,7 +260,7 @@ def _label(
     ax: Axes, path: list[Point], signals: list[str], boxes: dict[str, Box],
     others: set[Point], taken: list[Any],
 ) -> None:  # fmt: skip
-    """Write the names of a wire's signals where they cover least; add the place to ``taken``."""
+    """Write the names of a wire's signals where they cover least. Add their place to ``taken``."""
     join = "\n" if len(signals) == 1 else " "
     lines = [join.join(filter(None, (name, _SYMBOLS.get(name)))) for name in signals]
     halo = {"boxstyle": "round,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.9}

@@ -17,7 +17,7 @@ LINKS = {
     "a₃": ("a", "b", "#007a5a"),
     "a₄": ("o_b", "b", "#c04a00"),
 }
-"""The four links as in Lee et al. 2020, Fig. 3: both joints and the colour of each link."""
+"""Both joints and the colour of each link, as in Lee et al. 2020, Fig. 3."""
 
 JOINTS = {"o_a": ("O", "A"), "o_b": ("O", "B"), "a": ("A", ""), "b": ("B", "")}
 """Letter and index of each joint as in the paper."""
@@ -37,7 +37,7 @@ class _Panel:
     width: float
     height: float
     middle: complex
-    """The point of the knee's plane in the middle of the rectangle, in m."""
+    """Point in the knee's plane that is in the middle of the rectangle, in m."""
     scale: float
     """CSS pixels for each m."""
 
@@ -45,7 +45,7 @@ class _Panel:
     def around(
         cls, rectangle: tuple[float, float, float, float], shown: Iterable[complex]
     ) -> _Panel:
-        """Return a panel in which all points of ``shown`` lie inside a margin."""
+        """Return a panel that shows all points of ``shown``, with a margin around them."""
         values = np.array(list(shown))
         low = complex(values.real.min(), values.imag.min())
         high = complex(values.real.max(), values.imag.max())
@@ -63,7 +63,7 @@ class _Panel:
         )
 
     def contains(self, point: complex) -> bool:
-        """Whether the panel shows a point."""
+        """Return whether the panel shows a point."""
         x, y = self.at(point)
         return 0.0 <= x - self.left <= self.width and 0.0 <= y - self.top <= self.height
 
@@ -90,7 +90,7 @@ class _Panel:
         return _text(x + dx, y + dy, text, anchor)
 
     def scale_bar(self) -> str:
-        """Return a line of a round length, with this length in mm."""
+        """Return a scale bar: a line of a round length, with this length in mm."""
         longest_mm = 1e3 * 0.3 * self.width / self.scale
         power = 10.0 ** math.floor(math.log10(longest_mm))
         length_mm = max(f * power for f in (1.0, 2.0, 5.0) if f * power <= longest_mm)

@@ -23,9 +23,9 @@ from kneexo.view.parts import parts, placements
 
 
 class KneeFrames(LeafSystem):
-    """Moves the frames of leg and linkage in SceneGraph, and with them the parts.
+    """Moves the frames of leg and linkage in SceneGraph, and the parts on these frames.
 
-    The poses of the frames follow from the knee angle by the linkage (Lee et al. 2020, Eq. 3–9; see
+    The linkage determines the poses from the knee angle (Lee et al. 2020, Eq. 3–9; see
     `kneexo.view.mechanism.points`).
 
     ===============  ====  ========  ===================================================
@@ -38,8 +38,8 @@ class KneeFrames(LeafSystem):
     frame_poses                      `FramePoseVector`: pose of each frame in the world
     ===============  ====  ========  ===================================================
 
-    No state. The system has no scalar conversion, because its frames belong to one SceneGraph of
-    floats: linearize a diagram without views.
+    No state. The system has no scalar conversion, because its frames belong to a SceneGraph of
+    floats. So linearize a diagram without views.
 
     Parameters
     ----------

@@ -39,7 +39,7 @@ class Leg:
     reference_rad: Array
     pressure_pa: Array
     pressure_rating_pa: float = CylinderParameters().pressure_rating_pa
-    """Pressure at which the cylinder has its full colour."""
+    """Load pressure in Pa at which the cylinder has its full colour."""
 
     @classmethod
     def of_signals(

@@ -31,7 +31,7 @@ length of the rod. A stub of 0.1 of the length is visible at x = 0.
 
 
 LIMB_LAYER_M = 0.105
-"""Distance of thigh, shank and foot from the plane of the linkage, which is at the leg's side."""
+"""Distance in m of thigh, shank and foot from the linkage, which is at the side of the leg."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Bar:
     layer_m: float = 0.0
     """Distance of the bar from the plane of the linkage in m, positive towards the limb."""
     is_flat: bool = False
-    """Whether the section is a square, else a circle."""
+    """Whether the section is a square. Otherwise it is a circle."""
 
 
 FRAMES = {
@@ -86,7 +86,7 @@ PINS = {
     "cylinder_pin": "cylinder",
     "rod_pin": "rod",
 }
-"""Dictionary from the points that have a pin to their frames in `FRAMES`."""
+"""Dictionary from each point with a pin to the frame of this pin in `FRAMES`."""
 
 
 def points(link: LinkageParameters, knee_angle: ArrayLike) -> dict[str, Points]:

@@ -1,4 +1,4 @@
-"""Shows parameters in a notebook with a drawing of their mechanism."""
+"""Adds a drawing of the mechanism to parameters that a notebook shows."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ LINKAGES = {
     ("kneexo.parameters.plant", "PlantParameters"): "linkage",
     ("kneexo.parameters.linkages", "LinkageParameters"): "",
 }
-"""Module and name of each class that has a drawing, and the path of its linkage."""
+"""Module and name of each class with a drawing, and the path from the class to its linkage."""
 
 
 def register() -> None:

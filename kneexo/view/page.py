@@ -22,7 +22,7 @@ MOST_FRAMES = 300_000
 """Largest number of samples of a page, summed over its legs. The page has at most 8 MB."""
 
 MOST_FRAMES_IN_REPORT = 60_000
-"""Largest number of samples of a page in a report, summed over its legs: at most 3 MB."""
+"""Largest number of samples of a stage in a report, summed over its legs: at most 3 MB."""
 
 MOST_LEGS = 30
 """Largest number of legs of a page, one leg for each run. The page has at most 8 MB."""
@@ -34,14 +34,13 @@ MARK = "<!-- made by kneexo view -->"
 def shown_s(legs: Sequence[Leg], most_frames: int = MOST_FRAMES) -> float:
     """Return the time in s at which a page ends: the end of the longest run, or earlier.
 
-    The page ends earlier if it is full, which means that its legs have ``most_frames`` samples
-    together.
+    The page ends earlier if it is full. A full page has ``most_frames`` samples of all its legs.
     """
     return min(max(float(leg.time_s[-1]) for leg in legs), most_frames / (FRAMES_PER_S * len(legs)))
 
 
 class StageContent(NamedTuple):
-    """The arguments of `self_contained_page` for the stage of some runs, without style of page."""
+    """Arguments of `self_contained_page` for the stage of some runs, without page style."""
 
     body_html: str
     styles: list[str]
@@ -68,8 +67,8 @@ def stage_content(legs: Sequence[Leg], most_frames: int = MOST_FRAMES) -> StageC
     """Return the parts of a page with legs beside each other and a slider for the time.
 
     The colour of a cylinder shows its load pressure, with full colour at the rating of the leg. An
-    outline shows the reference, and a curve the error. It ends at `shown_s`, so the rest of a
-    longer run is not shown. After the end of a shorter run the leg stays at its last pose.
+    outline shows the reference, and a curve shows the error. The page ends at `shown_s`, without
+    the rest of a longer run. After the end of a shorter run the leg stays at its last pose.
 
     Raises `LinkageError` if a linkage cannot be assembled.
     """

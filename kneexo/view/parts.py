@@ -1,7 +1,7 @@
 """Shapes, colours and poses of the drawn parts of a leg, for all views.
 
 In the world, x points forwards, z up and y away from the viewer. Each part is fixed to a frame, and
-the frames move with the knee angle. At full extension the parts have the poses of this module.
+the frames move with the knee angle. The poses in this module hold at full extension.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ ICR_COLOUR = Rgba(0.8, 0.0, 0.5)
 """Colour of the instantaneous centre of rotation and of its path."""
 
 REFERENCE = "reference"
-"""The frame of the shank at the reference of the knee angle, and the first word of its parts."""
+"""Name of the shank's frame at the reference. The names of its parts begin with this word."""
 
 SKIN, GHOST, GROUND = "skin", "ghost", "ground"
-"""Roles of parts: skin is translucent, a ghost shows the reference, the ground stands still."""
+"""Roles of parts. Skin is translucent, a ghost shows the reference, the ground never moves."""
 
 _SKIN_COLOUR, _GHOST_COLOUR = Rgba(0.86, 0.68, 0.56, 0.5), Rgba(0.35, 0.35, 0.35, 0.35)
 _BRACE, _CUFF, _SOLE = Rgba(0.25, 0.28, 0.33), Rgba(0.16, 0.18, 0.22), Rgba(0.20, 0.20, 0.22)
@@ -51,7 +51,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Placement:
-    """The positions and directions of one frame in the plane of the linkage at n times."""
+    """Positions and directions of a frame in the plane of the linkage at n times."""
 
     origin: Points
     """Origin of the frame at each time, (n,), complex points in m."""
@@ -118,7 +118,7 @@ def parts(linkage: LinkageParameters) -> dict[str, Part]:
 
 
 def _shrunk(shape: Shape) -> Shape:
-    """Return a smaller shape, which lies within the skin where knee angle and reference agree."""
+    """Return a smaller shape, which lies inside the skin if knee angle and reference are equal."""
     if isinstance(shape, Capsule):
         return Capsule(shape.radius() - _INSET_M, shape.length())
     assert isinstance(shape, Ellipsoid)
@@ -126,7 +126,7 @@ def _shrunk(shape: Shape) -> Shape:
 
 
 def _between(start: complex, end: complex, layer_m: float) -> RigidTransform:
-    """Return the pose whose z axis points from one point to another, at their middle."""
+    """Return the pose in the middle of two points, with z axis from ``start`` to ``end``."""
     way = end - start
     turn = RotationMatrix.MakeYRotation(np.arctan2(way.real, way.imag))
     return RigidTransform(turn, in_world(0.5 * (start + end), layer_m))

@@ -81,13 +81,13 @@ def play(
     others
         More scenarios or paths. The page compares two scenarios at a time.
     names
-        Names of all scenarios on the page. Left out, a file has the name of the file without its
-        ending, a preset has the name of the preset, and other scenarios are numbered.
+        Names of all scenarios on the page. Empty: a file has its name without its ending, a
+        preset has its name, and other scenarios have numbers.
 
     Raises
     ------
     ParameterError
-        ``names`` has another number of names than there are scenarios, there are more than
+        ``names`` has not a name for each scenario, there are more scenarios than
         `MOST_SCENARIOS`, or a scenario has a control law in Python.
     CompilationError
         The page needs a WebAssembly module that kneexo does not contain, and Zig, which compiles

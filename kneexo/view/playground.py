@@ -1,4 +1,4 @@
-"""Makes the page to play with: a scenario's closed loop that runs in the browser."""
+"""Makes the page to play with, on which the closed loop of a scenario runs in the browser."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def require_page(path: Path) -> None:
 
 
 def playground_data(scenarios: Sequence[Scenario], names: Sequence[str]) -> dict[str, Any]:
-    """Return the data of a page: modules, models, legs, groups of sliders, and both set-ups."""
+    """Return the data of a page: modules, scenarios, groups of sliders, and both set-ups."""
     entries = [_entry(scenario, name) for scenario, name in zip(scenarios, names, strict=True)]
     models = [model for entry in entries for model in entry["models"]]
     first = {"scenario": 0, **entries[0]["start"], "values": {}}
@@ -171,7 +171,7 @@ def _entry(scenario: Scenario, name: str) -> dict[str, Any]:
     """Return a scenario's part of the data: its models, its leg, and the choices of its switches.
 
     The first model is that of the scenario. The models of other controllers and loads follow, if
-    they can be made.
+    they can be made on this machine.
     """
     duration_s = min(max(scenario.duration_s, _SHORTEST_RUN_S), LONGEST_RUN_S)
     scenario = changed(scenario, {"simulation.duration_s": duration_s})
@@ -179,7 +179,7 @@ def _entry(scenario: Scenario, name: str) -> dict[str, Any]:
     models = [first, *_variants(scenario, first)]
     for model in models[1:]:
         if model["references"].get("samples") == first["references"].get("samples"):
-            model["references"].pop("samples", None)  # the page takes those of the first model
+            model["references"].pop("samples", None)  # the page reads those of the first
     knee, limits = scenario.plant.knee, first["limits"]
     return {
         "name": name,

@@ -1,7 +1,7 @@
 """Describes legs as data for the stage, the drawing of moving legs in web pages.
 
-``stage.js`` interpolates poses of frames in tables over the knee angle, so it has no equation of
-the linkage.
+``stage.js`` has no equation of the linkage. It interpolates the poses of frames in tables over the
+knee angle.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ STAGE_SCRIPTS = (
     "stage_elements.js",
     "stage.js",
 )
-"""Names of the stage's scripts in their order, for `kneexo.view.web_page.web_text`."""
+"""Names of the stage's scripts in order, for `kneexo.view.web_page.web_text`."""
 
 _STEP_RAD = math.radians(1.0)  # linear interpolation is then within 0.1 mm
 

@@ -1,4 +1,4 @@
-"""Assembles one self-contained web page: no request to the network, a strict security policy."""
+"""Assembles a self-contained web page with a strict security policy and without network."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def self_contained_page(
     worker: str | None = None,
     wasm: bool = False,
 ) -> str:
-    """Return an HTML page that holds all it needs.
+    """Return an HTML page that needs no other file.
 
     The page allows only the given styles and scripts, by their hashes. It allows no connection, and
     no style or handler in attributes of ``body_html``.
@@ -62,7 +62,7 @@ def self_contained_page(
     Raises
     ------
     ValueError
-        A script or style would end its own element, so the browser would read another text.
+        A script or style contains the end tag of its element.
     """
     styles = [_as_parsed(text, "style") for text in styles]
     scripts = [_as_parsed(text, "script") for text in scripts]
@@ -91,7 +91,7 @@ def self_contained_page(
 
 
 def _as_parsed(text: str, element: str) -> str:
-    """Return a text as a browser reads the text between the tags of ``element``."""
+    """Return ``text`` as a browser reads this text between the tags of ``element``."""
     if f"</{element}" in text.lower() or "<!--" in text:
         raise ValueError(f"a {element} must not contain </{element} or <!--")
     return text.replace("\r\n", "\n").replace("\r", "\n")

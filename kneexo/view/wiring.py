@@ -31,9 +31,9 @@ class Box:
                 yield x, y
 
     def ports(self) -> Iterator[tuple[Point, Point, float]]:
-        """Yield the points at which a wire can end, with the way out and the cost of the point.
+        """Yield the points at which a wire can end, with the direction outwards and the cost.
 
-        Points near the middle of a side are cheap. The points next to a corner are left out.
+        Points near the middle of a side are cheap. No wire ends next to a corner.
         """
         for way in _DIRECTIONS:
             span = self.half_height if way[0] else self.half_width

@@ -99,7 +99,7 @@ def shared_library(name: str, files: Mapping[str, str], *compiler: str) -> bytes
 
 
 def linked(name: str, files: Mapping[str, str], *command: str) -> bytes:
-    """Compile and link C files to the file ``name`` by a compiler with options. Return its bytes.
+    """Compile and link C files to a file ``name``, and return the bytes of this file.
 
     Raises `BuildError` if the build fails.
     """

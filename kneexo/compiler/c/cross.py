@@ -59,8 +59,8 @@ def require_platforms(platforms: str | Iterable[str]) -> tuple[str, ...]:
 def zig_command(subject: str, alternative: str = "") -> tuple[str, ...]:
     """Return the command of Zig's C compiler.
 
-    Raises `BuildError` if Zig is not installed. ``subject`` begins the message, and ``alternative``
-    ends the message.
+    Raises `BuildError` if Zig is not installed. The message begins with ``subject`` and ends with
+    ``alternative``.
     """
     if find_spec("ziglang") is None:
         raise BuildError(

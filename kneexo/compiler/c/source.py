@@ -248,7 +248,7 @@ class CSource:
 
     @property
     def struct_values(self) -> dict[str, str]:
-        """Members of the C parameter struct in the order of the memory, with values as C text."""
+        """Members of the C parameter struct in their order in memory, with values as C text."""
         values = {}
         for leaf, members in self._leaves().items():
             for member in members:

@@ -1,6 +1,6 @@
 """Compiles exported C to a WebAssembly module without imports, which runs in a browser.
 
-The module has the parameters as a vector that the host may write, and one call runs many ticks.
+The host can write the parameters of the module, which are a vector. One call runs many ticks.
 ``templates/wasm.c`` defines the functions of the module.
 """
 
@@ -25,16 +25,16 @@ _FLAGS = (*REQUIRED_FLAGS, "-O3", "-s")
 
 @dataclass(frozen=True)
 class WasmModule:
-    """A model as WebAssembly module, and the names of its numbers."""
+    """A model as a WebAssembly module, with the layout of its memory."""
 
     code: bytes
     """The binary module. The same C and the same version of Zig give the same bytes."""
     table: dict[str, Any]
     """Dictionary of the module's layout; JSON can represent it.
 
-    ``sample_time_s`` is the time of a tick, and ``rk4_steps_per_tick`` the number of steps of RK4
-    in a tick. ``params``, ``inputs``, ``outputs``, ``states`` and ``discrete`` have names in the
-    order of the elements in memory. ``params`` ends with the initial states. ``defaults`` has the
+    ``sample_time_s`` is the duration of a tick, and ``rk4_steps_per_tick`` the number of steps of
+    RK4 in a tick. ``params``, ``inputs``, ``outputs``, ``states`` and ``discrete`` are lists of
+    names in the order of the memory. ``params`` ends with the initial states. ``defaults`` has the
     values of ``params``. ``sha256`` is the checksum of the module.
     """
 
@@ -71,8 +71,8 @@ def wasm_table(source: CSource) -> dict[str, Any]:
 def wasm_module(source: CSource) -> WasmModule:
     """Compile a model in C to a WebAssembly module by Zig.
 
-    The module is stored in the cache of compiled models; the same C and the same version of Zig
-    give the stored module.
+    The cache of compiled models stores the module. A later call with the same C and the same
+    version of Zig returns the stored module.
 
     Raises `CompilationError` in single precision, and its subclass `BuildError` if Zig is not
     installed or fails.
@@ -88,7 +88,7 @@ def wasm_module(source: CSource) -> WasmModule:
 
 
 def _zig_version() -> str:
-    """Return the version of the package ``ziglang``, or no text for a package without metadata."""
+    """Return the version of the package ``ziglang``, or an empty text if it has no metadata."""
     try:
         return version("ziglang")
     except PackageNotFoundError:

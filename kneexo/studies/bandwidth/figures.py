@@ -100,7 +100,7 @@ def _gain_returns(result: BandwidthResult) -> str:
 
 
 def _above_again(result: BandwidthResult) -> Array:
-    """Return which cells (amplitudes, frequencies) have more than −3 dB behind a cell with less."""
+    """Return a mask (amplitudes, frequencies) of gains above −3 dB that follow one below −3 dB."""
     gain = np.where(np.isnan(result.gain_db), _MINUS_3_DB, result.gain_db)
     below = np.maximum.accumulate(gain < _MINUS_3_DB, axis=1)
     return np.asarray(below & (gain > _MINUS_3_DB))
@@ -213,8 +213,8 @@ def plot_rate_limit(result: BandwidthResult) -> Figure:
     figure.set_label(
         "A follower with limited speed turns a fast sine into a triangle (left). "
         "ρ is its speed limit over the largest speed of the sine. "
-        "The gains of the knee fall on its closed form, or below where the acceleration is limited "
-        "too (right)."
+        "The gains of the knee lie on the follower's closed form, or below it where the "
+        "acceleration is limited too (right)."
     )
     time = np.linspace(0.0, 4.0, 4001)
     target, shown = np.sin(math.tau * time), slice(2500, None)

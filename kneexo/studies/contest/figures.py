@@ -56,7 +56,7 @@ def outcome(result: ContestResult) -> Figure:
     least = result.settings.least_disk_margin
     label = f"(c) least in the tuning, {least:g}"
     handles.append(axes[2].axhline(least, color=RED, ls=":", lw=1.2, label=label))
-    key.set_axis_off()  # its place is that of the legend
+    key.set_axis_off()  # the legend has this place
     key.legend(handles=handles, loc="center", handlelength=3.0)
     return figure
 

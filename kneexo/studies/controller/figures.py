@@ -139,8 +139,8 @@ def claims(result: ControllerResult) -> Figure:
 
     figure.set_label(
         "The paper's three statements. "
-        "The loop settles faster with larger λ (a), chatters least with a proper Φ (b), and the "
-        "error over η (c) falls on one curve over k/Φ (d). A darker curve has a larger value."
+        "The loop settles faster with larger λ (a), and chatters least with a proper Φ (b). The "
+        "errors over η (c) lie on a single curve over k/Φ (d). A darker curve has a larger value."
     )
     for name, size, style, colour in (
         ("large_settling_s", grid.large_step_deg, "s-", GOLD),

@@ -85,9 +85,9 @@ def _plot_distribution(ax: Axes, result: RobustnessResult, merit: str) -> None:
 def tornado(result: RobustnessResult) -> Figure:
     """Draw how error, bandwidth and disk margin change when a single uncertain value varies.
 
-    All panels have the same rows. On top is the uncertain value that, for one of the metrics, has
-    the largest effect relative to the largest effect of all values on this metric. The label of a
-    row has the ends of the interval or the options, each with its mark.
+    All panels have the same rows. The effect of a value on a metric is relative to the largest
+    effect of all values on this metric. The value with the largest effect on any metric is on top.
+    The label of a row names the ends of the interval, or the options, with their marks.
     """
     merits = [merit for merit in _SHOWN if merit in result.merits]
     order = _by_effect(result, merits)
@@ -100,8 +100,8 @@ def tornado(result: RobustnessResult) -> Figure:
         sharey=True,
     )
     figure.set_label(
-        "Error, bandwidth and disk margin when a single value of the plant varies, all others "
-        "nominal. The value with the largest effect is on top."
+        "Error, bandwidth and disk margin when a single value of the plant varies. All other "
+        "values are nominal. The value with the largest effect is on top."
     )
     for ax, merit in zip(axes[0], merits, strict=True):
         _plot_tornado(ax, result, merit, order)
@@ -191,9 +191,10 @@ def importance(result: RobustnessResult) -> Figure:
     )
     figure.set_label(
         "Importance of each uncertain value. "
-        "Left: rank correlation ρ with each metric over the samples, and for options the "
-        "correlation ratio η. "
-        "Right: linear effect of the whole interval, in percent of the nominal metric."
+        "The left panel shows the rank correlation ρ with each metric over the samples, and for "
+        "options the correlation ratio η. "
+        "The right panel shows the linear effect of the whole interval, in percent of the nominal "
+        "metric."
     )
     chosen = np.array([bool(result.uncertainty.values[path].options) for path in names])
     row_labels = [
@@ -211,8 +212,8 @@ def importance(result: RobustnessResult) -> Figure:
     else:
         axes[1].set_visible(False)
     key = {
-        "#b2182b": "more of the value is worse",
-        BLUE: "more of the value is better",
+        "#b2182b": "a larger value is worse",
+        BLUE: "a larger value is better",
         "0.5": "options, which have no order: strength alone",
     }
     patches = [Patch(color=colour, alpha=0.8, label=label) for colour, label in key.items()]
@@ -271,8 +272,8 @@ def nyquist(result: RobustnessResult) -> Figure:
     """
     figure, ax = plt.subplots(figsize=(6.0, 6.4), layout="constrained")
     figure.set_label(
-        "Nyquist plots of the sampled plants. The loop in blue has the smallest disk margin, and "
-        "touches the disk. A loop in red is unstable."
+        "Nyquist plots of the sampled plants. The blue loop has the smallest disk margin and "
+        "touches the disk. A red loop is unstable."
     )
     assessments = [*result.samples, *result.corners, *result.one_at_a_time, result.nominal]
     stable = [assessment for assessment in assessments if assessment.metrics["stable"]]

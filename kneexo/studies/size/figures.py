@@ -74,8 +74,8 @@ def _sweeps(result: SizeResult) -> Figure:
     figure, grid = plt.subplots(2, 2, figsize=(8.4, 7.6), layout="constrained")
     axes, settings = grid.ravel()[:3], result.settings
     figure.set_label(
-        "Bandwidth and largest error over each value of the hardware, all others as they are. "
-        "A point without marker is a run that fails."
+        "Bandwidth and largest error over each value of the hardware, with all other values "
+        "unchanged. A point without marker is a run that fails."
     )
     panels = (
         (result.sweeps, settings.factors, "bandwidth_hz", "−3 dB bandwidth (Hz)"),
@@ -104,7 +104,7 @@ def _sweeps(result: SizeResult) -> Figure:
     axes[0].set_title(f"(a) {low:g}…{high:g}°, hardware as it is")
     axes[1].set_title(f"(b) {low:g}…{high:g}° at {reference.frequency_hz:g} Hz, hardware as it is")
     axes[2].set_title(f"(c) walking at {frequency:.3g} Hz, sized hardware")
-    grid[1, 1].set_axis_off()  # its place is that of the legend
+    grid[1, 1].set_axis_off()  # the legend has this place
     entries = merged_legend((axes[0], axes[2]))
     grid[1, 1].legend(entries.values(), entries, loc="center", title="the varied value")
     return figure
@@ -245,7 +245,7 @@ def _tracking(result: SizeResult) -> Figure:
     )
     figure.set_label(
         "Knee angle, tracking error and motor speed over a gait cycle of level walking. "
-        "The hardware as it is reaches its speed limit, and the sized hardware follows."
+        "The unchanged hardware reaches its speed limit. The sized hardware follows."
     )
     frequency = result.designs[0].frequency_hz
     percent, mean, deviation = gait_knee_flexion()
@@ -303,9 +303,8 @@ def last_stride(
 def _demand(result: SizeResult) -> Figure:
     figure, axes = plt.subplots(2, 2, figsize=(8.4, 6.2), sharex=True, layout="constrained")
     figure.set_label(
-        "What walking requires of the hardware over a gait cycle. "
-        "Rod speed, pump flow, load pressure and shaft power, and those of the closed loop with "
-        "the sized hardware."
+        "Rod speed, pump flow, load pressure and shaft power that walking requires over a gait "
+        "cycle, and those of the closed loop with the sized hardware."
     )
     design = result.designs[0]
     reach = 1e3 * rod_limits(result.scenario)[0]

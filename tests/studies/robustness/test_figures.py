@@ -33,7 +33,7 @@ def test_every_figure_can_be_drawn(real):
     for figure in drawn.values():
         figure.canvas.draw()
     key = [text.get_text() for text in drawn["robustness_importance"].legends[0].get_texts()]
-    assert key[:2] == ["more of the value is worse", "more of the value is better"]
+    assert key[:2] == ["a larger value is worse", "a larger value is better"]
     marks = [text.get_text() for text in drawn["robustness_tornado"].legends[0].get_texts()]
     assert marks == ["low end", "high end", "nominal"]
     assert "None of the 4 samples fails or is unstable." in report(real)
@@ -161,7 +161,7 @@ def test_importance_has_correlations_beside_linear_effects(by_hand):
     }
     assert [t.get_text() for t in linear.get_xticklabels()] == ["rms error", "disk margin"]
     shown_ranks, shown_linear = (axes.images[0].get_array() for axes in (ranks, linear))
-    # Red, above zero, where more of the value is worse: more error, less margin.
+    # Red, above zero, where a larger value is worse: more error, less margin.
     for column, (merit, sign) in enumerate((("rms_error_deg", 1.0), ("disk_margin", -1.0))):
         percents = [100.0 * value / UNITS[merit] for value in LINEAR[merit]]
         assert np.asarray(shown_linear[:2, column]) == pytest.approx(sign * np.array(percents))

@@ -1,4 +1,4 @@
-/* Runs the model {{ name }} for a host of WebAssembly: parameters in place, many ticks a call. */
+/* Runs many ticks of the model {{ name }} in a call, for a host of WebAssembly. */
 #include "{{ name }}.h"
 
 #define INPUTS {{ inputs | length }}U
