@@ -69,9 +69,9 @@ class TorqueController(NamedLeaf):
     desired_torque       1     N·m            τ_d of the present inputs
     ===================  ====  =============  ===============================================
 
-    The discrete state, updated every ``sample_time_s``, has the command and I. Context parameters by
-    name: the numbers of `TorqueParameters`, ``speed_gain_rad_per_m`` (G), and ``p_1`` … ``p_6`` of
-    Eq. 10 in SI units. The pump is a velocity source, so an error of the force commands a speed.
+    The discrete state, updated every ``sample_time_s``, has the command and I. Context parameters
+    by name: the numbers of `TorqueParameters`, ``speed_gain_rad_per_m`` (G), and ``p_1`` … ``p_6``
+    of Eq. 10 in SI units. The pump is a velocity source, so an error of the force commands a speed.
     """
 
     def __init__(

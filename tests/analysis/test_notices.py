@@ -39,7 +39,7 @@ def test_a_late_begin_of_the_reference_is_a_notice():
 
 def test_a_torque_controller_does_not_track():
     (line,) = notices(Scenario(controller="torque"))
-    assert line.startswith("the controller controls the torque, so that the error is only the dis")
+    assert line.startswith("the controller controls the torque, so the error is only the dis")
 
 
 def test_a_wearer_is_not_left_out():
