@@ -43,7 +43,7 @@ def test_an_interrupted_study_goes_on_with_identical_results(
     monkeypatch.setattr(bandwidth, "_measure", interrupted)
     *findings, empty, files = capsys.readouterr().out.splitlines()
     assert findings[0] == "Frequency response from small to large amplitudes"
-    assert findings[-1].startswith("Bandwidth (−3 dB): ")
+    assert findings[2].startswith("Bandwidth (−3 dB): ")
     assert max(map(len, findings)) <= 100
     assert (empty, files) == ("", f"In {whole}: bandwidth.json, bandwidth.md")
     assert main([*command, str(torn)]) == 130
