@@ -1,4 +1,4 @@
-"""Energy balance of a run with the cylinder of full order: where motor and wearer energy goes."""
+"""Balances the energy of a run with the cylinder of full order."""
 
 from __future__ import annotations
 
@@ -29,9 +29,8 @@ class EnergyBalance(Result):
     """Energies since t = 0 at the times of the records. `energy_balance` computes them.
 
     ``energies`` maps the names in `SUPPLIED` and `SPENT` to arrays (n,) in J. The wearer's energy
-    is the work of the cuff on the exoskeleton, and ``load_j`` is given to weight, constant torque
-    and disturbance. ``oil_j`` is stored in the compressed oil, and ``motion_j`` in the moving mass
-    and the spring.
+    is the work of the cuff on the exoskeleton. ``load_j`` is the work on weight, constant torque
+    and disturbance. The compressed oil stores ``oil_j``. Moving mass and spring store ``motion_j``.
     """
 
     time_s: Array
@@ -39,7 +38,7 @@ class EnergyBalance(Result):
 
     @property
     def residual_j(self) -> Array:
-        """Supplied less spent energy in J, (n,). An exact solution has zero."""
+        """Supplied minus spent energy in J, (n,). It is zero for an exact solution."""
         supplied = sum(self.energies[name] for name in SUPPLIED)
         return np.asarray(supplied - sum(self.energies[name] for name in SPENT))
 
@@ -77,8 +76,8 @@ def energy_balance(scenario: Scenario) -> EnergyBalance:
 
     `EnergyMeter` integrates the powers in the same run, with its step size and error control. The
     energy stored in the oil is ∫ Σ (V_i/β_e) P_i dP_i. Integration by parts gives it as
-    Σ V_i P_i²/(2 β_e) less its initial value and less the displaced energy of the meter. Pressures
-    are relative to the atmosphere. The solver is that of the scenario.
+    Σ V_i P_i²/(2 β_e) minus its initial value and minus the displaced energy of the meter.
+    Pressures are relative to the atmosphere. The solver is that of the scenario.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Output impedance of the knee, the torque with which the exoskeleton resists a wearer's motion.
 
-`output_impedance` computes it from the sampled loop, linearized. `measure_impedance` measures it
-with a sine of any amplitude, at which motor and pressure can be at their limits.
+`output_impedance` computes it from the linearized sampled loop. `measure_impedance` measures it
+with a sine of any amplitude. Motor and pressure may then reach their limits.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from kneexo.simulation import Run
 from kneexo.simulation.compiled import compile_scenario, scenario_run
 
 Port = Literal["knee", "cuff"]
-"""Where a motion is prescribed: ``knee`` or, behind spring and damper of the cuff, ``cuff``."""
+"""The place of a prescribed motion: ``knee``, or ``cuff`` for the leg's side of the cuff."""
 
 _TORQUE = "interaction_torque"
 _LEG, _CUFF = "wearer:wearer_motion", f"cuff:{_TORQUE}"
@@ -55,8 +55,8 @@ class OutputImpedance(Result):
     The hold and the aliases of the sampled controller are included, and other harmonics of τ_i are
     not.
 
-    A motion can be prescribed at a port only if the loop is ``stable`` meanwhile. At the port
-    ``knee`` this is the loop on a locked rod, where the gain is much larger than behind a cuff.
+    Z exists only if the loop with a prescribed motion is ``stable``. At the port ``knee`` this is
+    the loop on a locked rod. Its gain is much larger than behind a cuff.
     """
 
     frequency_hz: Array
@@ -103,10 +103,10 @@ class OutputImpedance(Result):
     def least_real_part(self) -> tuple[float, float]:
         """Least real part of Z in N·m·s/rad over the frequencies, and its frequency in Hz.
 
-        A passive port takes no energy out of itself over a motion, so Re Z ≥ 0 at all frequencies
-        below half the sampling rate is necessary. It is not sufficient, because the harmonics that
-        sampling adds are left out. If it is negative, a wearer with the right mass or spring and
-        little damping swings up.
+        Re Z ≥ 0 at all frequencies below half the sampling rate is necessary for a passive port. No
+        motion takes energy out of such a port. It is not sufficient, because Z leaves out the harmonics of
+        sampling. If the least real part is negative, a leg with some mass or spring and little
+        damping begins to oscillate.
         """
         index = int(np.argmin(self.impedance.real))
         return float(self.impedance.real[index]), float(self.frequency_hz[index])
@@ -182,8 +182,8 @@ def output_impedance(
     """Compute the output impedance of the sampled loop of a scenario with a wearer.
 
     The loop is linearized where it rests, with the leg at ``knee_angle_deg``. Quantizers and slip
-    of the cuff are bypassed, and a virtual spring keeps its place while the leg moves. The results
-    hold for small motions. In full order they need a load whose sign does not change.
+    of the cuff are bypassed. The neutral angle of a virtual spring stays while the leg moves. The
+    results hold for small motions. In full order they need a load whose sign does not change.
 
     Parameters
     ----------

@@ -1,10 +1,10 @@
 """Largest gains of the torque controller with which the knee is passive, as closed forms.
 
 The rod's flow balance has the admittance Y(s) = s/k_q + C_t + k_p + k_i/s, with k_q = 4 β_e/V_t.
-The gains k = K D_m Ā/gear are flows per pressure. The leakage C_t is what damps. The output
+The gains k = K D_m Ā/gear are flows per pressure. The leakage C_t is the damping. The output
 impedance is Z ≈ r² (Ā² (1 − γ)/Y + m s), with lags in γ, k_p and k_i. The limits below follow from
-Re Z ≥ 0 at low and at high frequency. They are necessary for a passive port, not sufficient; see
-`kneexo.analysis.OutputImpedance`.
+Re Z ≥ 0 at low and at high frequency. They are necessary for a passive port, but not
+sufficient (see `kneexo.analysis.OutputImpedance`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Force, speed and pressure of the actuator that carries the measured moment of a whole stride.
+"""Computes force, speed and pressure of an actuator that carries the moment of a whole stride.
 
 Unlike `kneexo.analysis.walking`, the moment includes the reaction of the ground in stance and the
 braking of the leg in late swing.
@@ -127,9 +127,9 @@ def stride_load(
     """Compute what the actuator needs to carry a share of the knee's moment in a stride.
 
     Virtual work gives rod force and speed from moment M, knee angle θ and moment arm r,
-    F = −M/r and v = −r dθ/dt. Reduced order has P_L = F/Ā (Eq. 16). Full order holds F by the
-    loaded chamber, and the other one is at the reservoir's pressure P_r (Eq. 14). Inertia,
-    friction and compression of the oil are neglected.
+    F = −M/r and v = −r dθ/dt. Reduced order has P_L = F/Ā (Eq. 16). In full order the
+    loaded chamber holds F, and the other chamber has the reservoir's pressure P_r (Eq. 14).
+    Inertia, friction and compression of the oil are neglected.
 
     If the leg moves the rod faster than the pump can, the chamber that grows draws oil through its
     make-up valve. Its pressure is then P_r − max(A_i |v| − Q_max, 0)/G, with the largest flow of

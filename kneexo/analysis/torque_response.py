@@ -17,7 +17,7 @@ from kneexo.plotting import BLUE, TEAL, axes_or_new, decimal_ticks, phase_ticks
 from kneexo.result import Array, Result
 
 Held = Literal["rod", "leg"]
-"""What does not move: the ``rod`` or, behind spring and damper of the cuff, the ``leg``."""
+"""The part that does not move: the ``rod``, or the ``leg`` at the other side of the cuff."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -26,7 +26,7 @@ class TorqueResponse(Result):
 
     ``response`` is complex, (n,), at the n ``frequency_hz``: the fundamental of F for a sine in
     F_d. At ``bandwidth_hz`` the gain first falls to 1/√2; it is nan if the gain does not fall so
-    far, or the loop is not ``stable``.
+    far, or if the loop is not ``stable``.
     """
 
     frequency_hz: Array
@@ -70,8 +70,8 @@ def torque_response(
 ) -> TorqueResponse:
     """Compute the response of the rod force to the desired force, and its −3 dB bandwidth.
 
-    The sampled loop is linearized as in `kneexo.analysis.output_impedance`. A desired force and an
-    error of the reading with the opposite sign are the same for the controller.
+    The sampled loop is linearized as in `kneexo.analysis.output_impedance`. For the controller a
+    change of the desired force equals the opposite change of the reading.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def torque_response(
     knee_angle_deg
         Angle of the leg in deg.
     held
-        What does not move, ``rod`` or ``leg``.
+        The part that does not move, ``rod`` or ``leg``.
 
     Raises
     ------
