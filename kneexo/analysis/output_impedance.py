@@ -103,10 +103,10 @@ class OutputImpedance(Result):
     def least_real_part(self) -> tuple[float, float]:
         """Least real part of Z in N·m·s/rad over the frequencies, and its frequency in Hz.
 
-        Re Z ≥ 0 at all frequencies below half the sampling rate is necessary for a passive port. No
-        motion takes energy out of such a port. It is not sufficient, because Z leaves out the harmonics of
-        sampling. If the least real part is negative, a leg with some mass or spring and little
-        damping begins to oscillate.
+        No motion takes energy out of a passive port. Re Z ≥ 0 at all frequencies below half the
+        sampling rate is necessary for such a port. It is not sufficient, because Z leaves out the
+        harmonics of sampling. If the least real part is negative, a leg with some mass or spring
+        and little damping begins to oscillate.
         """
         index = int(np.argmin(self.impedance.real))
         return float(self.impedance.real[index]), float(self.frequency_hz[index])

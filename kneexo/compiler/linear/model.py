@@ -181,12 +181,12 @@ class LinearModel:
         return replace(self, c=c, d=d)
 
     def prescribed(self, states: Sequence[str]) -> LinearModel:
-        """Return the model in which the motion of some continuous states is given, as inputs.
+        """Return the model with the motion of some continuous states as inputs.
 
         The new inputs follow the others, and have the names of the states. The outputs
-        ``rate of STATE`` follow the others too. They are the rates that the states would have by
-        their equations, so an input of the model can be found that causes the prescribed motion.
-        The states need not suit each other: a caller gives a position and its rate.
+        ``rate of STATE`` follow the others too. They are the rates by the equations of
+        the states, so a caller can compute the input that causes the prescribed motion.
+        The caller is responsible for consistent states, such as a position and its rate.
 
         Raises `ParameterError` for a name that is no continuous state of the model, or is there
         twice, and `LinearizationError` for the model of a periodic orbit.

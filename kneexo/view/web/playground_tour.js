@@ -16,7 +16,7 @@ const Tour = (() => {
   // `values(v)` returns the changed values of a step from the first values `v`.
   const STEPS = [
     { title: "The sine of the scenario", target: '[data-plot="angle"]', values: () => ({}),
-      text: ({ run, value }) => `${follows(run)} ${shown(value(FREQUENCY))} Hz. The largest error is `
+      text: ({ run, value }) => `${follows(run)} the sine of ${shown(value(FREQUENCY))} Hz. The largest error is `
         + `${error(run)}°, and the motor is at its limit ${percent(run)} % of the time.` },
     { title: "Four times as fast", target: '[data-plot="command"]', values: (v) => ({ [FREQUENCY]: 4 * v[FREQUENCY] }),
       text: ({ run }) => `Now the error is ${error(run)}°. The command is at its limit ${percent(run)} % of the time.`

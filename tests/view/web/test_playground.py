@@ -354,7 +354,7 @@ def test_the_guided_steps_say_if_the_knee_does_not_follow(browser, tmp_path):
     slow = changed(Scenario(), {GEAR: 60.0})
     page = _Page(browser, _file(tmp_path, [slow], ["slow"]))
     page.click("tour-start")
-    assert page.text("tour-text").startswith("The knee does not follow 0.1 Hz.")
+    assert page.text("tour-text").startswith("The knee does not follow the sine of 0.1 Hz.")
     for _ in range(3):
         page.click("tour-next")
     assert "The knee does not follow this motion." in page.text("tour-text")
