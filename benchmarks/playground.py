@@ -1,4 +1,4 @@
-"""How long a user of `kneexo play` waits in Chromium, and whether the leg keeps moving meanwhile.
+"""Measures how long a user of `kneexo play` waits in Chromium, and how smoothly the leg moves.
 
     python benchmarks/playground.py [--repeats N]
 

@@ -241,13 +241,13 @@ FRAMES = {
     "play": ("playground.html", "The page to play with", ["play", "--preset", "leg"]),
     "knee": ("knee.html", "The knee moves", ["view", "--preset", "leg"]),
 }
-"""Pages in frames. Marker in the Markdown: file, title, and the command that writes the file."""
+"""Pages in frames. Each marker in the Markdown has file, title, and the command of the file."""
 
 
 def place_frames(_app: Sphinx, document: str, content: list[str]) -> None:
-    """A marker becomes a frame with its page, and a link that opens the page alone.
+    """Replace a marker by a frame with its page, and by a link that opens the page alone.
 
-    Where the style hides a frame, on a phone and on paper, the page to play with has its picture.
+    The style hides frames on phones and on paper. There a picture replaces the page to play with.
     """
     up = "../" * document.count("/")
     for marker, (file, title, _) in FRAMES.items():

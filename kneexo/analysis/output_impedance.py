@@ -197,7 +197,7 @@ def output_impedance(
     port
         Where the motion is a sine, at the ``knee`` or at the wearer's side of the ``cuff``.
     motor_held
-        True: the command of the motor is zero, so that only oil and mass resist.
+        True: the command of the motor is zero, and only oil and mass resist.
 
     Raises
     ------

@@ -124,7 +124,7 @@ def stride_load(
     *,
     share: float = 1.0,
 ) -> StrideLoad:
-    """Compute what the actuator needs to carry a share of the knee's moment in a stride.
+    """Compute the load of an actuator that carries a share of the knee's moment in a stride.
 
     Virtual work gives rod force and speed from moment M, knee angle θ and moment arm r,
     F = −M/r and v = −r dθ/dt. Reduced order has P_L = F/Ā (Eq. 16). In full order the

@@ -140,7 +140,7 @@ def _culprit(
     values: Mapping[str, float],
     unit: float,
 ) -> str:
-    """Return the number to leave out: a parameter has a formula without it, or it matters least."""
+    """Return the number whose removal gives a formula, or else the least important number."""
     for name in reversed(droppable):
         centre = probe.centre.copy()
         probe.fix(name, values)

@@ -1,4 +1,4 @@
-"""Integrates the powers of actuator and load of the full order, to balance the energy of a run."""
+"""Integrates the powers of a full-order actuator and its load, for an energy balance."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ class EnergyMeter(NamedLeaf):
     friction (F_f + B v) v, load F_L v, displaced (P_1² A_1 − P_2² A_2) v/(2 β_e).
 
     The first three flow into actuator and oil, the next four out of them. The load is weight,
-    constant torque and disturbance of `KneeLoad`. The oil stores Σ V_i P_i²/(2 β_e) less the
-    displaced energy, because the volumes V_i change under pressure.
+    constant torque and disturbance of `KneeLoad`. The oil stores Σ V_i P_i²/(2 β_e) minus
+    the displaced energy, because the volumes V_i change under pressure.
 
     Context parameters by name: all names of `FullCylinder`, ``internal_leakage_m3_per_s_pa`` of the
     pump, and, with a load, all names of `KneeLoad`.

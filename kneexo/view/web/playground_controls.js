@@ -44,7 +44,7 @@ const Controls = (() => {
 
     get other() { return this.state.setups[1 - this.index]; }
 
-    /** Build all controls anew: after a switch, or when the other set-up is chosen. */
+    /** Build all controls again, after a switch has changed or the other set-up is chosen. */
     build() {
       const focused = document.activeElement?.id;
       this.rows = new Map();
