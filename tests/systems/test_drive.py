@@ -150,7 +150,9 @@ def test_linear_analysis_keeps_the_latency_and_no_quantizer(counts, bus, quantiz
     scenario = Scenario(encoder={"quantized": counts, "mounting_error_rad": 0.01}, bus=bus)
     assert scenario.quantized == quantized
     free = Scenario(
-        encoder={"quantized": False, "mounting_error_rad": 0.01}, bus={"latency_samples": 3}
+        encoder={"quantized": False, "mounting_error_rad": 0.01},
+        bus={"latency_samples": 3},
+        load_cell={"quantized": False},
     )
     assert scenario.without_quantizers() == free
     assert not free.quantized
