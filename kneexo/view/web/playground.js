@@ -170,27 +170,16 @@ const Page = (() => {
 
   // ---------------------------------------------------------------------------- parts
 
-  /** The stage for the legs that are compared. A stage is made once for each choice of legs. */
+  /** Make the stage for the legs that are compared. A browser has few WebGL contexts, so only one stage exists. */
   function chooseStage() {
     const legs = shownSetups().map((index) => state.setups[index].scenario);
-    const name = legs.join(" ");
-    parts.stages ??= new Map();
-    for (const { box, stage } of parts.stages.values()) {
-      if (!box.hidden) parts.wasPlaying = stage.playing;
-      stage.pause();
-      box.hidden = true;
-    }
-    if (!parts.stages.has(name)) {
-      const box = element("div");
-      byId("stage").append(box);
-      const stage = new Stage(box, { legs: legs.map((scenario) => data.scenarios[scenario].leg), trace: false });
-      box.addEventListener("stagetime", (event) => parts.plots.setTime(event.detail));
-      parts.stages.set(name, { box, stage });
-    }
-    const { box, stage } = parts.stages.get(name);
-    box.hidden = false;
-    if (parts.wasPlaying) stage.play();
-    parts.stage = stage;
+    const playing = !parts.stage?.duration || parts.stage.playing;
+    parts.stage?.remove();
+    const box = element("div");
+    byId("stage").append(box);
+    parts.stage = new Stage(box, { legs: legs.map((scenario) => data.scenarios[scenario].leg), trace: false, playing });
+    box.addEventListener("stagetime", (event) => parts.plots.setTime(event.detail));
+    parts.legs = legs.join(" ");
     parts.drawn = null;
   }
 
@@ -205,7 +194,7 @@ const Page = (() => {
 
   function chooseStageIfNeeded() {
     const name = shownSetups().map((index) => state.setups[index].scenario).join(" ");
-    if (!parts.stages?.get(name) || parts.stages.get(name).stage !== parts.stage) chooseStage();
+    if (parts.legs !== name) chooseStage();
   }
 
   function setCompare(compare) {

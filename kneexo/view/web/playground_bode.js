@@ -5,8 +5,8 @@ const Bode = (() => {
   const { COLOURS, LIMIT, MINUS_3_DB, axis, element, fixed } = Curves;
   const SATURATED = 0.01; // share of the time from which a point counts as limited by the motor
   const PLOTS = [
-    { name: "gain", title: "Gain of the fundamental (dB)", height: 180 },
-    { name: "phase", title: "Phase (deg)", height: 140 },
+    { name: "gain", title: "Gain of the fundamental (dB)", height: 160 },
+    { name: "phase", title: "Phase (deg)", height: 160 },
   ];
 
   function db(gain) {

@@ -16,8 +16,11 @@ const Stage = (() => {
   const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
   class Stage {
-    /** With `trace` false the stage has no curve of the error. With `flat` true it draws without WebGL. */
-    constructor(element, { legs, trace = true, flat = false }) {
+    /**
+     * Without `trace` there is no plot of the error, and with `flat` no WebGL. Without `playing` the
+     * stage stands still until the user starts it.
+     */
+    constructor(element, { legs, trace = true, flat = false, playing = true }) {
       this.element = element;
       this.legs = legs.map((data) => new StageModel.Leg(data));
       this.orbit = { ...HOME };
@@ -26,7 +29,8 @@ const Stage = (() => {
       this.loop = true;
       this.playing = false;
       this._sharpness = 1;
-      this._hasPlayed = false;
+      this._hasPlayed = !playing;
+      this._removed = new AbortController();
       this._build(trace);
       this._choose(flat);
       this._listen();
@@ -95,6 +99,14 @@ const Stage = (() => {
       this._update();
     }
 
+    /** Leave the page, and give the WebGL context back. */
+    remove() {
+      this._removed.abort();
+      this.pause();
+      this.element.remove();
+      this._drawing.renderer?.forceContextLoss();
+    }
+
     _build(trace) {
       const { element, legs } = this;
       this._figures = legs.map(() => StageElements.legFigure());
@@ -113,12 +125,14 @@ const Stage = (() => {
     _choose(flat) {
       this._drawing = (flat ? null : StageSolid.of(this.legs)) ?? new StageFlat(this.legs);
       this._drawing.renderer?.domElement.addEventListener("webglcontextlost", () => {
+        if (this._removed.signal.aborted) return;
         this._drawing = new StageFlat(this.legs);
         this._update();
       });
     }
 
     _listen() {
+      const { signal } = this._removed;
       StageElements.listenToKeys(this.element, this);
       for (const { whole } of this._figures) StageElements.listenToGestures(whole, this);
       this._visible = new Set();
@@ -137,8 +151,8 @@ const Stage = (() => {
       window.addEventListener("beforeprint", () => {
         this._trace?.resize(PAPER_PX);
         this._draw(true);
-      });
-      window.addEventListener("afterprint", () => this._trace?.resize());
+      }, { signal });
+      window.addEventListener("afterprint", () => this._trace?.resize(), { signal });
     }
 
     /** Draw at the next frame of the browser. */
@@ -148,6 +162,7 @@ const Stage = (() => {
 
     _frame(now) {
       this._request = null;
+      if (this._removed.signal.aborted) return;
       if (this.playing) this._advance(now);
       const start = performance.now();
       this._draw(false);

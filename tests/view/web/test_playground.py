@@ -328,6 +328,23 @@ def test_two_set_ups_stand_beside_each_other(browser, two):
     assert np.isnan(page.curve("angle", 2)).all()
 
 
+def test_a_choice_of_scenarios_leaves_one_stage_in_three_dimensions(browser, two):
+    page = _Page(browser, two)
+    page.wait(1)
+    drawing = page.evaluate("Page.parts.stage._drawing.constructor.name")
+    for turn in range(20):  # a browser has 16 WebGL contexts
+        page.evaluate(f"document.getElementById('scenario-{(turn + 1) % 2}').click()")
+    page.wait()
+    page.evaluate("new Promise((resolve) => setTimeout(resolve, 500)).then(() => 0)")
+    assert page.evaluate("document.querySelectorAll('#stage > .stage').length") == 1
+    assert page.evaluate("Page.parts.stage._drawing.constructor.name") == drawing
+    assert page.evaluate("Page.parts.stage.playing")
+    page.evaluate("Page.parts.stage.pause()")
+    page.click("compare")
+    assert not page.evaluate("Page.parts.stage.playing")
+    browser.require_health()
+
+
 def test_the_guided_steps_tell_the_numbers_of_their_runs(browser, single):
     page = _Page(browser, single)
     page.click("tour-start")
