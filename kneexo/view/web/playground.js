@@ -224,6 +224,12 @@ const Page = (() => {
       parts.tourStart = setup;
       return Setups.valuesOf(data, setup);
     },
+    /** Remember the values of the user, which restore() brings back. */
+    save() { parts.beforeTour = { compare: state.compare, setup: Setups.copied(state.setups[0]) }; },
+    restore() {
+      state.setups[0] = parts.beforeTour.setup;
+      setCompare(parts.beforeTour.compare);
+    },
     apply(values) {
       const setup = Setups.copied(parts.tourStart);
       for (const quantity of Setups.quantitiesOf(data, setup)) {

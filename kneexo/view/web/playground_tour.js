@@ -42,7 +42,7 @@ const Tour = (() => {
   ];
 
   class Guide {
-    /** `page` has the results and values of set-up A, begin(), apply(values) and choosePlot(name). */
+    /** `page` has the results and values of set-up A, begin(), apply(values), save(), restore() and choosePlot(name). */
     constructor(page) {
       Object.assign(this, { page, at: -1 });
       this.box = document.getElementById("tour");
@@ -50,10 +50,14 @@ const Tour = (() => {
       on("tour-start", () => this.start());
       on("tour-back", () => this.go(this.at - 1));
       on("tour-next", () => (this.at === STEPS.length - 1 ? this.close() : this.go(this.at + 1)));
-      on("tour-close", () => this.close());
+      on("tour-close", () => {
+        this.close();
+        this.page.restore();
+      });
     }
 
     start() {
+      if (this.at < 0) this.page.save();
       this.saved = this.page.begin();
       this.answers = STEPS.map(() => ({})); // run and sweep of each step, once they are computed
       this.box.hidden = false;

@@ -377,6 +377,18 @@ def test_the_guided_steps_say_if_the_knee_does_not_follow(browser, tmp_path):
     assert "The knee does not follow this motion." in page.text("tour-text")
 
 
+def test_closed_guided_steps_bring_the_values_of_the_user_back(browser, single):
+    page = _Page(browser, single)
+    page.type(GEAR, 4.5)
+    page.click("tour-start")
+    page.click("tour-next")
+    assert GEAR not in page.evaluate("Page.state.setups[0].values")
+    page.click("tour-start")
+    page.click("tour-close")
+    assert page.evaluate("Page.state.setups[0].values") == {GEAR: 4.5}
+    assert page.evaluate(f"document.getElementById('q-{GEAR}-value').value") == "4.5"
+
+
 def test_a_value_out_of_range_is_refused_with_its_range(browser, single):
     page = _Page(browser, single)
     for text in ("25", "gear", "1e999", ""):
