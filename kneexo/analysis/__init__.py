@@ -13,13 +13,13 @@ from kneexo.analysis.frequency_response import (
     fundamental,
     sinestream,
 )
-from kneexo.analysis.margins import Margins
-from kneexo.analysis.output_impedance import (
+from kneexo.analysis.impedance import (
     MeasuredImpedance,
     OutputImpedance,
     measure_impedance,
     output_impedance,
 )
+from kneexo.analysis.margins import Margins
 from kneexo.analysis.passivity import PassivityLimits, passivity_limits
 from kneexo.analysis.plant_linearization import (
     OperatingPoint,
@@ -32,7 +32,7 @@ from kneexo.analysis.rate_limit import rate_limit_bandwidth_hz, rate_limited_gai
 from kneexo.analysis.sampled_loop import SampledLoop, linearize_loop
 from kneexo.analysis.sine_estimate import SineEstimate, estimate_sine
 from kneexo.analysis.stride import StrideLoad, stride_load
-from kneexo.analysis.torque_response import TorqueResponse, torque_response
+from kneexo.analysis.torque_bandwidth import TorqueResponse, torque_response
 from kneexo.analysis.tracking import (
     StepMetrics,
     TrackingMetrics,

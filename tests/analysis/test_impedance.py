@@ -1,6 +1,5 @@
 """Output impedance against the formula of oil and mass, and against runs with sines."""
 
-import importlib
 import math
 from pathlib import Path
 
@@ -10,14 +9,13 @@ import pytest
 
 from kneexo.analysis import (
     OutputImpedance,
+    impedance as module,
     measure_impedance,
     output_impedance,
     passivity_limits,
 )
 from kneexo.errors import LinearizationError, ParameterError
 from kneexo.parameters import KneeLoadParameters, PlantParameters, Scenario
-
-module = importlib.import_module("kneexo.analysis.output_impedance")  # not the function
 
 WEIGHTLESS = PlantParameters(load=KneeLoadParameters(segment_mass_kg=0.0))
 ANGLE_DEG = 45.0

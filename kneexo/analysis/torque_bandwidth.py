@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kneexo.analysis.frequency_response import MINUS_3_DB, crossing
-from kneexo.analysis.output_impedance import ROD_STATES, wearer_model, with_prescribed_leg
+from kneexo.analysis.impedance import ROD_STATES, wearer_model, with_prescribed_leg
 from kneexo.analysis.plant_linearization import MID_RANGE_DEG, Complex, frequency_array
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario, TorqueParameters
@@ -70,7 +70,7 @@ def torque_response(
 ) -> TorqueResponse:
     """Compute the response of the rod force to the desired force, and its −3 dB bandwidth.
 
-    The sampled loop is linearized as in `kneexo.analysis.output_impedance`. For the controller a
+    The sampled loop is linearized as in `kneexo.analysis.impedance`. For the controller a
     change of the desired force equals the opposite change of the reading.
 
     Parameters
