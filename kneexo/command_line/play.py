@@ -69,7 +69,12 @@ def play(
     """
     from kneexo.command_line.output import to_json
     from kneexo.parameters import Scenario
-    from kneexo.view.playground import playground_page, require_count, require_page
+    from kneexo.view.playground import (
+        LONGEST_RUN_S,
+        playground_page,
+        require_count,
+        require_page,
+    )
 
     require_page(out)
     require_count(len(scenarios or (None,)) + (compare is not None))
@@ -83,10 +88,17 @@ def play(
         loaded.append(Scenario.preset(compare))
     with named_in_errors(scenarios[0] if len(scenarios) == 1 else None):
         page = playground_page(loaded, names)
+    notices = [
+        f"kneexo: {shown(name)}: a run on the page has the first {LONGEST_RUN_S:g} of "
+        f"{scenario.duration_s:g} s"
+        for name, scenario in zip(names, loaded, strict=True)
+        if scenario.duration_s > LONGEST_RUN_S
+    ]
     size_mb = len(page.encode()) / 1e6
     return Outcome(
         f"{shown(out)} ({size_mb:.1f} MB): {', '.join(map(shown, names))}; open it in a browser\n",
         to_json({"kneexo": __version__, "page": str(out), "scenarios": names}),
+        notices,
         page=page,
         open_in_browser=browser,
     )

@@ -90,9 +90,14 @@ def loop_source(scenario: Scenario, *, smooth: bool = False) -> CSource:
     """Return the closed loop of a scenario in C. The reference is an input.
 
     Another input perturbs the motor speed that the plant receives. ``smooth`` leaves out the
-    quantizers. Raises `ParameterError` for a law that is called as Python, and the errors of
-    `make_closed_loop`.
+    quantizers. Raises `ParameterError` for a law that is called as Python and for a wearer, whose
+    motion changes between two samples. Raises the errors of `make_closed_loop`.
     """
+    if scenario.wearer.kind != "none":
+        raise ParameterError(
+            f"wearer.kind = {scenario.wearer.kind!r}: must be 'none' on a page; kneexo simulate "
+            f"and kneexo view run a wearer"
+        )
     if reason := why_python(scenario):
         raise ParameterError(
             f"controller: the law has no web module, because it is called as Python: {reason}"

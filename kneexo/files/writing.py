@@ -7,6 +7,7 @@ left by a killed process, and a later process deletes it.
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import os
 import shutil
@@ -34,7 +35,9 @@ def require_mark(path: Path, mark: str, kind: str) -> None:
         marked = mark.encode() in read_bytes(path, _MOST_BYTES)
     except (FileNotFoundError, NotADirectoryError):
         return
-    except OSError:
+    except OSError as error:
+        if error.errno == errno.ENAMETOOLONG:
+            return  # no such file exists; writing it raises the error
         marked = False
     if not marked:
         raise OutputError(f"{shown(path)} exists and is no {kind}; choose another --out")

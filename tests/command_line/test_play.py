@@ -42,6 +42,15 @@ def test_files_values_and_presets_make_the_scenarios(tmp_path, calls):
     assert [scenario.plant.load.kind for scenario in scenarios] == ["knee", "none"]
 
 
+@pytest.mark.parametrize(("duration_s", "cut"), [(60, False), (61, True)])
+def test_a_run_that_is_too_long_for_the_page_is_named(tmp_path, capsys, calls, duration_s, cut):
+    change = ["--set", f"simulation.duration_s={duration_s}"]
+    assert main(["play", *change, "--out", str(tmp_path / "knee.html")]) == 0
+    notice = f"kneexo: the paper's setup, simulation.duration_s={duration_s}: a run on the page "
+    expected = f"{notice}has the first 60 of {duration_s} s\n" if cut else ""
+    assert capsys.readouterr().err == expected
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

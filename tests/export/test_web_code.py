@@ -117,6 +117,12 @@ def test_a_reference_module_follows_its_formula(web_run):
     np.testing.assert_allclose(columns.T, expected, rtol=0, atol=1e-12 * w**3)
 
 
+def test_a_wearer_is_refused_because_the_leg_moves_between_samples():
+    scenario = Scenario.model_validate({"plant": {"load": "knee"}, "wearer": "leg"})
+    with pytest.raises(ParameterError, match=r"^wearer\.kind = 'leg': must be 'none' on a page; "):
+        loop_source(scenario)
+
+
 @pytest.mark.parametrize(
     ("preset", "changes", "place", "least"),
     [

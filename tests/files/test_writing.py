@@ -61,6 +61,7 @@ def test_only_a_file_with_the_mark_may_be_replaced(tmp_path):
     other.write_bytes(b"\xff no text")
     require_mark(ours, "<mark>", "page")
     require_mark(tmp_path / "missing", "<mark>", "page")
+    require_mark(tmp_path / ("x" * 300), "<mark>", "page")
     os.mkfifo(tmp_path / "pipe")
     with (tmp_path / "huge").open("wb") as huge:
         huge.truncate(2**40)

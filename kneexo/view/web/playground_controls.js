@@ -107,7 +107,7 @@ const Controls = (() => {
         ["load", "Load", names(Setups.choices(data, setup, "load"), Setups.LOAD_NAMES)],
         ["reference", "Reference", names(Setups.references(data, setup), Setups.REFERENCE_NAMES)],
       ];
-      return lists.filter(([name, , choices]) => name !== "scenario" || choices.length > 1)
+      return lists.filter(([, , choices]) => choices.length > 1)
         .map(([name, title, choices]) => this.switch(name, title, choices));
     }
 

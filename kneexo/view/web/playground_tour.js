@@ -18,8 +18,8 @@ const Tour = (() => {
     { title: "The sine of the scenario", target: '[data-plot="angle"]', values: () => ({}),
       text: ({ run, value }) => `${follows(run)} the sine of ${shown(value(FREQUENCY))} Hz. The largest error is `
         + `${error(run)}°, and the motor is at its limit ${percent(run)} % of the time.` },
-    { title: "Four times as fast", target: '[data-plot="command"]', values: (v) => ({ [FREQUENCY]: 4 * v[FREQUENCY] }),
-      text: ({ run }) => `Now the error is ${error(run)}°. The command is at its limit ${percent(run)} % of the time.`
+    { title: "A faster sine", target: '[data-plot="command"]', values: (v) => ({ [FREQUENCY]: 4 * v[FREQUENCY] }),
+      text: ({ run, value }) => `At ${shown(value(FREQUENCY))} Hz the error is ${error(run)}°. The command is at its limit ${percent(run)} % of the time.`
         + (Numbers.shareOf(run) > 0.5
           ? " The rod moves out and in at its highest speed, so the sine becomes a triangle." : "") },
     { title: "A stronger controller?", target: '[data-plot="error"]',
@@ -29,14 +29,15 @@ const Tour = (() => {
         + "No controller can command more than the motor's highest speed." },
     { title: "A smaller motion", target: '[data-plot="angle"]',
       values: (v) => ({ [FREQUENCY]: 4 * v[FREQUENCY], [AMPLITUDE]: v[AMPLITUDE] / 5 }),
-      text: ({ run }) => `A fifth of the amplitude needs a fifth of the speed. ${follows(run)} this motion. The error is `
+      text: ({ run, value }) => `An amplitude of ${shown(value(AMPLITUDE))}° needs less speed. ${follows(run)} this motion. The error is `
         + `${error(run)}°, and the motor is at its limit ${percent(run)} % of the time.` },
-    { title: "Half the gear ratio", target: "#bode", values: (v) => ({ [FREQUENCY]: 4 * v[FREQUENCY], [GEAR]: v[GEAR] / 2 }),
-      text: ({ sweep, first }) => {
+    { title: "A smaller gear ratio", target: "#bode", values: (v) => ({ [FREQUENCY]: 4 * v[FREQUENCY], [GEAR]: v[GEAR] / 2 }),
+      text: ({ sweep, first, value, start }) => {
         const [now, then] = [sweep?.minus_3_db_hz, first?.minus_3_db_hz];
-        if (!Number.isFinite(now)) return "Half the gear ratio gives the pump twice the speed. The sweep is running.";
+        const speed = `A gear ratio of ${shown(value(GEAR))} gives the pump ${shown(start[GEAR] / value(GEAR), 3)} times the speed.`;
+        if (!Number.isFinite(now)) return `${speed} The sweep is running.`;
         const ratio = Number.isFinite(then) ? `, ${shown(now / then, 3)} times the ${shown(then)} Hz of the first step` : "";
-        return `Half the gear ratio gives the pump twice the speed. The bandwidth is ${shown(now)} Hz${ratio}.`
+        return `${speed} The bandwidth is ${shown(now)} Hz${ratio}.`
           + (now / then > 1.5 ? " The speed of motor and pump limits this knee." : "");
       } },
   ];
@@ -85,7 +86,7 @@ const Tour = (() => {
       this.answers[this.at] = { run, sweep: sweep ?? this.answers[this.at].sweep };
       const before = this.answers[this.at - 1]?.run;
       const first = this.answers[0].sweep;
-      const text = STEPS[this.at].text({ run, sweep, before, first, value: this.page.value });
+      const text = STEPS[this.at].text({ run, sweep, before, first, value: this.page.value, start: this.saved });
       document.getElementById("tour-text").textContent = text;
     }
 

@@ -360,7 +360,11 @@ def test_the_guided_steps_tell_the_numbers_of_their_runs(browser, single):
         assert page.evaluate("document.querySelectorAll('.pointed').length") == 1
     first = large_signal_bandwidth_hz(Scenario())
     last = large_signal_bandwidth_hz(changed(Scenario(), {GEAR: 3.0}))
-    ratio = float(re.search(r"([\d.]+) times", sentences[-1])[1])
+    assert "At 0.4 Hz" in sentences[1]
+    assert "λ is now 40 per second" in sentences[2]
+    assert "An amplitude of 6°" in sentences[3]
+    assert "A gear ratio of 3 gives the pump 2 times the speed." in sentences[4]
+    ratio = float(re.search(r"([\d.]+) times the [\d.]+ Hz", sentences[-1])[1])
     assert ratio == pytest.approx(last / first, rel=6e-3)
     page.evaluate("document.getElementById('tour-next').click()")
     assert page.evaluate("document.getElementById('tour').hidden")
@@ -368,11 +372,13 @@ def test_the_guided_steps_tell_the_numbers_of_their_runs(browser, single):
 
 
 def test_the_guided_steps_say_if_the_knee_does_not_follow(browser, tmp_path):
-    slow = changed(Scenario(), {GEAR: 60.0})
+    slow = changed(Scenario(), {GEAR: 60.0, FREQUENCY: 2.0})
     page = _Page(browser, _file(tmp_path, [slow], ["slow"]))
     page.click("tour-start")
-    assert page.text("tour-text").startswith("The knee does not follow the sine of 0.1 Hz.")
-    for _ in range(3):
+    assert page.text("tour-text").startswith("The knee does not follow the sine of 2 Hz.")
+    page.click("tour-next")
+    assert "At 5 Hz" in page.text("tour-text")  # the end of the slider
+    for _ in range(2):
         page.click("tour-next")
     assert "The knee does not follow this motion." in page.text("tour-text")
 
