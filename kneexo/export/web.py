@@ -79,8 +79,8 @@ def web_model(scenario: Scenario) -> dict[str, Any]:
         The numbers that a user varies, with label, unit, range and source.
     ``references``
         ``sine``, ``step`` and ``ramp``, each with module, base, maps and quantities. A sampled
-        reference is ``samples`` with its ``range_deg`` and its four ``columns`` at the ticks, as
-        base64 of doubles.
+        reference is ``samples`` with its ``range_deg``. Its angle is a piecewise polynomial with
+        ``breaks`` and ``powers``, both as base64 of doubles; see `InputTable`.
     ``limits``
         Bounds of the signals, each a number, None, or a formula.
     ``controller``, ``load``
@@ -282,14 +282,17 @@ def _quantity(
 def _references(scenario: Scenario) -> dict[str, Any]:
     references: dict[str, Any] = {kind: _reference(kind, scenario) for kind in REFERENCES}
     if isinstance(scenario.reference, SampledReference):
-        period = scenario.controller.sample_time_s
-        ticks = round(scenario.duration_s / period)
         table = reference_table(scenario.reference)
-        rows = np.array([table.value(period * k) for k in range(ticks + 1)])
-        columns = base64.b64encode(np.ascontiguousarray(rows.T).tobytes()).decode()
-        range_deg = list(scenario.reference.range_deg)
-        references["samples"] = {"columns": columns, "ticks": ticks, "range_deg": range_deg}
+        references["samples"] = {
+            "breaks": _base64(table.breaks),
+            "powers": _base64(table.coefficients[:, 0]),  # the other inputs are derivatives
+            "range_deg": list(scenario.reference.range_deg),
+        }
     return references
+
+
+def _base64(values: Array) -> str:
+    return base64.b64encode(np.ascontiguousarray(values).tobytes()).decode()
 
 
 def _reference(kind: str, scenario: Scenario) -> dict[str, Any]:

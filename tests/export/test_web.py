@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.interpolate import PPoly
 
 from kneexo import linkage
 from kneexo.errors import KneexoError
@@ -18,6 +19,7 @@ from kneexo.simulation.compiled import simulate_together
 
 CURVES = ("knee_angle_rad", "motor_speed_command_rad_s", "load_pressure_pa")
 SIGNALS = ("knee_reference", "knee_angle", "motor_speed_command", "load_pressure")
+KEYS = ("breaks", "powers")
 BENCH = Scenario.model_validate(SHIPPED["bench"])
 LEG = Scenario.model_validate(SHIPPED["leg"])
 
@@ -55,8 +57,11 @@ def run_on_page(web_run):
     def run(model, kind, values, ticks):
         modules, source = web_modules([model]), model["references"][kind]
         if kind == "samples":
-            bytes_ = base64.b64decode(source["columns"])
-            reference = np.frombuffer(bytes_).reshape(4, source["ticks"] + 1)[:, : ticks + 1].T
+            breaks, powers = (np.frombuffer(base64.b64decode(source[key])) for key in KEYS)
+            inner = powers.reshape(breaks.size + 1, -1)[1:-1]
+            spline = PPoly(inner.T[::-1], breaks)
+            time = 0.002 * np.arange(ticks + 1)  # within the breaks
+            reference = np.column_stack([spline(time, order) for order in range(4)])
         else:
             instance, table = module(modules, source["module"])
             reference = instance.run(table, ticks=ticks, params=parameters_of(source, values))
@@ -163,12 +168,11 @@ def test_every_reference_gives_the_curves_of_the_engine(kind, run_on_page):
 
 
 @pytest.mark.slow
-def test_a_sampled_reference_is_its_columns(run_on_page):
+def test_a_sampled_reference_is_its_spline(run_on_page):
     gait = gait_reference(0.2, 1)
     scenario = Scenario(reference=gait, simulation={"duration_s": 5.0})
     model = model_of(scenario)
     samples = model["references"]["samples"]
-    assert samples["ticks"] == 2500
     assert samples["range_deg"] == [min(gait.angles_deg), max(gait.angles_deg)]
     require_same_curves(run_on_page, scenario, model, {}, 1.0)
 

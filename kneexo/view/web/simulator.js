@@ -191,8 +191,8 @@ const Simulator = (() => {
   // ---------------------------------------------------------------------------------- runs
 
   // The four columns of the reference: θ_d and its derivatives at ticks 0 … ticks.
-  async function referenceColumns(source, values, ticks, pause, purpose) {
-    if (source.columns !== undefined) return sampledColumns(source, ticks);
+  async function referenceColumns(source, values, ticks, period_s, pause, purpose) {
+    if (source.powers !== undefined) return sampledColumns(source, ticks, period_s);
     const instance = instanceOf(source.module, purpose);
     instance.prepare(parametersOf(source, values), ticks);
     const rows = await instance.run(pause);
@@ -200,16 +200,34 @@ const Simulator = (() => {
     return instance.table.outputs.map((name) => instance.output(name, rows));
   }
 
-  // Samples of a reference. After its end the angle is constant.
-  function sampledColumns(source, ticks) {
-    source.decoded ??= new Float64Array(bytesOf(source.columns).buffer);
-    const size = source.ticks + 1;
-    return [0, 1, 2, 3].map((order) => {
-      const samples = source.decoded.subarray(order * size, (order + 1) * size);
-      const column = new Float64Array(ticks + 1).fill(order ? 0 : samples[size - 1]);
-      column.set(samples.subarray(0, Math.min(size, ticks + 1)));
-      return column;
-    });
+  // Angle and three derivatives of a piecewise polynomial at the ticks. Powers are of the time since a break.
+  function sampledColumns(source, ticks, period_s) {
+    source.decoded ??= [source.breaks, source.powers].map((text) => new Float64Array(bytesOf(text).buffer));
+    const [breaks, powers] = source.decoded;
+    const width = powers.length / (breaks.length + 1);
+    const columns = [0, 1, 2, 3].map(() => new Float64Array(ticks + 1));
+    let segment = 0;
+    for (let tick = 0; tick <= ticks; ++tick) {
+      const time = tick * period_s;
+      // A segment is closed on the left; the last break also belongs to the segment before.
+      while (segment < breaks.length - 1 && time >= breaks[segment]) ++segment;
+      if (time > breaks[segment]) ++segment;
+      const since = time - (breaks[segment - 1] ?? 0);
+      const row = powers.subarray(segment * width, (segment + 1) * width);
+      columns.forEach((column, order) => { column[tick] = derivativeAt(row, since, order); });
+    }
+    return columns;
+  }
+
+  // The derivative of this order of the polynomial with the coefficients `row`, at x.
+  function derivativeAt(row, x, order) {
+    let sum = 0;
+    for (let power = row.length - 1; power >= order; --power) {
+      let factor = row[power];
+      for (let down = 0; down < order; ++down) factor *= power - down;
+      sum = sum * x + factor;
+    }
+    return sum;
   }
 
   const periodOf = (model) => sources.get(model.loop.module).table.sample_time_s;
@@ -221,7 +239,8 @@ const Simulator = (() => {
     const ticks = Math.max(1, Math.floor(duration_s / instance.table.sample_time_s + 1e-6));
     const source = model.references[reference];
     if (!source) throw new Error(`reference ${reference} is not in this model`);
-    const columns = await referenceColumns(source, values, ticks, pause, `${purpose} ${setup}`);
+    const period_s = instance.table.sample_time_s;
+    const columns = await referenceColumns(source, values, ticks, period_s, pause, `${purpose} ${setup}`);
     const all = { ...values, start_angle_rad: columns[0][0] };
     instance.prepare(parametersOf(model.loop, all), ticks);
     columns.forEach((column, order) => instance.input(order).set(column));

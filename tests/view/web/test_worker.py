@@ -249,16 +249,19 @@ def test_a_step_has_the_metrics_of_a_step(worker):
 
 
 @pytest.mark.slow
-def test_samples_are_a_reference_and_end_with_a_constant_angle(worker):
-    times, angles = (0.0, 0.5, 1.0, 1.5), (30.0, 40.0, 35.0, 45.0)
+@pytest.mark.parametrize("interpolation", ["cubic", "linear"])
+def test_samples_are_a_reference_and_end_with_a_constant_angle(worker, interpolation):
+    times, angles = (0.1, 0.5, 1.0, 1.5), (30.0, 40.0, 35.0, 45.0)
+    samples = {"kind": "samples", "times_s": times, "angles_deg": angles}
     scenario = Scenario(
-        reference={"kind": "samples", "times_s": times, "angles_deg": angles},
-        simulation={"duration_s": 1.5},
+        reference=samples | {"interpolation": interpolation}, simulation={"duration_s": 1.0}
     )
     model = loaded(worker, scenario)
     request = {"kind": "run", "model": "model", "reference": "samples", "values": {}}
-    check_run(worker.ask(duration_s=1.5, **request), in_kneexo(scenario, model, 1.5))
-    longer = worker.ask(duration_s=2.0, **request)
+    for duration_s in (0.8, 1.5, 2.0):  # a part, all, and beyond the last sample
+        answer = worker.ask(duration_s=duration_s, **request)
+        check_run(answer, in_kneexo(scenario, model, duration_s))
+    longer = answer
     assert longer["columns"]["reference"][-1] == pytest.approx(math.radians(45.0))
     assert longer["columns"]["angle"][-1] == pytest.approx(math.radians(45.0), abs=1e-3)
     margins = worker.ask(**(request | {"kind": "linear"}))
