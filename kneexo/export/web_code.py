@@ -53,8 +53,9 @@ REFERENCES: Mapping[str, Any] = {
 }
 """The references that have a module."""
 
+_INTERVAL_S = 0.002
 _STEPS = {"reduced": 15, "full": 60}
-"""Number of steps of RK4 in 2 ms, by the order of the cylinder.
+"""Number of steps of RK4 in `_INTERVAL_S`, by the order of the cylinder.
 
 The fastest oscillation of the reduced order, 447 Hz, turns by 0.37 rad in a step, so the load
 pressure of a saturating loop has an error of 0.4 %. In the full order, the valves of a nearly empty
@@ -115,7 +116,7 @@ def loop_source(scenario: Scenario, *, smooth: bool = False) -> CSource:
         "loop",
         outputs=names,
         interface=Interface(fields | {PERTURBATION: ("command_perturbation_rad_s",)}),
-        step_s=0.002 / (_SMOOTH_STEPS if smooth else _STEPS)[order],
+        step_s=_INTERVAL_S / (_SMOOTH_STEPS if smooth else _STEPS)[order],
         tick_s=scenario.controller.sample_time_s,
     )
 
@@ -146,7 +147,7 @@ def require_slow_modes(scenario: Scenario) -> None:
             ("full_order.dead_volume_m3", "m³", valve / full.dead_volume_m3, _STABLE, 1),
         ]
     for name, unit, rate, angle, power in modes:
-        highest = angle * _STEPS["reduced" if full is None else "full"] / 0.002
+        highest = angle * _STEPS["reduced" if full is None else "full"] / _INTERVAL_S
         if rate > highest:
             path = f"plant.{name}"
             value = value_at(scenario, path)

@@ -162,9 +162,17 @@ def test_the_numbers_on_the_page_are_those_of_kneexo(browser, single):
         assert _same(page.number("phase")[0], margins.phase_margin_deg)
         assert _same(page.number("gain")[0], margins.gain_margin)
         assert _same(page.number("delay")[0], 1e3 * margins.delay_margin_s)
+        samples = math.floor(margins.delay_margin_s / scenario.controller.sample_time_s)
+        assert page.number("delay")[1] == f"{samples} samples"
+        share = re.fullmatch(r"([\d.]+) % of the rating, 35 bar", page.number("pressure")[1])[1]
+        rating_mpa = 1e-6 * scenario.plant.cylinder.pressure_rating_pa
+        assert float(share) == pytest.approx(
+            100.0 * metrics.peak_pressure_mpa / rating_mpa, rel=0.06
+        )
     assert "limits the knee" in page.number("saturated")[1]
     assert "does not follow" in page.number("error")[1]
     assert _same(page.number("bandwidth")[0], large_signal_bandwidth_hz(Scenario()))
+    assert page.number("bandwidth")[1] == "−3 dB, below the sine's 0.3 Hz"
 
 
 def test_a_slider_changes_the_curves_that_are_drawn(browser, single):
