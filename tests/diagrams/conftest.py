@@ -58,6 +58,22 @@ class FourBarOracle:
         pin = joint_b + cmath.rect(self.pin_radius, theta_3 + self.pin_angle)
         return abs(pin - self.anchor) - self.rod_length
 
+    def arm(self, knee):
+        """Moment arm of the rod by virtual work: its moment about the centre of rotation.
+
+        The coupler turns about the point where the lines of link 2 and link 4 meet. A pushing rod
+        extends the knee, so its moment about this point is clockwise.
+        """
+        link_4 = cmath.rect(self.a_4, self.theta_4(knee))
+        joint_b = self.o_b + link_4
+        joint_a = joint_b - cmath.rect(self.a_3, knee - self.phi)
+        link_2 = joint_a - self.o_a
+        along = (link_2.conjugate() * (self.o_a - self.o_b)).imag
+        centre = self.o_b + link_4 * along / (link_2.conjugate() * link_4).imag
+        pin = joint_b + cmath.rect(self.pin_radius, knee - self.phi + self.pin_angle)
+        rod = pin - self.anchor
+        return -((pin - centre).conjugate() * rod).imag / abs(rod)
+
     def knee_of_rod(self, extension, guess=0.7):
         """Knee angle of a rod extension, by the secant method to machine precision."""
         a, b = guess, guess + 1e-3

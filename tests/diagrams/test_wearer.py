@@ -87,9 +87,11 @@ def test_without_wearer_and_torque_control_the_load_cell_is_not_part_of_the_stru
 # ---------------------------------------------------------------------------------- signs
 
 
-def test_power_of_cuff_and_weight_on_the_knee_is_the_power_of_the_rods_load(four_bar):
-    """−F_L dx/dt = (τ_i + W) dθ/dt, with m d²x/dt² = F − F_L; dθ/dx by differences."""
-    diagram = make_closed_loop(scenario(wearer={"motion": "passive"}))
+@pytest.mark.parametrize("full_order", [False, True], ids=["reduced", "full"])
+def test_power_of_cuff_and_weight_on_the_knee_is_the_power_of_the_rods_load(four_bar, full_order):
+    """−F_L dx/dt = (τ_i + W) dθ/dt, with m d²x/dt² = F − F_L."""
+    plant = PlantParameters(load=KneeLoadParameters(), full_order=full_order)
+    diagram = make_closed_loop(scenario(wearer={"motion": "passive"}, plant=plant))
     context = diagram.CreateDefaultContext()
     plant = diagram.GetSubsystemByName("plant")
     inner = plant.GetMyMutableContextFromRoot(context)
@@ -97,22 +99,22 @@ def test_power_of_cuff_and_weight_on_the_knee_is_the_power_of_the_rods_load(four
     leg = diagram.GetSubsystemByName("wearer").GetMyMutableContextFromRoot(context)
     for seed in range(20):
         random = np.random.default_rng(seed)
-        knee, velocity, pressure = random.uniform((0.1, -0.2, -2.0), (1.4, 0.2, 2.0))
-        cylinder.SetContinuousState([four_bar.rod(knee), velocity, pressure])
+        knee, velocity, *pressures = random.uniform((0.1, -0.2, -2.0, 0.1), (1.4, 0.2, 2.0, 3.0))
+        pressures = pressures[: 1 + full_order]
+        cylinder.SetContinuousState([four_bar.rod(knee), velocity, *pressures])
         state = leg.get_continuous_state_vector().CopyToVector()
         leg.SetContinuousState([knee + random.uniform(-0.05, 0.05), 1.5, *state[2:]])
-        step = 1e-5
-        slope = (four_bar.rod(knee + step) - four_bar.rod(knee - step)) / (2.0 * step)
+        rate = -velocity / four_bar.arm(knee)
         torque = diagram.GetOutputPort("interaction_torque").Eval(context)[0]
         weight = -WEIGHT * math.sin(knee)  # the thigh hangs
         acceleration = plant.GetOutputPort("rod_state").Eval(inner)[2]
         force = plant.GetOutputPort("rod_force").Eval(inner)[0]
         load_power = -(force - 1.6 * acceleration) * velocity
-        # Differences of 1e-5 rad leave 1e-9 of the slope; the geometry has seven digits.
-        assert load_power == pytest.approx((torque + weight) * velocity / slope, rel=1e-5)
+        # The fit of the inverse leaves 5e-12 rad, 2e-11 of the arm. F − m a cancels to 1e-15 F.
+        assert load_power == pytest.approx((torque + weight) * rate, rel=1e-9, abs=1e-10)
         given, taken = diagram.GetOutputPort("interaction_power").Eval(context)
         assert given == pytest.approx(1.5 * torque, rel=1e-12)
-        assert taken == pytest.approx(torque * velocity / slope, rel=1e-5)
+        assert taken == pytest.approx(torque * rate, rel=1e-9)
 
 
 def rest(case):
@@ -143,11 +145,10 @@ def test_assistance_takes_its_share_of_the_moment_from_the_leg(four_bar):
         simulation=SimulationParameters(duration_s=15.0),
     )
     run = rest(case)
-    knee, step = run["knee_angle_rad"], 1e-5
-    arm = -(four_bar.rod(knee + step) - four_bar.rod(knee - step)) / (2.0 * step)
+    knee = run["knee_angle_rad"]
     # 30 % of 10 N·m in flexion: the rod pulls.
     assert run["desired_torque_n_m"] == 3.0
-    assert run["rod_force_n"] * arm == pytest.approx(-3.0, abs=0.1)
+    assert run["rod_force_n"] * four_bar.arm(knee) == pytest.approx(-3.0, abs=0.1)
     carried = WEIGHT * math.sin(knee) - 3.0
     assert run["interaction_torque_n_m"] == pytest.approx(carried, abs=0.2)
 
