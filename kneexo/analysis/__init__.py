@@ -19,6 +19,7 @@ from kneexo.analysis.impedance import (
     measure_impedance,
     output_impedance,
 )
+from kneexo.analysis.interaction import InteractionMetrics, interaction_metrics
 from kneexo.analysis.margins import Margins
 from kneexo.analysis.passivity import PassivityLimits, passivity_limits
 from kneexo.analysis.plant_linearization import (
@@ -47,6 +48,7 @@ from kneexo.simulation import Run, simulate, simulate_diagram
 __all__ = [
     "EnergyBalance",
     "FrequencyResponse",
+    "InteractionMetrics",
     "Margins",
     "MeasuredImpedance",
     "OperatingPoint",
@@ -71,6 +73,7 @@ __all__ = [
     "find_operating_point",
     "fit_polynomials",
     "fundamental",
+    "interaction_metrics",
     "large_signal_bandwidth_hz",
     "linearize_loop",
     "linearize_plant",
