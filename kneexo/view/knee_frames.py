@@ -34,6 +34,8 @@ class KneeFrames(LeafSystem):
     knee_angle       1     rad       θ_p, 0 = full extension, positive = flexion
     knee_reference   4     rad, …    θ_d and its derivatives, which have no effect here;
                                      the knee angle if unconnected
+    wearer_motion    2     rad, …    θ_h of the wearer's leg and its rate, which has no effect
+                                     here; the knee angle if unconnected
     **output port**
     frame_poses                      `FramePoseVector`: pose of each frame in the world
     ===============  ====  ========  ===================================================
@@ -87,20 +89,23 @@ class KneeFrames(LeafSystem):
             scene_graph.RegisterGeometry(self.source, self._frames[part.frame], geometry)
         self._angle = self.DeclareVectorInputPort("knee_angle", 1)
         self._reference = self.DeclareVectorInputPort("knee_reference", 4)
+        self._wearer = self.DeclareVectorInputPort("wearer_motion", 2)
         self.DeclareAbstractOutputPort(
             "frame_poses",
             lambda: Value(FramePoseVector()),
             self._calc_poses,
-            {self._angle.ticket(), self._reference.ticket()},
+            {port.ticket() for port in (self._angle, self._reference, self._wearer)},
         )
 
     def _calc_poses(self, context: Any, output: Any) -> None:
         angle = self._angle.Eval(context)[0]
-        has_reference = self._reference.HasValue(context)
-        reference = self._reference.Eval(context)[0] if has_reference else angle
+        reference, wearer = (
+            port.Eval(context)[0] if port.HasValue(context) else angle
+            for port in (self._reference, self._wearer)
+        )
         vector = FramePoseVector()
         offset = RigidTransform([0.0, self._depth_m, 0.0])
-        for frame, placement in placements(self._linkage, angle, reference).items():
+        for frame, placement in placements(self._linkage, angle, reference, wearer).items():
             (pose,) = placement.poses()
             vector.set_value(self._frames[frame], offset @ pose)
         output.set_value(vector)

@@ -23,8 +23,15 @@ SIGNALS = ("knee_angle", "knee_reference", "load_pressure")
 COLUMNS = ("time_s", "knee_angle_rad", "knee_reference_rad", "load_pressure_pa")
 """The names of time and `SIGNALS` as columns of a run and of signals.csv."""
 
+WEARER_SIGNALS = ("wearer_motion", "interaction_torque")
+"""The further signals that a page shows of a run with a wearer."""
+
+WEARER_COLUMNS = ("wearer_angle_rad", "interaction_torque_n_m")
+"""The names of the columns of `WEARER_SIGNALS` that a page shows."""
+
 _SHORTEST_STEP_S = 1e-9  # the times in signals.csv have ten digits
 _HIGHEST_PRESSURE_PA = 1e12
+_HIGHEST_TORQUE_N_M = 1e6
 _SLACK_RAD = 1e-6
 
 
@@ -40,6 +47,10 @@ class Leg:
     pressure_pa: Array
     pressure_rating_pa: float = CylinderParameters().pressure_rating_pa
     """Load pressure in Pa at which the cylinder has its full colour."""
+    wearer_rad: Array | None = None
+    """Angle of the wearer's knee (n,). None without a wearer."""
+    torque_n_m: Array | None = None
+    """Torque of the wearer on the exoskeleton (n,), positive flexes. None without a wearer."""
 
     @classmethod
     def of_signals(
@@ -49,9 +60,13 @@ class Leg:
         signals: Mapping[str, ArrayLike],
         pressure_rating_pa: float = CylinderParameters().pressure_rating_pa,
     ) -> Leg:
-        """Return a leg. ``signals`` maps each name in `COLUMNS` to its values (n,)."""
+        """Return a leg. ``signals`` maps each name in `COLUMNS` to its values (n,).
+
+        The names in `WEARER_COLUMNS` are optional.
+        """
         time, angle, reference, pressure = (np.asarray(signals[column]) for column in COLUMNS)
-        return cls(name, linkage, time, angle, reference, pressure, pressure_rating_pa)
+        wearer = (np.asarray(signals[c]) if c in signals else None for c in WEARER_COLUMNS)
+        return cls(name, linkage, time, angle, reference, pressure, pressure_rating_pa, *wearer)
 
     @classmethod
     def of_plant(cls, name: str, plant: PlantParameters, signals: Mapping[str, ArrayLike]) -> Leg:
@@ -65,8 +80,9 @@ def leg_of_scenario(name: str, scenario: Scenario) -> tuple[Leg, str]:
     If the run fails, the leg ends with the last sample before the failure. Raises `SimulationError`
     if there is no such sample.
     """
+    signals = SIGNALS + WEARER_SIGNALS * (scenario.wearer.kind != "none")
     try:
-        return _leg(name, scenario, simulate(scenario, signals=SIGNALS)), ""
+        return _leg(name, scenario, simulate(scenario, signals=signals)), ""
     except SimulationError as error:
         failure = error
     sample = scenario.controller.sample_time_s
@@ -77,7 +93,7 @@ def leg_of_scenario(name: str, scenario: Scenario) -> tuple[Leg, str]:
         simulation = scenario.simulation.model_copy(update={"duration_s": middle * sample})
         try:
             shorter = scenario.model_copy(update={"simulation": simulation})
-            run, passing = simulate(shorter, signals=SIGNALS), middle
+            run, passing = simulate(shorter, signals=signals), middle
         except SimulationError:
             failing = middle
     if run is None:
@@ -94,10 +110,12 @@ def leg_of_results(name: str, directory: Path, scenario: Scenario) -> Leg:
 
     Raises `ScenarioError` if signals.csv cannot be read, a column is missing, the time does not
     increase, or a value is out of range. Knee angle and reference must lie within the scenario's
-    range of motion, extended by the allowed overshoot.
+    range of motion, extended by the allowed overshoot. The columns of `WEARER_COLUMNS` are
+    required if the scenario has a wearer.
     """
     path = directory / "signals.csv"
-    table = read_table(path, COLUMNS)
+    has_wearer = scenario.wearer.kind != "none"
+    table = read_table(path, COLUMNS + WEARER_COLUMNS * has_wearer)
     if not table.lines:
         raise ScenarioError(f"{shown(path)}: has no rows below the names of its columns")
     knee = scenario.plant.knee
@@ -109,4 +127,8 @@ def leg_of_results(name: str, directory: Path, scenario: Scenario) -> Leg:
     table.require(angle, low, high, "rad")
     table.require(reference, low, high, "rad")
     table.require(pressure, -_HIGHEST_PRESSURE_PA, _HIGHEST_PRESSURE_PA, "Pa")
+    if has_wearer:
+        wearer, torque = WEARER_COLUMNS
+        table.require(wearer, -math.tau, math.tau, "rad")
+        table.require(torque, -_HIGHEST_TORQUE_N_M, _HIGHEST_TORQUE_N_M, "N·m")
     return Leg.of_plant(name, scenario.plant, table.columns)

@@ -15,7 +15,7 @@ from kneexo.view.knee_frames import KneeFrames
 from kneexo.view.parts import ICR_COLOUR, depths_m, icr_path, look_at_legs
 from kneexo.view.pressure_colour import PressureColour
 
-PORTS = {"knee_angle": 1, "knee_reference": 4, "load_pressure": 1}
+PORTS = {"knee_angle": 1, "knee_reference": 4, "wearer_motion": 2, "load_pressure": 1}
 """Dictionary from an output port that the view shows to its size. ``knee_angle`` is required."""
 
 PERIOD_S = 1.0 / 32.0
@@ -43,8 +43,9 @@ def add_meshcat_view(
         The builder of the diagram.
     legs
         Dictionary from systems of ``builder`` to linkages. A system requires an output port
-        ``knee_angle`` (1, rad); its ports ``knee_reference`` (4, the first in rad) and
-        ``load_pressure`` (1, Pa) are optional. A diagram of `make_closed_loop` has all three.
+        ``knee_angle`` (1, rad); its ports ``knee_reference`` (4, the first in rad),
+        ``wearer_motion`` (2, the first in rad) and ``load_pressure`` (1, Pa) are optional. A
+        diagram of `make_closed_loop` has all of them, without a wearer no ``wearer_motion``.
     meshcat
         Shows the legs from the side; its grid and axes are hidden.
     largest_pressure_pa
@@ -98,7 +99,7 @@ def add_meshcat_view(
     builder.AddNamedSystem("knee_scene_graph", scene_graph)
     for leg, system in frames.items():
         builder.AddNamedSystem(f"{leg.get_name()}_frames", system)
-        for port in ("knee_angle", "knee_reference"):
+        for port in ("knee_angle", "knee_reference", "wearer_motion"):
             if port in sizes[leg]:
                 connect(builder, leg, port, system, port)
         builder.Connect(

@@ -27,6 +27,8 @@ MOST_FRAMES_IN_REPORT = 60_000
 MOST_LEGS = 30
 """Largest number of legs of a page, one leg for each run. The page has at most 8 MB."""
 
+_BEYOND_RAD = 0.1  # the linkage can be assembled this far beyond the range of motion
+
 MARK = "<!-- made by kneexo view -->"
 """A comment in each page. No command replaces a file without this comment."""
 
@@ -97,6 +99,9 @@ def require_page(path: Path) -> None:
 def _stage_leg(leg: Leg) -> dict[str, Any]:
     angles = np.concatenate([leg.knee_angle_rad, leg.reference_rad])
     low, high = float(angles.min()), float(angles.max())
+    if leg.wearer_rad is not None:
+        low = max(low - _BEYOND_RAD, min(low, float(leg.wearer_rad.min())))
+        high = min(high + _BEYOND_RAD, max(high, float(leg.wearer_rad.max())))
     return stage_leg(leg.name, leg.linkage, low, high, leg.pressure_rating_pa)
 
 
@@ -107,9 +112,12 @@ def _run(leg: Leg, end_s: float) -> dict[str, str]:
     near = np.rint(np.interp(times, leg.time_s, np.arange(len(leg.time_s))))
     last = np.searchsorted(leg.time_s, end_s, side="right") - 1
     rows = np.unique([*near.astype(int), last])
-    return {
-        "time": pack(leg.time_s[rows]),
-        "angle": pack(leg.knee_angle_rad[rows]),
-        "reference": pack(leg.reference_rad[rows]),
-        "pressure": pack(leg.pressure_pa[rows]),
+    columns = {
+        "time": leg.time_s,
+        "angle": leg.knee_angle_rad,
+        "reference": leg.reference_rad,
+        "pressure": leg.pressure_pa,
+        "wearer": leg.wearer_rad,
+        "torque": leg.torque_n_m,
     }
+    return {name: pack(column[rows]) for name, column in columns.items() if column is not None}

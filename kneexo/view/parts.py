@@ -24,6 +24,9 @@ ICR_COLOUR = Rgba(0.8, 0.0, 0.5)
 REFERENCE = "reference"
 """Name of the shank's frame at the reference. The names of its parts begin with this word."""
 
+WEARER = "wearer"
+"""Name of the frame of the wearer's shank and foot. Without a wearer it is the frame ``shank``."""
+
 SKIN, GHOST, GROUND = "skin", "ghost", "ground"
 """Roles of parts. Skin is translucent, a ghost shows the reference, the ground never moves."""
 
@@ -65,17 +68,23 @@ class Placement:
 
 
 def placements(
-    linkage: LinkageParameters, knee_angle: ArrayLike, reference: ArrayLike
+    linkage: LinkageParameters,
+    knee_angle: ArrayLike,
+    reference: ArrayLike,
+    wearer: ArrayLike | None = None,
 ) -> dict[str, Placement]:
     """Return a dictionary from the name of a frame to its placement at n times.
 
-    The frames are those of `FRAMES`, ``icr`` and ``reference``. Knee angles and references (n,) are
-    in rad. Raises `LinkageError` if the linkage cannot be assembled.
+    The frames are those of `FRAMES`, ``icr``, ``reference`` and ``wearer``. Angles (n,) of the
+    knee, the reference and the wearer's knee are in rad. If ``wearer`` is None, the wearer's shank
+    moves with the knee angle. Raises `LinkageError` if the linkage cannot be assembled.
     """
     at = points(linkage, knee_angle)
     frames = {name: _placement(at, name) for name in FRAMES}
     frames["icr"] = Placement(at["icr"], np.ones_like(at["icr"]))
     frames[REFERENCE] = _placement(points(linkage, reference), "shank")
+    at_wearer = at if wearer is None else points(linkage, wearer)
+    frames[WEARER] = _placement(at_wearer, "shank")
     return frames
 
 
@@ -97,7 +106,8 @@ def parts(linkage: LinkageParameters) -> dict[str, Part]:
         side = 2.0 * bar.radius_m
         shape = Box(side, side, length) if bar.is_flat else Cylinder(bar.radius_m, length)
         pose = _between(at[bar.start], at[bar.end], bar.layer_m)
-        result[name] = Part(bar.frame, shape, pose, Rgba(*bar.colour))
+        frame = WEARER if name in ("shank", "foot") else bar.frame  # the bones
+        result[name] = Part(frame, shape, pose, Rgba(*bar.colour))
     for name, frame in PINS.items():
         pose = RigidTransform(_ACROSS, in_world(at[name], 0.0))
         result[f"pin_{name}"] = Part(frame, _PIN, pose, _PIN_COLOUR)
@@ -112,7 +122,7 @@ def parts(linkage: LinkageParameters) -> dict[str, Part]:
     ghosts = {
         f"{REFERENCE}_{name}": Part(REFERENCE, _shrunk(part.shape), part.pose, _GHOST_COLOUR, GHOST)
         for name, part in result.items()
-        if part.role == SKIN and part.frame == "shank"
+        if part.role == SKIN and part.frame == WEARER
     }
     return result | ghosts
 
@@ -143,10 +153,10 @@ def _skin() -> dict[str, Part]:
         "upper_thigh": ("thigh", Ellipsoid(0.072, 0.070, 0.190), _beside(0.004, 0.21)),
         "lower_thigh": ("thigh", Capsule(0.050, 0.14), _beside(0.0, 0.10)),
         "knee": ("thigh", Ellipsoid(0.053, 0.050, 0.060), _beside(0.004, 0.003)),
-        "calf": ("shank", Ellipsoid(0.050, 0.050, 0.125), _beside(-0.014, -0.13)),
-        "shin": ("shank", Capsule(0.036, 0.26), _beside(0.0, -0.19)),
-        "heel": ("shank", Ellipsoid(0.075, 0.040, 0.038), _beside(0.015, -0.358)),
-        "toes": ("shank", Capsule(0.024, 0.10), forwards),
+        "calf": (WEARER, Ellipsoid(0.050, 0.050, 0.125), _beside(-0.014, -0.13)),
+        "shin": (WEARER, Capsule(0.036, 0.26), _beside(0.0, -0.19)),
+        "heel": (WEARER, Ellipsoid(0.075, 0.040, 0.038), _beside(0.015, -0.358)),
+        "toes": (WEARER, Capsule(0.024, 0.10), forwards),
     }
     return {name: Part(*limb, _SKIN_COLOUR, SKIN) for name, limb in limbs.items()}
 

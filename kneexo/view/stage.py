@@ -29,6 +29,7 @@ STAGE_SCRIPTS = (
     "stage_model.js",
     "stage_solid.js",
     "stage_flat.js",
+    "stage_arrow.js",
     "stage_elements.js",
     "stage.js",
 )

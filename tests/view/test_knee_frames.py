@@ -46,11 +46,13 @@ class Shown:
             colours[name] = properties.GetProperty("phong", "diffuse")
         return colours
 
-    def poses(self, angle, reference=None):
+    def poses(self, angle, reference=None, wearer=None):
         context = self.system.CreateDefaultContext()
         self.system.GetInputPort("knee_angle").FixValue(context, [angle])
         if reference is not None:
             self.system.GetInputPort("knee_reference").FixValue(context, [reference, 9.0, 9.0, 9.0])
+        if wearer is not None:
+            self.system.GetInputPort("wearer_motion").FixValue(context, [wearer, 9.0])
         vector = self.system.GetOutputPort("frame_poses").Eval(context)
         inspector = self.inspector
         return {
@@ -74,12 +76,14 @@ def test_ports_and_no_state():
     assert {port.get_name(): port.size() for port in inputs} == {
         "knee_angle": 1,
         "knee_reference": 4,
+        "wearer_motion": 2,
     }
     assert system.num_output_ports() == 1
     assert system.HasOutputPort("frame_poses")
     assert system.CreateDefaultContext().num_total_states() == 0
     assert system.HasDirectFeedthrough(0, 0)
     assert system.HasDirectFeedthrough(1, 0)
+    assert system.HasDirectFeedthrough(2, 0)
 
 
 def test_it_does_not_convert_to_other_scalars():
@@ -219,6 +223,15 @@ def test_the_ghost_is_the_shank_at_the_reference_or_at_the_angle_without_a_refer
 
 
 # ------------------------------------------------------------------------------ bad input
+
+
+def test_the_limb_is_at_the_angle_of_the_wearer_if_there_is_one():
+    shown = Shown(G1)
+    apart, together, knee = shown.poses(0.4, 0.4, 1.1), shown.poses(1.1), shown.poses(0.4)
+    for name in ("shin", "toes", "foot"):
+        assert apart[name].IsExactlyEqualTo(together[name])
+    for name in ("sole", "rod", "reference_shin"):
+        assert apart[name].IsExactlyEqualTo(knee[name])
 
 
 def test_a_linkage_that_does_not_close_is_refused_on_construction():

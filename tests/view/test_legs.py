@@ -24,6 +24,37 @@ def test_a_leg_has_the_signals_of_its_run():
     np.testing.assert_array_equal(leg.pressure_pa, run["load_pressure_pa"])
 
 
+WORN = {"plant": {"load": "knee"}, "wearer": "leg"}
+
+
+def test_a_leg_with_a_wearer_has_his_angle_and_his_torque():
+    scenario = scenario_of(**WORN)
+    leg, _ = leg_of_scenario("worn", scenario)
+    run = simulate(scenario)
+    np.testing.assert_array_equal(leg.wearer_rad, run["wearer_angle_rad"])
+    np.testing.assert_array_equal(leg.torque_n_m, run["interaction_torque_n_m"])
+    assert leg_of_scenario("free", scenario_of())[0].wearer_rad is None
+
+
+def test_results_with_a_wearer_need_his_columns(tmp_path):
+    head = "time_s,knee_angle_rad,knee_reference_rad,load_pressure_pa"
+    signals, scenario = tmp_path / "signals.csv", scenario_of(**WORN)
+    signals.write_text(f"{head}\n0,1,1,3\n")
+    with pytest.raises(ScenarioError, match="has no column 'wearer_angle_rad'"):
+        leg_of_results("worn", tmp_path, scenario)
+    head += ",wearer_angle_rad,interaction_torque_n_m\n"
+    signals.write_text(f"{head}0,1,1,3,1.25,-40\n")
+    leg = leg_of_results("worn", tmp_path, scenario)
+    assert (leg.wearer_rad, leg.torque_n_m) == (1.25, -40.0)
+    for row, match in (
+        ("0,1,1,3,7,0", "wearer_angle_rad = 7 rad is out of range"),
+        ("0,1,1,3,1,1e38", r"interaction_torque_n_m = 1e\+38 N·m is out of range"),
+    ):
+        signals.write_text(f"{head}{row}\n")
+        with pytest.raises(ScenarioError, match=match):
+            leg_of_results("worn", tmp_path, scenario)
+
+
 FAILING = scenario_of(
     controller={
         "kind": "pid",

@@ -56,6 +56,20 @@ def test_a_leg_of_its_knee_angle_alone_is_shown(meshcat):
     assert meshcat.HasPath("/drake/icr_paths/mine")
 
 
+def test_the_limb_of_a_wearer_moves_with_his_leg(meshcat):
+    builder = DiagramBuilder()
+    scenario = Scenario.model_validate({"plant": {"load": "knee"}, "wearer": "leg"})
+    leg = builder.AddNamedSystem("worn", make_closed_loop(scenario, signals=()))
+    add_meshcat_view(builder, {leg: G1}, meshcat)
+    frames = builder.GetSubsystemByName("worn_frames").GetInputPort("wearer_motion")
+    (source,) = (
+        out
+        for end, out in builder.connection_map().items()
+        if end[1] == frames.get_index() and end[0].get_name() == "worn_frames"
+    )
+    assert source == (leg, leg.GetOutputPort("wearer_motion").get_index())
+
+
 # ------------------------------------------------------------------------- a recorded run
 
 

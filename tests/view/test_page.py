@@ -70,6 +70,21 @@ def test_angles_beyond_the_range_of_motion_are_in_the_tables():
     assert data["high_rad"] == 1.6
 
 
+def test_a_page_holds_the_angle_and_the_torque_of_a_wearer():
+    time = np.linspace(0.0, 1.0, 101)
+    angle = 1.0 - time
+    leg = Leg("x", LINKAGES["G1"], time, angle, angle, time, 2e6, angle - 0.05, 30.0 * time)
+    page = view_page([leg])
+    (run,), (data,) = runs_of(page), data_of(page, "legs")
+    np.testing.assert_array_equal(run["wearer"], leg.wearer_rad.astype(np.float32))
+    np.testing.assert_array_equal(run["torque"], leg.torque_n_m.astype(np.float32))
+    assert data["low_rad"] == -0.05
+    far = Leg("x", LINKAGES["G1"], time, angle, angle, time, 2e6, angle - 3.0, time)
+    (data,) = data_of(view_page([far]), "legs")
+    assert data["low_rad"] == -0.1  # where the linkage still has a pose
+    assert "torque" not in runs_of(view_page([a_leg("free", time)]))[0]
+
+
 def test_a_leg_has_the_rating_of_its_scenario():
     scenario = scenario_of(plant={"cylinder": {"pressure_rating_pa": 5e6}})
     leg, failure = leg_of_scenario("mine", scenario)

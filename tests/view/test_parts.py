@@ -12,8 +12,9 @@ def link(request):
     return LINKAGES[request.param]
 
 
-def poses_of(link, angle, reference):
-    frames = {name: next(p.poses()) for name, p in placements(link, angle, reference).items()}
+def poses_of(link, *angles):
+    """Poses of all parts; ``angles``: knee angle, reference and perhaps the angle of the wearer."""
+    frames = {name: next(p.poses()) for name, p in placements(link, *angles).items()}
     return {name: frames[part.frame] @ part.pose for name, part in parts(link).items()}
 
 
@@ -27,7 +28,11 @@ def test_the_path_of_the_centre_is_that_of_its_pin(link):
 
 def test_each_part_has_a_frame_with_a_placement(link):
     leg, frames = parts(link), placements(link, 0.3, 0.4)
-    assert set(frames) == {*FRAMES, "icr", "reference"} == {part.frame for part in leg.values()}
+    assert (
+        set(frames)
+        == {*FRAMES, "icr", "reference", "wearer"}
+        == {part.frame for part in leg.values()}
+    )
     assert {*BARS, *(f"pin_{pin}" for pin in (*PINS, "icr"))} < set(leg)
 
 
@@ -56,6 +61,14 @@ def test_the_ghost_is_placed_at_the_reference_and_all_else_at_the_knee_angle(lin
         if name.startswith("reference_"):
             other = at_second[name.removeprefix("reference_")]
             assert pose.IsExactlyEqualTo(other)
+
+
+def test_the_limb_moves_with_the_wearer_and_the_brace_with_the_exoskeleton(link):
+    at_knee, at_wearer = poses_of(link, 0.3, 0.3), poses_of(link, 0.9, 0.9)
+    limb = {"shank", "foot", "calf", "shin", "heel", "toes"}
+    for name, pose in poses_of(link, 0.3, 0.3, 0.9).items():
+        expected = (at_wearer if name in limb else at_knee)[name]
+        assert pose.IsExactlyEqualTo(expected)
 
 
 def test_thigh_and_ground_stand_still_and_the_foot_swings_over_the_ground(link):

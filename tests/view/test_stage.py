@@ -13,32 +13,13 @@ from kneexo.errors import LinkageError
 from kneexo.parameters import G1, LINKAGES, LinkageParameters
 from kneexo.view.parts import parts, placements
 from kneexo.view.pressure_colour import pressure_colours
-from kneexo.view.stage import STAGE_SCRIPTS, STAGE_STYLES, pack, stage_leg
-from kneexo.view.web_page import self_contained_page, web_text
+from kneexo.view.stage import pack, stage_leg
 
 RATING_PA = 3.5e6
 
 
 def unpack(text):
     return np.frombuffer(base64.b64decode(text), dtype="<f4")
-
-
-def stage_page(linkages, runs, *, flat=False, trace=True):
-    """A page with a stage of these linkages and runs (time, angle, reference, pressure)."""
-    names = ("time", "angle", "reference", "pressure")
-    legs = [stage_leg(f"leg {k}", link, -0.05, 1.6, RATING_PA) for k, link in enumerate(linkages)]
-    data = {
-        "stage": {"flat": flat, "trace": trace, "legs": legs},
-        "runs": [dict(zip(names, map(np.ndarray.tolist, run), strict=True)) for run in runs],
-    }
-    script = """
-    const read = (id) => JSON.parse(document.getElementById(id).textContent);
-    window.stage = new Stage(document.getElementById("s"), read("stage"));
-    read("runs").forEach((run, index) => stage.setRun(index, run));
-    """
-    scripts = [*map(web_text, STAGE_SCRIPTS), script]
-    body = '<main><h1>t</h1><div id="s"></div></main>'
-    return self_contained_page("t", body, list(map(web_text, STAGE_STYLES)), scripts, data)
 
 
 def a_run(end_s=4.0, pressure=2e6):
@@ -135,20 +116,6 @@ MATRICES = """(async (time) => {
 })"""
 
 
-@pytest.fixture
-def stage(browser, tmp_path):
-    """The function ``stage(linkages, runs, size=…, phone=…, **options)``, which opens a page."""
-
-    def open_page(linkages, runs, size=(1440, 1000), phone=False, **options):
-        page = tmp_path / "stage.html"
-        page.write_text(stage_page(linkages, runs, **options), encoding="utf-8")
-        browser.open(page, *size, phone=phone)
-        browser.wait_for("stage.legs.length > 0")
-        return browser
-
-    return open_page
-
-
 @pytest.mark.slow
 def test_a_browser_places_all_parts_where_the_placements_have_them(stage):
     names = sorted(LINKAGES)
@@ -180,7 +147,8 @@ def test_numbers_and_time_follow_the_run(stage):
     time, angle, reference, pressure = a_run(pressure=-2e3)
     angle, reference, pressure = (np.interp(1.5, time, v) for v in (angle, reference, pressure))
     cells = browser.evaluate(
-        "[...document.querySelectorAll('.stage-readout dd')].map((e) => e.textContent)"
+        "[...document.querySelectorAll('.stage-readout div:not([hidden]) dd')]"
+        ".map((e) => e.textContent)"
     )
     expected = [
         f"{np.degrees(angle):.1f}°",
@@ -373,7 +341,7 @@ def test_a_drawing_from_the_side_has_all_parts_at_their_places(name, stage):
     browser.evaluate("stage.pause(), null")
     script = """(() => {
       const { leg, parts } = stage._drawing.items[0];
-      const poses = leg.poses({ angle: 0.9, reference: 0.5, pressure: 0 });
+      const poses = leg.poses({ angle: 0.9, reference: 0.5, wearer: 0.7 });
       const context = document.createElement("canvas").getContext("2d");
       let matrix;
       context.beginPath = () => { matrix = context.getTransform(); };
@@ -382,7 +350,7 @@ def test_a_drawing_from_the_side_has_all_parts_at_their_places(name, stage):
         return [part.name, matrix.e, matrix.f, matrix.c, matrix.d];
       });
     })()"""
-    frames, leg = placements(link, 0.9, 0.5), parts(link)
+    frames, leg = placements(link, 0.9, 0.5, 0.7), parts(link)
     drawn = browser.evaluate(script)
     assert {name for name, *_ in drawn} == set(leg)
     for name, x, z, along_x, along_z in drawn:

@@ -47,11 +47,15 @@ const Stage = (() => {
       return Math.max(...this.legs.map((leg) => leg.end));
     }
 
-    /** Show a run {time, angle, reference, pressure} in s, rad, rad, Pa. For null the leg has no run. */
+    /**
+     * Show a run {time, angle, reference, pressure} in s, rad, rad, Pa. A run with a wearer also has
+     * his angle `wearer` in rad and his torque `torque` in N·m. For null the leg has no run.
+     */
     setRun(index, run) {
       this.legs[index].run = run;
       this.time = Math.min(this.time, this.duration);
       this._trace?.show();
+      this._explain();
       this._update();
       if (run && !this._hasPlayed && !matchMedia("(prefers-reduced-motion: reduce)").matches) {
         this.play();
@@ -118,7 +122,16 @@ const Stage = (() => {
       element.classList.add("stage");
       element.append(grid, this._bar.element);
       if (trace) element.append(this._trace.element);
-      element.append(StageElements.legend(legs));
+      this._explain();
+    }
+
+    /** Write the legend. Its arrow has the scale of the present runs. */
+    _explain() {
+      this._quarterTurn = StageArrow.scaleOf(this.legs);
+      const legend = StageElements.legend(this.legs, this._quarterTurn);
+      if (this._legend) this._legend.replaceWith(legend);
+      else this.element.append(legend);
+      this._legend = legend;
     }
 
     /** Draw in three dimensions, or from the side if the browser has no WebGL. */
@@ -226,13 +239,19 @@ const Stage = (() => {
       if (canvas.width !== columns || canvas.height !== rows) {
         Object.assign(canvas, { width: columns, height: rows });
       }
-      this._drawing.draw(index, canvas, orbit, onlyLinkage);
+      const place = this._drawing.draw(index, canvas, orbit, onlyLinkage);
+      const leg = this.legs[index];
+      const { torque, angle } = leg.at(this.time);
+      if (torque === undefined || onlyLinkage) return;
+      const shank = leg.pose("shank", angle);
+      StageArrow.draw(canvas.getContext("2d"), shank, torque, this._quarterTurn, place, columns / width);
     }
 
     _write(figure, leg) {
       const texts = StageModel.readout(leg, this.time);
       if (figure.name.textContent !== leg.name) figure.name.textContent = leg.name;
       for (const [name, element] of Object.entries(figure.values)) {
+        element.parentElement.hidden = !(name in texts);
         element.textContent = leg.run ? texts[name] : "–";
       }
     }

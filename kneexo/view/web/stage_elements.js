@@ -5,7 +5,11 @@ const StageElements = (() => {
   const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
   const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#b3508a", "#3a8fc4", "#000000"];
   const DASHES = [[], [8, 4], [2, 3]];
-  const READOUTS = ["knee angle", "reference", "error", "pressure"];
+  const READOUTS = ["knee angle", "reference", "error", "pressure", "wearer's knee", "wearer's torque"];
+  const TITLES = {
+    error: "reference minus knee angle",
+    "wearer's torque": "on the exoskeleton; a positive torque flexes the knee",
+  };
 
   const ERROR_AXIS = {
     label: "error (deg)",
@@ -38,7 +42,7 @@ const StageElements = (() => {
     const values = {};
     const rows = READOUTS.map((text) => {
       values[text] = make("dd");
-      const title = text === "error" ? "reference minus knee angle" : "";
+      const title = TITLES[text] ?? "";
       return make("div", { title }, [make("dt", { textContent: text }), values[text]]);
     });
     const boxes = make("div", { className: "stage-boxes" }, [whole.element, joint.element]);
@@ -106,13 +110,17 @@ const StageElements = (() => {
     });
   }
 
-  /** The meaning of colours and lines, with the scale of the pressure. */
-  function legend(legs) {
+  /** The meaning of colours and lines, with the scales of the pressure and of the wearer's torque. */
+  function legend(legs, quarterTurn) {
     const [leg] = legs;
     const equal = legs.every((other) => other.data.rating_pa === leg.data.rating_pa);
     const full = equal ? StageModel.pressureText(leg.data.rating_pa, leg.data.pressure_unit) : "rating";
     const colour = (name) => css(leg.data.parts.find((part) => part.name === name).colour);
     const item = (children) => make("li", {}, children);
+    const wearer = [
+      item([line(StageArrow.COLOUR, 4), `arrow: torque of the wearer on the exoskeleton, a quarter turn is ${quarterTurn} N·m`]),
+      item(["limb: wearer, brace and bars: exoskeleton"]),
+    ];
     return make("ul", { className: "stage-legend" }, [
       item(["cylinder: load pressure −", full, pressureScale(leg), `+${full}`]),
       item([line("#15181c", 2), "outline: reference"]),
@@ -121,6 +129,7 @@ const StageElements = (() => {
       item([line(colour("thigh_plate"), 7), "plate of the thigh"]),
       item([line(colour("shank_plate"), 7), "plate of the shank"]),
       item([line("#cc0080", 2), "path of the instantaneous centre of rotation, 0…90°"]),
+      ...(quarterTurn > 0 ? wearer : []),
     ]);
   }
 

@@ -43,6 +43,7 @@ const StageFlat = (() => {
       this.items[index].state = state;
     }
 
+    /** Draw a leg, or only its linkage, into a canvas. Return the function from x and z to pixels. */
     draw(index, canvas, orbit, onlyLinkage) {
       const { leg, parts, state } = this.items[index];
       const context = canvas.getContext("2d");
@@ -57,6 +58,9 @@ const StageFlat = (() => {
         this._part(context, part, poses[part.frame], colour);
       }
       this._path(context, leg.data.icr_path);
+      const seen = context.getTransform();
+      context.resetTransform();
+      return (x, z) => [seen.a * x + seen.e, seen.d * z + seen.f];
     }
 
     /** Scale the picture so that it contains all points, with x to the right and z up. */

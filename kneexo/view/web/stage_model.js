@@ -35,17 +35,21 @@ const StageModel = (() => {
       return this.run ? this.run.time[this.run.time.length - 1] : 0;
     }
 
-    /** Knee angle and reference in rad and pressure in Pa at time t, linear between samples. */
+    /**
+     * Knee angle, reference and angle of the wearer in rad, pressure in Pa and torque of the wearer in
+     * N·m at time t, linear between samples. A run without wearer has no torque.
+     */
     at(t) {
-      if (!this.run) return { angle: 0, reference: 0, pressure: 0 };
+      if (!this.run) return { angle: 0, reference: 0, wearer: 0, pressure: 0 };
       const { time } = this.run;
       const first = lastBefore(time, t);
       const second = Math.min(first + 1, time.length - 1);
       const width = time[second] - time[first];
       const share = width > 0 ? Math.min(Math.max((t - time[first]) / width, 0), 1) : 0;
       const mix = (values) => values[first] + share * (values[second] - values[first]);
-      const { angle, reference, pressure } = this.run;
-      return { angle: mix(angle), reference: mix(reference), pressure: mix(pressure) };
+      const { angle, reference, pressure, wearer, torque } = this.run;
+      const common = { angle: mix(angle), reference: mix(reference), pressure: mix(pressure) };
+      return { ...common, wearer: mix(wearer ?? angle), ...(torque && { torque: mix(torque) }) };
     }
 
     /** Pose of a frame at a knee angle in rad: x and z of its origin in m, turn of its x axis in rad. */
@@ -65,7 +69,7 @@ const StageModel = (() => {
       return Object.fromEntries(
         Object.keys(this.frames).map((frame) => [
           frame,
-          this.pose(frame, frame === "reference" ? state.reference : state.angle),
+          this.pose(frame, ["reference", "wearer"].includes(frame) ? state[frame] : state.angle),
         ]),
       );
     }
@@ -100,6 +104,8 @@ const StageModel = (() => {
     return value < 0 && Number(text) !== 0 ? `−${text}` : text;
   }
 
+  const torqueText = (torque) => `${torque > 0 ? "+" : ""}${signed(torque, 3)} N·m`;
+
   /** Degrees with a fixed number of decimals. */
   function degrees(radians, decimals) {
     const text = Math.abs((radians * 180) / Math.PI).toFixed(decimals);
@@ -108,15 +114,19 @@ const StageModel = (() => {
 
   /** The texts below a leg at a time. */
   function readout(leg, t) {
-    const { angle, reference, pressure } = leg.at(t);
+    const { angle, reference, pressure, wearer, torque } = leg.at(t);
     const share = (100 * Math.abs(pressure)) / leg.data.rating_pa;
     return {
       "knee angle": degrees(angle, 1),
       reference: degrees(reference, 1),
       error: degrees(reference - angle, 2),
       pressure: `${pressureText(pressure, leg.data.pressure_unit)}, ${share < 0.1 ? "< 0.1" : signed(share, 2)} % of rating`,
+      ...(torque !== undefined && {
+        "wearer's knee": degrees(wearer, 1),
+        "wearer's torque": torqueText(torque),
+      }),
     };
   }
 
-  return { Leg, unpack, pressureText, readout };
+  return { Leg, unpack, pressureText, readout, torqueText };
 })();

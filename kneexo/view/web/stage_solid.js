@@ -181,7 +181,7 @@ const StageSolid = (() => {
       cylinder.color.copy(colourOf(leg.pressureColour(state.pressure)));
     }
 
-    /** Draw a leg, or only its linkage, into a canvas. */
+    /** Draw a leg, or only its linkage, into a canvas. Return the function from x and z to pixels. */
     draw(index, canvas, orbit, onlyLinkage) {
       const { width, height } = canvas;
       const { scene, hull, joint } = this.items[index];
@@ -197,6 +197,10 @@ const StageSolid = (() => {
       const target = canvas.getContext("2d");
       target.clearRect(0, 0, width, height);
       target.drawImage(source, 0, source.height - height, width, height, 0, 0, width, height);
+      return (x, z) => {
+        const at = new THREE.Vector3(x, 0, z).project(this.camera);
+        return [(0.5 + 0.5 * at.x) * width, (0.5 - 0.5 * at.y) * height];
+      };
     }
 
     _grow(width, height) {
