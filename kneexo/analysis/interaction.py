@@ -46,6 +46,17 @@ class InteractionMetrics(Result):
     power_given_w: float
     """∫max(−τ_i dθ_h/dt, 0) dt/T, mean power that the wearer gets from the exoskeleton."""
 
+    @property
+    def line(self) -> str:
+        """One line with the metrics."""
+        ratio = self.assistance_ratio
+        assistance = "" if math.isnan(ratio) else f"; assistance ratio {ratio:.3g}"
+        return (
+            f"Interaction torque {self.rms_torque_n_m:.3g} N·m rms, peak "
+            f"{self.peak_torque_n_m:.3g} N·m at {self.peak_time_s:.4g} s; the wearer gives "
+            f"{self.power_taken_w:.2g} W and gets {self.power_given_w:.2g} W{assistance}."
+        )
+
 
 def interaction_metrics(run: Run, *, period_s: float = 0.0) -> InteractionMetrics:
     """Return the `InteractionMetrics` of a run with a wearer.
@@ -68,7 +79,7 @@ def interaction_metrics(run: Run, *, period_s: float = 0.0) -> InteractionMetric
     torque, rate, time = run["interaction_torque_n_m"], run["wearer_rate_rad_s"], run.time_s
     if time.size < 2:
         raise ResultError(f"the run has {time.size} samples; must have at least 2")
-    window = _whole_periods(time, period_s)
+    window = whole_periods(time, period_s)
     torque, rate, time = torque[window], rate[window], time[window]
 
     def mean(values: Array) -> float:
@@ -93,8 +104,11 @@ def interaction_metrics(run: Run, *, period_s: float = 0.0) -> InteractionMetric
     )
 
 
-def _whole_periods(time_s: Array, period_s: float) -> slice:
-    """Return the samples from the end of the first period to that of the last whole period."""
+def whole_periods(time_s: Array, period_s: float) -> slice:
+    """Return the samples of the whole periods after the first one, or all samples.
+
+    All samples count if the period is 0 and if ``time_s`` (n,) has less than two periods.
+    """
     periods = math.floor((time_s[-1] - time_s[0]) / period_s + 1e-9) if period_s > 0.0 else 0
     if periods < 2:
         return slice(None)

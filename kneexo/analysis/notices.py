@@ -82,19 +82,13 @@ def wrapped(line: str) -> str:
 def notices(scenario: Scenario) -> Iterator[str]:
     """Yield a line for each property of a run of ``scenario`` that its user may not expect.
 
-    Besides the `model_notices`, a line says that a torque controller does not track. A line says
-    that the run ends within the first period of a sinusoidal reference, before it has settled. A
-    line says that the run holds the first or the last sample of its reference for more than
-    `LONGEST_HOLD` of its duration.
+    Besides the `model_notices`, a line says that the run ends within the first period of a
+    sinusoidal reference, before it has settled. A line says that the run holds the first or the
+    last sample of its reference for more than `LONGEST_HOLD` of its duration.
 
     Raises `LinkageError` when the linkage cannot be assembled.
     """
     yield from model_notices(scenario)
-    if scenario.controller.kind == "torque":
-        yield (
-            "the controller controls the torque, so the error is only the distance of the "
-            "knee from the reference"
-        )
     reference, duration_s = scenario.reference, scenario.duration_s
     if (period := period_s(scenario)) >= duration_s:
         yield (

@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydrake.systems.framework import Diagram
 
+from kneexo.analysis.interaction import INTERACTION_SIGNALS, TORQUE_SIGNALS
 from kneexo.analysis.signals import period_s, rms, saturated_share, share_above, to_rpm
 from kneexo.analysis.verdict import Verdict, verdict_of
+from kneexo.diagrams import available_signals
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario
 from kneexo.parameters.scenario_file import as_scenario
-from kneexo.plotting import BLUE, PURPLE, RED, TEAL, axes_or_new
+from kneexo.plotting import BLUE, GOLD, PURPLE, RED, TEAL, axes_or_new
 from kneexo.result import Array, Result, data_frame
 from kneexo.simulation import Run, awaitable, needs_runs, simulate
 
@@ -268,7 +270,7 @@ class TrackingResult(Result):
 
     @cached_property
     def verdict(self) -> Verdict:
-        """Whether the run tracks, what saturates, and the margins of the loop, in three lines.
+        """Tracking, torques, what saturates, and the margins of the loop in a few lines.
 
         The loop of the scenario is linearized when the verdict is first asked for.
         """
@@ -282,9 +284,12 @@ class TrackingResult(Result):
 
     @property
     def step(self) -> StepMetrics | None:
-        """Rise time, overshoot and settling time, or None if the reference has no step."""
+        """Rise time, overshoot and settling time of the response to a step.
+
+        The value is None if the reference has no step, and with a torque controller.
+        """
         reference = self.scenario.reference
-        if reference.kind != "step":
+        if reference.kind != "step" or self.scenario.controller.kind == "torque":
             return None
         return step_metrics(
             self.run.time_s,
@@ -319,18 +324,18 @@ class TrackingResult(Result):
         return data_frame(columns, "time_s")
 
     def plot_angle(self, ax: Axes | None = None) -> Axes:
-        """Plot reference and knee angle over time."""
+        """Plot reference and knee angle over time, and the angle of a wearer's leg."""
         ax = axes_or_new(ax, caption="Knee angle and its reference over time.")
         time = self.run.time_s
         angle, reference = (
             np.degrees(self.run[name]) for name in ("knee_angle_rad", "knee_reference_rad")
         )
         ax.plot(time, angle, BLUE, lw=2.5, alpha=0.6, label="knee angle")
+        if "wearer_angle_rad" in self.run.data:
+            ax.plot(time, np.degrees(self.run["wearer_angle_rad"]), GOLD, lw=1.2, label="leg")
         ax.plot(time, reference, "k--", lw=1, label="reference")
         ax.set(xlabel="time (s)", ylabel="knee angle (deg)")
-        low, high = ax.get_ylim()
-        ax.set_ylim(low, high + 0.25 * (high - low))  # room for the legend
-        ax.legend(loc="upper right", ncols=2)
+        _legend_above(ax)
         return ax
 
     def plot_error(self, ax: Axes | None = None) -> Axes:
@@ -341,30 +346,73 @@ class TrackingResult(Result):
         ax.set(xlabel="time (s)", ylabel="tracking error (deg)")
         return ax
 
-    def plot(self, ax: Any = None) -> Any:
-        """Plot angle, error and motor speed command below each other; return three axes.
+    def plot_torque(self, ax: Axes | None = None) -> Axes:
+        """Plot the torques on the knee of the exoskeleton over time, as far as the run has them.
 
-        ``ax`` contains three Matplotlib axes. If it is None, a new figure is made.
+        They are the torque of the wearer, the torque of the actuator and its desired value.
         """
-        caption = (
-            "Knee angle with its reference, tracking error (reference minus knee angle) and motor "
-            "speed command over time."
-        )
-        ax = axes_or_new(ax, 3, 1, caption=caption, sharex=True, figsize=(7, 7))
-        self.plot_angle(ax[0])
-        self.plot_error(ax[1])
+        caption = "Torques of wearer and actuator on the exoskeleton over time; positive flexes."
+        ax = axes_or_new(ax, caption=caption)
+        time, data = self.run.time_s, self.run.data
+        if {"rod_force_n", "moment_arm_m"} <= set(data):
+            ax.plot(time, -data["moment_arm_m"] * data["rod_force_n"], BLUE, lw=1, label="actuator")
+        if "desired_torque_n_m" in data:
+            ax.plot(time, data["desired_torque_n_m"], "k--", lw=1, label="actuator, desired")
+        if "interaction_torque_n_m" in data:
+            ax.plot(time, data["interaction_torque_n_m"], GOLD, lw=1, label="wearer")
+        ax.set(xlabel="time (s)", ylabel="torque (N·m)")
+        _legend_above(ax)
+        return ax
+
+    def plot_command(self, ax: Axes | None = None) -> Axes:
+        """Plot the command of the motor speed over time, with its limit."""
+        ax = axes_or_new(ax, caption="Motor speed command over time.")
         limit = to_rpm(self.scenario.command_limit_rad_s)
-        ax[2].plot(self.run.time_s, to_rpm(self.run["motor_speed_command_rad_s"]), TEAL, lw=0.8)
-        ax[2].set(xlabel="time (s)", ylabel="motor speed command (rpm)")
+        ax.plot(self.run.time_s, to_rpm(self.run["motor_speed_command_rad_s"]), TEAL, lw=0.8)
+        ax.set(xlabel="time (s)", ylabel="motor speed command (rpm)")
         if limit < 1e6:
             for sign, label in ((-1, None), (1, f"limit ±{limit:.0f} rpm")):
-                ax[2].axhline(sign * limit, color=RED, ls=":", lw=1.2, label=label)
-            low, high = ax[2].get_ylim()
-            ax[2].set_ylim(low, high + 0.25 * (high - low))  # room for the legend
-            ax[2].legend(loc="upper right")
-        for upper in ax[:2]:
+                ax.axhline(sign * limit, color=RED, ls=":", lw=1.2, label=label)
+            _legend_above(ax)
+        return ax
+
+    def plot(self, ax: Any = None) -> Any:
+        """Plot angle, error, torques and motor speed command below each other; return the axes.
+
+        A run without wearer and torque controller has no torques, and a run with torque controller
+        has no error. ``ax`` contains as many Matplotlib axes. If it is None, a new figure is made.
+        """
+        torque_control = self.scenario.controller.kind == "torque"
+        plots = {"knee angle with its reference": self.plot_angle}
+        if not torque_control:
+            plots["tracking error (reference minus knee angle)"] = self.plot_error
+        if torque_control or "interaction_torque_n_m" in self.run.data:
+            plots["torques on the exoskeleton (positive flexes)"] = self.plot_torque
+        plots["and motor speed command"] = self.plot_command
+        caption = f"{', '.join(plots)} over time.".capitalize()
+        size = (7, 1.0 + 2.0 * len(plots))
+        ax = axes_or_new(ax, len(plots), 1, caption=caption, sharex=True, figsize=size)
+        for axes, plot in zip(ax, plots.values(), strict=True):
+            plot(axes)
+        for upper in ax[:-1]:
             upper.set_xlabel("")
         return ax
+
+
+def _legend_above(ax: Axes) -> None:
+    """Draw a legend above the curves."""
+    low, high = ax.get_ylim()
+    ax.set_ylim(low, high + 0.25 * (high - low))
+    ax.legend(loc="upper right", ncols=3)
+
+
+def _verdict_signals(scenario: Scenario) -> tuple[str, ...]:
+    """Return names of further signals that the verdict on a run of ``scenario`` requires."""
+    names = [*INTERACTION_SIGNALS, "biological_moment", "chamber_pressures"]
+    if scenario.controller.kind == "torque":
+        names += TORQUE_SIGNALS
+    available = available_signals(scenario)
+    return tuple(name for name in names if name in available)
 
 
 @needs_runs
@@ -391,8 +439,7 @@ async def track(
     scenario = as_scenario(scenario, law, initial_state)
     signals: tuple[str, ...] | None = None
     if not all_signals:
-        with_chambers = scenario.plant.full_order is not None and diagram is None
-        signals = TRACKING_SIGNALS + (("chamber_pressures",) if with_chambers else ())
+        signals = TRACKING_SIGNALS + (_verdict_signals(scenario) if diagram is None else ())
     run = await awaitable(simulate, scenario, signals=signals, progress=progress, diagram=diagram)
     metrics = run_metrics(scenario, run.time_s, run.data, settled_s=period_s(scenario))
     return TrackingResult(scenario, run, metrics, user_diagram=diagram is not None)

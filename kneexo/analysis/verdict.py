@@ -1,19 +1,28 @@
-"""The verdict on a run in three lines: whether it tracks, what saturates, how far it is stable."""
+"""The verdict on a run in a few lines: tracking and torques, what saturates, and stability."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from html import escape
 from typing import Any
 
 import numpy as np
 
+from kneexo.analysis.interaction import (
+    INTERACTION_SIGNALS,
+    TORQUE_SIGNALS,
+    InteractionMetrics,
+    interaction_metrics,
+    torque_error,
+    whole_periods,
+)
 from kneexo.analysis.margins import Margins
 from kneexo.analysis.notices import model_lines, notices, omissions, wrapped
 from kneexo.analysis.sampled_loop import SampledLoop, linearize_loop
-from kneexo.analysis.signals import period_s, saturated_share, share_above, to_rpm
+from kneexo.analysis.signals import period_s, rms, saturated_share, share_above, to_rpm
+from kneexo.diagrams.signals import columns
 from kneexo.errors import KneexoError
 from kneexo.linkage import pose
 from kneexo.parameters import Scenario
@@ -120,18 +129,19 @@ def loop_lines(loop: SampledLoop) -> tuple[str, ...]:
 
 @dataclass(frozen=True, repr=False)
 class Verdict(Result):
-    """The verdict on a tracking run. ``print`` shows it in a few lines.
+    """The verdict on a run. ``print`` shows it in a few lines.
 
     A run tracks if its largest error after the first period of a sinusoidal reference is at most
     ``error_bound_deg``. This bound is `ERROR_SHARE` of the amplitude, but at least the largest knee
     angle of one count of the encoder. For another reference, and for a run that ends within the
     first period, the error of the whole run counts, and the amplitude is half the range of the
-    reference. A run with a step tracks if its knee angle settles (`StepMetrics`).
+    reference. A run with a step tracks if its knee angle settles (`StepMetrics`). A torque
+    controller does not control the knee angle, so ``tracks`` is None.
 
     Shares are shares of all samples of the run.
     """
 
-    tracks: bool
+    tracks: bool | None
     max_error_deg: float
     max_error_time_s: float
     """Time of the largest error."""
@@ -147,14 +157,26 @@ class Verdict(Result):
     stability: Stability
     omissions: tuple[str, ...]
     notices: tuple[str, ...]
-    lines: tuple[str, str, str]
-    """Whether the run tracks, what saturates, and the margins of the loop."""
+    lines: tuple[str, ...]
+    """Whether the run tracks, torques, what saturates, and the margins of the loop.
+
+    A run without wearer and torque controller has no line on torques. A run with torque controller
+    has no line on tracking.
+    """
     model_lines: tuple[str, ...]
     """What the model leaves out, and the notices, as text for a terminal."""
+    interaction: InteractionMetrics | None = None
+    """Metrics of the interaction with a wearer; None without wearer."""
+    torque_error_rms_n_m: float = math.nan
+    """Root mean square of desired minus actual torque of the actuator on the knee.
+
+    It begins after the first period, as the metrics of the interaction do. It is nan without torque
+    controller.
+    """
 
     @property
     def text(self) -> str:
-        """The three ``lines`` wrapped to 100 columns, and the `model_lines`."""
+        """The ``lines`` wrapped to 100 columns, and the `model_lines`."""
         return "\n".join((*map(wrapped, self.lines), *self.model_lines))
 
     def results(self) -> dict[str, Any]:
@@ -175,6 +197,8 @@ class Verdict(Result):
             "stable": stability.stable,
             **{name: getattr(margins, name, math.nan) for name in names},
             "margins_failure": stability.failure,
+            "interaction": None if self.interaction is None else asdict(self.interaction),
+            "torque_error_rms_n_m": self.torque_error_rms_n_m,
             "omissions": list(self.omissions),
             "notices": list(self.notices),
         }
@@ -191,27 +215,14 @@ class Verdict(Result):
 def verdict_of(
     scenario: Scenario, run: Run, *, step: tuple[bool, str] | None, user_diagram: bool
 ) -> Verdict:
-    """Return the `Verdict` on a tracking run. Linearizes the loop of its scenario.
+    """Return the `Verdict` on a run. Linearizes the loop of its scenario.
 
     ``step`` says whether the response to a step settles, and describes it in one line. It is None
     if the reference has no step. If ``user_diagram`` is True, the run is of a diagram of the user,
     so the scenario has not the loop of the run, and the verdict has no margins.
     """
-    error_deg = np.degrees(np.abs(run["knee_reference_rad"] - run["knee_angle_rad"]))
-    first = int(np.searchsorted(run.time_s, period_s(scenario) - 1e-9))
-    if run.time_s.size - first < 2:
-        first = 0
-    worst = first + int(np.argmax(error_deg[first:]))
-    max_error_deg, time_s = float(error_deg[worst]), float(run.time_s[worst])
-    bound_deg, reason = _error_bound(scenario)
-    if step is None:
-        tracks = max_error_deg <= bound_deg
-        line = (
-            f"{'Tracks' if tracks else 'Does not track'}: largest error {max_error_deg:.3g}° at "
-            f"{time_s:.4g} s; the bound is {bound_deg:.3g}° ({reason})."
-        )
-    else:
-        tracks, line = step
+    tracking, tracking_lines = _tracking(scenario, run, step)
+    torques, torque_lines = _torques(scenario, run)
     limits = _limits(scenario, run)
     if user_diagram:
         stability = Stability(
@@ -223,11 +234,10 @@ def verdict_of(
     else:
         stability = Stability.of_scenario(scenario)
     notes = (*notices(scenario), *_vacuum_notice(run))
+    saturation = _saturation_line(limits.values())
     return Verdict(
-        tracks=tracks,
-        max_error_deg=max_error_deg,
-        max_error_time_s=time_s,
-        error_bound_deg=bound_deg,
+        **tracking,
+        **torques,
         saturated_share=limits["command"].share,
         pressure_over_rating_share=limits["pressure"].share,
         relief_share=limits["relief"].share,
@@ -235,9 +245,65 @@ def verdict_of(
         stability=stability,
         omissions=omissions(scenario),
         notices=notes,
-        lines=(line, _saturation_line(limits.values()), stability.line),
+        lines=(*tracking_lines, *torque_lines, saturation, stability.line),
         model_lines=tuple(model_lines(scenario, notes)),
     )
+
+
+def _tracking(
+    scenario: Scenario, run: Run, step: tuple[bool, str] | None
+) -> tuple[dict[str, Any], list[str]]:
+    """Return the fields of the `Verdict` on tracking, and its line, none with torque control.
+
+    `verdict_of` describes ``step``.
+    """
+    error_deg = np.degrees(np.abs(run["knee_reference_rad"] - run["knee_angle_rad"]))
+    first = int(np.searchsorted(run.time_s, period_s(scenario) - 1e-9))
+    if run.time_s.size - first < 2:
+        first = 0
+    worst = first + int(np.argmax(error_deg[first:]))
+    max_error_deg, time_s = float(error_deg[worst]), float(run.time_s[worst])
+    bound_deg, reason = _error_bound(scenario)
+    tracks: bool | None = max_error_deg <= bound_deg
+    lines = [
+        f"{'Tracks' if tracks else 'Does not track'}: largest error {max_error_deg:.3g}° at "
+        f"{time_s:.4g} s; the bound is {bound_deg:.3g}° ({reason})."
+    ]
+    if scenario.controller.kind == "torque":
+        tracks, lines = None, []
+    elif step is not None:
+        tracks, lines = step[0], [step[1]]
+    fields = {
+        "tracks": tracks,
+        "max_error_deg": max_error_deg,
+        "max_error_time_s": time_s,
+        "error_bound_deg": bound_deg,
+    }
+    return fields, lines
+
+
+def _torques(scenario: Scenario, run: Run) -> tuple[dict[str, Any], list[str]]:
+    """Return the fields of the `Verdict` on torques, and its lines.
+
+    The lines are those on interaction with a wearer and on torque control, as far as the run has
+    their signals.
+    """
+    fields, lines = dict[str, Any](), []
+    if set(columns(INTERACTION_SIGNALS)) <= set(run.data):
+        interaction = interaction_metrics(run, period_s=period_s(scenario))
+        fields["interaction"] = interaction
+        lines.append(interaction.line)
+    if set(columns(TORQUE_SIGNALS)) <= set(run.data):
+        window = whole_periods(run.time_s, period_s(scenario))
+        error, time_s = torque_error(run)[window], run.time_s[window]
+        worst = int(np.argmax(np.abs(error)))
+        desired = np.max(np.abs(run["desired_torque_n_m"][window]))
+        fields["torque_error_rms_n_m"] = rms(error)
+        lines.append(
+            f"Torque error {rms(error):.3g} N·m rms, peak {abs(error[worst]):.3g} N·m at "
+            f"{time_s[worst]:.4g} s; the desired torque reaches {desired:.3g} N·m."
+        )
+    return fields, lines
 
 
 def _vacuum_notice(run: Run) -> Iterator[str]:

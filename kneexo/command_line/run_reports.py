@@ -24,7 +24,9 @@ def tracking_report(result: TrackingResult) -> str:
     """Return the report on a run in Markdown: findings, values with limits, other values."""
     verdict = result.verdict
     return document(
-        "# A run beside its reference",
+        "# A run under torque control"
+        if verdict.tracks is None
+        else "# A run beside its reference",
         _bullets(*verdict.lines, *verdict.model_lines),
         "## Limits",
         markdown_table(("quantity", "largest value", "limit", "verdict"), _limits(result)),
@@ -37,16 +39,16 @@ def _limits(result: TrackingResult) -> Iterator[Row]:
     """Yield a row for each limit of a run, with the verdict on the run's largest value."""
     scenario, metrics, verdict = result.scenario, result.metrics, result.verdict
     plant, run, step = scenario.plant, result.run, result.step
-    if step is None:
+    if step is not None:
+        end = "settles" if step.settles else "does not settle"
+        yield ("response to the step", end, "settles", end)
+    elif verdict.tracks is not None:
         yield (
             "tracking error",
             f"{number(verdict.max_error_deg)}° at {verdict.max_error_time_s:.4g} s",
             f"{number(verdict.error_bound_deg)}°",
             "tracks" if verdict.tracks else "does not track",
         )
-    else:
-        end = "settles" if step.settles else "does not settle"
-        yield ("response to the step", end, "settles", end)
     command_rpm = f"{number(metrics.peak_command_rpm)} rpm"
     limit_rpm = to_rpm(scenario.command_limit_rad_s)
     share = verdict.saturated_share
@@ -78,14 +80,26 @@ def _over(share: float, where: str = "above") -> str:
 
 def _numbers(result: TrackingResult) -> Iterator[Row]:
     """Yield the metrics of a run that have no limit."""
-    m, step = result.metrics, result.step
+    m, verdict, step = result.metrics, result.verdict, result.step
     if step is not None:
         yield ("rise time, 10 … 90 %", _with_unit(step.rise_time_s, "s"))
         yield ("overshoot", _with_unit(step.overshoot_percent, "%"))
         yield ("settling time", _with_unit(step.settling_time_s, "s"))
     first = " after the first period" if result.scenario.reference.kind == "sine" else ""
-    yield (f"error, root mean square{first}", _with_unit(m.rms_error_deg, "°"))
-    if first:
+    if (torques := verdict.interaction) is not None:
+        yield (f"interaction torque, root mean square{first}", _torque(torques.rms_torque_n_m))
+        yield (f"interaction torque, mean magnitude{first}", _torque(torques.mean_torque_n_m))
+        yield (f"interaction torque, largest{first}", _torque(torques.peak_torque_n_m))
+        yield (f"mean power that the wearer gives{first}", _with_unit(torques.power_taken_w, "W"))
+        yield (f"mean power that the wearer gets{first}", _with_unit(torques.power_given_w, "W"))
+        if not math.isnan(torques.assistance_ratio):
+            yield (f"assistance ratio{first}", _percent(torques.assistance_ratio))
+    if verdict.tracks is None:
+        error = _torque(verdict.torque_error_rms_n_m)
+        yield (f"torque error, root mean square{first}", error)
+    error = "error" if verdict.tracks is not None else "distance from the reference"
+    yield (f"{error}, root mean square{first}", _with_unit(m.rms_error_deg, "°"))
+    if first and verdict.tracks is not None:
         yield ("largest error of the whole run", _with_unit(m.max_error_overall_deg, "°"))
         overall = _with_unit(m.rms_error_overall_deg, "°")
         yield ("error of the whole run, root mean square", overall)
@@ -100,6 +114,10 @@ def _numbers(result: TrackingResult) -> Iterator[Row]:
 def _with_unit(value: float, unit: str) -> str:
     """Return a number of three digits with its unit; a dash for nan."""
     return "–" if math.isnan(value) else f"{number(value)}{'' if unit == '°' else ' '}{unit}"
+
+
+def _torque(value: float) -> str:
+    return _with_unit(value, "N·m")
 
 
 def _percent(share: float) -> str:

@@ -91,9 +91,10 @@ def simulate(choice: ScenarioChoice, out: Path, page: ReportPage | None = None) 
         motions = {name: (scenario.plant, result.run.columns)}
         files |= page.file(report, figures, origin, motions)
     m = result.metrics
+    error = "error (root mean square)" if verdict.tracks is not None else "distance from reference "
     lines = [
         verdict.text,
-        f"  error (root mean square)  {number(m.rms_error_deg, '.3g')} deg",
+        f"  {error}  {number(m.rms_error_deg, '.3g')} deg",
         f"  change of the command     {number(m.mean_command_change_rpm, '.3g')} rpm per sample",
         f"  work of the motor         {m.shaft_energy_delivered_j:.3g} J, of which "
         f"{m.shaft_energy_delivered_j - m.shaft_energy_j:.3g} J flows back",

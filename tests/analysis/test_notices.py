@@ -37,11 +37,6 @@ def test_a_late_begin_of_the_reference_is_a_notice():
     assert lines[0].startswith("the reference begins at 5 s, and the run holds its first sample")
 
 
-def test_a_torque_controller_does_not_track():
-    (line,) = notices(Scenario(controller="torque"))
-    assert line.startswith("the controller controls the torque, so the error is only the dis")
-
-
 def test_a_wearer_is_not_left_out():
     loaded = Scenario(plant={"load": "knee"})
     assert "torque of the wearer" in omissions(loaded)

@@ -210,6 +210,27 @@ def test_a_plot_shows_angle_error_and_command(brisk, curves):
         assert ax.get_xlabel() == "time (s)"
 
 
+def test_a_plot_of_a_run_with_a_wearer_shows_leg_and_torques(curves):
+    short = {"plant.load": {"kind": "knee"}, "wearer": "leg", "simulation.duration_s": 0.1}
+    worn = track(changed(BRISK, short), all_signals=True)
+    angle, error, torque, command = worn.plot()
+    assert curves(angle)["leg"][1] == pytest.approx(np.degrees(worn["wearer_angle_rad"]))
+    assert error.get_ylabel() == "tracking error (deg)"
+    assert set(curves(torque)) == {"actuator", "wearer"}
+    assert command.get_ylabel() == "motor speed command (rpm)"
+    free = track(changed(BRISK, short | {"controller": {"kind": "torque"}}))
+    _, torque, _ = free.plot()
+    assert torque.get_ylabel() == "torque (N·m)"
+    lines = curves(torque)
+    assert lines["wearer"][1] == pytest.approx(free["interaction_torque_n_m"])
+    assert lines["actuator, desired"][1] == pytest.approx(0.0)
+    assert lines["actuator"][1] == pytest.approx(-free["moment_arm_m"] * free["rod_force_n"])
+    assert torque.figure.get_label() == (
+        "Knee angle with its reference, torques on the exoskeleton (positive flexes), and motor "
+        "speed command over time."
+    )
+
+
 def test_a_command_without_limit_is_drawn_without_one(brisk):
     ideal = {"plant.ideal_motor": True, "controller.command_limit_rad_s": 1e12}
     boundless = changed(BRISK, ideal)

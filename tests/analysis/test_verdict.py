@@ -127,6 +127,70 @@ def test_open_relief_valves_saturate_the_full_order():
     assert verdict.lines[1] == "Saturates: relief valves open for 40 % of the run."
 
 
+WORN = changed(SINE, {"plant.load": {"kind": "knee"}, "wearer": "leg"})
+FREE = changed(WORN, {"controller": {"kind": "torque"}})
+TORQUES = {
+    "interaction_torque_n_m": np.where(TIME < 1.998, 99.0, 3.0 * np.sin(math.pi * TIME)),
+    "wearer_angle_rad": 0.0,
+    "wearer_rate_rad_s": np.sin(math.pi * TIME),
+}
+
+
+def test_the_verdict_on_a_wearer_is_about_torque_first():
+    # Rod: −0.1 m · 20 N = −2 N·m; desired 5 N·m, at 3 s 9 N·m.
+    control = {
+        "desired_torque_n_m": np.where(np.abs(TIME - 3.0) < 1e-9, 9.0, 5.0),
+        "moment_arm_m": 0.1,
+        "rod_force_n": 20.0,
+    }
+    run = result(FREE, error_deg=9.0, **TORQUES, **control)
+    assert run.verdict.tracks is None
+    rms = 3.0 / math.sqrt(2.0)
+    error = math.sqrt((1000 * 49 + 121) / 1001)  # 2 … 4 s
+    assert run.verdict.lines[:2] == (
+        f"Interaction torque {rms:.3g} N·m rms, peak 3 N·m at 2.5 s; the wearer gives 1.5 W and "
+        "gets 0 W.",
+        f"Torque error {error:.3g} N·m rms, peak 11 N·m at 3 s; the desired torque reaches 9 N·m.",
+    )
+    assert len(run.verdict.lines) == 4
+    printed = json.loads(to_json(run.verdict.results()))
+    assert printed["tracks"] is None
+    assert printed["interaction"]["rms_torque_n_m"] == pytest.approx(rms)
+    assert printed["torque_error_rms_n_m"] == pytest.approx(error)
+    assert max(map(len, str(run).splitlines())) <= 100
+
+
+def test_with_position_control_and_a_wearer_tracking_and_torque_are_in_the_verdict():
+    helped = TORQUES | {"biological_moment_n_m": -12.0 * np.sin(math.pi * TIME)}
+    verdict = result(WORN, error_deg=9.0, **helped).verdict
+    assert verdict.tracks is False
+    assert [line.split()[0] for line in verdict.lines] == [
+        "Does",
+        "Interaction",
+        "Nothing",
+        "Stable",
+    ]
+    assert verdict.lines[1].endswith("gets 0 W; assistance ratio 0.25.")
+    assert math.isnan(verdict.torque_error_rms_n_m)
+    assert result().verdict.interaction is None
+
+
+def test_a_step_under_torque_control_need_not_settle():
+    step = {"kind": "step", "start_deg": 30.0, "end_deg": 40.0, "time_s": 1.0}
+    run = result(changed(FREE, {"reference": step}), knee_angle_rad=0.5)
+    assert (run.step, run.verdict.tracks) == (None, None)
+
+
+def test_a_run_with_a_wearer_logs_the_signals_of_its_verdict():
+    moment = {"times_s": (0.0, 1.0), "moments_n_m": (0.0, 5.0)}
+    worn = changed(FREE, {"wearer.moment": moment, "simulation.duration_s": 0.1})
+    verdict = track(worn).verdict
+    assert 0.0 < verdict.interaction.rms_torque_n_m < 20.0
+    assert math.isfinite(verdict.interaction.assistance_ratio)
+    assert verdict.torque_error_rms_n_m > 0.0
+    assert "moment_arm_m" not in track(changed(WORN, {"simulation.duration_s": 0.1})).run.data
+
+
 @pytest.mark.parametrize("low", ["cap", "rod_side"])
 def test_a_chamber_below_vacuum_is_a_notice_with_time_and_place(low):
     other = {"cap": "rod_side", "rod_side": "cap"}[low]

@@ -84,6 +84,45 @@ def test_a_run_that_does_not_track_says_so():
     assert rows_of(tracking_report(result))["tracking error"][2] == "does not track"
 
 
+def test_a_run_with_a_wearer_has_its_torques_in_place_of_tracking():
+    values = {
+        "plant.load": {"kind": "knee"},
+        "wearer": {"kind": "leg", "moment": {"times_s": (0, 1), "moments_n_m": (1, 5)}},
+        "controller": {"kind": "torque", "mode": "assist"},
+        "reference.frequency_hz": 2.5,
+        "simulation.duration_s": 0.8,
+    }
+    result = track(changed(Scenario(), values), all_signals=True)
+    text = tracking_report(result)
+    rows, late = rows_of(text), result["time_s"] >= 0.4 - 1e-9
+    assert text.startswith("# A run under torque control")
+    assert "tracking error" not in rows
+    torque, rate = (result[name][late] for name in ("interaction_torque_n_m", "wearer_rate_rad_s"))
+    moment = result["biological_moment_n_m"][late]
+    actuator = (result["moment_arm_m"] * result["rod_force_n"])[late]
+
+    def mean(values):
+        return np.trapezoid(values) / (values.size - 1)
+
+    for name, value, unit in (
+        ("interaction torque, root mean square", np.sqrt(mean(torque**2)), " N·m"),
+        ("interaction torque, mean magnitude", mean(np.abs(torque)), " N·m"),
+        ("interaction torque, largest", np.abs(torque).max(), " N·m"),
+        ("mean power that the wearer gives", mean((torque * rate).clip(0.0)), " W"),
+        ("mean power that the wearer gets", mean((-torque * rate).clip(0.0)), " W"),
+        ("assistance ratio", -100.0 * mean(torque * moment) / mean(moment**2), " %"),
+        (
+            "torque error, root mean square",
+            np.sqrt(np.mean((result["desired_torque_n_m"][late] + actuator) ** 2)),
+            " N·m",
+        ),
+        ("distance from the reference, root mean square", result.metrics.rms_error_deg, "°"),
+    ):
+        cell = rows[f"{name} after the first period"][0]
+        assert cell.endswith(unit)
+        assert float(cell.removesuffix(unit)) == pytest.approx(value, rel=6e-3), name
+
+
 @pytest.fixture(scope="module")
 def linear():
     scenario = Scenario()
