@@ -97,7 +97,8 @@ def energy_balance(scenario: Scenario) -> EnergyBalance:
         cylinder.stroke_m - extension
     )
     oil = 0.5 / cylinder.bulk_modulus_pa * (cap_volume * cap**2 + rod_side_volume * rod_side**2)
-    motion = 0.5 * (cylinder.mass_kg * velocity**2 + cylinder.stiffness_n_per_m * extension**2)
+    mass = scenario.plant.moving_mass_kg(run["moment_arm"][:, 0])
+    motion = 0.5 * (mass * velocity**2 + cylinder.stiffness_n_per_m * extension**2)
     energies["oil_j"] = oil - oil[0] - energies.pop("displaced_j")
     energies["motion_j"] = motion - motion[0]
     return EnergyBalance(run.time_s, {name: energies[name] for name in (*SUPPLIED, *SPENT)})
@@ -141,7 +142,7 @@ def _metered_run(scenario: Scenario, full: FullCylinderParameters) -> Simulation
     inputs = [name for name in ("knee_reference", "biological_moment") if loop.HasInputPort(name)]
     for name in inputs:
         builder.ExportInput(loop.GetInputPort(name), name)
-    recorded = ("rod_extension", "rod_velocity", "chamber_pressures")
+    recorded = ("rod_extension", "rod_velocity", "chamber_pressures", "moment_arm")
     for name in recorded:
         builder.ExportOutput(loop.GetOutputPort(name), name)
     builder.ExportOutput(meter.GetOutputPort("energies"), "energies")

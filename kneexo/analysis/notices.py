@@ -6,6 +6,7 @@ import textwrap
 from collections.abc import Iterable, Iterator
 
 from kneexo.analysis.signals import period_s
+from kneexo.diagrams.plant import moving_masses_kg
 from kneexo.parameters import (
     LINKAGES,
     PlantParameters,
@@ -113,23 +114,24 @@ def notices(scenario: Scenario) -> Iterator[str]:
 def model_notices(scenario: Scenario) -> Iterator[str]:
     """Yield a line for each contradiction in the model of ``scenario``.
 
-    The contradictions are a mass of the rod beyond the bounds of the sliding-mode controller, a
-    mass of the rod that looks like a load of the knee, a nominal plant that differs from the plant,
-    and a polynomial that misses the linkage by more than `LARGEST_MISFIT_MM`. A line also says that
-    the controller's polynomial is fitted to the linkage.
+    The contradictions are a mass that moves with the rod beyond the bounds of the sliding-mode
+    controller, a mass of the rod that looks like a load of the knee, a nominal plant that differs
+    from the plant, and a polynomial that misses the linkage by more than `LARGEST_MISFIT_MM`. A
+    line also says that the controller's polynomial is fitted to the linkage.
 
     Raises `LinkageError` when the linkage cannot be assembled.
     """
     plant, controller = scenario.plant, scenario.controller
-    mass_kg = plant.cylinder.mass_kg
+    mass_kg, inertia = plant.cylinder.mass_kg, plant.knee_inertia_kg_m2
     if controller.kind == "smc":
         low, high = controller.mass_min_kg, controller.mass_max_kg
-        if not low <= mass_kg <= high:
-            yield (
-                f"plant.cylinder.mass_kg = {mass_kg:g} kg is outside controller.mass_min_kg … "
-                f"mass_max_kg, {low:g} … {high:g} kg"
-            )
-    if mass_kg > SlidingModeParameters().mass_max_kg:
+        least, largest = moving_masses_kg(plant)
+        text = f"plant.cylinder.mass_kg = {mass_kg:g} kg"
+        if inertia is not None:
+            text = f"plant.load.inertia_kg_m2: a mass of {least:.3g} … {largest:.3g} kg at the rod"
+        if not low <= least <= largest <= high:
+            yield (f"{text} is outside controller.mass_min_kg … mass_max_kg, {low:g} … {high:g} kg")
+    if inertia is None and mass_kg > SlidingModeParameters().mass_max_kg:
         if plant.load.kind == "none":
             yield (
                 f"plant.cylinder.mass_kg = {mass_kg:g} kg has inertia but no weight; "

@@ -51,7 +51,7 @@ class WalkingDemand(Result):
     """Signals that the actuator must provide from one heel contact to the next, each (n,).
 
     Limits and lag of pump and motor are neglected. If ``segment_inertia`` is True, the inertia is
-    the shank's as a point mass, otherwise the constant mass of Eq. 16 (see `walking_demand`).
+    the shank's as a point mass, otherwise that of the plant (see `walking_demand`).
     """
 
     frequency_hz: float
@@ -116,9 +116,9 @@ def walking_demand(
 
     P_L = (m a + B v + K x + F_L)/Ā, Q_L = Ā v + C_L P_L + V_t/(4β_e) dP_L/dt,
     ω_m = gear (Q_L + (C_im + C_em/2) P_L)/D_m. A scenario of full order is treated as reduced
-    order. If ``segment_inertia`` is True, the inertial force m a is −m_s l² d²θ_p/dt²/r. Here m_s
-    is the mass of the load, l the distance of its centre of mass from the knee, and r the moment
-    arm.
+    order. An inertia I about the knee replaces the inertial force m a by −I d²θ_p/dt²/r, where r
+    is the moment arm. I is the inertia of the load or, if ``segment_inertia`` is True, m_s l² with
+    the mass m_s of the load and the distance l of its centre of mass from the knee.
 
     Raises `ParameterError` when the frequency is out of range, the gait leaves the range of
     motion, or ``segment_inertia`` is True and the scenario's load has no segment.
@@ -138,13 +138,14 @@ def walking_demand(
     arm = moment_arm_m(scenario, angle)
     speed = -arm * rate
     rod_acceleration = _rate(time, speed)
+    inertia = plant.knee_inertia_kg_m2
     if segment_inertia:
         if not isinstance(load, KneeLoadParameters):
             raise ParameterError("plant.load.kind = none: has no segment; must be knee")
         inertia = load.segment_mass_kg * load.centre_of_mass_m**2
+    inertial_force = cylinder.mass_kg * rod_acceleration
+    if inertia is not None:
         inertial_force = -inertia * acceleration / arm
-    else:
-        inertial_force = cylinder.mass_kg * rod_acceleration
     force = inertial_force + _load_force(scenario, time, angle, arm)
     pressure = (
         force

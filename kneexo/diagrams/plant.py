@@ -6,6 +6,7 @@ import math
 from functools import lru_cache
 from typing import Any
 
+import numpy as np
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from kneexo import linkage, systems
@@ -85,6 +86,9 @@ def make_plant(
         connect(builder, knee, "knee_angle", load, "knee_angle")
         connect(builder, knee, "moment_arm", load, "moment_arm")
         connect(builder, load, "load_force", cylinder, "load_force")
+        if parameters.knee_inertia_kg_m2 is not None:
+            connect(builder, knee, "moment_arm_slope", load, "moment_arm_slope")
+            connect(builder, load, "moving_mass", cylinder, "moving_mass")
         for name in ("disturbance_force", "knee_torque"):
             builder.ExportInput(load.GetInputPort(name), name)
     else:
@@ -164,6 +168,17 @@ def plant_parts(
             Part("load", lambda: systems.KneeLoad(load), lambda: knee_load.context_values(load))
         )
     return parts
+
+
+def moving_masses_kg(parameters: PlantParameters) -> tuple[float, float]:
+    """Return the least and the largest mass in kg that moves with the rod in the range of motion.
+
+    Raises `LinkageError` when the linkage cannot be assembled.
+    """
+    knee = parameters.knee
+    angles = np.radians(np.linspace(knee.flexion_min_deg, knee.flexion_max_deg, 91))
+    masses = parameters.moving_mass_kg(linkage.moment_arm(parameters.linkage, angles))
+    return float(np.min(masses)), float(np.max(masses))
 
 
 @lru_cache(maxsize=64)

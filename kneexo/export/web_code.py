@@ -29,6 +29,7 @@ from kneexo.compiler import (
 )
 from kneexo.diagrams.closed_loop import available_signals, make_closed_loop
 from kneexo.diagrams.law import why_python
+from kneexo.diagrams.plant import moving_masses_kg
 from kneexo.diagrams.signals import SIGNALS
 from kneexo.errors import ParameterError
 from kneexo.parameters import RampReference, Scenario, SineReference, StepReference
@@ -124,15 +125,21 @@ def loop_source(scenario: Scenario, *, smooth: bool = False) -> CSource:
 def require_slow_modes(scenario: Scenario) -> None:
     """Raise `ParameterError` if the steps of a module are too long for the plant's fastest mode.
 
-    The oil of the reduced order resonates at √(4β_e Ā²/(V_t m)) (Eq. 15, 16). In the full order,
-    friction F with the band v_0 decays at F/(v_0 m), and an empty chamber, of the volume V_d, fills
-    through its make-up valve C at β_e C/V_d.
+    The oil of the reduced order resonates at √(4β_e Ā²/(V_t m)) (Eq. 15, 16), where m is the least
+    mass that moves with the rod in the range of motion. In the full order, friction F with the band
+    v_0 decays at F/(v_0 m), and an empty chamber, of the volume V_d, fills through its make-up
+    valve C at β_e C/V_d.
     """
-    cylinder, full = scenario.plant.cylinder, scenario.plant.full_order
+    plant = scenario.plant
+    cylinder, full = plant.cylinder, plant.full_order
+    mass_kg, _ = moving_masses_kg(plant)
     if full is None:
         spring = 4.0 * cylinder.bulk_modulus_pa * cylinder.mean_area_m2**2
-        rate = math.sqrt(spring / (cylinder.total_volume_m3 * cylinder.mass_kg))
-        modes = [("cylinder.mass_kg", "kg", rate, _OIL_ANGLE, 2)]
+        rate = math.sqrt(spring / (cylinder.total_volume_m3 * mass_kg))
+        name, unit = "cylinder.mass_kg", "kg"
+        if plant.knee_inertia_kg_m2 is not None:
+            name, unit = "load.inertia_kg_m2", "kg·m²"
+        modes = [(name, unit, rate, _OIL_ANGLE, 2)]
     else:
         friction = full.coulomb_friction_n + full.stribeck_friction_n
         valve = cylinder.bulk_modulus_pa * full.makeup_conductance_m3_per_s_pa
@@ -140,7 +147,7 @@ def require_slow_modes(scenario: Scenario) -> None:
             (
                 "full_order.friction_band_m_s",
                 "m/s",
-                friction / full.friction_band_m_s / cylinder.mass_kg,
+                friction / full.friction_band_m_s / mass_kg,
                 _STABLE,
                 1,
             ),

@@ -314,7 +314,7 @@ class NoLoad(Parameters):
 
 
 class KneeLoadParameters(Parameters):
-    """Load of the knee: weight of the shank, disturbance on the rod, torque of the wearer."""
+    """Load of the knee: weight and inertia of the shank, disturbance, torque of the wearer."""
 
     kind: Literal["knee"] = "knee"
     segment_mass_kg: float = quantity(
@@ -343,6 +343,15 @@ class KneeLoadParameters(Parameters):
     disturbance_frequency_hz: float = quantity(
         1.0, "Hz", "assumption: frequency of the sinusoidal force", ge=0, le=1000
     )
+    inertia_kg_m2: float | None = quantity(
+        None,
+        "kg·m²",
+        "assumption: none, plant.cylinder.mass_kg moves with the rod; a shank of 1.6 kg with its "
+        "mass 0.20 m from the knee has 0.064 kg·m²",
+        ge=1e-4,
+        le=10,
+    )
+    """Inertia I about the knee. The mass that moves with the rod is then I/r²."""
 
 
 class PlantParameters(Parameters):
@@ -365,3 +374,13 @@ class PlantParameters(Parameters):
         "Eq. 14 with its valves; left out, the cylinder is the reduced order of Eq. 15",
         words={True: {}, False: None},
     )
+
+    @property
+    def knee_inertia_kg_m2(self) -> float | None:
+        """Inertia of the load about the knee in kg·m², or None for a constant mass at the rod."""
+        return None if isinstance(self.load, NoLoad) else self.load.inertia_kg_m2
+
+    def moving_mass_kg(self, moment_arm_m: Any) -> Any:
+        """Return the mass in kg that moves with the rod at a moment arm or at an array of them."""
+        inertia = self.knee_inertia_kg_m2
+        return self.cylinder.mass_kg if inertia is None else inertia / moment_arm_m**2

@@ -64,6 +64,9 @@ def cylinder_states(*pressures: str) -> tuple[StateVariable, ...]:
 class Cylinder(NamedLeaf):
     """Base of the cylinders of reduced and full order, with common ports: m dv/dt = F_rod − F_L.
 
+    If the input ``moving_mass`` is connected, M dv/dt + ½ (dM/dx) v² = F_rod − F_L with its mass
+    M(x) instead of m, which keeps the kinetic energy ½ M v² (Lagrange's equation).
+
     State: x in m, v in m/s and the pressures in MPa, all of order one. A subclass defines load
     pressure, rod force and pressure rates. Raises `SimulationError` if the rod is outside the
     stroke at the end of a step, and if a derivative is not finite.
@@ -73,6 +76,7 @@ class Cylinder(NamedLeaf):
         """Declare the common ports and the initial state: the rod at rest at an extension in m."""
         self._flow = self.DeclareVectorInputPort("load_flow", 1)
         self._force = self.DeclareVectorInputPort("load_force", 1)
+        self._mass = self.DeclareVectorInputPort("moving_mass", 2)
         pressures = [pressure / PA_PER_MPA for pressure in pressures_pa]
         self.DeclareContinuousState(BasicVector_[self._scalar]([extension, 0.0, *pressures]))
         state, declare = self.xc_ticket(), self._declare_output
@@ -80,7 +84,8 @@ class Cylinder(NamedLeaf):
         declare("rod_velocity", 1, lambda c: self._state(c)[1:2], state)
         declare("load_pressure", 1, lambda c: [self._load_pressure(self._state(c))], state)
         declare("rod_force", 1, lambda c: [self._rod_force(*self._numbers(c))], state)
-        declare("rod_state", 3, lambda c: self._motion(c, *self._numbers(c)), state, self._force)
+        sources = (state, self._force, self._mass)
+        declare("rod_state", 3, lambda c: self._motion(c, *self._numbers(c)), *sources)
         self._declare_check(self._require_in_stroke)
 
     def _load_pressure(self, state: list[Any]) -> Any:
@@ -107,7 +112,11 @@ class Cylinder(NamedLeaf):
     def _motion(self, context: Any, p: Any, state: list[Any]) -> list[Any]:
         """Return x, v and the acceleration dv/dt in SI units."""
         force = self._rod_force(p, state) - value_or_zero(self._force, context)
-        return [*state[:2], force / p.mass_kg]
+        mass = p.mass_kg
+        if self._mass.HasValue(context):
+            mass, slope = self._mass.Eval(context)
+            force -= 0.5 * slope * state[1] * state[1]
+        return [*state[:2], force / mass]
 
     def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
         """Set dx/dt, dv/dt and the pressure rates.

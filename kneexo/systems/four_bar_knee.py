@@ -11,7 +11,7 @@ import pydrake.math as drake_math
 from pydrake.systems.framework import BasicVector_
 
 from kneexo.errors import SimulationError
-from kneexo.linkage import icr, polynomial
+from kneexo.linkage import icr, polynomial, polynomial_derivative
 from kneexo.parameters import KneeParameters, LinkageParameters, RodPolynomialParameters
 from kneexo.rod_inverse import RodInverse, fit_rod_inverse
 from kneexo.systems._leaf import NamedLeaf, leaf_template, values_of
@@ -27,6 +27,13 @@ def knee_kinematics(p: Any, polynomials: Iterable[Any], extension: Any) -> list[
     root = drake_math.sqrt(drake_math.max(p.dead_centre_m - extension, 0.0))
     t = (root - p.centre) / p.half_width
     return [polynomial(coefficients, t) for coefficients in polynomials]
+
+
+def moment_arm_slope(p: Any, coefficients: Any, extension: Any) -> Any:
+    """Return dr/dx at a rod extension; ``coefficients`` are the polynomial of r (`RodInverse`)."""
+    root = drake_math.sqrt(drake_math.max(p.dead_centre_m - extension, 1e-12))
+    t = (root - p.centre) / p.half_width
+    return -polynomial(polynomial_derivative(coefficients), t) / (2.0 * p.half_width * root)
 
 
 def context_values(
@@ -52,17 +59,18 @@ class FourBarKnee(NamedLeaf):
     rod's dead centre. They are fitted to the linkage when the system is made (see
     `kneexo.rod_inverse.RodInverse`).
 
-    ===============  ====  ==========  =================================================
-    input port       size  unit
-    ===============  ====  ==========  =================================================
-    rod_extension    1     m           x
+    ================  ====  ==========  =================================================
+    input port        size  unit
+    ================  ====  ==========  =================================================
+    rod_extension     1     m           x
     **output port**
-    knee_kinematics  3     rad,rad,m   θ_p, θ_4, r; the other ports read its cached value
-    knee_angle       1     rad         θ_p, 0 = full extension, positive = flexion
-    encoder_angle    1     rad         θ_4, the angle that the encoder measures
-    moment_arm       1     m           r = −dx/dθ_p
-    icr              2     m           instantaneous centre of rotation, ground frame
-    ===============  ====  ==========  =================================================
+    knee_kinematics   3     rad,rad,m   θ_p, θ_4, r; the other ports read its cached value
+    knee_angle        1     rad         θ_p, 0 = full extension, positive = flexion
+    encoder_angle     1     rad         θ_4, the angle that the encoder measures
+    moment_arm        1     m           r = −dx/dθ_p
+    moment_arm_slope  1     1           dr/dx
+    icr               2     m           instantaneous centre of rotation, ground frame
+    ================  ====  ==========  =================================================
 
     Stateless. Vector 0 of the Context parameters has the links and the scaling of the fit by name;
     vectors 1, 2 and 3 have the coefficients for θ_p, θ_4 and r, highest power first. All four
@@ -90,6 +98,7 @@ class FourBarKnee(NamedLeaf):
         self._kinematics = declare("knee_kinematics", 3, self._calc_kinematics, self._extension)
         for index, name in enumerate(("knee_angle", "encoder_angle", "moment_arm")):
             declare(name, 1, partial(self._element, index), self._extension)
+        declare("moment_arm_slope", 1, self._calc_slope, self._extension)
         declare("icr", 2, self._calc_icr, self._extension)
         self._declare_check(self._require_in_range)
 
@@ -105,6 +114,11 @@ class FourBarKnee(NamedLeaf):
 
     def _element(self, index: int, context: Any) -> list[Any]:
         return [self._pose(context)[index]]
+
+    def _calc_slope(self, context: Any) -> list[Any]:
+        coefficients = context.get_numeric_parameter(3).CopyToVector().tolist()
+        x = self._extension.Eval(context)[0]
+        return [moment_arm_slope(self.parameters(context), coefficients, x)]
 
     def _calc_icr(self, context: Any) -> Any:
         p = self.parameters(context)

@@ -51,9 +51,18 @@ def load_force(
     return torque / moment_arm + disturbance
 
 
+def moving_mass(inertia: Any, moment_arm: Any, slope: Any) -> list[Any]:
+    """Return the mass M = I/r² in kg that moves with the rod, and dM/dx in kg/m.
+
+    ``slope`` is dr/dx, the change of the moment arm with the rod extension.
+    """
+    mass = inertia / (moment_arm * moment_arm)
+    return [mass, -2.0 * mass * slope / moment_arm]
+
+
 def context_values(parameters: KneeLoadParameters) -> dict[str, float]:
     """Return a dictionary {name: value} of the Context parameters of `KneeLoad`."""
-    return {name: value for name, value in parameters if name != "kind"}
+    return {name: value for name, value in parameters if name != "kind" and value is not None}
 
 
 class KneeLoad(NamedLeaf):
@@ -68,11 +77,14 @@ class KneeLoad(NamedLeaf):
     moment_arm         1     m     r = −dx/dθ_p
     knee_torque        1     N·m   τ of the wearer, positive flexes; 0 if unconnected
     disturbance_force  1     N     F, positive opposes extension; 0 if unconnected
+    moment_arm_slope   1     1     dr/dx, only with an inertia
     **output port**
     load_force         1     N     F_L, positive opposes extension of the rod
+    moving_mass        2     kg,…  M = I/r² and dM/dx in kg/m, only with an inertia I
     =================  ====  ====  ======================================================
 
-    Stateless. Context parameters by name: all numbers of `KneeLoadParameters`. A torque that flexes
+    Stateless. Context parameters by name: all numbers of `KneeLoadParameters`, the inertia only if
+    it is given. The load force does not contain the inertial force. A torque that flexes
     the knee pushes the rod in: −F_L dx/dt = τ dθ_p/dt gives F_L = τ/r. While the thigh hangs
     (α = 0), the weight of the shank helps extension. Source: Lee et al. 2020, Eq. 16 contains F_L,
     but the paper does not specify F_L.
@@ -86,6 +98,13 @@ class KneeLoad(NamedLeaf):
         self._disturbance = self.DeclareVectorInputPort("disturbance_force", 1)
         inputs = (self._angle, self._arm, self._torque, self._disturbance)
         self._declare_output("load_force", 1, self._calc, *inputs, self.time_ticket())
+        if parameters.inertia_kg_m2 is not None:
+            self._slope = self.DeclareVectorInputPort("moment_arm_slope", 1)
+            self._declare_output("moving_mass", 2, self._calc_mass, self._arm, self._slope)
+
+    def _calc_mass(self, context: Any) -> list[Any]:
+        inertia = self.parameters(context).inertia_kg_m2
+        return moving_mass(inertia, self._arm.Eval(context)[0], self._slope.Eval(context)[0])
 
     def _calc(self, context: Any) -> list[Any]:
         return [

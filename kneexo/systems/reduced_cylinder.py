@@ -54,6 +54,7 @@ class ReducedCylinder(Cylinder):
     ===============  ====  ===========  ===============================================
     load_flow        1     m³/s         Q_L, positive drives the rod out
     load_force       1     N            F_L, positive opposes extension; 0 if unconnected
+    moving_mass      2     kg, kg/m     M(x) and dM/dx in place of m; m if unconnected
     **output port**
     rod_extension    1     m            x, grows as the rod leaves the cylinder
     rod_velocity     1     m/s          v

@@ -31,10 +31,11 @@ LOSSES = {
     "plant.full_order.coulomb_friction_n": 20.0,
     "plant.load.disturbance_n": 10.0,
 }
+INERTIA = {"plant.load.inertia_kg_m2": 0.064}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("values", [{}, LOSSES], ids=["defaults", "losses"])
+@pytest.mark.parametrize("values", [{}, LOSSES, INERTIA], ids=["defaults", "losses", "inertia"])
 def test_the_energy_of_a_stride_closes(values):
     balance = energy_balance(changed(STRIDE, values))
     assert set(balance.energies) == {*SUPPLIED, *SPENT}
@@ -80,6 +81,17 @@ def test_the_energies_are_those_of_the_signals():
     assert energies["load_j"] == pytest.approx(weight - weight[0], abs=1e-6)
     motion = 0.8 * run["rod_velocity_m_s"] ** 2
     assert energies["motion_j"] == pytest.approx(motion - motion[0], abs=1e-9)
+
+
+@pytest.mark.slow
+def test_an_inertia_has_its_kinetic_energy():
+    scenario = changed(STRIDE, INERTIA)
+    balance, run = energy_balance(scenario), simulate(scenario)
+    rate = run["rod_velocity_m_s"] / run["moment_arm_m"]
+    motion = 0.5 * 0.064 * rate**2
+    # Two runs with another choice of steps, to the tolerance of the solver.
+    assert balance.energies["motion_j"] == pytest.approx(motion - motion[0], abs=1e-9)
+    assert np.ptp(motion) > 0.1
 
 
 def balance_of(values):

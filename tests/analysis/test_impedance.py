@@ -152,6 +152,18 @@ def test_a_held_motor_is_oil_and_mass(rod_of_knee):
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("error")
+def test_a_held_motor_moves_the_inertia_of_the_load(rod_of_knee):
+    f = np.geomspace(0.013, 5003.0, 120)
+    case = scenario().changed({"plant.load.inertia_kg_m2": 0.064})
+    result = output_impedance(case, f, knee_angle_deg=ANGLE_DEG, port="knee", motor_held=True)
+    at_rod = 2j * np.pi * f * MASS * arm(rod_of_knee) ** 2
+    expected = oil_and_mass(f, arm(rod_of_knee)) - at_rod + 2j * np.pi * f * 0.064
+    assert np.abs(result.impedance / expected - 1.0).max() < 1e-4
+    assert result.held_inertia_kg_m2 == pytest.approx(0.064, rel=1e-14)
+
+
+@pytest.mark.slow
 def test_at_the_cuff_a_held_motor_is_in_series_with_the_cuff(rod_of_knee):
     f = np.geomspace(0.013, 503.0, 40)
     result = output_impedance(scenario(), f, knee_angle_deg=ANGLE_DEG, motor_held=True)

@@ -204,6 +204,18 @@ def test_the_papers_hydraulic_mode_lies_at_447_hz_and_is_nearly_undamped():
     assert ratio[-1] == pytest.approx(0.0059, abs=1e-4)
 
 
+def test_the_inertia_of_the_shank_halves_the_hydraulic_mode():
+    """√(k_q Ā² r²/I) with r = 102.1 mm at 45°, where 0.064 kg·m² are 6.1 kg."""
+    shank = KneeLoadParameters(segment_mass_kg=0.0, inertia_kg_m2=0.064)
+    plant = linearize_plant(PlantParameters(load=shank), knee_angle_deg=45.0)
+    frequency, ratio = plant.damping
+    expected = math.sqrt(4.0 * 1.72e9 * AREA**2 / 41_233e-9 * 0.1021**2 / 0.064)
+    # The arm has four digits.
+    assert frequency[-1] == pytest.approx(expected, rel=1e-3)
+    assert frequency[-1] / (2.0 * math.pi) == pytest.approx(228.0, abs=0.5)
+    assert ratio[-1] == pytest.approx(0.0059 * 446.8 / 228.0, rel=2e-2)
+
+
 @pytest.mark.parametrize("name", SETS)
 def test_the_response_is_that_of_the_closed_form(name):
     n = SETS[name]

@@ -97,6 +97,12 @@ def test_shaft_energy_is_what_leaks_and_rubs(segment_inertia):
     )
 
 
+def test_an_inertia_of_the_load_is_that_of_the_segment():
+    inertia = changed(UNCERTAIN_KNEE, {"plant.load.inertia_kg_m2": 1.6 * 0.2**2})
+    expected = walking_demand(UNCERTAIN_KNEE, 1.0, segment_inertia=True)
+    np.testing.assert_array_equal(walking_demand(inertia, 1.0).rod_force_n, expected.rod_force_n)
+
+
 def test_the_shank_moves_by_the_work_of_the_rod():
     demand = walking_demand(UNCERTAIN_KNEE, 1.0, segment_inertia=True)
     time = demand.cycle_percent / 100.0

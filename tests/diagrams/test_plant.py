@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from plant_cases import PAPER, SOFT, by_name, plant_parameters, set_state, with_command
 from pydrake.systems.analysis import Simulator
+from scipy.integrate import solve_ivp
 
 from kneexo.diagrams import PLANT_OUTPUTS, make_plant
 from kneexo.errors import LinkageError, SimulationError
@@ -14,6 +15,7 @@ from kneexo.parameters import (
     G1,
     G2,
     G3,
+    BldcPumpParameters,
     CylinderParameters,
     KneeLoadParameters,
     KneeParameters,
@@ -281,7 +283,43 @@ def test_knee_and_encoder_angle_are_those_of_the_linkage_at_the_rod(four_bar):
         # 1e-11: the fit is good to 1e-12 rad; the arm is checked by differences over 1 µrad.
         assert angle == pytest.approx(knee, abs=1e-11)
         assert encoder == pytest.approx(four_bar.theta_4(knee), abs=1e-11)
-        assert arm == pytest.approx(-slope(four_bar.rod, knee), rel=1e-7)
+        assert arm == pytest.approx(four_bar.arm(knee), rel=1e-10)
+
+
+def test_a_shank_with_inertia_swings_as_a_pendulum(four_bar):
+    """I d²θ/dt² = m g l sin(α − θ) + r K (x − x_0), integrated in θ, where the inertia is constant.
+
+    Without leakage and damping, the oil of a huge volume is a soft spring K = 4 β_e Ā²/V_t.
+    """
+    plant = make_plant(
+        PlantParameters(
+            load=KneeLoadParameters(inertia_kg_m2=0.08, thigh_inclination_rad=math.radians(55.0)),
+            cylinder=CylinderParameters(
+                total_volume_m3=0.01, bulk_modulus_pa=1e6, damping_n_s_per_m=0.0
+            ),
+            pump=BldcPumpParameters(internal_leakage_m3_per_s_pa=0.0),
+        )
+    )
+    start, times = math.radians(20.0), np.linspace(0.1, 1.2, 12)
+    x_0, stiffness = four_bar.rod(start), 4.0 * 1e6 * PAPER["area"] ** 2 / 0.01
+    assert stiffness > 30.0  # so that x_0 = 0 would show
+
+    def rates(_, state):
+        angle, rate = state
+        weight = 1.6 * 9.81 * 0.2 * math.sin(math.radians(55.0) - angle)
+        spring = four_bar.arm(angle) * stiffness * (four_bar.rod(angle) - x_0)
+        return [rate, (weight + spring) / 0.08]
+
+    options = {"rtol": 1e-11, "atol": 1e-12, "t_eval": times}
+    expected = solve_ivp(rates, (0.0, 1.2), [start, 0.0], **options)
+    context = with_command(plant)
+    set_state(plant, context, extension=x_0)
+    simulator = Simulator(plant, context)
+    simulator.get_mutable_integrator().set_target_accuracy(1e-9)
+    for time, angle in zip(times, expected.y[0], strict=True):
+        simulator.AdvanceTo(time)
+        # The accuracy of 1e-9 in metres and per step, over an arm of 0.06 m or more.
+        assert by_name(plant, "knee_angle", context) == pytest.approx(angle, abs=1e-6)
 
 
 def test_polynomial_rod_map_inverts_table_1_exactly(four_bar):

@@ -128,7 +128,7 @@ def test_a_loop_in_c_takes_no_sampled_reference(tmp_path, capsys, no_compiler):
 
 
 WEARER = {
-    "plant": {"load": {"kind": "knee"}},
+    "plant": {"load": {"kind": "knee", "inertia_kg_m2": 0.064}},
     "wearer": {"kind": "leg", "motion": "active", "cuff": {"slip_torque_n_m": 0.1}},
     "controller": {"kind": "torque", "mode": "impedance"},
     "load_cell": {"noise_n": 2.0, "seed": 5, "dropout_start_s": 0.101, "dropout_s": 0.03},

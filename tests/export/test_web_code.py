@@ -133,6 +133,13 @@ def test_a_wearer_is_refused_because_the_leg_moves_between_samples():
             "plant.cylinder.mass_kg",
             1.6 * (2807 / 4200) ** 2,
         ),
+        # m = I/r² with the largest arm, 107.09 mm
+        (
+            "leg",
+            {"plant.full_order": None, "plant.load.inertia_kg_m2": 0.005},
+            "plant.load.inertia_kg_m2",
+            1.6 * (2807 / 4200) ** 2 * 0.10709**2,
+        ),
         # 1.72e9 Pa · 2e-10 m³/(s·Pa)/81000 1/s
         (
             "leg",
@@ -152,9 +159,9 @@ def test_a_wearer_is_refused_because_the_leg_moves_between_samples():
 def test_a_mode_too_fast_for_the_page_is_refused_with_the_least_value(
     preset, changes, place, least
 ):
-    scenario = Scenario.preset(preset)
+    scenario = Scenario.preset(preset).changed(changes)
     with pytest.raises(ParameterError) as caught:
-        require_slow_modes(scenario.changed(changes))
+        require_slow_modes(scenario)
     text = str(caught.value)
     assert text.startswith(f"{place} = ")
     named = float(re.search(r"at least (\S+) ", text)[1])

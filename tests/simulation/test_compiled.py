@@ -109,6 +109,13 @@ STRUCTURES = {
         controller=SlidingModeParameters(sample_time_s=0.005),
         reference=SineReference(frequency_hz=1.0, ramp_s=0.05),
     ),
+    "inertia, full order": Scenario(
+        encoder=FREE,
+        plant=PlantParameters(load=KneeLoadParameters(inertia_kg_m2=0.064), full_order=FULL),
+        controller=PID_FEEDFORWARD,
+        reference=SineReference(frequency_hz=1.0),
+        initial_offset_m=-0.001,
+    ),
     "impedance, active wearer, slip, noise": Scenario(
         encoder=FREE,
         plant=PlantParameters(load=KneeLoadParameters()),

@@ -28,7 +28,10 @@ THETA_4_DEG = {
     "G4": (-89.7, 20.8),
 }
 INPUTS = {"rod_extension": [(0.01, 0.13)]}
-OUTPUTS = {"knee_kinematics": 3, "knee_angle": 1, "encoder_angle": 1, "moment_arm": 1, "icr": 2}
+OUTPUTS = {
+    "knee_kinematics": 3, "knee_angle": 1, "encoder_angle": 1, "moment_arm": 1,
+    "moment_arm_slope": 1, "icr": 2,
+}  # fmt: skip
 
 names = pytest.mark.parametrize("name", LINKAGES)
 
@@ -150,6 +153,16 @@ def test_moment_arm_and_centre_of_rotation_meet_differences_of_the_construction(
     pin, rod = at.rod_pin[1:], at.rod_pin[1:] - anchor
     moment = -np.imag(np.conj(pin - own_centre) * rod) / np.abs(rod)
     np.testing.assert_allclose(values["moment_arm"][:, 0], moment, rtol=1e-9)
+
+
+@names
+def test_slope_of_the_moment_arm_meets_differences(name):
+    system, h = FourBarKnee(LINKAGES[name]), 1e-6
+    x = np.linspace(0.01, 0.14, 14)
+    ahead, behind = (many_outputs(system, x + s)["moment_arm"] for s in (h, -h))
+    # Rounding 1e-17/1e-6 of the arm, truncation h² times a third derivative of some 1e3 1/m².
+    slope = many_outputs(system, x)["moment_arm_slope"]
+    np.testing.assert_allclose(slope, (ahead - behind) / (2.0 * h), rtol=0.0, atol=1e-8)
 
 
 def test_knee_of_table_1_follows_eq_10_and_keeps_the_encoder_of_the_linkage(compass):

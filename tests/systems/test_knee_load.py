@@ -124,6 +124,24 @@ def test_work_of_the_weight_on_the_rod_is_its_loss_of_potential_energy():
     assert -np.trapezoid(forces, x) == pytest.approx(2.0 * 9.81 * sinks, rel=1e-5)
 
 
+def test_an_inertia_is_a_mass_at_the_rod_that_grows_as_the_arm_shortens(leaf):
+    inputs = INPUTS | {"moment_arm_slope": [(-0.6, 0.6)]}
+    system = KneeLoad(KneeLoadParameters(inertia_kg_m2=0.064))
+    assert leaf.structure(system).outputs == {"load_force": 1, "moving_mass": 2}
+    probe = leaf.Probe(system, inputs)
+    probe.check_conversions(2)
+    probe.check_outputs_follow_every_source()
+    for arm, slope in ((0.1, 0.0), (0.04, -0.5), (0.08, 0.3)):
+        context = system.CreateDefaultContext()
+        system.GetInputPort("moment_arm").FixValue(context, arm)
+        system.GetInputPort("moment_arm_slope").FixValue(context, slope)
+        mass, mass_slope = system.GetOutputPort("moving_mass").Eval(context)
+        assert mass == pytest.approx(0.064 / arm**2, rel=1e-14)
+        h = 1e-6  # relative truncation h² r'²/r², some 1e-10
+        ahead, behind = (0.064 / (arm + s * slope) ** 2 for s in (h, -h))
+        assert mass_slope == pytest.approx((ahead - behind) / (2.0 * h), rel=1e-8, abs=1e-9)
+
+
 # ------------------------------------------------------------------------------ bad input
 
 

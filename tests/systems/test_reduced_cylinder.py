@@ -55,10 +55,10 @@ def written_out(p, state, flow, force):
 
 def test_ports_state_and_feedthrough(leaf):
     structure = leaf.structure(ReducedCylinder())
-    assert structure.inputs == {"load_flow": 1, "load_force": 1}
+    assert structure.inputs == {"load_flow": 1, "load_force": 1, "moving_mass": 2}
     assert structure.outputs == OUTPUTS
     assert (structure.continuous, structure.discrete) == (3, [])
-    assert structure.feedthrough == {("load_force", "rod_state")}
+    assert structure.feedthrough == {("load_force", "rod_state"), ("moving_mass", "rod_state")}
 
 
 def test_parameters_have_these_names_and_the_values_of_the_paper():
