@@ -1,4 +1,4 @@
-"""Presets: scenarios by name, from the idealized knee of the paper to a leg with all its losses.
+"""Presets: scenarios by name, from the idealized knee of the paper to a knee with a wearer.
 
 A preset consists of the values that differ from the defaults of `kneexo.parameters.Scenario`. It
 names only the kind of a part. The numbers of the part are its defaults, with their provenance. A
@@ -28,6 +28,10 @@ class Preset:
 
 _WEIGHT = {"kind": "knee"}
 _DRIVE = {"kind": "cia402"}
+_LEG = {
+    "plant": {"load": _WEIGHT, "full_order": {"coulomb_friction_n": SEAL_FRICTION_N}},
+    "bus": _DRIVE,
+}
 
 PRESETS: Mapping[str, Preset] = {
     "paper": Preset(
@@ -40,13 +44,11 @@ PRESETS: Mapping[str, Preset] = {
     ),
     "leg": Preset(
         "bench, and the full order of the cylinder: chambers, valves, friction of the seals",
-        {
-            "plant": {
-                "load": _WEIGHT,
-                "full_order": {"coulomb_friction_n": SEAL_FRICTION_N},
-            },
-            "bus": _DRIVE,
-        },
+        _LEG,
+    ),
+    "wearer": Preset(
+        "leg, and the leg of a wearer in a cuff; torque control that keeps the rod free of force",
+        {**_LEG, "wearer": {"kind": "leg"}, "controller": {"kind": "torque"}},
     ),
 }
 """The presets by name. Each preset contains what the preset before it contains."""

@@ -129,8 +129,8 @@ class Scenario(Parameters):
         """Return the scenario of this name in `kneexo.parameters.presets.PRESETS`.
 
         ``paper`` is the default scenario. ``bench`` adds the weight of the shank and the drive on
-        its bus. ``leg`` also adds the full order of the cylinder, with friction. Raises
-        `ParameterError` for another name.
+        its bus. ``leg`` also adds the full order of the cylinder, with friction. ``wearer`` also
+        adds a wearer, and controls the torque. Raises `ParameterError` for another name.
         """
         return cls(**with_preset(name, {}))
 

@@ -131,7 +131,9 @@ def test_the_help_of_each_command_with_a_scenario_has_the_presets(capsys, comman
 def test_a_wrong_preset_is_one_line(capsys, tmp_path, command):
     assert main([command, "--preset", "lag", "--out", str(tmp_path / "out")]) == 2
     (line,) = capsys.readouterr().err.splitlines()
-    assert line == "kneexo: --preset = 'lag': must be paper, bench or leg; did you mean leg?"
+    assert (
+        line == "kneexo: --preset = 'lag': must be paper, bench, leg or wearer; did you mean leg?"
+    )
     assert not (tmp_path / "out").exists()
 
 

@@ -56,7 +56,7 @@ def test_a_run_that_is_too_long_for_the_page_is_named(tmp_path, capsys, calls, d
     [
         (
             ["--compare", "papr"],
-            "preset = 'papr': must be paper, bench or leg; did you mean paper?",
+            "preset = 'papr': must be paper, bench, leg or wearer; did you mean paper?",
         ),
         (["--set", "plant.pump.gear_ratio=0"], "must be finite and >= 0.01 and <= 1000"),
         (["x.yaml"] * 9, "9 scenarios: a page has at least 1 and at most 8"),

@@ -14,7 +14,7 @@ from kneexo.parameters.paths import changed
 from kneexo.parameters.presets import PRESETS, with_preset
 from kneexo.parameters.scenario_file import dump_scenario, load_scenario
 
-PAPER, BENCH, LEG = (Scenario.preset(name) for name in ("paper", "bench", "leg"))
+PAPER, BENCH, LEG, WEARER = map(Scenario.preset, PRESETS)
 
 MEAN_AREA_M2 = math.pi / 4.0 * (0.020**2 - 0.010**2 / 2.0)
 """Mean of Table 3's piston and ring."""
@@ -31,14 +31,15 @@ def load(tmp_path):
 
 
 def test_each_preset_adds_parts_to_the_one_before():
-    assert list(PRESETS) == ["paper", "bench", "leg"]
+    assert list(PRESETS) == ["paper", "bench", "leg", "wearer"]
     assert Scenario() == PAPER
     assert (PAPER.plant.load, PAPER.plant.full_order, PAPER.bus) == (NoLoad(), None, NoBus())
     assert (BENCH.plant.load, BENCH.bus) == (KneeLoadParameters(), Cia402Parameters())
     assert changed(PAPER, {"plant.load": {"kind": "knee"}, "bus": {"kind": "cia402"}}) == BENCH
     assert changed(BENCH, {"plant.full_order": {"coulomb_friction_n": 40.0}}) == LEG
-    # The pump leaks in all three; the controller knows the plant.
-    for scenario in (PAPER, BENCH, LEG):
+    assert changed(LEG, {"wearer": "leg", "controller": "torque"}) == WEARER
+    # The pump leaks in all of them; the controller knows the plant.
+    for scenario in (PAPER, BENCH, LEG, WEARER):
         assert scenario.plant.pump.leakage_m3_per_s_pa == 2e-13
         assert scenario.nominal is None
 
@@ -66,7 +67,7 @@ def test_the_argument_takes_the_place_of_the_entry(load):
     )
 
 
-@pytest.mark.parametrize("name", ["bench", "leg"])
+@pytest.mark.parametrize("name", ["bench", "leg", "wearer"])
 def test_a_written_scenario_is_complete_without_its_preset(load, name):
     text = dump_scenario(Scenario.preset(name))
     assert "preset" not in text
@@ -86,7 +87,7 @@ def test_values_of_one_scenario_do_not_reach_the_next():
 def test_a_wrong_name_lists_the_presets(name, hint):
     with pytest.raises(ParameterError) as caught:
         Scenario.preset(name)
-    assert str(caught.value) == f"preset = '{name}': must be paper, bench or leg{hint}"
+    assert str(caught.value) == f"preset = '{name}': must be paper, bench, leg or wearer{hint}"
 
 
 def test_a_wrong_name_in_a_file_has_its_line(load):
@@ -165,6 +166,13 @@ def test_the_areas_of_the_chambers_make_the_error_of_leg():
     assert paper == pytest.approx(0.047, abs=0.002)
 
 
+def test_a_file_can_change_wearer_and_controller_of_the_preset(load):
+    text = "preset: wearer\nwearer: {motion: active}\ncontroller: {mode: impedance}"
+    expected = {"wearer.motion": "active", "controller.mode": "impedance"}
+    assert load(text) == changed(WEARER, expected)
+    assert load("preset: wearer\nwearer: none\ncontroller: smc") == LEG
+
+
 def test_a_word_for_what_a_preset_has_keeps_it(tmp_path):
     path = tmp_path / "scenario.yaml"
     path.write_text("preset: leg\nplant: {load: knee, full_order: true}\nbus: can\n")
@@ -177,9 +185,15 @@ def test_a_word_for_what_a_preset_has_keeps_it(tmp_path):
 @pytest.mark.parametrize("name", PRESETS)
 def test_the_table_of_the_presets_has_their_numbers(name):
     page = Path(__file__).parents[2] / "docs" / "scenario_files.md"
-    (row,) = re.findall(rf"^\| `{name}` \| .*$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    row, *_ = re.findall(rf"^\| `{name}` \| .*$", page.read_text(encoding="utf-8"), re.MULTILINE)
     written = [float(cell.split()[0].rstrip("°")) for cell in row.strip("| ").split(" | ")[2:]]
-    m = track(Scenario.preset(name)).metrics
+    run = track(Scenario.preset(name))
+    m = run.metrics
     computed = [m.max_error_deg, m.peak_pressure_mpa, m.peak_shaft_power_w]
+    if name == "wearer":
+        torque = run.verdict.interaction
+        felt = re.search(r"feels ([\d.]+) N·m rms, at most ([\d.]+) N·m", page.read_text("utf-8"))
+        written += map(float, felt.groups())
+        computed += [torque.rms_torque_n_m, torque.peak_torque_n_m]
     # Two digits are written; without load the mode of the oil makes pressure and power.
     assert written == pytest.approx(computed, rel=0.06)
