@@ -55,6 +55,7 @@ def nested(path: str, value: object) -> str:
 
 # ------------------------------------------------------------------------ scenario files
 
+WORN = "preset: wearer\nwearer: {"
 FILES = {
     # names
     "mass_kg: 2": rf"my.yaml:1: mass_kg: unknown name; did you mean {MASS}\?$",
@@ -100,6 +101,28 @@ FILES = {
     "reference: samples": r"reference.times_s: is missing; must be given by the user",
     "controller: custom": r"controller.make: is missing; must be .* module:function",
     "controller: {continuous: true}": r"needs estimator.kind = exact, not observer$",
+    # wearer and torque control
+    "preset: wearer\nplant: {load: none}": r"wearer.kind = leg needs .* add plant: {load: knee}$",
+    "wearer: leg": r"wearer.kind = leg needs plant.load.kind = knee",
+    "controller: {kind: torque, mode: assist}": r"assist needs wearer.moment; add a wearer$",
+    WORN + "inertia_kg_m2: 0}": r"2: wearer.inertia_kg_m2 = 0 kg·m² .* >= 0.001 and <= 10 kg·m²$",
+    WORN + "inertia_kg_m2: }": r"wearer.inertia_kg_m2 has no value: must be a number, >= 0.001 ",
+    WORN + "loss_modulus_n_m_per_rad: 0.77}": r" 0.77 N·m/rad: .* 0.38 times .*; reduce it",
+    WORN + "moment: {times_s: [0, 9], moments_n_m: [0, 5]}}": r"covers 0 … 9 s, .* from 0 to 30 s",
+    WORN + "moment: {times_s: [1, 30], moments_n_m: [0, 5]}}": r"covers 1 … 30 s, .*; extend",
+    WORN + "moment: no.csv}": r"wearer.moment: no.csv: cannot be read: No such file",
+    WORN + "moment: law.py}": r"wearer.moment = 'law.py': must be a mapping of names to values",
+    WORN + "moment: .}": r"wearer.moment = '.': must be a mapping of names to values",
+    "load_cell: {noise_n: 2}": r"my.yaml:1: load_cell: noise_n = 2 N: seed .*; add seed: 1$",
+    # units of angle
+    WORN + "stiffness_n_m_per_deg: 1}": r"per_rad; multiply the value by 57.3$",
+    WORN + "cuff: {stiffness_nm_deg: 26}}": r"be wearer.cuff.stiffness_n_m_per_rad; multiply the ",
+    WORN + "damping_nm_s_per_deg: 1}": r"must be wearer.damping_n_m_s_per_rad; multiply the value ",
+    WORN + "neutral_angle_deg: 20}": r"must be wearer.neutral_angle_rad; divide the value by 57.3$",
+    "controller: {kind: torque, stiffness_nm_deg: 1}": r"stiffness_n_m_per_rad; multiply the value",
+    "controller: {kind: torque, band_deg: 5}": r"must be controller.band_rad; divide the value by",
+    "controller: {kind: torque, proportional_deg_s_per_n: 5}": r"_rad_s_per_n; divide the value by",
+    "plant: {knee: {flexion_max_rad: 1}}": r"must be plant.knee.flexion_max_deg; multiply the",
     # YAML
     "plant": r"the top level must be a mapping, not a single value$",
     "plant: {cylinder: {mass_kg: 2}": r"YAML syntax, column 31: .* expected ',' or '}'",

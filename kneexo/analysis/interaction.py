@@ -54,7 +54,7 @@ class InteractionMetrics(Result):
         return (
             f"Interaction torque {self.rms_torque_n_m:.3g} N·m rms, peak "
             f"{self.peak_torque_n_m:.3g} N·m at {self.peak_time_s:.4g} s; the wearer gives "
-            f"{self.power_taken_w:.2g} W and gets {self.power_given_w:.2g} W{assistance}."
+            f"{self.power_taken_w:.3g} W and gets {self.power_given_w:.3g} W{assistance}."
         )
 
 

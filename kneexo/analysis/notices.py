@@ -83,13 +83,19 @@ def wrapped(line: str) -> str:
 def notices(scenario: Scenario) -> Iterator[str]:
     """Yield a line for each property of a run of ``scenario`` that its user may not expect.
 
-    Besides the `model_notices`, a line says that the run ends within the first period of a
-    sinusoidal reference, before it has settled. A line says that the run holds the first or the
-    last sample of its reference for more than `LONGEST_HOLD` of its duration.
+    Besides the `model_notices`, a line says that no wearer moves the knee under torque control. A
+    line says that the run ends within the first period of a sinusoidal reference, before it has
+    settled. A line says that the run holds the first or the last sample of its reference for more
+    than `LONGEST_HOLD` of its duration.
 
     Raises `LinkageError` when the linkage cannot be assembled.
     """
     yield from model_notices(scenario)
+    if scenario.controller.kind == "torque" and scenario.wearer.kind == "none":
+        yield (
+            "no wearer moves the knee, and controller.kind = torque does not follow the reference; "
+            "add wearer: leg and plant: {load: knee}"
+        )
     reference, duration_s = scenario.reference, scenario.duration_s
     if (period := period_s(scenario)) >= duration_s:
         yield (

@@ -21,7 +21,7 @@ from kneexo.parameters.fields import (
     unit_of,
     words_of,
 )
-from kneexo.parameters.names import Place, other_kind, paths_of, suggestion
+from kneexo.parameters.names import Place, other_angle_unit, other_kind, paths_of, suggestion
 
 Location = tuple[str | int, ...]
 """Path to a value in nested mappings and lists: names and indices."""
@@ -98,15 +98,15 @@ def _place(model: type[BaseModel], location: Location) -> Place:
 def _advice(model: type[BaseModel], place: Place, value: Any) -> str:
     """Return a text with the remedy for the unknown name at ``place``, which has ``value``."""
     name, prefix = str(place.keys[-1]), "".join(f"{key}." for key in place.keys[:-1])
-    if advice := other_kind(place):
+    known = sorted({known for holder in place.holders for known in holder.model_fields})
+    if advice := other_angle_unit(name, known, prefix) or other_kind(place):
         return advice
     if name in paths_of(model) and "." in name:
         nested = f"{': {'.join(name.split('.'))}: {shown_value(value)}{'}' * name.count('.')}"
         return f"; nest the names: {nested}"
     if isinstance(value, str) and value in [kind_of(member) for member in place.members]:
         return question([f"{prefix}kind"])
-    known = {known for holder in place.holders for known in holder.model_fields}
-    return suggestion(model, name, sorted(known), prefix)
+    return suggestion(model, name, known, prefix)
 
 
 def _expected(kind: str, context: Mapping[str, Any], field: FieldInfo | None, value: Any) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
@@ -156,6 +157,25 @@ def suggestion(model: type[BaseModel], name: str, known: Iterable[str], prefix: 
         return _question(model, paths[:_MOST])
     listed = ", ".join(sorted(known))
     return f"; known here: {shortened(listed, 200)}" if listed else ""
+
+
+def other_angle_unit(name: str, known: Iterable[str], prefix: str = "") -> str:
+    """Return a text with the known name that has another unit of angle, and the factor to it.
+
+    ``prefix`` is the path of the known names, with a dot at its end. The text is empty without such
+    a name. N·m may be ``n_m`` or ``nm``, and ``per`` may be left out.
+    """
+
+    def in_rad(words: str) -> list[str]:
+        units = words.replace("_nm", "_n_m").replace("_deg", "_rad")
+        return [word for word in units.split("_") if word != "per"]
+
+    for other in known:
+        if in_rad(other) == in_rad(name) and ("_rad" in other) != ("_rad" in name):
+            per_angle = "_per_rad" in other or "_per_deg" in other
+            verb = "multiply" if per_angle == ("_rad" in other) else "divide"
+            return f"; must be {prefix}{other}; {verb} the value by {math.degrees(1.0):.3g}"
+    return ""
 
 
 def paths_ending(model: type[BaseModel], name: str) -> list[str]:

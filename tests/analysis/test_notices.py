@@ -37,6 +37,14 @@ def test_a_late_begin_of_the_reference_is_a_notice():
     assert lines[0].startswith("the reference begins at 5 s, and the run holds its first sample")
 
 
+def test_torque_control_without_wearer_is_a_notice():
+    (line,) = notices(Scenario(controller="torque"))
+    assert line.endswith("add wearer: leg and plant: {load: knee}")
+    worn = {"plant.load": {"kind": "knee"}, "wearer": "leg", "controller": {"kind": "torque"}}
+    assert not list(notices(changed(Scenario(), worn)))
+    assert not list(notices(Scenario()))
+
+
 def test_a_wearer_is_not_left_out():
     loaded = Scenario(plant={"load": "knee"})
     assert "torque of the wearer" in omissions(loaded)

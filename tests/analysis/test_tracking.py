@@ -211,24 +211,29 @@ def test_a_plot_shows_angle_error_and_command(brisk, curves):
 
 
 def test_a_plot_of_a_run_with_a_wearer_shows_leg_and_torques(curves):
-    short = {"plant.load": {"kind": "knee"}, "wearer": "leg", "simulation.duration_s": 0.1}
-    worn = track(changed(BRISK, short), all_signals=True)
-    angle, error, torque, command = worn.plot()
-    assert curves(angle)["leg"][1] == pytest.approx(np.degrees(worn["wearer_angle_rad"]))
-    assert error.get_ylabel() == "tracking error (deg)"
-    assert set(curves(torque)) == {"actuator", "wearer"}
-    assert command.get_ylabel() == "motor speed command (rpm)"
-    free = track(changed(BRISK, short | {"controller": {"kind": "torque"}}))
-    _, torque, _ = free.plot()
-    assert torque.get_ylabel() == "torque (N·m)"
+    worn = {
+        "plant.load": {"kind": "knee"},
+        "wearer": {"kind": "leg", "moment": {"times_s": (0, 1), "moments_n_m": (1, 5)}},
+        "simulation.duration_s": 0.1,
+    }
+    free = track(changed(BRISK, worn | {"controller": {"kind": "torque", "mode": "assist"}}))
+    angle, torque, command = free.plot()
+    assert curves(angle)["leg"][1] == pytest.approx(np.degrees(free["wearer_angle_rad"]))
     lines = curves(torque)
     assert lines["wearer"][1] == pytest.approx(free["interaction_torque_n_m"])
-    assert lines["actuator, desired"][1] == pytest.approx(0.0)
+    assert lines["actuator, desired"][1] == pytest.approx(free["desired_torque_n_m"])
     assert lines["actuator"][1] == pytest.approx(-free["moment_arm_m"] * free["rod_force_n"])
+    assert [ax.get_ylabel() for ax in (torque, command)] == [
+        "torque (N·m)",
+        "motor speed command (rpm)",
+    ]
     assert torque.figure.get_label() == (
         "Knee angle with its reference, torques on the exoskeleton (positive flexes), and motor "
         "speed command over time."
     )
+    # With position control the same signals have an error too.
+    _, error, torque, _ = dataclasses.replace(free, scenario=changed(BRISK, worn)).plot()
+    assert (error.get_ylabel(), torque.get_ylabel()) == ("tracking error (deg)", "torque (N·m)")
 
 
 def test_a_command_without_limit_is_drawn_without_one(brisk):

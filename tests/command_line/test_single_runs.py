@@ -49,6 +49,36 @@ def test_a_run_shorter_than_a_period_has_dashes(capsys, scenario_file, tmp_path,
     assert "nan" not in (tmp_path / "out" / "signals.csv").read_text()
 
 
+@pytest.mark.slow
+def test_a_wearer_who_walks_opens_valves_and_draws_a_vacuum(capsys, tmp_path, undrawn):
+    gait = [
+        "--set",
+        "reference={kind: gait, frequency_hz: 0.5}",
+        "--set",
+        "simulation.duration_s=1",
+    ]
+    out = tmp_path / "out"
+    assert main(["simulate", "--preset", "wearer", *gait, "--out", str(out)]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    with (out / "signals.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    lowest = min(rows, key=lambda row: float(row["cap_pressure_pa"]))
+    pressure, time = (float(lowest[name]) for name in ("cap_pressure_pa", "time_s"))
+    angle = math.degrees(float(lowest["knee_angle_rad"]))
+    assert pressure < -0.2e6
+    place = f"the cap falls to {1e-6 * pressure:.3g} MPa at {time:.4g} s and {angle:.3g}°, below"
+    assert place in text
+    torque = np.array([float(row["interaction_torque_n_m"]) for row in rows])
+    # the mean square of the trapezoidal rule
+    rms = math.sqrt(np.trapezoid(torque**2) / (torque.size - 1))
+    assert text.startswith(
+        f"Interaction torque {rms:.3g} N·m rms, peak {abs(torque).max():.3g} N·m"
+    )
+    assert "relief valves open for" in text
+    assert "distance from reference" in text
+    assert "error (root mean square)" not in text
+
+
 def test_a_csv_reference_runs_for_its_own_length(capsys, scenario_file, tmp_path, undrawn):
     (tmp_path / "steps.csv").write_text("time_s,knee_angle_deg\n0,30\n0.2,31\n0.4,30\n")
     path = scenario_file("reference: {kind: csv, file: steps.csv}")
