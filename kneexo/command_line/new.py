@@ -128,6 +128,7 @@ def _lines(csv: str) -> Iterator[str]:
     yield from _section_lines(scenario, "plant.load")
     yield "# In place of the next section, another controller, or a Python function of yours:"
     yield f"# controller: {{kind: pid, {gains}}}"
+    yield "# controller: {kind: torque, mode: zero_torque}  # for a wearer; add wearer: leg"
     law = json.dumps(f"{Path(csv).stem}.py:law", ensure_ascii=False)
     yield f"# controller: {{kind: law, function: {law}}}  # docs/your_controller.md"
     yield f"controller:\n  kind: {scenario.controller.kind}"

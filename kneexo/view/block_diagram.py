@@ -62,9 +62,9 @@ _SYMBOLS = {
     "rod_force": "$F$ (N)",
     "rod_velocity": r"$\dot x$ (m/s)",
     "measured_force": "(N, s)",
-    "interaction_torque": "(N·m)",
-    "biological_moment": "(N·m)",
-    "wearer_motion": "(rad, rad/s)",
+    "interaction_torque": r"$\tau_i$ (N·m)",
+    "biological_moment": "$M$ (N·m)",
+    "wearer_motion": r"$\theta_h,\ \dot\theta_h$ (rad, s)",
 }
 """Symbol and unit of a signal."""
 

@@ -96,8 +96,12 @@ def test_the_controllers_in_comments_load(written):
     kinds = []
     for other in others:
         written.write_text(f"{rest}{other}\n", encoding="utf-8")
-        kinds.append(load_scenario(written).controller.kind)
-    assert kinds == ["pid", "law"]
+        scenario = load_scenario(written)
+        kinds.append(scenario.controller.kind)
+        written.write_text(f"{rest}{other}\nwearer: leg\n", encoding="utf-8")
+        worn = load_scenario(written)
+        assert worn == scenario.model_copy(update={"wearer": Scenario.preset("wearer").wearer})
+    assert kinds == ["pid", "torque", "law"]
 
 
 @pytest.mark.slow  # compiles the equations of the leg
