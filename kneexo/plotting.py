@@ -39,6 +39,19 @@ def axes_or_new(ax: Any, *shape: int, caption: str = "", **options: Any) -> Any:
     return axes
 
 
+def label_bode(axes: Any, magnitude: str) -> None:
+    """Label two Matplotlib axes, one below the other, with magnitude and phase over the frequency.
+
+    The frequencies are on a logarithmic axis.
+    """
+    axes[0].set(ylabel=magnitude)
+    axes[1].set(xlabel="frequency (Hz)", ylabel="phase (deg)")
+    phase_ticks(axes[1].yaxis)
+    decimal_ticks(axes[1].xaxis)
+    for axis in axes:
+        axis.grid(alpha=0.3)
+
+
 def phase_ticks(axis: Any) -> None:
     """Put the ticks of a phase axis in deg at multiples of 45°, 90° or 180°, at most nine.
 

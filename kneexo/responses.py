@@ -18,7 +18,7 @@ from kneexo.analysis.tracking import TrackingResult, track
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario, StepReference
 from kneexo.parameters.scenario_file import as_scenario
-from kneexo.plotting import BLUE, GOLD, axes_or_new, decimal_ticks, phase_ticks
+from kneexo.plotting import BLUE, GOLD, axes_or_new, label_bode
 from kneexo.result import Array, Result, data_frame
 
 STEP_TIME_S = 0.1
@@ -122,12 +122,7 @@ class BodeResponse(Result):
             for axis in ax:
                 label = f"bandwidth {bandwidth:.3g} Hz"
                 axis.axvline(bandwidth, color="0.3", ls=":", lw=1, label=label)
-        ax[0].set(ylabel="magnitude (dB)")
-        ax[1].set(xlabel="frequency (Hz)", ylabel="phase (deg)")
-        for axis in ax:
-            axis.grid(alpha=0.3)
-        decimal_ticks(ax[1].xaxis)
-        phase_ticks(ax[1].yaxis)
+        label_bode(ax, "magnitude (dB)")
         ax[0].legend(loc="lower left")
         return ax
 

@@ -27,12 +27,19 @@ from kneexo.analysis.sine_estimate import (
 )
 from kneexo.compiler import LinearModel, linearize
 from kneexo.errors import LinearizationError, ParameterError
-from kneexo.parameters import LegParameters, Scenario, SineReference, TorqueParameters
+from kneexo.parameters import (
+    KneeLoadParameters,
+    LegParameters,
+    Scenario,
+    SineReference,
+    TorqueParameters,
+)
 from kneexo.parameters.paths import changed
-from kneexo.plotting import BLUE, GOLD, RED, TEAL, axes_or_new, decimal_ticks, phase_ticks
+from kneexo.plotting import BLUE, GOLD, RED, TEAL, axes_or_new, label_bode
 from kneexo.result import Array, Result, data_frame
 from kneexo.simulation import Run
 from kneexo.simulation.compiled import compile_scenario, scenario_run
+from kneexo.systems.knee_load import weight_torque
 
 Port = Literal["knee", "cuff"]
 """The place of a prescribed motion: ``knee``, or ``cuff`` for the leg's side of the cuff."""
@@ -159,12 +166,7 @@ class OutputImpedance(Result):
         ax[1].set_ylim(-180.0, 180.0)
         for low, high in ((-180.0, -90.0), (90.0, 180.0)):
             ax[1].axhspan(low, high, color=RED, alpha=0.12, lw=0)
-        ax[0].set(ylabel="magnitude (N·m·s/rad)")
-        ax[1].set(xlabel="frequency (Hz)", ylabel="phase (deg)")
-        phase_ticks(ax[1].yaxis)
-        decimal_ticks(ax[1].xaxis)
-        for axis in ax:
-            axis.grid(alpha=0.3)
+        label_bode(ax, "magnitude (N·m·s/rad)")
         ax[0].legend(loc="best", fontsize=8)
         return ax
 
@@ -249,7 +251,33 @@ def with_prescribed_leg(scenario: Scenario, what: str) -> Scenario:
         raise ParameterError(
             f"wearer.kind = {scenario.wearer.kind}: {what} needs wearer.kind = leg, with its cuff"
         )
-    changes = {"wearer.motion": "prescribed", "wearer.moment": None, "wearer.effort": 1.0}
+    return _without_moment(scenario, "prescribed", {})
+
+
+def posed(scenario: Scenario, knee_angle_deg: float, motion: str = "active") -> Scenario:
+    """Return a scenario whose loop rests at an angle, with a motion of its leg, if any.
+
+    A constant torque carries the weight of the shank, in place of the constant torque of the load.
+    Biological moments are left out as in `with_prescribed_leg`. A leg with ``active`` motion yields
+    by its inertia, stiffness and damping.
+    """
+    changes, load = {}, scenario.plant.load
+    if isinstance(load, KneeLoadParameters):
+        weight = weight_torque(
+            math.radians(knee_angle_deg),
+            mass=load.segment_mass_kg,
+            centre_of_mass=load.centre_of_mass_m,
+            thigh_inclination=load.thigh_inclination_rad,
+            gravity=load.gravity_m_s2,
+        )
+        changes["plant.load.knee_torque_n_m"] = -weight
+    return _without_moment(scenario, motion, changes)
+
+
+def _without_moment(scenario: Scenario, motion: str, changes: dict[str, Any]) -> Scenario:
+    """Return a changed scenario without biological moment, and with a motion of the leg, if any."""
+    if isinstance(scenario.wearer, LegParameters):
+        changes |= {"wearer.motion": motion, "wearer.moment": None, "wearer.effort": 1.0}
     if scenario.controller.kind == "torque" and scenario.controller.mode == "assist":
         changes["controller.mode"] = "zero_torque"
     return changed(scenario, changes)

@@ -70,5 +70,5 @@ def passivity_limits(scenario: Scenario) -> PassivityLimits:
     angles = np.linspace(1e-3, np.pi, 2000)
     least = int(np.argmin([real_part(angle) for angle in angles]))
     bounds = angles[max(least - 1, 0)], angles[min(least + 1, angles.size - 1)]
-    found = scipy.optimize.minimize_scalar(real_part, bounds=bounds, method="bounded")
-    return PassivityLimits(integral, leakage / max(-float(found.fun), 0.0))
+    minimum = scipy.optimize.minimize_scalar(real_part, bounds=bounds, method="bounded")
+    return PassivityLimits(integral, leakage / max(-float(minimum.fun), 0.0))

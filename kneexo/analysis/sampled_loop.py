@@ -32,7 +32,7 @@ from kneexo.analysis.plant_linearization import (
 from kneexo.compiler import Transfer, as_transfer
 from kneexo.errors import LinearizationError
 from kneexo.parameters import Scenario
-from kneexo.plotting import BLUE, GOLD, RED, TEAL, axes_or_new, decimal_ticks, phase_ticks
+from kneexo.plotting import BLUE, GOLD, RED, TEAL, axes_or_new, label_bode
 from kneexo.result import Array, Result
 
 if TYPE_CHECKING:
@@ -289,7 +289,6 @@ class SampledLoop(Result):
         for axis, values in zip(ax, (decibel, phase), strict=True):
             axis.semilogx(f, values, BLUE)
             axis.axvline(nyquist, color="0.3", ls="--", lw=1, label=f"Nyquist, {nyquist:g} Hz")
-            axis.grid(alpha=0.3)
         crossover = margins.phase_margin_frequency_hz
         if self.stable and math.isfinite(crossover):
             there = float(np.interp(crossover, f, phase))
@@ -304,10 +303,7 @@ class SampledLoop(Result):
             ax[0].plot([at] * 2, [-decibels, 0.0], ".-", color=GOLD, lw=2, label=label)
         ax[0].axhline(0.0, color="0.6", lw=0.8)
         ax[1].axhline(-180.0, color="0.6", lw=0.8)
-        ax[0].set(ylabel="loop magnitude (dB)")
-        ax[1].set(xlabel="frequency (Hz)", ylabel="loop phase (deg)")
-        phase_ticks(ax[1].yaxis)
-        decimal_ticks(ax[1].xaxis)
+        label_bode(ax, "loop magnitude (dB)")
         for axis in ax:
             axis.legend(loc="lower left")
         return ax

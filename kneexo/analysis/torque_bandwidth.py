@@ -9,15 +9,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from kneexo.analysis.frequency_response import MINUS_3_DB, crossing
-from kneexo.analysis.impedance import ROD_STATES, wearer_model, with_prescribed_leg
+from kneexo.analysis.impedance import ROD_STATES, posed, wearer_model, with_prescribed_leg
 from kneexo.analysis.plant_linearization import MID_RANGE_DEG, Complex, frequency_array
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario, TorqueParameters
-from kneexo.plotting import BLUE, TEAL, axes_or_new, decimal_ticks, phase_ticks
+from kneexo.plotting import BLUE, TEAL, axes_or_new, label_bode
 from kneexo.result import Array, Result
 
-Held = Literal["rod", "leg"]
-"""The part that does not move: the ``rod``, or the ``leg`` at the other side of the cuff."""
+Held = Literal["rod", "leg", "nothing"]
+"""What does not move: the ``rod``, the ``leg`` at the other side of the cuff, or ``nothing``."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -26,7 +26,7 @@ class TorqueResponse(Result):
 
     ``response`` is complex, (n,), at the n ``frequency_hz``: the fundamental of F for a sine in
     F_d. At ``bandwidth_hz`` the gain first falls to 1/√2; it is nan if the gain does not fall so
-    far, or if the loop is not ``stable``.
+    far, begins below 1/√2, or if the loop is not ``stable``.
     """
 
     frequency_hz: Array
@@ -39,8 +39,7 @@ class TorqueResponse(Result):
     def plot(self, ax: Any = None) -> Any:
         """Plot gain and phase of F/F_d; return two Matplotlib axes."""
         caption = (
-            "Gain and phase of the rod force relative to the desired force, "
-            f"while the {self.held} does not move."
+            f"Gain and phase of the rod force relative to the desired force, with {self.held} held."
         )
         ax = axes_or_new(ax, 2, 1, caption=caption, sharex=True, figsize=(7, 6))
         f = self.frequency_hz
@@ -52,12 +51,7 @@ class TorqueResponse(Result):
             for axis in ax:
                 axis.axvline(self.bandwidth_hz, color=TEAL, ls="--", lw=1, label=label)
             ax[0].legend(loc="lower left")
-        ax[0].set(ylabel="gain (dB)")
-        ax[1].set(xlabel="frequency (Hz)", ylabel="phase (deg)")
-        phase_ticks(ax[1].yaxis)
-        decimal_ticks(ax[1].xaxis)
-        for axis in ax:
-            axis.grid(alpha=0.3)
+        label_bode(ax, "gain (dB)")
         return ax
 
 
@@ -76,14 +70,18 @@ def torque_response(
     Parameters
     ----------
     scenario
-        A scenario with ``wearer.kind = leg`` and ``controller.kind = torque``.
+        A scenario with ``controller.kind = torque``, and with ``wearer.kind = leg`` unless
+        ``nothing`` is held.
     frequency_hz
         Ascending frequencies in Hz, (n,). By default 400 from 0.01 Hz to 98 % of half the sampling
         rate. The bandwidth is searched among them.
     knee_angle_deg
         Angle of the leg in deg.
     held
-        The part that does not move, ``rod`` or ``leg``.
+        The part that does not move, ``rod`` or ``leg``. With ``nothing`` the leg yields by its
+        inertia, stiffness and damping, and without wearer the bare shank moves: the force is then
+        only that of its mass, F = m dv/dt. A constant torque carries the weight of the shank, so
+        that the loop rests at the angle.
 
     Raises
     ------
@@ -92,9 +90,12 @@ def torque_response(
     LinearizationError
         The loop does not rest at the angle.
     """
-    if held not in ("rod", "leg"):
-        raise ParameterError(f"held = {held!r}: must be rod or leg")
-    scenario = with_prescribed_leg(scenario, "torque_response")
+    if held not in ("rod", "leg", "nothing"):
+        raise ParameterError(f"held = {held!r}: must be rod, leg or nothing")
+    if held == "nothing":
+        scenario = posed(scenario, knee_angle_deg)
+    else:
+        scenario = with_prescribed_leg(scenario, "torque_response")
     law = scenario.controller
     if not isinstance(law, TorqueParameters):
         raise ParameterError(

@@ -64,8 +64,9 @@ class LoadCellParameters(Parameters):
 class TorqueParameters(Parameters):
     """Torque controller of the knee: PI on the rod force, with feedforward of the rod speed.
 
-    The default gains suit a cuff of 1500 N·m/rad and the default observer. On a locked rod the loop
-    gain is about 90 times larger, and the loop is unstable.
+    The default gains suit a cuff of 1500 N·m/rad and the default observer. With each leg of
+    `kneexo.parameters.wearer.WEARERS` the gain margin is at least 2. On a locked rod the loop gain
+    is about 90 times larger, and the loop is unstable.
     """
 
     kind: Literal["torque"] = "torque"
@@ -83,17 +84,22 @@ class TorqueParameters(Parameters):
         le=1e4,
     )
     integral_rad_s2_per_n: float = quantity(
-        5.0,
+        20.0,
         "(rad/s²)/N",
         "assumption: below (1 − γ)(C_t + k_p) ≥ k_i(τ_m + γT/2), the limit of passivity",
         ge=0,
         le=1e6,
     )
     leak_per_s: float = quantity(
-        0.0, "1/s", "assumption: none; rate at which the integral decays", ge=0, le=100
+        5.0,
+        "1/s",
+        "assumption: rate at which the integral decays; without leak a relaxed leg has a phase "
+        "margin of 7°",
+        ge=0,
+        le=100,
     )
     speed_feedforward: float = quantity(
-        0.5,
+        0.45,
         "1",
         "assumption: γ, share of the estimated rod speed; the gain margin is near 1/γ; γ = 1 with "
         "an integral is never passive",
@@ -121,7 +127,7 @@ class TorqueParameters(Parameters):
         "N·m/rad",
         "assumption: virtual stiffness; 1 N·m/deg is 57.3 N·m/rad",
         ge=0,
-        le=1e4,
+        le=1e6,
     )
     damping_n_m_s_per_rad: float = quantity(
         1.0, "N·m·s/rad", "assumption: virtual damping in the mode impedance", ge=0, le=1e3

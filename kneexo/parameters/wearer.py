@@ -204,3 +204,35 @@ class LegParameters(Parameters):
 
 Wearer = Annotated[NoWearer | LegParameters, Field(discriminator="kind")]
 """Type of a scenario's wearer. The field ``kind`` selects the class."""
+
+
+WEARERS = {
+    "relaxed": LegParameters(
+        motion="active",
+        stiffness_n_m_per_rad=0.0,
+        loss_modulus_n_m_per_rad=0.0,
+        damping_n_m_s_per_rad=0.02,
+    ),
+    "light": LegParameters(
+        motion="active", inertia_kg_m2=0.15, leg_mass_kg=2.5, centre_of_mass_m=0.18
+    ),
+    "swing": LegParameters(motion="active"),
+    "tense": LegParameters(
+        motion="active",
+        stiffness_n_m_per_rad=14.0,
+        loss_modulus_n_m_per_rad=4.0,
+        damping_n_m_s_per_rad=0.5,
+    ),
+    "stance": LegParameters(
+        motion="active",
+        stiffness_n_m_per_rad=286.0,
+        loss_modulus_n_m_per_rad=60.0,
+        damping_n_m_s_per_rad=5.0,
+    ),
+    "held": LegParameters(motion="prescribed"),
+}
+"""Legs from soft to stiff, with which the stability of a loop is judged.
+
+Sources: PMC2801882 reports 6…14 N·m/rad in swing and 143…286 N·m/rad in stance. Assumptions: the
+losses of a tense leg and of a leg in stance, and a light leg with a third of an adult's inertia.
+"""

@@ -21,7 +21,7 @@ def scenario(estimator="exact", load_cell=FAST_CELL, **law):
     return Scenario(
         plant=LOADED,
         wearer="leg",
-        controller={"kind": "torque", **law},
+        controller={"kind": "torque", "leak_per_s": 0.0, "speed_feedforward": 0.5} | law,
         estimator={"kind": estimator},
         load_cell=load_cell,
     )

@@ -271,7 +271,7 @@ def test_a_loop_prints_its_margins_and_plots(loops):
     ]
     magnitude, phase = loop.plot()
     labels = [(ax.get_xlabel(), ax.get_ylabel()) for ax in (magnitude, phase)]
-    assert labels == [("", "loop magnitude (dB)"), ("frequency (Hz)", "loop phase (deg)")]
+    assert labels == [("", "loop magnitude (dB)"), ("frequency (Hz)", "phase (deg)")]
     lines = {line.get_label(): line.get_data() for ax in (phase, magnitude) for line in ax.lines}
     assert set(lines["Nyquist, 250 Hz"][0]) == {250.0}
     f, zero = lines[f"crossover {m.phase_margin_frequency_hz:.3g} Hz"]
@@ -285,7 +285,6 @@ def test_a_loop_prints_its_margins_and_plots(loops):
     line = magnitude.lines[0]
     at_1_hz = np.interp(0.0, np.log10(line.get_xdata()), line.get_ydata())
     assert at_1_hz == pytest.approx(20.0 * math.log10(abs(loop.loop_response(1.0)[0])), abs=0.01)
-    assert phase.get_ylabel() == "loop phase (deg)"
     (margin,) = (line for line in magnitude.lines if line.get_label().startswith("gain margin"))
     f, ends = margin.get_data()
     assert f == pytest.approx([m.gain_margin_frequency_hz] * 2)

@@ -39,7 +39,7 @@ def test_plot_shows_gain_phase_and_bandwidth():
     ("case", "options", "line"),
     [
         (Scenario(), {}, r"wearer.kind = none: torque_response needs wearer.kind = leg, .*"),
-        (scenario(), {"held": "hand"}, r"held = 'hand': must be rod or leg"),
+        (scenario(), {"held": "hand"}, r"held = 'hand': must be rod, leg or nothing"),
         (
             scenario({"kind": "pid"}),
             {},
@@ -75,6 +75,54 @@ def test_a_locked_rod_is_oil_behind_lag_and_hold():
     loop = gain * read.sum(axis=1)  # the reading has all aliases
     expected = gain * held[:, 2000] / (1.0 + loop)
     assert np.abs(result.response / expected - 1.0).max() < 1e-3
+
+
+@pytest.mark.slow
+def test_a_free_knee_has_only_the_force_of_its_mass():
+    """v/ω_m = (D_m/gear) Ā/(m A² (s² + …)) of oil and mass, F = m v̇, sampled, held, with PI and γ.
+
+    u = K_p e + K_i T z/(z − 1 + λT) e + γ G v, e = F_d − F.
+    """
+    gain, integral, leak, share = 4.0, 20.0, 5.0, 0.45
+    period, lag, cell, mass = 0.002, 0.010, 1e-5, 1.6
+    law = {
+        "proportional_rad_s_per_n": gain,
+        "integral_rad_s2_per_n": integral,
+        "leak_per_s": leak,
+        "speed_feedforward": share,
+    }
+    case = scenario(law, wearer="none", load_cell={"filter_s": cell}, estimator="exact")
+    f = np.array([0.3, 1.0, 5.0, 20.0])
+    result = torque_response(case, f, knee_angle_deg=45.0, held="nothing")
+    assert result.held == "nothing"
+    area = math.pi * (0.02**2 - 0.5 * 0.01**2) / 4.0
+    rate, flow = 4.0 * 1.72e9 / 4.1233e-5, 0.8e-6 / (2.0 * math.pi) / 6.0
+    s = 2j * np.pi * f[:, None] + 2j * np.pi / period * np.arange(-2000, 2001)
+    hold = (1.0 - np.exp(-s * period)) / (s * period) / (lag * s + 1.0)
+    friction = case.plant.cylinder.damping_n_s_per_m
+    # The net force on the mass is m s v = Ā P − B v, and P = rate (flow ω − Ā v)/(s + rate C_t).
+    oil = rate / (s + rate * 2e-13)
+    speed = area * oil * flow / (mass * s + friction + area**2 * oil)
+    force = mass * s * speed
+    z = np.exp(2j * np.pi * f * period)
+    pi = gain + integral * period * z / (z - 1.0 + leak * period)
+    read = (hold * force / (cell * s + 1.0)).sum(axis=1)
+    loop = pi * read - share * area / flow * (hold * speed).sum(axis=1)
+    expected = pi * (hold * force)[:, 2000] / (1.0 + loop)
+    assert np.abs(result.response / expected - 1.0).max() < 1e-3
+
+
+@pytest.mark.slow
+def test_a_free_leg_yields_behind_the_cuff():
+    f = np.array([0.05, 0.5, 50.0])
+    stiff = {"kind": "leg", "inertia_kg_m2": 10.0, "stiffness_n_m_per_rad": 1e3}
+    held, stiff_leg, leg = (
+        np.abs(torque_response(scenario(wearer=wearer), f, knee_angle_deg=45.0, held=what).response)
+        for wearer, what in (("leg", "leg"), (stiff, "nothing"), ("leg", "nothing"))
+    )
+    assert stiff_leg[2] == pytest.approx(held[2], rel=1e-2)  # its inertia does not move
+    assert leg[0] == pytest.approx(held[0], rel=0.1)  # the weight of the leg is a spring
+    assert leg[1] < 0.5 * held[1]
 
 
 @pytest.mark.slow
@@ -125,3 +173,5 @@ def test_numbers_of_the_theory():
         torque_response(low, knee_angle_deg=45.0, held=held).bandwidth_hz for held in ("rod", "leg")
     )
     assert f"{rod:.2f} Hz on a locked rod and {leg:.2f} Hz behind the cuff" in text
+    free = torque_response(case, knee_angle_deg=45.0, held="nothing").bandwidth_hz
+    assert f"the force then falls by 3 dB at {free:.2f} Hz" in text

@@ -13,6 +13,7 @@ NEWTON_STEPS = 50
 """Largest number of Newton steps."""
 
 _STEP_TOLERANCE = 1e-13
+_ROUNDING = 1e-9  # a smaller step that does not reduce the residual is a rounding error
 
 
 def newton(
@@ -29,21 +30,23 @@ def newton(
     keeps its value. Singular values below ``rank_tolerance`` times the largest singular value count
     as zero. If ``rank_tolerance`` is None, the default of `numpy.linalg.lstsq` applies.
 
-    The search ends after `NEWTON_STEPS` steps, or when the step of each variable is below 1e-13. If
-    ``relative`` is True, this bound is 1e-13 (1 + |variable|). The residual is the largest absolute
-    value of the function before the last step. The residual is nan if a value or a derivative of
-    the function is not finite; the search then ends at once.
+    The search ends after `NEWTON_STEPS` steps, when the step of each variable is below 1e-13, or
+    when steps below 1e-9 no longer reduce the residual. If ``relative`` is True, these bounds are
+    factors of 1 + |variable|. The residual is the largest absolute value of the function before the
+    last step. The residual is nan if a value or a derivative of the function is not finite; the
+    search then ends at once.
     """
     point, residual = start, math.inf
     for _ in range(NEWTON_STEPS):
         values, jacobian = function(point)
         if not (np.isfinite(jacobian).all() and np.isfinite(values).all()):
             return point, math.nan
-        residual = float(np.max(np.abs(values)))
+        before, residual = residual, float(np.max(np.abs(values)))
         step = np.linalg.lstsq(jacobian, values, rcond=rank_tolerance)[0]
         point = point - step
         scale = 1.0 + np.abs(point) if relative else 1.0
-        if np.max(np.abs(step) / scale) < _STEP_TOLERANCE:
+        largest = np.max(np.abs(step) / scale)
+        if largest < _STEP_TOLERANCE or (largest < _ROUNDING and residual >= before):
             break
     return point, residual
 
