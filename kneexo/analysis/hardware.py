@@ -156,6 +156,22 @@ def scaled(scenario: Scenario, factors: Mapping[str, float]) -> Scenario:
     )
 
 
+def with_piston(scenario: Scenario, factor: float) -> Scenario:
+    """Multiply the areas of the piston by ``factor``, and the displacement of the pump with them.
+
+    The limits of rod speed and acceleration do not change. The oil is stiffer by the factor, so η
+    of a sliding-mode controller is multiplied by it. The commands then stay the same.
+    """
+    diameters = dict.fromkeys(
+        ("plant.cylinder.bore_m", "plant.cylinder.rod_diameter_m"), math.sqrt(factor)
+    )
+    volumes = dict.fromkeys(("plant.cylinder.total_volume_m3", DISPLACEMENT), factor)
+    other = scaled(scenario, diameters | volumes)
+    if other.controller.kind != "smc":
+        return other
+    return changed(other, {"controller.eta_m_s3": other.controller.eta_m_s3 * factor})
+
+
 def tuned(scenario: Scenario, gains: Mapping[str, float]) -> Scenario:
     """Return a scenario with other gains of the sliding-mode controller.
 

@@ -178,6 +178,27 @@ def stride_load(
     )
 
 
+def smallest_piston_factor(scenario: Scenario = Scenario(), share: float = 1.0) -> float:
+    """Return the factor on both piston areas that brings a stride just to the relief pressure.
+
+    The factor f divides the pressure that holds the rod force F of `stride_load`. The larger
+    pressure is P_1 = F/(f A_1) + P_r A_2/A_1 or P_2 = −F/(f A_2) + P_r A_1/A_2.
+
+    Raises `ParameterError` as `stride_load` does, and if no area holds a pulling rod.
+    """
+    cylinder, valves = scenario.plant.cylinder, _valves(scenario)
+    cap, rod_side = cylinder.cap_area_m2, cylinder.rod_side_area_m2
+    reservoir, relief = valves.reservoir_pressure_pa, valves.relief_pressure_pa
+    if rod_side * relief <= cap * reservoir:
+        raise ParameterError(
+            f"plant.full_order.relief_pressure_pa = {relief:g} Pa: must be > "
+            f"{cap / rod_side * reservoir:.4g} Pa, or the reservoir pushes the rod out"
+        )
+    force = stride_load(scenario, share=share).rod_force_n
+    pushing = float(force.max()) / (cap * relief - rod_side * reservoir)
+    return max(pushing, -float(force.min()) / (rod_side * relief - cap * reservoir))
+
+
 def _read(file: str | os.PathLike[str]) -> tuple[Array, Array, Array]:
     names = ("time_s", "knee_angle_deg", "knee_moment_nm")
     table = read_table(file, names)

@@ -50,12 +50,10 @@ _ANGLE_STEP = 1e-5  # rad, step of a central difference; relative error 1e-10 of
 class WalkingDemand(Result):
     """Signals that the actuator must provide from one heel contact to the next, each (n,).
 
-    Limits and lag of pump and motor are neglected. If ``segment_inertia`` is True, the inertia is
-    the shank's as a point mass, otherwise that of the plant (see `walking_demand`).
+    Limits and lag of pump and motor are neglected.
     """
 
     frequency_hz: float
-    segment_inertia: bool
     cycle_percent: Array
     knee_angle_deg: Array
     knee_rate_deg_s: Array
@@ -73,7 +71,7 @@ class WalkingDemand(Result):
 
         Raises `PackageError` without pandas.
         """
-        columns = {field.name: getattr(self, field.name) for field in fields(self)[2:]}
+        columns = {field.name: getattr(self, field.name) for field in fields(self)[1:]}
         return data_frame(columns, "cycle_percent")
 
     def peaks(self) -> dict[str, float]:
@@ -86,7 +84,7 @@ class WalkingDemand(Result):
         peaks = {
             f"peak_{field.name}": float(np.max(np.abs(getattr(self, field.name))))
             for field in fields(self)
-            if field.name not in ("frequency_hz", "segment_inertia", "cycle_percent")
+            if field.name not in ("frequency_hz", "cycle_percent")
         }
         return peaks | {
             "mean_motor_acceleration_rad_s2": float(
@@ -107,24 +105,21 @@ def _energies(time_s: Array, power_w: Array, cycles: int) -> dict[str, float]:
     }
 
 
-def walking_demand(
-    scenario: Scenario, frequency_hz: float = 1.0, *, segment_inertia: bool = False
-) -> WalkingDemand:
+def walking_demand(scenario: Scenario, frequency_hz: float = 1.0) -> WalkingDemand:
     """Compute motor speed, pressure and power for the measured gait by inverse dynamics.
 
     The function solves Eq. 16, 15 and 13 of Lee et al. 2020, with their symbols, in this order:
 
     P_L = (m a + B v + K x + F_L)/Ā, Q_L = Ā v + C_L P_L + V_t/(4β_e) dP_L/dt,
     ω_m = gear (Q_L + (C_im + C_em/2) P_L)/D_m. A scenario of full order is treated as reduced
-    order. An inertia I about the knee replaces the inertial force m a by −I d²θ_p/dt²/r, where r
-    is the moment arm. I is the inertia of the load or, if ``segment_inertia`` is True, m_s l² with
-    the mass m_s of the load and the distance l of its centre of mass from the knee.
+    order. If the load has an inertia I about the knee, −I d²θ_p/dt²/r replaces the inertial force
+    m a, where r is the moment arm.
 
-    Raises `ParameterError` when the frequency is out of range, the gait leaves the range of
-    motion, or ``segment_inertia`` is True and the scenario's load has no segment.
+    Raises `ParameterError` when the frequency is out of range or the gait leaves the range of
+    motion.
     """
     plant = scenario.plant
-    cylinder, pump, load = plant.cylinder, plant.pump, plant.load
+    cylinder, pump = plant.cylinder, plant.pump
     reference = gait_reference(frequency_hz, 1)
     plant.knee.require_in_range(*reference.range_deg)
     knee = scipy.interpolate.CubicSpline(
@@ -139,10 +134,6 @@ def walking_demand(
     speed = -arm * rate
     rod_acceleration = _rate(time, speed)
     inertia = plant.knee_inertia_kg_m2
-    if segment_inertia:
-        if not isinstance(load, KneeLoadParameters):
-            raise ParameterError("plant.load.kind = none: has no segment; must be knee")
-        inertia = load.segment_mass_kg * load.centre_of_mass_m**2
     inertial_force = cylinder.mass_kg * rod_acceleration
     if inertia is not None:
         inertial_force = -inertia * acceleration / arm
@@ -161,7 +152,6 @@ def walking_demand(
     motor_speed = (flow + pump.leakage_m3_per_s_pa * pressure) / per_revolution
     return WalkingDemand(
         frequency_hz=frequency_hz,
-        segment_inertia=segment_inertia,
         cycle_percent=100.0 * time / period,
         knee_angle_deg=np.degrees(angle),
         knee_rate_deg_s=np.degrees(rate),

@@ -10,6 +10,7 @@ from hypothesis import given, strategies as st
 from scipy.optimize import linprog
 
 from kneexo.analysis.bandwidth import rod_limits
+from kneexo.analysis.error_model import error_model
 from kneexo.analysis.hardware import (
     ACCELERATION_ALONE_RATIO,
     ACCELERATION_LIMIT,
@@ -24,6 +25,7 @@ from kneexo.analysis.hardware import (
     sliding_mode,
     tuned,
     value_at,
+    with_piston,
 )
 from kneexo.errors import ParameterError
 from kneexo.parameters import PlantParameters, RampReference, Scenario
@@ -154,6 +156,26 @@ def test_the_nominal_plant_changes_too():
     base = Scenario(nominal=PlantParameters())
     other = scaled(base, {DISPLACEMENT: 2.0})
     assert other.nominal.pump == other.plant.pump
+
+
+def test_a_larger_piston_has_a_larger_pump_and_the_same_speed():
+    nominal = PlantParameters()
+    scenario = with_piston(Scenario(nominal=nominal), 1.44)
+    assert rod_limits(scenario) == pytest.approx(rod_limits(Scenario()), rel=1e-12)
+    for plant in (scenario.plant, scenario.nominal):
+        assert plant.cylinder.bore_m == pytest.approx(0.024, rel=1e-12)
+        assert plant.cylinder.rod_diameter_m == pytest.approx(0.012, rel=1e-12)
+        assert plant.cylinder.total_volume_m3 == pytest.approx(1.44 * 41_233e-9, rel=1e-12)
+        displacement = 1.44 * 0.8e-6 / (2.0 * math.pi)
+        assert plant.pump.displacement_m3_per_rad == pytest.approx(displacement, rel=1e-12)
+    assert scenario.controller.eta_m_s3 == pytest.approx(1.44 * 2.8e5, rel=1e-12)
+    assert scenario.controller.phi_m_s2 == pytest.approx(3.2, rel=1e-12)
+    # The command answers to s with (k/Φ)/b̂, and b̂ is as R ω̂².
+    before, after = error_model(Scenario()), error_model(scenario)
+    gains = [model.slope_per_s / model.stiffness_per_s2 for model in (before, after)]
+    assert gains[0] == pytest.approx(gains[1], rel=1e-9)
+    pid = with_piston(Scenario(controller=PID_TUNED), 1.44)
+    assert pid.controller == PID_TUNED
 
 
 def test_counts_are_whole_and_a_pid_keeps_its_gains():

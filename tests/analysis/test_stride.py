@@ -9,10 +9,14 @@ import numpy as np
 import pytest
 
 from kneexo.analysis import stride_load
+from kneexo.analysis.hardware import with_piston
+from kneexo.analysis.stride import smallest_piston_factor
 from kneexo.errors import ParameterError
 from kneexo.gait import gait_knee_moment
 from kneexo.parameters import (
+    G1,
     G4,
+    CylinderParameters,
     FullCylinderParameters,
     KneeParameters,
     PlantParameters,
@@ -145,6 +149,34 @@ def test_warnings_name_relief_and_vacuum_with_place():
     cap, rod_side = stride_load(Scenario(plant=PlantParameters(full_order=tight))).warnings()
     assert "cap is 2.61 MPa" in cap
     assert "rod side is 3.48 MPa" in rod_side
+
+
+@pytest.mark.parametrize(("linkage", "share", "factor"), [(G1, 1.0, 0.9936), (G4, 0.7, None)])
+def test_the_smallest_piston_brings_a_stride_to_the_relief_pressure(linkage, share, factor):
+    scenario = Scenario(plant=PlantParameters(linkage=linkage))
+    smallest = smallest_piston_factor(scenario, share)
+    load = stride_load(with_piston(scenario, smallest), share=share)
+    largest = max(load.cap_pressure_pa.max(), load.rod_side_pressure_pa.max())
+    assert largest == pytest.approx(3.5e6, rel=1e-12)
+    if factor is not None:  # 757.2 N on A_2 = 235.62 mm², and 0.2 MPa on A_1/A_2 = 4/3 of it
+        assert smallest == pytest.approx(757.2 / (235.619 * (3.5 - 0.8 / 3.0)), rel=1e-3)
+        assert smallest == pytest.approx(factor, abs=1e-4)
+    assert smallest_piston_factor(scenario, 0.0) == 0.0
+
+
+def test_stance_can_decide_the_piston():
+    tight = FullCylinderParameters(reservoir_pressure_pa=0.0)
+    thin = CylinderParameters(rod_diameter_m=1e-3)  # the areas differ by 0.25 %
+    scenario = Scenario(plant=PlantParameters(full_order=tight, cylinder=thin))
+    assert smallest_piston_factor(scenario) == pytest.approx(773 / (CAP * 3.5e6), rel=2e-3)
+
+
+def test_a_reservoir_that_pushes_the_rod_out_is_refused():
+    thick = CylinderParameters(rod_diameter_m=0.0195)  # A_1 is 20 times A_2
+    with pytest.raises(
+        ParameterError, match=r"relief_pressure_pa = 3\.5e\+06 Pa: must be > 4.* Pa"
+    ):
+        smallest_piston_factor(Scenario(plant=PlantParameters(cylinder=thick)))
 
 
 def test_without_makeup_valves_there_is_no_oil_to_draw():

@@ -32,6 +32,8 @@ SETTINGS = SizeSettings(
 )
 FLOW, ACCELERATION = 17.0, 2.0
 """Of the first design, as factors on the paper's hardware; the second has twice as much."""
+PISTON = 1.21
+"""Factor on the area of the piston that carries the moment of the stride."""
 CYCLE = np.linspace(0.0, 100.0, 101)
 WAVE = np.sin(2.0 * np.pi * CYCLE / 100.0)  # its largest value is 1
 AT_SINE = (

@@ -25,6 +25,7 @@ from kneexo.analysis.hardware import (
 from kneexo.analysis.signals import to_rpm
 from kneexo.gait import gait_knee_flexion, gait_start_percent
 from kneexo.parameters import Scenario
+from kneexo.parameters.plant import LOWEST_PRESSURE_PA
 from kneexo.plotting import BLUE, GOLD, RED, SERIES, decimal_ticks
 from kneexo.result import Array
 from kneexo.studies.plots import (
@@ -59,7 +60,8 @@ _STYLES: tuple[dict[str, Any], ...] = tuple(
 def figures(result: SizeResult) -> dict[str, Figure]:
     """Draw the figures of a sizing. Return a dictionary from name to figure.
 
-    They show sweeps and maps of the hardware, the gains, and tracking and demand over a gait cycle.
+    They show sweeps and maps of the hardware, the gains, tracking and demand over a gait cycle, and
+    pressures over a whole stride.
     """
     return {
         "sizing_sweeps": _sweeps(result),
@@ -67,6 +69,7 @@ def figures(result: SizeResult) -> dict[str, Figure]:
         "walking_gains": _gains(result),
         "walking_tracking": _tracking(result),
         "walking_demand": _demand(result),
+        "stride_pressure": _stride(result),
     }
 
 
@@ -329,6 +332,31 @@ def _demand(result: SizeResult) -> Figure:
     axes[0, 0].legend(loc="upper left", fontsize=8)
     figure.suptitle(f"walking at {design.frequency_hz:.3g} Hz", fontsize=11)
     figure.legend(*axes[1, 0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
+
+
+def _stride(result: SizeResult) -> Figure:
+    figure, axes = plt.subplots(2, 1, figsize=(7.5, 7.4), sharex=True, layout="constrained")
+    figure.set_label(
+        "Chamber pressures over a measured stride, for shares of the knee moment. The grey line is "
+        "the chamber that grows while the leg is faster than the pump."
+    )
+    for axis, (hardware, loads) in zip(axes, list(result.strides().items())[::2], strict=True):
+        for (share, load), line in zip(loads.items(), ("-", "--", ":"), strict=False):
+            time = load.time_s - load.time_s[0]
+            cap, rod_side = 1e-6 * load.cap_pressure_pa, 1e-6 * load.rod_side_pressure_pa
+            axis.plot(time, cap, BLUE, ls=line, label=f"P_1, share {share:g}")
+            axis.plot(time, rod_side, GOLD, ls=line, label=f"P_2, share {share:g}")
+        axis.plot(time, 1e-6 * load.overrun_pressure_pa, "0.45", lw=1, label="growing chamber")
+        for limit, line, label in (
+            (load.relief_pressure_pa, "--", "relief valves open"),
+            (LOWEST_PRESSURE_PA, ":", "oil evaporates"),
+        ):
+            axis.axhline(1e-6 * limit, color=RED, ls=line, lw=1.2, label=label)
+        axis.set(title=hardware, ylabel="pressure (MPa)", xlim=time[[0, -1]])
+        axis.grid(alpha=0.3)
+    axes[-1].set_xlabel("time in the stride (s)")
+    legend_below(figure, axes, ncols=4)
     return figure
 
 

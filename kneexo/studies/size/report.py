@@ -7,7 +7,9 @@ from typing import Any
 
 from kneexo.analysis.frequency_response import require_sine
 from kneexo.analysis.hardware import HARDWARE, sliding_mode
+from kneexo.parameters import FullCylinderParameters
 from kneexo.parameters.paths import value_at
+from kneexo.parameters.plant import LOWEST_PRESSURE_PA
 from kneexo.studies.markdown import Cell, number
 from kneexo.studies.size.result import CHECKED, SizeResult
 from kneexo.studies.template import filled
@@ -67,6 +69,23 @@ def report(result: SizeResult) -> str:
             for name, walks in steps.items()
         ],
         changes=list(_changes(result, numbers)),
+        stride_heads={
+            "hardware": "hardware",
+            "share": ("moment_share", "g"),
+            "P_1 (MPa)": ("cap_pressure_mpa", ".2f"),
+            "P_1 at (deg)": ("cap_angle_deg", ".1f"),
+            "P_2 (MPa)": ("rod_side_pressure_mpa", ".2f"),
+            "P_2 at (deg)": ("rod_side_angle_deg", ".1f"),
+            "lowest (MPa)": ("lowest_pressure_mpa", ".2f"),
+            "lowest at (deg)": ("lowest_angle_deg", ".1f"),
+            "pump can follow (%)": lambda row: number(100.0 * row["share_within_speed"], ".0f"),
+        },
+        stride_warnings=dict.fromkeys(
+            f"{row['hardware']}: {line}." for row in numbers["stride"] for line in row["warnings"]
+        ),
+        relief_mpa=1e-6
+        * (result.scenario.plant.full_order or FullCylinderParameters()).relief_pressure_pa,
+        vacuum_mpa=1e-6 * LOWEST_PRESSURE_PA,
         design_heads=[f"{design['frequency_hz']:.4g} Hz" for design in numbers["designs"]],
         searched=lambda name: lambda design: _searched(design[name], bound),
         walking={label: _design_cell(name, form) for name, (label, form) in _WALKING.items()},

@@ -20,13 +20,9 @@ from kneexo.analysis.hardware import (
     tuned,
 )
 from kneexo.analysis.signals import to_rpm
-from kneexo.analysis.walking import (
-    WalkingDemand,
-    linear_error_deg,
-)
-from kneexo.parameters import (
-    Scenario,
-)
+from kneexo.analysis.stride import StrideLoad, stride_load
+from kneexo.analysis.walking import WalkingDemand, linear_error_deg
+from kneexo.parameters import Scenario
 from kneexo.parameters.paths import value_at
 from kneexo.result import Array, Result
 from kneexo.studies.size.settings import SizeSettings
@@ -53,18 +49,22 @@ class WalkingDesign:
 
     ``flow`` is the search for the smallest factor on the scenario's flow per motor revolution.
     ``acceleration`` is the search for the smallest acceleration limit of the motor in rad/s².
-    ``scenario`` has the results of the two searches, times ``margin``. ``walking`` has the
-    `walking_metrics` with the scenario's own solver. ``checked`` and ``halved`` have the same
-    metrics with RK4, at the check step and at half the check step.
+    ``scenario`` has the results of the two searches, times ``margin``. ``carrying`` is this
+    hardware with a piston, and a pump, that carry the share of the knee moment in a whole stride.
+    ``walking`` has the `walking_metrics` with the scenario's own solver, ``carried`` the same for
+    ``carrying``. ``checked`` and ``halved`` have the metrics of ``scenario`` with RK4, at the check
+    step and at half the check step.
     """
 
     frequency_hz: float
     flow: Search
     acceleration: Search
     scenario: Scenario
+    carrying: Scenario
     walking: Mapping[str, Any]
     checked: Mapping[str, Any]
     halved: Mapping[str, Any]
+    carried: Mapping[str, Any]
 
 
 @dataclass(frozen=True, repr=False)
@@ -104,6 +104,18 @@ class SizeResult(Result):
         """Return the sizing as plain data, with units in the names."""
         return _results(self)
 
+    def strides(self) -> dict[str, dict[float, StrideLoad]]:
+        """Return for each hardware the load in a measured stride, by share of the knee moment."""
+        first, shares = self.designs[0], {1.0, 0.5, self.settings.moment_share}
+        return {
+            name: {share: stride_load(plant, share=share) for share in sorted(shares)[::-1]}
+            for name, plant in (
+                ("hardware as it is", self.scenario),
+                ("sized", first.scenario),
+                ("sized, with its piston", first.carrying),
+            )
+        }
+
 
 CHECKED = ("max_error_deg", "peak_pressure_mpa", "peak_shaft_power_w", "delivered_energy_j")
 """Metrics of walking that are compared between the check step and half the check step."""
@@ -136,6 +148,11 @@ def _results(result: SizeResult) -> dict[str, Any]:
         "demand_by_wearer_torque_n_m": dict(
             zip(torques, demands(result.torque_demands.values()), strict=True)
         ),
+        "stride": [
+            _stride(hardware, share, load)
+            for hardware, loads in result.strides().items()
+            for share, load in loads.items()
+        ],
         "controller": _controller(result),
         "gains": result.gains,
         "best_gains": result.best_gains,
@@ -201,6 +218,20 @@ def _demand(demand: WalkingDemand, scenario: Scenario) -> dict[str, float]:
     }
 
 
+def _stride(hardware: str, share: float, load: StrideLoad) -> dict[str, Any]:
+    """Return extreme pressures of a stride, each with the knee angle where it occurs."""
+    row: dict[str, Any] = {"hardware": hardware, "moment_share": share}
+    for name, values, sign in (
+        ("cap", load.cap_pressure_pa, 1.0),
+        ("rod_side", load.rod_side_pressure_pa, 1.0),
+        ("lowest", load.overrun_pressure_pa, -1.0),
+    ):
+        index = int(np.argmax(sign * values))
+        row[f"{name}_pressure_mpa"] = 1e-6 * float(values[index])
+        row[f"{name}_angle_deg"] = float(load.knee_angle_deg[index])
+    return row | {"share_within_speed": load.share_within_speed, "warnings": load.warnings()}
+
+
 def _controller(result: SizeResult) -> dict[str, float]:
     """Return the controller's authority βη, the βη that walking requires, k/Φ, and two errors.
 
@@ -243,7 +274,11 @@ def _design(design: WalkingDesign, scenario: Scenario) -> dict[str, Any]:
         "or_motor_speed_limit_rpm": to_rpm(printed.speed_limit_rad_s * flow),
         "or_piston_area_without_gear_mm2": 1e6 * area,
         "rated_force_of_that_piston_n": area * cylinder.pressure_rating_pa,
+        "piston_factor": design.carrying.plant.cylinder.mean_area_m2 / cylinder.mean_area_m2,
+        "bore_mm": 1e3 * design.carrying.plant.cylinder.bore_m,
+        "with_piston_cm3_per_rev": _shown(design.carrying, DISPLACEMENT, 1.0),
         "walking": dict(design.walking),
+        "carried": dict(design.carried),
         "checked": dict(design.checked),
         "halved_step": dict(design.halved),
         "step_agreement": {

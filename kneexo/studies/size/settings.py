@@ -58,7 +58,10 @@ class SizeSettings(Parameters):
         0.005, "1", "assumption: relative accuracy of the smallest values", ge=1e-4, le=0.5
     )
     margin: float = quantity(
-        1.1, "1", "assumption: sized flow and acceleration limit over the smallest", ge=1, le=10
+        1.1, "1", "assumption: sized flow, acceleration and piston over the smallest", ge=1, le=10
+    )
+    moment_share: float = quantity(
+        1.0, "1", "assumption: share of the measured knee moment for the piston", ge=0, le=1
     )
     lambda_per_s: tuple[float, ...] = positive_values(
         (20.0, 40.0, 60.0, 80.0, 100.0, 120.0), "1/s", "assumption: λ to try"

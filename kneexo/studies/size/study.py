@@ -23,23 +23,19 @@ from kneexo.analysis.hardware import (
     expected_bandwidth_hz,
     scaled,
     tuned,
+    with_piston,
 )
 from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.analysis.signals import to_rpm
+from kneexo.analysis.stride import smallest_piston_factor
 from kneexo.analysis.tracking import track
-from kneexo.analysis.walking import (
-    moment_arm_m,
-    walk,
-    walking_demand,
-    walking_metrics,
-)
+from kneexo.analysis.walking import walk, walking_demand, walking_metrics
 from kneexo.errors import KneexoError, ParameterError
 from kneexo.parameters import (
     UNCERTAIN_KNEE,
     FullCylinderParameters,
     KneeLoadParameters,
     Scenario,
-    gait_reference,
 )
 from kneexo.parameters.paths import changed, value_at
 from kneexo.result import Array
@@ -146,8 +142,10 @@ def size_study(
     4. For each stride frequency, search for the smallest flow (by the pump's displacement) with
        ample acceleration. Then, with a margin on this flow, search for the smallest acceleration
        limit.
-    5. Measure pressure and power of these designs at a small step. Let the first design walk on
-       other plants, and with its hardware values varied.
+    5. Measure pressure and power of these designs at a small step. Enlarge the piston, and with it
+       the pump, if it does not carry the share of the measured moment in a whole stride with the
+       margin (`kneexo.analysis.stride_load`). Let the first design walk on other plants, and with
+       its hardware values varied.
 
     ``options``: see `kneexo.sweeps.SweepOptions`.
 
@@ -179,11 +177,12 @@ def _sizing(scenario: Scenario, settings: SizeSettings, run: Any) -> SizeResult:
 
     demands = [walking_demand(scenario, f) for f in frequencies]
     segment_demands, torque_demands = [], {}
-    if isinstance(scenario.plant.load, KneeLoadParameters):
-        segment_demands = [walking_demand(scenario, f, segment_inertia=True) for f in frequencies]
+    if inertia := _shank_inertia(scenario):
+        shank = changed(scenario, inertia)
+        segment_demands = [walking_demand(shank, f) for f in frequencies]
         for torque in settings.wearer_torques_n_m:
-            other = changed(scenario, {"plant.load.knee_torque_n_m": torque})
-            torque_demands[torque] = walking_demand(other, frequencies[0], segment_inertia=True)
+            other = changed(shank, {"plant.load.knee_torque_n_m": torque})
+            torque_demands[torque] = walking_demand(other, frequencies[0])
 
     nominal, *swept = run(
         _at_reference,
@@ -196,6 +195,7 @@ def _sizing(scenario: Scenario, settings: SizeSettings, run: Any) -> SizeResult:
         "flow and acceleration: bandwidth",
     )
 
+    piston = max(1.0, settings.margin * smallest_piston_factor(scenario, settings.moment_share))
     largest = {
         DISPLACEMENT: settings.largest_flow_factor,
         ACCELERATION_LIMIT: settings.acceleration_limit_max_rad_s2
@@ -234,7 +234,7 @@ def _sizing(scenario: Scenario, settings: SizeSettings, run: Any) -> SizeResult:
     ]
     steps = dict(zip(stages, map(list, zip(*by_frequency, strict=True)), strict=True))
 
-    designs = [_design(scenario, settings, best, f, run) for f in frequencies]
+    designs = [_design(scenario, settings, best, f, piston, run) for f in frequencies]
     first = designs[0].scenario
     variations = _variations(first, designs[0].flow.value * settings.margin, settings)
     results = run(walking_first, list(variations.values()))
@@ -328,6 +328,7 @@ def _design(
     settings: SizeSettings,
     gains: Mapping[str, Any],
     frequency_hz: float,
+    piston: float,
     run: Any,
 ) -> WalkingDesign:
     walking = partial(walking_metrics, frequency_hz=frequency_hz, cycles=settings.cycles)
@@ -348,7 +349,21 @@ def _design(
     design = sized(sized_flow, settings.margin * acceleration.value)
     check = settings.check_step_s  # small enough for the oil's mode
     solvers = [design, *(design.with_steps(step) for step in (check, 0.5 * check))]
-    return WalkingDesign(frequency_hz, flow, acceleration, design, *run(walking, solvers))
+    carrying = with_piston(design, piston)
+    walks = run(walking, [*solvers, carrying])
+    return WalkingDesign(frequency_hz, flow, acceleration, design, carrying, *walks)
+
+
+def _shank_inertia(scenario: Scenario) -> dict[str, float]:
+    """Return the change of a scenario that gives its load the inertia of a point mass, m l².
+
+    The change is empty without load or mass. An inertia that the load has is not changed.
+    """
+    load = scenario.plant.load
+    if not isinstance(load, KneeLoadParameters):
+        return {}
+    inertia = load.inertia_kg_m2 or load.segment_mass_kg * load.centre_of_mass_m**2
+    return {"plant.load.inertia_kg_m2": inertia} if inertia else {}
 
 
 def _variations(
@@ -377,13 +392,8 @@ def _variations(
             **implicit,
         },
     }
-    load = design.plant.load
-    if isinstance(load, KneeLoadParameters):
-        middle = np.radians(gait_reference().middle_deg)
-        arm = float(moment_arm_m(design, middle))
-        mass = load.segment_mass_kg * (load.centre_of_mass_m / arm) ** 2
-        variations[f"reduced order, moving mass {mass:.1f} kg (m l²/r² at mid-range)"] = {
-            "plant.full_order": None,
-            "plant.cylinder.mass_kg": mass,
-        }
+    if inertia := _shank_inertia(design):
+        (value,) = inertia.values()
+        name = f"reduced order, inertia of the shank {value:.3g} kg·m² in place of the mass"
+        variations[name] = {"plant.full_order": None, **inertia}
     return {name: changed(design, values) for name, values in variations.items()}

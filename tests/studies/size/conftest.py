@@ -11,6 +11,7 @@ from size_cases import (
     AT_SINE,
     CYCLE,
     FLOW,
+    PISTON,
     SETTINGS,
     SMALL,
     WAVE,
@@ -21,6 +22,7 @@ from kneexo.analysis.hardware import (
     DISPLACEMENT,
     HARDWARE,
     scaled,
+    with_piston,
 )
 from kneexo.analysis.walking import WALKING_METRICS, WalkingDemand
 from kneexo.parameters import UNCERTAIN_KNEE
@@ -35,12 +37,11 @@ def study(tmp_path_factory):
     return size_study(settings=SMALL, checkpoint=Checkpoint(path)), path
 
 
-def demand(frequency, factor, *, segment=False):
+def demand(frequency, factor):
     """A stride whose peaks are ``factor`` times a number for each signal."""
     wave = factor * WAVE
     return WalkingDemand(
         frequency_hz=frequency,
-        segment_inertia=segment,
         cycle_percent=CYCLE,
         knee_angle_deg=40.0 + 0.01 * WAVE,
         knee_rate_deg_s=301.0 * wave,
@@ -78,9 +79,11 @@ def design(frequency, share, start):
         flow=Search(15.4 * share, 1.9, True, 1.0, 25.0),
         acceleration=Search(1.8e4 * share, 1.7 if reached else 2.6, reached, 1e3, 1e5),
         scenario=scaled(UNCERTAIN_KNEE, factors),
+        carrying=with_piston(scaled(UNCERTAIN_KNEE, factors), PISTON),
         walking=numbers(WALKING_METRICS, start),
         checked=checked,
         halved=halved,
+        carried=numbers(WALKING_METRICS, start + 60),
     )
 
 
@@ -119,7 +122,7 @@ def sized():
         sweeps=sweeps,
         bandwidth_map_hz=np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6], [0.7, np.nan, 0.9]]),
         demands=[demand(1.0, 1.0), demand(0.8, 0.7)],
-        segment_demands=[demand(1.0, 1.1, segment=True), demand(0.8, 0.9, segment=True)],
+        segment_demands=[demand(1.0, 1.1), demand(0.8, 0.9)],
         torque_demands={0.0: demand(1.0, 1.3), 10.0: demand(1.0, 1.7)},
         gains=gains,
         best_gains=gains[1] | {"phase_margin_deg": 44.0},

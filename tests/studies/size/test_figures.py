@@ -181,6 +181,28 @@ def test_demand_is_drawn_in_its_units(sized, drawn):
     assert (bounds.y0, bounds.y1) == pytest.approx((-SPEED_MM_S, SPEED_MM_S))
 
 
+def test_pressures_of_the_stride_are_drawn_with_their_limits(sized, drawn):
+    before, after = drawn["stride_pressure"].axes
+    assert [ax.get_title() for ax in (before, after)] == [
+        "hardware as it is",
+        "sized, with its piston",
+    ]
+    for ax, relative in ((before, 1.0), (after, 1.21)):
+        lines = {line.get_label(): line for line in ax.lines}
+        assert list(lines) == [
+            *("P_1, share 1", "P_2, share 1", "P_1, share 0.5", "P_2, share 0.5"),
+            *("growing chamber", "relief valves open", "oil evaporates"),
+        ]
+        assert set(lines["relief valves open"].get_ydata()) == {3.5}
+        assert lines["oil evaporates"].get_ydata() == pytest.approx([-0.1, -0.1])
+        for share in (1.0, 0.5):
+            held = max(lines[f"P_2, share {share:g}"].get_ydata()) - 4.0 / 15.0  # P_r A_1/A_2
+            assert held == pytest.approx(share * 757 / 235.62 / relative, abs=0.006)
+    growing = before.lines[4].get_ydata()
+    assert (min(growing), max(growing)) == pytest.approx((-0.845, 0.2), abs=1e-3)
+    assert before.get_xlim() == pytest.approx((0.0, 1.349))
+
+
 def test_every_axis_has_its_own_label_and_title(drawn, check_caption):
     labels = {
         name: [(ax.get_xlabel(), ax.get_ylabel()) for ax in figure.axes]
@@ -204,6 +226,9 @@ def test_every_axis_has_its_own_label_and_title(drawn, check_caption):
             ("", "pump flow (L/min)"),
             ("gait cycle (%)", "load pressure (MPa)"),
             ("gait cycle (%)", "shaft power (W)"),
+        ],
+        "stride_pressure": [
+            *(("", "pressure (MPa)"), ("time in the stride (s)", "pressure (MPa)")),
         ],
     }
     *sweeps, key = drawn["sizing_sweeps"].axes

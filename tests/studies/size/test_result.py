@@ -102,7 +102,12 @@ def test_a_design_tells_every_way_to_its_flow(sized):
         assert {name: numbers[name] for name in expected} == pytest.approx(expected, rel=1e-9)
         assert numbers["flow_search"] == vars(design.flow)
         assert numbers["acceleration_search"] == vars(design.acceleration)
+        # 20 mm √1.21, and a pump that fills this piston as fast
+        assert numbers["piston_factor"] == pytest.approx(1.21, rel=1e-9)
+        assert numbers["bore_mm"] == pytest.approx(22.0, rel=1e-9)
+        assert numbers["with_piston_cm3_per_rev"] == pytest.approx(0.8 * factor * 1.21, rel=1e-9)
         assert numbers["walking"] == design.walking
+        assert numbers["carried"] == design.carried
         assert numbers["checked"] == design.checked
         assert numbers["halved_step"] == design.halved
         assert numbers["step_agreement"] == pytest.approx(
@@ -113,6 +118,32 @@ def test_a_design_tells_every_way_to_its_flow(sized):
                 "delivered_energy_j": 0.02,
             }
         )
+
+
+def test_a_stride_has_its_pressures_in_stance_and_late_swing(sized):
+    rows = {(row["hardware"], row["moment_share"]): row for row in sized.results()["stride"]}
+    names = ("hardware as it is", "sized", "sized, with its piston")
+    assert list(rows) == [(name, share) for name in names for share in (1.0, 0.5)]
+    # 773 N at 20.8° on A_1 and −757 N at 2.0° on A_2, each with P_r on the other side.
+    for key, cap, rod_side in (
+        (("hardware as it is", 1.0), 2.61, 3.48),
+        (("hardware as it is", 0.5), 1.38, 1.87),
+        (("sized, with its piston", 1.0), 773 / 314.16 / 1.21 + 0.15, 757 / 235.62 / 1.21 + 4 / 15),
+    ):
+        row = rows[key]
+        assert row["cap_pressure_mpa"] == pytest.approx(cap, abs=0.006)
+        assert row["rod_side_pressure_mpa"] == pytest.approx(rod_side, abs=0.006)
+        assert row["cap_angle_deg"] == pytest.approx(20.8, abs=0.05)
+        assert row["rod_side_angle_deg"] == pytest.approx(2.0, abs=0.05)
+    as_it_is, fast = rows["hardware as it is", 1.0], rows["sized", 1.0]
+    assert as_it_is["lowest_pressure_mpa"] == pytest.approx(-0.845, abs=0.001)
+    assert as_it_is["lowest_angle_deg"] == pytest.approx(35.5, abs=0.1)
+    assert as_it_is["share_within_speed"] == pytest.approx(175 / 1350)
+    assert len(as_it_is["warnings"]) == 1
+    # 17 times the flow is 687 mm/s of the 701 mm/s; A_1 takes 14 % more than the mean area.
+    lacking = 314.16e-6 * 0.701 - 17.0 * 5000.0 / 360.0 * 0.8e-6
+    assert fast["lowest_pressure_mpa"] == pytest.approx(0.2 - 1e-6 * lacking / 2e-10, abs=0.01)
+    assert fast["warnings"] == ()
 
 
 def test_the_controller_is_asked_for_what_the_lag_takes(sized):

@@ -23,8 +23,10 @@ from kneexo.analysis.hardware import (
     scaled,
     sliding_mode,
     tuned,
+    with_piston,
 )
 from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.analysis.stride import smallest_piston_factor
 from kneexo.analysis.walking import walking_metrics
 from kneexo.command_line.output import to_json
 from kneexo.errors import ParameterError, SimulationError
@@ -109,6 +111,8 @@ def by_formula(monkeypatch):
 
     def walking(scenario, frequency_hz, cycles):
         numbers = {"max_error_deg": error(scenario, frequency_hz), "failure": ""}
+        pump = scenario.plant.pump
+        numbers["displacement"] = pump.displacement_m3_per_rad
         return numbers | {"mean_command_change_rpm": 0.0}
 
     def judge(scenario, **_):
@@ -169,6 +173,12 @@ def test_a_knee_that_walks_by_formula_gets_the_hardware_of_the_formula(monkeypat
         assert design.flow.value == pytest.approx(10.0 * frequency, rel=1e-3)
         assert design.acceleration.value == pytest.approx(2e4 * frequency, rel=1e-3)
         assert design.walking["max_error_deg"] == pytest.approx(2.0 / 1.1, rel=1e-3)
+        # The paper's piston carries the moment with 0.6 % to spare; wanted are 10 %.
+        assert design.carrying == with_piston(design.scenario, 1.1 * smallest_piston_factor())
+        ratio = design.carried["displacement"] / design.walking["displacement"]
+        assert ratio == pytest.approx(1.1 * 0.99356, rel=1e-4)
+    half = size_study(settings=changed(settings, {"moment_share": 0.5})).designs[0]
+    assert half.carrying == half.scenario
     # What follows is about 0.5 Hz.
     for entry in result.variations.values():
         assert entry["max_error_deg"] == pytest.approx(2.0 / 1.1, rel=1e-3)
