@@ -208,9 +208,8 @@ def test_the_words_have_the_numbers_of_the_results(sized):
         + " times the flow",
         "ratings are 3.5 MPa and 200 W",
         "The relief valves open at 3.5 MPa, and oil evaporates below -0.1 MPa.",
-        "A piston that carries the share 1 of the moment, with 1.1 times the force, has 1.210 times "
-        "the area, "
-        "a bore of 22.0 mm.",
+        "A piston that carries the share 1 of the moment, with 1.1 times the force, has 1.210 "
+        "times the area, a bore of 22.0 mm.",
         # 0.017 times 560 and 500
         "walks at 1 Hz within 9.52°, and without it within 8.50°.",
     ):
