@@ -9,7 +9,7 @@ from pydrake.symbolic import ExpressionKind, FormulaKind
 
 from ..errors import CompilationError
 from .graph import Graph
-from .operations import COMPARISONS, OPERATIONS
+from .operations import OPERATIONS
 
 T = TypeVar("T")
 
@@ -22,13 +22,14 @@ Steps: TypeAlias = Generator[Any, Any, T]
 `completed` runs the generator.
 """
 
-_EXPRESSIONS = {
-    getattr(ExpressionKind, row.drake): name
+_NAMES = {
+    ExpressionKind.Var: "variable",
+    ExpressionKind.Constant: "constant",
+    FormulaKind.True_: "true",
+    FormulaKind.False_: "false",
+} | {
+    getattr(FormulaKind if row.is_condition else ExpressionKind, row.drake): name
     for name, row in OPERATIONS.items()
-    if not row.is_condition
-}
-_FORMULAS = {
-    getattr(FormulaKind, row.drake): name for name, row in OPERATIONS.items() if row.is_condition
 }
 
 
@@ -61,6 +62,9 @@ class Conversion:
         self._graph, self._where = graph, where
         self._node_of_variable = node_of_variable
         self._size = 0
+        self._known: dict[tuple[Any, ...], int] = {}
+        """Dictionary from an operation and its arguments to its node: Drake's expression contains
+        a shared part once for each reader."""
 
     def nodes(self, expressions: Sequence[Any]) -> Steps[list[int]]:
         """Return the node of each expression or float.
@@ -75,44 +79,49 @@ class Conversion:
         return nodes
 
     def _node(self, expression: Any) -> Steps[int]:
+        """Return the node of an expression; the nodes of its arguments come first, in order.
+
+        A list holds the items to convert, so a deep expression does not reach the limit of
+        recursion. An item with a name stands for an operation whose arguments have their nodes.
+        """
         graph = self._graph
-        if isinstance(expression, float | int):
-            return graph.constant(expression)
+        nodes: list[int] = []
+        pending: list[tuple[str, Any]] = [("", expression)]
+        while pending:
+            name, item = pending.pop()
+            if name:
+                key = name, *nodes[-item:]
+                if key not in self._known:
+                    self._known[key] = graph.simplified(*key)
+                nodes[-item:] = [self._known[key]]
+            elif isinstance(item, float | int):
+                nodes.append(graph.constant(item))
+            elif (name := self._name(item.get_kind())) == "true" or name == "false":
+                nodes.append(graph.compare("gt", graph.constant(name == "true"), graph.zero))
+            else:
+                _, arguments = item.Unapply()
+                if name == "variable":
+                    nodes.append((yield self._node_of_variable(*arguments)))
+                elif name == "constant":
+                    nodes.append(graph.constant(*arguments))
+                else:
+                    pending.append((name, len(arguments)))
+                    pending += [("", argument) for argument in reversed(arguments)]
+        return nodes[0]
+
+    def _name(self, kind: Any) -> str:
+        """Return the name of a kind of `_NAMES`, and count the nodes of the expression.
+
+        Raises `CompilationError` for an expression that is too large or does not compile.
+        """
         self._size += 1
         if self._size > LARGEST_TREE:
             raise CompilationError(
                 f"{self._where}: its expression has more than {LARGEST_TREE} nodes; give shared "
                 f"intermediate results a port of their own"
             )
-        kind = expression.get_kind()
-        if kind == ExpressionKind.Var:
-            (variable,) = expression.GetVariables()
-            return (yield self._node_of_variable(variable))
-        if kind == ExpressionKind.Constant:
-            return graph.constant(expression.Evaluate())
-        name = _EXPRESSIONS.get(kind)
+        name = _NAMES.get(kind)
         if name is None:
-            raise CompilationError(f"{self._where}: {kind} does not compile")
-        _, arguments = expression.Unapply()
-        nodes = []
-        for position, argument in enumerate(arguments):
-            is_condition = name == "where" and position == 0
-            convert = self._condition if is_condition else self._node
-            nodes.append((yield convert(argument)))
-        return graph.simplified(name, *nodes)
-
-    def _condition(self, formula: Any) -> Steps[int]:
-        graph = self._graph
-        kind = formula.get_kind()
-        if kind in (FormulaKind.True_, FormulaKind.False_):
-            holds = 1.0 if kind == FormulaKind.True_ else 0.0
-            return graph.compare("gt", graph.constant(holds), graph.zero)
-        name = _FORMULAS.get(kind)
-        if name is None:
-            raise CompilationError(f"{self._where}: the condition {kind} does not compile")
-        _, arguments = formula.Unapply()
-        convert = self._node if name in COMPARISONS else self._condition
-        nodes = []
-        for argument in arguments:
-            nodes.append((yield convert(argument)))
-        return graph.operation(name, *nodes)
+            what = kind if isinstance(kind, ExpressionKind) else f"the condition {kind}"
+            raise CompilationError(f"{self._where}: {what} does not compile")
+        return name
