@@ -3,8 +3,9 @@
 Each entry is one file with a format version, a SHA-256 seal over key and content, and the content.
 The files are in ``KNEEXO_CACHE_DIR``, else in ``kneexo`` below ``XDG_CACHE_HOME``, else in
 ``~/.cache/kneexo``. A user can delete this directory at any time. Its size is limited to 512 MiB,
-or to ``KNEEXO_CACHE_SIZE_MB`` MiB. The least recently used entries are deleted first. The names of
-the variables and of the directory contain the name of the package (`root`).
+or to ``KNEEXO_CACHE_SIZE_MB`` MiB. A process that stores can exceed the limit by 1 % for a while.
+The least recently used entries are deleted first. The names of the variables and of the directory
+contain the name of the package (`root`).
 
 The seal detects damage, but anybody can compute it. Trust rests on file ownership: a directory or
 file that another user could have written is never used.
@@ -38,11 +39,13 @@ _HEADER_BYTES = len(_FORMAT) + hashlib.sha256().digest_size
 _LARGEST_ENTRY_BYTES = 256 * 2**20
 _DEFAULT_LIMIT_MB = 512
 _LARGEST_LIMIT_MB = 10**9
+_TIDY_SHARE = 0.01  # of the limit: what a process stores before it reads the directory again
 _LONGEST_WARNING = 400  # characters
 _NAME = rf"[0-9a-f]{{32}}\.{ROOT}"
 _ENTRY = re.compile(_NAME)
 
 _unwritable: set[Path] = set()
+_bytes_since_tidy: dict[Path, int] = {}  # by directory
 _warnings_given: set[str] = set()
 
 
@@ -95,8 +98,7 @@ def store(key: str, content: bytes) -> None:
         _warn_replaced(f"{directory}: {reason}")
         store(key, content)
     else:
-        delete_stale(directory, _NAME)
-        _shrink(path)
+        _tidy(path, len(content))
 
 
 def cache_entries() -> list[FileStatus]:
@@ -176,13 +178,21 @@ def _is_trusted(status: os.stat_result) -> bool:
     )
 
 
-def _shrink(stored: Path) -> None:
-    """Delete the least recently used entries until the rest is within the size limit.
+def _tidy(stored: Path, size_bytes: int) -> None:
+    """Delete stale files, and the least recently used entries until the rest is within the limit.
 
-    The file ``stored``, which was just written, stays in any case.
+    The file ``stored``, which was just written, stays in any case. To read a directory of thousands
+    of files takes long, so a process does this at its first store, and then once for each 1 % of
+    the limit that it stores.
     """
-    limit, total = cache_size_limit(), 0
-    files = files_in(stored.parent, _ENTRY)
+    directory, limit = stored.parent, cache_size_limit()
+    since = _bytes_since_tidy.get(directory, limit) + size_bytes
+    _bytes_since_tidy[directory] = since
+    if since < _TIDY_SHARE * limit:
+        return
+    _bytes_since_tidy[directory] = total = 0
+    delete_stale(directory, _NAME)
+    files = files_in(directory, _ENTRY)
     for entry in sorted(files, key=lambda entry: (entry.path != stored, -entry.last_use_s)):
         total += entry.size_bytes
         if total > limit and entry.path != stored:

@@ -25,13 +25,17 @@ cache = None  # of each test: the module as a new process has it
 @pytest.fixture(autouse=True)
 def directory(tmp_path, monkeypatch):
     """An empty cache, and in `cache` a module that has warned of nothing yet."""
-    global cache
     monkeypatch.setenv("KNEEXO_CACHE_DIR", str(tmp_path / "cache"))
     monkeypatch.delenv("KNEEXO_CACHE_SIZE_MB", raising=False)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    begin_process()
+    return tmp_path / "cache"
+
+
+def begin_process():
+    global cache
     cache = importlib.util.module_from_spec(CACHE)
     CACHE.loader.exec_module(cache)
-    return tmp_path / "cache"
 
 
 @pytest.fixture
@@ -250,7 +254,7 @@ def test_an_interrupt_leaves_the_old_entry_and_no_temporary_file(
     assert path.read_bytes().endswith(b"code")
 
 
-def test_the_next_store_removes_stale_temporary_files_of_the_cache_alone(directory):
+def test_the_next_process_removes_stale_temporary_files_of_the_cache_alone(directory):
     name = f".{entry_path('key').name}."
     stale, live = directory / (name + "0" * 16), directory / (name + "1" * 16)
     names = (".kneexo", "notes.kneexo", f"{name}0", f"{stale.name}0", f"{name[1:]}bak")
@@ -261,6 +265,7 @@ def test_the_next_store_removes_stale_temporary_files_of_the_cache_alone(directo
     set_last_use(live, HOUR_S - 60.0)
     foreign.append(directory / ("0" * 32 + ".kneexo"))
     foreign[-1].mkdir()
+    begin_process()
     cache.store("other", b"code")
     assert not stale.exists()
     assert live.exists()
@@ -328,6 +333,19 @@ def test_the_entries_used_longest_ago_go_first(monkeypatch):
     cache.store("e", bytes(300_000))
     remaining = [key for key in "abcde" if cache.load(key) is not None]
     assert remaining == ["a", "d", "e"]
+
+
+@pytest.mark.usefixtures("silent")
+def test_a_store_reads_the_directory_once_for_each_percent_of_the_limit(monkeypatch, directory):
+    monkeypatch.setenv("KNEEXO_CACHE_SIZE_MB", "1")
+    reading = []
+    monkeypatch.setattr(cache, "files_in", lambda *which: reading.append(which[0]) or [])
+    counts = []
+    for n in range(30):  # 1 % of 1 MiB is 10,486 bytes
+        cache.store(str(n), bytes(1_000))
+        counts.append(len(reading))
+    assert counts == [1] * 11 + [2] * 11 + [3] * 8
+    assert set(reading) == {directory}
 
 
 @pytest.mark.usefixtures("silent")
