@@ -62,7 +62,7 @@ class Conversion:
         self._graph, self._where = graph, where
         self._node_of_variable = node_of_variable
         self._size = 0
-        self._known: dict[tuple[Any, ...], int] = {}
+        self._known: dict[tuple[str, tuple[int, ...]], int] = {}
         """Dictionary from an operation and its arguments to its node: Drake's expression contains
         a shared part once for each reader."""
 
@@ -90,9 +90,10 @@ class Conversion:
         while pending:
             name, item = pending.pop()
             if name:
-                key = name, *nodes[-item:]
+                arguments = nodes[-item:]
+                key = name, tuple(arguments)
                 if key not in self._known:
-                    self._known[key] = graph.simplified(*key)
+                    self._known[key] = graph.simplified(name, *arguments)
                 nodes[-item:] = [self._known[key]]
             elif isinstance(item, float | int):
                 nodes.append(graph.constant(item))
