@@ -66,6 +66,7 @@ PRECISIONS = ("float", "float, table", "double")
 SCENARIOS = {
     "SMC": Scenario(),
     "PID": changed(Scenario(), {"controller": {"kind": "pid"}}),
+    "torque": changed(Scenario(), {"plant.load": "knee", "controller": {"kind": "torque"}}),
 }
 
 
