@@ -285,7 +285,6 @@ def make_cases() -> tuple[Case, ...]:
         ),
         Case("wearer, zero torque", changed(base, WEARER), WITH_WEARER),
         Case("wearer, active leg", changed(base, WEARER | ACTIVE), WITH_WEARER),
-        Case("wearer, full order", changed(base, WEARER | FULL), FULL_ORDER, 2.5e-6),
     )
 
 

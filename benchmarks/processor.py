@@ -66,7 +66,9 @@ PRECISIONS = ("float", "float, table", "double")
 SCENARIOS = {
     "SMC": Scenario(),
     "PID": changed(Scenario(), {"controller": {"kind": "pid"}}),
-    "torque": changed(Scenario(), {"plant.load": "knee", "controller": {"kind": "torque"}}),
+    "torque": changed(
+        Scenario(), {"plant.load": "knee", "wearer": "leg", "controller": {"kind": "torque"}}
+    ),
 }
 
 
