@@ -104,7 +104,8 @@ class Stability(Result):
 def loop_lines(loop: SampledLoop) -> tuple[str, ...]:
     """Return lines with the stability, margins and bandwidths of a linear loop.
 
-    An unstable loop has one line, because it has neither margins nor bandwidth.
+    An unstable loop has one line, because it has neither margins nor bandwidth. A torque controller
+    has only the bandwidth of the feedback, for it does not follow the knee reference.
     """
     stability = Stability.of_loop(loop)
     m = stability.margins
@@ -119,11 +120,14 @@ def loop_lines(loop: SampledLoop) -> tuple[str, ...]:
         )
     )
     with_feedforward, feedback = (none if text == "none" else text for text in bandwidths)
+    bandwidth = f" (−3 dB, small signals): {with_feedforward}; of the feedback alone: {feedback}."
+    if loop.scenario.controller.kind == "torque":
+        bandwidth = f" of the feedback (−3 dB, small signals): {feedback}."
     return (
         stability.line,
         f"Crossover: gain {crossings[0]}, phase {crossings[1]}. Disk margin {m.disk_margin:.3g}: "
         f"gain {m.disk_gain_margin:.3g}, phase {m.disk_phase_margin_deg:.3g}°.",
-        f"Bandwidth (−3 dB, small signals): {with_feedforward}; of the feedback alone: {feedback}.",
+        f"Bandwidth{bandwidth}",
     )
 
 

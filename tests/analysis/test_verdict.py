@@ -295,6 +295,13 @@ def test_the_lines_of_a_loop_have_its_margins_and_bandwidths():
     )
 
 
+def test_the_bandwidth_under_torque_control_is_not_that_of_the_knee_reference():
+    loop = _linearized(FREE, knee_angle_deg=40.0)
+    *_, bandwidth = loop_lines(loop)
+    hz = loop.complementary_sensitivity_bandwidth_hz()
+    assert bandwidth == f"Bandwidth of the feedback (−3 dB, small signals): {hz:.3g} Hz."
+
+
 def test_print_of_a_run_shows_verdict_then_what_is_left_out_and_notices():
     heavy = result(changed(SINE, {"plant.cylinder.mass_kg": 3.2}))
     lines = str(heavy).splitlines()
