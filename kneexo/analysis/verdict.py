@@ -237,7 +237,7 @@ def verdict_of(
         )
     else:
         stability = Stability.of_scenario(scenario)
-    notes = (*notices(scenario), *_vacuum_notice(run))
+    notes = (*notices(scenario), *_pressure_notices(scenario, run))
     saturation = _saturation_line(limits.values())
     return Verdict(
         **tracking,
@@ -310,8 +310,19 @@ def _torques(scenario: Scenario, run: Run) -> tuple[dict[str, Any], list[str]]:
     return fields, lines
 
 
-def _vacuum_notice(run: Run) -> Iterator[str]:
-    """Yield a line with time and knee angle if a chamber falls below `LOWEST_PRESSURE_PA`."""
+def _pressure_notices(scenario: Scenario, run: Run) -> Iterator[str]:
+    """Yield a line on pressures of a run that are not those of a real cylinder.
+
+    A chamber falls below `LOWEST_PRESSURE_PA`, with time and knee angle, or a wearer exceeds the
+    rated pressure in the reduced order, which has no relief valves.
+    """
+    peak = np.max(np.abs(run["load_pressure_pa"]))
+    reduced_order = scenario.plant.full_order is None and scenario.wearer.kind != "none"
+    if reduced_order and peak > scenario.plant.cylinder.pressure_rating_pa:
+        yield (
+            f"the load pressure reaches {1e-6 * peak:.3g} MPa, because the reduced order has no "
+            f"relief valves, so torques are too large; add plant: {{full_order: true}}"
+        )
     chambers = {
         name: run[column]
         for name, column in (("cap", "cap_pressure_pa"), ("rod side", "rod_side_pressure_pa"))

@@ -205,6 +205,16 @@ def test_a_chamber_below_vacuum_is_a_notice_with_time_and_place(low):
     assert not any("evaporates" in note for note in result(LEG, **chambers).verdict.notices)
 
 
+def test_a_wearer_above_the_rating_in_reduced_order_needs_relief_valves():
+    high = np.where(np.arange(TIME.size) == 7, -37.3e6, 1e6)
+    (notice,) = result(WORN, load_pressure_pa=high).verdict.notices
+    assert notice.startswith("the load pressure reaches 37.3 MPa, because the reduced order has no")
+    assert notice.endswith("add plant: {full_order: true}")
+    assert not result(WORN, load_pressure_pa=3.49e6).verdict.notices
+    assert not result(SINE, load_pressure_pa=high).verdict.notices
+    assert not result(changed(LEG, {"wearer": "leg"}), load_pressure_pa=high).verdict.notices
+
+
 def test_a_run_off_its_limits_names_them():
     signals = {"motor_speed_command_rad_s": -4100.0 * RPM, "load_pressure_pa": -0.35e6}
     verdict = result(**signals, shaft_power_w=2.6).verdict
