@@ -9,6 +9,7 @@ from kneexo.analysis.signals import period_s
 from kneexo.diagrams.plant import moving_masses_kg
 from kneexo.parameters import (
     LINKAGES,
+    CylinderParameters,
     PlantParameters,
     SampledReference,
     Scenario,
@@ -148,6 +149,11 @@ def model_notices(scenario: Scenario) -> Iterator[str]:
                 f"plant.cylinder.mass_kg = {mass_kg:g} kg has inertia but no weight; gravity acts "
                 f"on plant.load.segment_mass_kg = {plant.load.segment_mass_kg:g} kg"
             )
+    if inertia is not None and mass_kg != CylinderParameters().mass_kg:
+        yield (
+            f"plant.cylinder.mass_kg = {mass_kg:g} kg has no effect; "
+            f"plant.load.inertia_kg_m2 = {inertia:g} kg·m² replaces it"
+        )
     if scenario.nominal is not None:
         yield from _nominal_notice(plant, scenario.nominal)
     yield from polynomial_notices(scenario)

@@ -93,6 +93,8 @@ def web_model(scenario: Scenario) -> dict[str, Any]:
     scenario = completed(scenario)
     require_slow_modes(scenario)
     sliders = dict(sliders_of(scenario))
+    if scenario.plant.knee_inertia_kg_m2 is not None:
+        del sliders["plant.cylinder.mass_kg"]  # has no effect
     ranges = {path: (slider.low, slider.high) for path, slider in sliders.items()}
     ranges[START] = _start_range(scenario)
     values = {path: value_at(scenario, path) for path in sliders}

@@ -88,6 +88,7 @@ SLIDERS: Mapping[type[Parameters], Mapping[str, Slider]] = {
     KneeLoadParameters: {
         "segment_mass_kg": Slider("mass of the shank", 0.0, 6.0, "none to a heavy leg with shoe"),
         "centre_of_mass_m": Slider("lever of the shank's weight", 0.05, 0.4, "within a shank"),
+        "inertia_kg_m2": Slider("inertia about the knee", 0.01, 0.3, "up to a leg with shoe"),
         "knee_torque_n_m": Slider(
             "torque of the wearer",
             -15.0,
@@ -169,13 +170,15 @@ SLIDERS: Mapping[type[Parameters], Mapping[str, Slider]] = {
 def sliders_of(parameters: Parameters, path: str = "") -> Iterator[tuple[str, Slider]]:
     """Yield the dotted path and the slider of each number in ``parameters`` that has a slider.
 
-    ``path`` is the path of ``parameters`` with a dot at its end, or empty. The range of a slider
+    ``path`` is the path of ``parameters`` with a dot at its end, or empty. A number that is left
+    out has no slider. The range of a slider
     includes the present value, and lies within the range of the field. The nominal plant has no
     sliders, because only the controller's design uses it.
     """
     fields = type(parameters).model_fields
     for name, slider in SLIDERS.get(type(parameters), {}).items():
-        value = getattr(parameters, name)
+        if (value := getattr(parameters, name)) is None:
+            continue
         low, high = limits_of(fields[name])
         low, high = max(low, min(slider.low, value)), min(high, max(slider.high, value))
         scale = "linear" if low <= 0.0 else slider.scale

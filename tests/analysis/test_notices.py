@@ -199,7 +199,12 @@ def test_an_inertia_of_the_load_is_a_mass_beyond_the_bounds_of_the_controller():
         "plant.load.inertia_kg_m2: a mass of 5.58 … 47.3 kg at the rod is outside "
         "controller.mass_min_kg … mass_max_kg, 1.4 … 1.8 kg"
     ]
-    assert not list(model_notices(changed(scenario, {"controller": "pid"})))
+    pid = changed(scenario, {"controller": "pid"})
+    assert not list(model_notices(pid))
+    assert list(model_notices(changed(pid, {"plant.cylinder.mass_kg": 3.0}))) == [
+        "plant.cylinder.mass_kg = 3 kg has no effect; plant.load.inertia_kg_m2 = 0.064 kg·m² "
+        "replaces it"
+    ]
 
 
 def test_a_nominal_plant_that_differs_is_a_notice():

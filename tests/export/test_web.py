@@ -122,6 +122,19 @@ def test_a_page_runs_the_loop_of_the_engine(run_on_page):
     require_same_curves(run_on_page, Scenario(), model, changes, 0.4)
 
 
+@pytest.mark.slow
+def test_a_page_has_the_inertia_of_the_load_in_place_of_the_mass(run_on_page):
+    pytest.importorskip("ziglang")
+    path = "plant.load.inertia_kg_m2"
+    scenario = Scenario().changed({"plant.load": {"kind": "knee", "inertia_kg_m2": 0.064}})
+    model = model_of(scenario)
+    names = {quantity["name"] for quantity in model["quantities"]}
+    assert path in names
+    assert "plant.cylinder.mass_kg" not in names
+    for inertia in (0.03, 0.2):
+        require_same_curves(run_on_page, scenario, model, {path: inertia}, 0.4)
+
+
 STRUCTURES = [
     with_structure(scenario, controller, load)
     for scenario, loads in ((Scenario(), ("none", "knee")), (BENCH, ("knee",)), (LEG, ("knee",)))

@@ -17,7 +17,7 @@ def test_a_slider_belongs_to_a_field_and_lies_within_its_range(kind):
         field = kind.model_fields[name]
         low, high = limits_of(field)
         assert low <= slider.low < slider.high <= high, name
-        assert slider.low <= field.default <= slider.high, name
+        assert field.default is None or slider.low <= field.default <= slider.high, name
         assert slider.low > 0.0 or slider.scale == "linear", name
 
 
@@ -35,6 +35,13 @@ def test_a_slider_is_extended_to_the_present_value():
     assert (sliders["plant.pump.gear_ratio"].low, sliders["plant.pump.gear_ratio"].high) == (1, 50)
     scenario = Scenario().changed({"encoder.mounting_error_rad": -0.1})
     assert dict(sliders_of(scenario))["encoder.mounting_error_rad"].low == -0.1
+
+
+def test_a_number_that_is_left_out_has_no_slider():
+    path = "plant.load.inertia_kg_m2"
+    scenario = Scenario().changed({"plant.load": "knee"})
+    assert path not in dict(sliders_of(scenario))
+    assert dict(sliders_of(scenario.changed({path: 0.064})))[path].high == 0.3
 
 
 def test_the_nominal_plant_has_no_sliders():
