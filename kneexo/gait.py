@@ -16,6 +16,9 @@ from kneexo.result import Array
 GAIT_STRIDE_S = 0.890
 """Median duration of the measured strides in s, from ``data/gait_knee_flexion.csv``."""
 
+MOMENT_STRIDE_S = 1.147
+"""Duration in s after which angle and moment of `gait_knee_moment` repeat best."""
+
 
 def gait_knee_flexion() -> tuple[Array, Array, Array]:
     """Return gait cycle in %, mean knee flexion in deg and its standard deviation in deg.
@@ -42,6 +45,24 @@ def gait_knee_moment() -> tuple[Array, Array, Array]:
     """
     time, flexion, moment = _columns("knee_angle_moment_walk.csv")
     return time, flexion, moment
+
+
+def gait_moment_cycle() -> Array:
+    """Return the net knee moment in N·m over the gait cycle of `gait_knee_flexion`, (101,).
+
+    It is the last stride of `gait_knee_moment`, closed by a straight line, which changes no sample
+    by more than 1.2 N·m. The strides of the two adults are aligned in phase, so that their flexions
+    correlate best. A positive moment flexes the knee.
+    """
+    time, flexion, moment = gait_knee_moment()
+    percent, mean, _ = gait_knee_flexion()
+    times = time[-1] + MOMENT_STRIDE_S * (0.01 * percent - 1.0)
+    angle = np.interp(times, time, flexion)[:-1]
+    cycle = np.interp(times, time, moment)
+    cycle -= (cycle[-1] - cycle[0]) * percent / percent[-1]
+    shift = int(np.argmax([mean[:-1] @ np.roll(angle, n) for n in range(angle.size)]))
+    aligned = np.roll(cycle[:-1], shift)
+    return np.append(aligned, aligned[0])
 
 
 def _columns(name: str) -> Array:

@@ -35,6 +35,7 @@ from kneexo.studies.reproduce import reproduce_study
 from kneexo.studies.robustness import RobustnessSettings, assess_plant, robustness_study
 from kneexo.studies.size import SizeSettings, size_study
 from kneexo.studies.sliding import SLIDING_LAW, SlidingSettings, sliding_study
+from kneexo.studies.wearer import WearerSettings, wearer_study
 from kneexo.sweeps import parallel, parallel_map
 from kneexo.sweeps.checkpoint import Checkpoint
 from kneexo.sweeps.parallel import dask_cluster
@@ -141,6 +142,18 @@ SWEEPS = {
             observer_s=(0.02,),
             search_tolerance=0.1,
             wearer_torques_n_m=(0.0,),
+        ),
+    ),
+    "study wearer": (
+        wearer_study,
+        WearerSettings(
+            cadences_hz=(1.0,),
+            rise_times_s=(0.5,),
+            cycles=2,
+            help_cadences_hz=(1.0,),
+            help_rise_times_s=(0.5,),
+            shares=(0.2,),
+            postures_deg=(45.0,),
         ),
     ),
 }

@@ -10,7 +10,14 @@ import pytest
 from hypothesis import given, strategies as st
 
 from kneexo.errors import ParameterError
-from kneexo.gait import GAIT_STRIDE_S, gait_knee_flexion, gait_knee_moment, gait_start_percent
+from kneexo.gait import (
+    GAIT_STRIDE_S,
+    MOMENT_STRIDE_S,
+    gait_knee_flexion,
+    gait_knee_moment,
+    gait_moment_cycle,
+    gait_start_percent,
+)
 from kneexo.parameters import gait_reference
 from kneexo.systems.knee_reference import make_knee_reference, reference_range_deg
 
@@ -156,3 +163,39 @@ def test_bad_input_is_one_line(frequency, cycles, message):
 def test_a_built_wheel_ships_the_data(wheel, name):
     data = f"kneexo/data/{name}"
     assert (wheel / data).read_bytes() == (Path(__file__).parents[1] / data).read_bytes()
+
+
+def test_the_moment_over_the_gait_cycle_is_the_last_stride_of_its_file():
+    _, flexion, moment = gait_knee_moment()
+    cycle = gait_moment_cycle()
+    assert cycle.shape == (101,)
+    assert cycle[0] == cycle[-1]
+    # The stride by hand: 1147 samples of 1 ms before the last one, linearly between two samples.
+    position = 202.0 + 11.47 * np.arange(100)
+    lower = position.astype(int)
+    part = position - lower
+    stride = (1.0 - part) * moment[lower] + part * moment[lower + 1]
+    closed = stride - 0.01 * np.arange(100) * (moment[1349] - moment[202])
+    angle = (1.0 - part) * flexion[lower] + part * flexion[lower + 1]
+    # Circular correlation by the Fourier transform.
+    mean = gait_knee_flexion()[1][:-1]
+    correlation = np.fft.ifft(np.fft.fft(mean) * np.conj(np.fft.fft(angle))).real
+    shift = int(np.argmax(correlation))
+    assert cycle[:-1] == pytest.approx(closed[(np.arange(100) - shift) % 100], abs=1e-9)
+    # Both knees flex most at the same time, to two percent of the stride.
+    assert abs((np.argmax(angle) + shift) % 100 - np.argmax(mean)) <= 2
+    assert int(np.argmin(cycle)) in range(12, 20)  # extension moment of early stance
+    assert np.abs(closed - stride).max() < 1.2
+
+
+def test_the_strides_of_the_moment_file_repeat_after_their_duration():
+    _, flexion, moment = gait_knee_moment()
+
+    def mismatch(samples):
+        return sum(
+            np.mean((values[samples:] - values[:-samples]) ** 2) / np.var(values)
+            for values in (flexion, moment)
+        )
+
+    best = min(range(1050, 1250), key=mismatch)
+    assert best == pytest.approx(1e3 * MOMENT_STRIDE_S, abs=2.0)

@@ -51,15 +51,27 @@ from kneexo.parameters.reference import (
     SineReference,
     StepReference,
     gait_reference,
+    sit_to_stand_reference,
 )
 from kneexo.parameters.scenario import DEFAULT_DURATION_S, Scenario, SimulationParameters
 from kneexo.parameters.torque import LoadCellParameters, TorqueParameters
 from kneexo.parameters.uncertainty import UNCERTAIN_KNEE, UNCERTAINTY, Uncertainty, UncertaintySet
-from kneexo.parameters.wearer import CuffParameters, LegParameters, MomentTable, NoWearer, Wearer
+from kneexo.parameters.wearer import (
+    BODIES,
+    MOMENT_MASS_KG,
+    CuffParameters,
+    LegParameters,
+    MomentTable,
+    NoWearer,
+    Wearer,
+    gait_moment,
+    leg_of_body,
+)
 
 __all__ = [
     "AIR_EXPONENT",
     "ATMOSPHERE_PA",
+    "BODIES",
     "DEFAULT_DURATION_S",
     "G1",
     "G2",
@@ -67,6 +79,7 @@ __all__ = [
     "G4",
     "LAW_INPUTS",
     "LINKAGES",
+    "MOMENT_MASS_KG",
     "RPM",
     "SEAL_FRICTION_N",
     "UNCERTAINTY",
@@ -110,5 +123,8 @@ __all__ = [
     "Uncertainty",
     "UncertaintySet",
     "Wearer",
+    "gait_moment",
     "gait_reference",
+    "leg_of_body",
+    "sit_to_stand_reference",
 ]

@@ -23,6 +23,7 @@ def _flexion(default: float, source: str) -> Any:
 
 _SHORTEST_RAMP_S = 1e-3  # the jerk of the reference is divided by the third power of ``ramp_s``
 _SHORTEST_SAMPLE_S = 1e-6
+_MOTION_SAMPLES = 60  # of one rise; the spline between them is within 1e-4 deg of minimum jerk
 LONGEST_TIME_S = 1e5
 """Largest absolute value of a sample's time in s. Times can be negative."""
 
@@ -228,6 +229,33 @@ def gait_reference(frequency_hz: float = 1.0, cycles: int = 3) -> SampledReferen
     stride = np.roll(closed[:-1], -int(np.argmin(mean)))
     angles = np.append(np.tile(stride, cycles), stride[0])
     times = np.arange(angles.size) / (stride.size * frequency_hz)
+    return SampledReference(times_s=tuple(times.tolist()), angles_deg=tuple(angles.tolist()))
+
+
+def sit_to_stand_reference(
+    rise_time_s: float = 2.0,
+    cycles: int = 3,
+    *,
+    seated_deg: float = 85.0,
+    standing_deg: float = 5.0,
+) -> SampledReference:
+    """Return the knee flexion of standing up and sitting down, repeated ``cycles`` times.
+
+    The knee extends in ``rise_time_s``, rests for half of this time, flexes in ``rise_time_s``, and
+    rests again. Each motion has minimum jerk, θ = θ_0 + (θ_1 − θ_0)(10u³ − 15u⁴ + 6u⁵) with the
+    time u from 0 to 1. Source: Flash and Hogan, J. Neurosci. 5(7), 1985, for movements of the arm.
+    Its use for the knee is an assumption. Raises `ParameterError` for a value that is out of range.
+    """
+    if not 0.1 <= rise_time_s <= 100.0:
+        raise ParameterError(f"rise_time_s = {rise_time_s:g} s: must be >= 0.1 and <= 100 s")
+    if not 1 <= cycles <= 1000:
+        raise ParameterError(f"cycles = {cycles}: must be >= 1 and <= 1000")
+    u = np.arange(_MOTION_SAMPLES) / _MOTION_SAMPLES
+    rise = np.polynomial.Polynomial([0, 0, 0, 10, -15, 6])(u)
+    rest = np.ones(_MOTION_SAMPLES // 2)
+    cycle = np.concatenate([rise, rest, 1.0 - rise, 0.0 * rest])
+    angles = seated_deg + (standing_deg - seated_deg) * np.append(np.tile(cycle, cycles), 0.0)
+    times = np.arange(angles.size) * rise_time_s / _MOTION_SAMPLES
     return SampledReference(times_s=tuple(times.tolist()), angles_deg=tuple(angles.tolist()))
 
 

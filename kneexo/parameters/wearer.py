@@ -5,13 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from kneexo.errors import ParameterError
 from kneexo.files.reading import file_error
 from kneexo.files.table import read_table
+from kneexo.gait import gait_moment_cycle, gait_start_percent
 from kneexo.parameters.quantity import Parameters, choice, quantities, quantity
-from kneexo.parameters.reference import LONGEST_TIME_S
+from kneexo.parameters.reference import LONGEST_TIME_S, gait_reference
 
 MAXWELL_BANK = (
     (0.06, 1.3939),
@@ -42,6 +44,12 @@ LARGEST_LOSS = 0.38
 LARGEST_MOMENT_N_M = 1e3
 """Largest magnitude in N·m of a moment of the knee that a file may have."""
 
+MOMENT_MASS_KG = 75.0
+"""Assumption: mass in kg of the adult of `kneexo.gait.gait_knee_moment`, whose file lacks it."""
+
+BODIES = {"light": (50.0, 1.55), "average": (75.0, 1.75), "heavy": (110.0, 1.90)}
+"""Assumption: mass in kg and height in m of three wearers."""
+
 
 class MomentTable(Parameters):
     """Biological moment of the knee over time, with straight lines between the samples.
@@ -66,6 +74,33 @@ class MomentTable(Parameters):
         if any(b - a < 1e-6 for a, b in zip(self.times_s, self.times_s[1:], strict=False)):
             raise ValueError("times_s must increase by at least 1e-6 s from sample to sample")
         return self
+
+
+def gait_moment(
+    frequency_hz: float = 1.0, cycles: int = 3, *, body_mass_kg: float = MOMENT_MASS_KG
+) -> MomentTable:
+    """Return the measured knee moment of walking in phase with `gait_reference`.
+
+    The arguments are those of `gait_reference`. The moment is proportional to ``body_mass_kg``.
+    """
+    times = gait_reference(frequency_hz, cycles).times_s
+    stride = np.roll(gait_moment_cycle()[:-1], -round(gait_start_percent()))
+    moments = np.resize(stride, len(times)) * body_mass_kg / MOMENT_MASS_KG
+    return MomentTable(times_s=times, moments_n_m=tuple(moments.tolist()))
+
+
+def leg_of_body(mass_kg: float, height_m: float) -> dict[str, float]:
+    """Return mass, centre of mass and inertia of leg and foot of a body, as in `LegParameters`.
+
+    Source: Winter 2009, Table 4.1 (mass 0.061 of the body; centre of mass at 0.606 and radius of
+    gyration 0.735 of the length of the leg, from the knee) and Fig. 4.1 (length 0.246 of height).
+    """
+    mass, length = 0.061 * mass_kg, 0.246 * height_m
+    return {
+        "leg_mass_kg": mass,
+        "centre_of_mass_m": 0.606 * length,
+        "inertia_kg_m2": mass * (0.735 * length) ** 2,
+    }
 
 
 def read_moment(value: Any, directory: Any) -> Any:

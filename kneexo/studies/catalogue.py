@@ -259,6 +259,19 @@ STUDIES = {
                 Stage(FILES, 2.0),
             ),
         ),
+        Study(
+            "wearer",
+            "study wearer",
+            "what the wearer feels, and how much help the wearer gets",
+            "Torque between leg and knee in walking and sit-to-stand, with other pumps and gains. "
+            "Weak legs, with each mode of torque control.",
+            setup="full order of the cylinder, weight of the shank, torque control and a wearer",
+            stages=(
+                Stage("torque of wearers", 28.0),
+                Stage(FIGURES, 1.0),
+                Stage(FILES, 2.0),
+            ),
+        ),
     )
 }
 """Dictionary from the name of a study to its `Study`."""

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from kneexo.errors import ParameterError
@@ -12,8 +13,10 @@ from kneexo.parameters import (
     Scenario,
     SineReference,
     gait_reference,
+    sit_to_stand_reference,
 )
 from kneexo.parameters.scenario_file import load_scenario
+from kneexo.systems.knee_reference import make_knee_reference
 
 
 def csv_file(directory: Path, text: str) -> CsvReference:
@@ -92,3 +95,43 @@ def test_the_default_sine_is_that_of_section_5() -> None:
     assert reference.mean_deg - reference.amplitude_deg == 10.0
     assert reference.mean_deg + reference.amplitude_deg == 70.0
     assert reference.frequency_hz == 0.1
+
+
+def motion(reference: SampledReference, times: np.ndarray) -> np.ndarray:
+    """Angle and rate in deg and deg/s, (n, 2)."""
+    source = make_knee_reference(reference)
+    context = source.CreateDefaultContext()
+    rows = []
+    for time in times:
+        context.SetTime(time)
+        rows.append(source.get_output_port().Eval(context)[:2].copy())
+    return np.degrees(rows)
+
+
+def test_standing_up_has_minimum_jerk() -> None:
+    reference = sit_to_stand_reference(2.0, 2, seated_deg=80.0, standing_deg=10.0)
+    assert reference.range_deg == (10.0, 80.0)
+    assert reference.times_s[-1] == pytest.approx(2 * (2.0 + 1.0 + 2.0 + 1.0))
+    u = np.linspace(0.0, 1.0, 41)
+    minimum_jerk = 80.0 - 70.0 * (10.0 * u**3 - 15.0 * u**4 + 6.0 * u**5)
+    angles = np.concatenate([minimum_jerk, [10.0, 10.0], minimum_jerk[::-1], [80.0, 80.0]])
+    times = np.concatenate([2.0 * u, [2.1, 2.9], 3.0 + 2.0 * u, [5.1, 5.9]])
+    for start in (0.0, 6.0):
+        degrees = motion(reference, start + times)[:, 0]
+        # The third derivative jumps at both ends. There the spline is 1/192 of jump·h³ off.
+        assert degrees == pytest.approx(angles, abs=1e-3)
+    # The largest rate of minimum jerk is 15/8 of the mean rate.
+    rate = motion(reference, np.array([1.0]))[0, 1]
+    assert rate == pytest.approx(-1.875 * 70.0 / 2.0, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((0.0, 1), r"rise_time_s = 0 s: must be >= 0\.1 and <= 100 s"),
+        ((2.0, 0), r"cycles = 0: must be >= 1 and <= 1000"),
+    ],
+)
+def test_standing_up_needs_time_and_cycles(arguments: tuple[float, int], message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
+        sit_to_stand_reference(*arguments)

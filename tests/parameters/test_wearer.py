@@ -5,7 +5,15 @@ import math
 import pytest
 
 from kneexo.errors import ParameterError
-from kneexo.parameters import LegParameters, MomentTable
+from kneexo.gait import gait_knee_flexion, gait_moment_cycle
+from kneexo.parameters import (
+    BODIES,
+    LegParameters,
+    MomentTable,
+    gait_moment,
+    gait_reference,
+    leg_of_body,
+)
 
 
 def test_the_leg_is_that_of_winters_table() -> None:
@@ -15,6 +23,30 @@ def test_the_leg_is_that_of_winters_table() -> None:
     assert leg.leg_mass_kg == pytest.approx(0.061 * 75.0, rel=1e-3)
     assert leg.centre_of_mass_m == pytest.approx(0.606 * length, rel=2e-3)
     assert leg.inertia_kg_m2 == pytest.approx(leg.leg_mass_kg * (0.735 * length) ** 2, rel=2e-3)
+
+
+def test_the_leg_of_the_average_body_is_the_default_leg() -> None:
+    leg = LegParameters()
+    for name, value in leg_of_body(*BODIES["average"]).items():
+        assert value == pytest.approx(getattr(leg, name), rel=2e-3)  # three printed digits
+    # Mass ∝ M, centre of mass ∝ H, inertia ∝ M H².
+    double = leg_of_body(150.0, 3.5)
+    assert double["leg_mass_kg"] == pytest.approx(2.0 * 4.575)
+    assert double["centre_of_mass_m"] == pytest.approx(2.0 * leg.centre_of_mass_m, rel=2e-3)
+    assert double["inertia_kg_m2"] == pytest.approx(8.0 * leg.inertia_kg_m2, rel=2e-3)
+
+
+def test_the_moment_of_walking_is_in_phase_with_the_reference() -> None:
+    moment, reference = gait_moment(0.5, 2, body_mass_kg=150.0), gait_reference(0.5, 2)
+    assert moment.times_s == reference.times_s
+    assert moment.times_s[-1] == pytest.approx(4.0)
+    cycle, flexion = gait_moment_cycle(), gait_knee_flexion()[1]
+    # The reference starts in mid-stance, at 41 % of the gait cycle.
+    for percent in (0, 15, 71, 100):
+        for stride in (0, 1):
+            index = (percent - 41) % 100 + 100 * stride
+            assert moment.moments_n_m[index] == pytest.approx(2.0 * cycle[percent % 100])
+            assert reference.angles_deg[index] == pytest.approx(flexion[percent % 100], abs=0.03)
 
 
 def test_the_bare_spring_lacks_what_the_bank_adds_at_1_hz() -> None:

@@ -1,0 +1,447 @@
+"""Torque between wearer and knee in walking and sit-to-stand, with other pumps, gains and modes.
+
+The leg of the first table follows its path with any torque, and the controller asks for no torque.
+So the torque that remains is the error of the actuator. The legs of the second table are weak and
+yield. There the modes of the torque controller help.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import partial
+from typing import Any, Unpack
+
+import numpy as np
+from pydantic import TypeAdapter
+
+from kneexo.analysis.hardware import DISPLACEMENT, scaled
+from kneexo.analysis.interaction import INTERACTION_SIGNALS, interaction_metrics
+from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.analysis.signals import saturated_share
+from kneexo.errors import KneexoError, LinearizationError, ParameterError
+from kneexo.parameters import (
+    BODIES,
+    MOMENT_MASS_KG,
+    UNCERTAIN_KNEE,
+    Scenario,
+    gait_moment,
+    gait_reference,
+    leg_of_body,
+    sit_to_stand_reference,
+)
+from kneexo.parameters.paths import changed, value_at
+from kneexo.parameters.quantity import Parameters, quantities, quantity
+from kneexo.result import Result
+from kneexo.simulation import Run, awaitable, needs_runs, simulate
+from kneexo.sweeps import SweepOptions, open_sweep
+
+
+class WearerSettings(Parameters):
+    """Settings of the study `wearer`: motions, pumps, gains, modes and weak legs."""
+
+    cadences_hz: tuple[float, ...] = quantities(
+        (0.3, 0.5, 0.7, 1.0), "Hz", "assumption: strides per second", ge=0.01, le=10
+    )
+    rise_times_s: tuple[float, ...] = quantities(
+        (1.5, 2.0, 3.0), "s", "assumption: time to stand up, and to sit down", ge=0.1, le=100
+    )
+    cycles: int = quantity(3, "1", "assumption: cycles; the first is discarded", ge=2, le=1000)
+    flow_factor: float = quantity(
+        10.0, "1", "assumption: a larger pump, ten times the flow per revolution", ge=1, le=100
+    )
+    sized_flow_factor: float = quantity(
+        16.3, "1", "kneexo size: 1.1 times the least flow for walking at 1 Hz", ge=1, le=100
+    )
+    unlimited_flow_factor: float = quantity(
+        50.0, "1", "assumption: flow at which the motor stays off its limits", ge=1, le=100
+    )
+    gain_factor: float = quantity(
+        4.0, "1", "assumption: higher gain K_p, whose disk margin is no less", ge=0.01, le=100
+    )
+    speed_feedforward: float = quantity(0.7, "1", "assumption: γ with the higher gain", ge=0, le=1)
+    postures_deg: tuple[float, ...] = quantities(
+        (10.0, 45.0, 80.0), "deg", "assumption: knee angles of the margins", ge=0, le=90
+    )
+    help_cadences_hz: tuple[float, ...] = quantities(
+        (0.5, 1.0), "Hz", "assumption: strides per second of weak legs", ge=0.01, le=10
+    )
+    help_rise_times_s: tuple[float, ...] = quantities(
+        (2.0,), "s", "assumption: the same for weak legs", ge=0.1, le=100
+    )
+    shares: tuple[float, ...] = quantities(
+        (0.2, 0.5), "1", "assumption: shares of the biological moment", ge=-1, le=1
+    )
+    effort: float = quantity(
+        0.8, "1", "assumption: share of the biological moment that weak muscles give", ge=0, le=2
+    )
+    leg_stiffness_n_m_per_rad: float = quantity(
+        200.0,
+        "N·m/rad",
+        "PMC2801882 (reported, not checked): 143…286 N·m/rad in stance; for 75 kg",
+        ge=1,
+        le=1e3,
+    )
+    leg_loss_share: float = quantity(
+        0.25, "1", "assumption: loss modulus over stiffness, as in LegParameters", ge=0, le=0.38
+    )
+    leg_damping_n_m_s_per_rad: float = quantity(
+        2.0, "N·m·s/rad", "assumption: damping ratio 0.1 for 75 kg", ge=0, le=100
+    )
+    crouch_deg: float = quantity(
+        5.0,
+        "deg",
+        "assumption: flexion added to the gait of a weak leg, so that it yields before the stop",
+        ge=0,
+        le=20,
+    )
+    virtual_stiffness_n_m_per_rad: float = quantity(
+        200.0, "N·m/rad", "assumption: virtual spring as stiff as the leg", ge=0, le=1e4
+    )
+    band_deg: float = quantity(2.0, "deg", "assumption: half the band without torque", ge=0, le=90)
+    torque_limit_n_m: float = quantity(
+        60.0, "N·m", "assumption: above half the moment of the heavy wearer", ge=0, le=500
+    )
+
+
+WEARER_KNEE = changed(
+    UNCERTAIN_KNEE, {"plant.full_order": {}, "wearer": "leg", "controller": "torque"}
+)
+"""Default scenario: the full order of the cylinder under the weight of the shank, and a wearer."""
+
+DEVICES = (
+    ("miniHydrA, electro-hydraulic ankle", "0.03…2.26", "mean, 0…5 Hz", "Actuators 14(9), 443"),
+    ("quasi-direct drive knee", "0.34", "rms of torque tracking", "T-RO 38(3), 2022"),
+    ("knee device, unpowered", "1.03, 0.31", "reported, not checked", "RA-L 2018, 2019"),
+    ("knee device, backdriven", "1.5, 0.5", "reported, not checked", "RA-L 2018, 2019"),
+)
+"""Name, torque in N·m, quantity and source of the torque between wearer and other devices."""
+
+HELD, PAPER, LARGER, SIZED, UNLIMITED = (
+    "motor held",
+    "paper's pump",
+    "larger pump",
+    "sized pump",
+    "motor without limits",
+)
+"""Names of the pumps."""
+HIGHER = ", higher gains"
+"""End of a design's name, if the design has the higher gains."""
+GAINS = (PAPER, PAPER + HIGHER)
+"""Names of designs whose margins are computed. Those of the other pumps are the same."""
+HELPING = (PAPER, SIZED + HIGHER)
+"""Names of the designs that help weak legs."""
+ZERO = "zero torque"
+"""Name of the mode without desired torque."""
+_TRACE_POINTS = 600
+_SIGNALS = (*INTERACTION_SIGNALS, "knee_reference", "knee_angle", "motor_speed_command")
+_METRICS = (
+    *("rms_torque_n_m", "mean_torque_n_m", "peak_torque_n_m"),
+    *("assistance_ratio", "power_taken_w", "power_given_w"),
+)
+
+
+@dataclass(frozen=True)
+class WearerTrace:
+    """The last cycle of a run, each (n,). It is empty if the run failed."""
+
+    time_s: tuple[float, ...] = ()
+    leg_deg: tuple[float, ...] = ()
+    knee_deg: tuple[float, ...] = ()
+    torque_n_m: tuple[float, ...] = ()
+    """Interaction torque τ_i of the wearer on the exoskeleton, positive in flexion."""
+
+
+@dataclass(frozen=True)
+class WearerRow:
+    """One run. Numbers are nan, with the reason in ``failure``, if it failed.
+
+    ``cadence_hz`` is nan for sit-to-stand, and ``rise_time_s`` is nan for walking.
+    """
+
+    design: str
+    wearer: str
+    mode: str
+    cadence_hz: float
+    rise_time_s: float
+    rms_torque_n_m: float = math.nan
+    mean_torque_n_m: float = math.nan
+    peak_torque_n_m: float = math.nan
+    assistance_ratio: float = math.nan
+    power_taken_w: float = math.nan
+    power_given_w: float = math.nan
+    deviation_deg: float = math.nan
+    """Largest deviation of the leg from its path."""
+    saturated_share: float = math.nan
+    failure: str = ""
+    trace: WearerTrace = WearerTrace()
+
+    @property
+    def motion(self) -> str:
+        """The motion in words."""
+        if math.isnan(self.rise_time_s):
+            return f"walking, {self.cadence_hz:g} Hz"
+        return f"rising in {self.rise_time_s:g} s"
+
+
+@dataclass(frozen=True)
+class MarginRow:
+    """Margins of the loop in reduced order, with the leg at rest.
+
+    They are nan if the loop is unstable, or does not rest.
+    """
+
+    design: str
+    posture_deg: float
+    disk_margin: float
+    gain_margin: float
+
+
+@dataclass(frozen=True, repr=False)
+class WearerResult(Result):
+    """Rows of the legs that follow their path, of the weak legs, and of the margins."""
+
+    transparency: tuple[WearerRow, ...]
+    help: tuple[WearerRow, ...]
+    margins: tuple[MarginRow, ...]
+    scenario: Scenario
+    settings: WearerSettings
+
+    def results(self) -> dict[str, Any]:
+        """Return all rows, without the traces, as plain data with units in the names."""
+        parts = ("transparency", "help", "margins")
+        return {
+            part: [
+                {name: value for name, value in asdict(row).items() if name != "trace"}
+                for row in getattr(self, part)
+            ]
+            for part in parts
+        }
+
+
+def with_flow(
+    scenario: Scenario, factor: float, gain: float = 1.0, feedforward: float | None = None
+) -> Scenario:
+    """Return a scenario with ``factor`` times the pump's displacement.
+
+    Valves grow in proportion. The integral gain and, for ``gain`` 1, the proportional gain shrink,
+    so that an error of the force still commands the same flow. ``feedforward`` is γ; None keeps it.
+    """
+    law: Any = scenario.controller
+    scaling = {
+        "controller.proportional_rad_s_per_n": gain / factor,
+        "controller.integral_rad_s2_per_n": 1.0 / factor,
+    }
+    if scenario.plant.full_order is not None:
+        scaling |= dict.fromkeys(
+            (
+                "plant.full_order.makeup_conductance_m3_per_s_pa",
+                "plant.full_order.relief_conductance_m3_per_s_pa",
+            ),
+            factor,
+        )
+    values = {path: value_at(scenario, path) * number for path, number in scaling.items()}
+    values["controller.speed_feedforward"] = (
+        law.speed_feedforward if feedforward is None else feedforward
+    )
+    return changed(scaled(scenario, {DISPLACEMENT: factor}), values)
+
+
+def designs(scenario: Scenario, settings: WearerSettings) -> dict[str, Scenario]:
+    """Return a dictionary from the name of a design to a scenario with zero desired torque."""
+    flows = {
+        PAPER: 1.0,
+        LARGER: settings.flow_factor,
+        SIZED: settings.sized_flow_factor,
+        UNLIMITED: settings.unlimited_flow_factor,
+    }
+    higher = settings.gain_factor, settings.speed_feedforward
+    scenario = changed(scenario, {"controller.mode": "zero_torque", "wearer.motion": "prescribed"})
+    return {
+        HELD: changed(scenario, {"controller.command_limit_rad_s": 1e-3}),
+        **{name: with_flow(scenario, flow) for name, flow in flows.items()},
+        **{name + HIGHER: with_flow(scenario, flow, *higher) for name, flow in flows.items()},
+    }
+
+
+def modes(settings: WearerSettings, assisting: bool) -> dict[str, dict[str, Any]]:
+    """Return a dictionary from the name of a mode to values of a scenario.
+
+    The shares of the biological moment are among the modes only if ``assisting``.
+    """
+    spring = {
+        "controller.stiffness_n_m_per_rad": settings.virtual_stiffness_n_m_per_rad,
+        "controller.band_rad": math.radians(settings.band_deg),
+        "controller.torque_limit_n_m": settings.torque_limit_n_m,
+    }
+    shares = {f"assist {share:g}": share for share in settings.shares if assisting}
+    return {
+        ZERO: {},
+        **{
+            name: spring | {"controller.mode": "assist", "controller.assistance": share}
+            for name, share in shares.items()
+        },
+        "virtual spring": spring | {"controller.mode": "impedance"},
+        "spring outside band": spring | {"controller.mode": "assist_as_needed"},
+    }
+
+
+def in_motion(
+    scenario: Scenario, settings: WearerSettings, motion: Mapping[str, float], body: str = ""
+) -> Scenario:
+    """Return the scenario with walking (``cadence_hz``) or sit-to-stand (``rise_time_s``).
+
+    In sit-to-stand the shank stays upright, so its weight has no moment. With one of the `BODIES`,
+    the leg is active and weak. In walking, its path is a little more flexed and its muscles lack a
+    part of the biological moment.
+    """
+    cycles = settings.cycles
+    values: dict[str, Any] = {"wearer.moment": None, "wearer.effort": 1.0}
+    if "rise_time_s" in motion:
+        reference = sit_to_stand_reference(motion["rise_time_s"], cycles)
+        values["plant.load.segment_mass_kg"] = 0.0
+    else:
+        reference = gait_reference(motion["cadence_hz"], cycles)
+    path = dict(reference)
+    if body:
+        mass, height = BODIES[body]
+        stiffness = settings.leg_stiffness_n_m_per_rad * mass / MOMENT_MASS_KG
+        values |= {
+            "wearer.motion": "active",
+            "wearer.stiffness_n_m_per_rad": stiffness,
+            "wearer.loss_modulus_n_m_per_rad": settings.leg_loss_share * stiffness,
+            "wearer.damping_n_m_s_per_rad": settings.leg_damping_n_m_s_per_rad
+            * (mass / MOMENT_MASS_KG),
+            **{f"wearer.{name}": value for name, value in leg_of_body(mass, height).items()},
+        }
+        if "cadence_hz" in motion:
+            moment = gait_moment(motion["cadence_hz"], cycles, body_mass_kg=mass)
+            values |= {"wearer.moment": dict(moment), "wearer.effort": settings.effort}
+            path["angles_deg"] = [angle + settings.crouch_deg for angle in reference.angles_deg]
+    return changed(
+        scenario, values | {"simulation.duration_s": reference.times_s[-1], "reference": path}
+    )
+
+
+# --------------------------------------------------------- pieces of work: plain data in, out
+
+
+@needs_runs
+async def measured(cycles: int, scenario: Scenario) -> dict[str, Any]:
+    """Return the numbers of a `WearerRow` for the cycles after the first one."""
+    moment = scenario.wearer.kind == "leg" and scenario.wearer.moment is not None
+    signals = (*_SIGNALS, *(("biological_moment",) if moment else ()))
+    period = scenario.duration_s / cycles
+    try:
+        run = await awaitable(simulate, scenario, signals=signals)
+    except KneexoError as error:
+        return {"failure": str(error)}
+    metrics = asdict(interaction_metrics(run, period_s=period))
+    late = run.time_s >= metrics["start_s"] - 1e-9
+    deviation = (run["wearer_angle_rad"] - run["knee_reference_rad"])[late]
+    command = run["motor_speed_command_rad_s"][late]
+    return {name: metrics[name] for name in _METRICS} | {
+        "deviation_deg": math.degrees(float(np.max(np.abs(deviation)))),
+        "saturated_share": saturated_share(command, scenario.command_limit_rad_s),
+        "trace": _trace(run, period),
+    }
+
+
+def _trace(run: Run, period_s: float) -> dict[str, list[float]]:
+    """Return the last cycle of a run as data of a `WearerTrace`."""
+    time = np.linspace(0.0, period_s, _TRACE_POINTS + 1)
+    columns = {
+        "leg_deg": np.degrees(run["wearer_angle_rad"]),
+        "knee_deg": np.degrees(run["knee_angle_rad"]),
+        "torque_n_m": run["interaction_torque_n_m"],
+    }
+    last = run.time_s[-1] - period_s + time
+    return {"time_s": time.tolist()} | {
+        name: np.interp(last, run.time_s, values).tolist() for name, values in columns.items()
+    }
+
+
+def margins(scenario: Scenario, posture_deg: float) -> dict[str, float]:
+    """Return the numbers of a `MarginRow`."""
+    reduced = changed(scenario, {"plant.full_order": None})
+    try:
+        values = linearize_loop(reduced, knee_angle_deg=posture_deg).margins()
+    except LinearizationError:
+        return {"disk_margin": math.nan, "gain_margin": math.nan}
+    return {"disk_margin": values.disk_margin, "gain_margin": values.gain_margin}
+
+
+# ---------------------------------------------------------------------------------- study
+
+
+def wearer_study(
+    scenario: Scenario = WEARER_KNEE,
+    settings: WearerSettings = WearerSettings(),
+    **options: Unpack[SweepOptions],
+) -> WearerResult:
+    """Measure the torque that a wearer feels, and the help that a weak wearer gets.
+
+    1. The leg follows walking or sit-to-stand exactly, and the controller asks for no torque. The
+       designs have other pumps and gains. The study also computes their margins.
+    2. Weak legs of light, average and heavy wearers yield. The modes of the controller help them.
+
+    The study replaces the reference, the motion of the leg and the mode of the controller. A run
+    that fails has nan. ``options``: see `kneexo.sweeps.SweepOptions`. Raises `ParameterError` if
+    the scenario has no wearer or another controller.
+    """
+    if scenario.wearer.kind != "leg" or scenario.controller.kind != "torque":
+        raise ParameterError(
+            f"wearer.kind = {scenario.wearer.kind}, controller.kind = {scenario.controller.kind}: "
+            f"must be leg and torque; add wearer: leg, controller: torque"
+        )
+    by_design = designs(scenario, settings)
+    rising = [{"rise_time_s": time} for time in settings.rise_times_s]
+    walking = [{"cadence_hz": cadence} for cadence in settings.cadences_hz]
+    follow = [
+        _case(design, "any", ZERO, motion, in_motion(case, settings, motion))
+        for design, case in by_design.items()
+        for motion in (*walking, *rising)
+    ]
+    walking = [{"cadence_hz": cadence} for cadence in settings.help_cadences_hz]
+    people = [(body, motion) for motion in walking for body in BODIES]
+    people += [("average", {"rise_time_s": time}) for time in settings.help_rise_times_s]
+    yielding = [
+        _case(
+            design,
+            body,
+            mode,
+            motion,
+            changed(in_motion(by_design[design], settings, motion, body), values),
+        )
+        for design in HELPING
+        for body, motion in people
+        for mode, values in modes(settings, "cadence_hz" in motion).items()
+    ]
+    loops = [(name, posture) for name in GAINS for posture in settings.postures_deg]
+    cases = [*follow, *yielding]
+    with open_sweep(**options) as sweep:
+        numbers = sweep.map(
+            partial(measured, settings.cycles), [case for _, case in cases], "torque of wearers"
+        )
+    rows = [
+        TypeAdapter(WearerRow).validate_python(labels | row)
+        for (labels, _), row in zip(cases, numbers, strict=True)
+    ]
+    return WearerResult(
+        transparency=tuple(rows[: len(follow)]),
+        help=tuple(rows[len(follow) :]),
+        margins=tuple(
+            MarginRow(name, posture, **margins(by_design[name], posture)) for name, posture in loops
+        ),
+        scenario=scenario,
+        settings=settings,
+    )
+
+
+def _case(
+    design: str, wearer: str, mode: str, motion: Mapping[str, float], scenario: Scenario
+) -> tuple[dict[str, Any], Scenario]:
+    """Return the labels of a `WearerRow`, and its scenario."""
+    labels = {"design": design, "wearer": wearer, "mode": mode}
+    return {**labels, "cadence_hz": math.nan, "rise_time_s": math.nan, **motion}, scenario

@@ -1,0 +1,116 @@
+"""Each number of the report on the study `wearer` is that of its row."""
+
+import math
+
+import pytest
+
+from kneexo.studies.wearer.report import report
+from kneexo.studies.wearer.study import DEVICES
+
+WEAK = {
+    "rms torque (N·m)": "rms_torque_n_m",
+    "assistance ratio": "assistance_ratio",
+    "wearer gives (W)": "power_taken_w",
+    "wearer gets (W)": "power_given_w",
+    "leg off its path (deg)": "deviation_deg",
+}
+
+
+def motion(row):
+    if math.isnan(row.rise_time_s):
+        return f"walking, {row.cadence_hz:g} Hz"
+    return f"rising in {row.rise_time_s:g} s"
+
+
+def torques(row):
+    numbers = row.rms_torque_n_m, row.mean_torque_n_m, row.peak_torque_n_m
+    rms, mean, peak = (f"{value:.3g}" for value in numbers)
+    return f"{rms} ({mean}, {peak})"
+
+
+def test_every_cell_of_the_report_is_in_its_row(by_hand, tables, check_cells):
+    follow, devices, margins, weak = tables(report(by_hand))
+    motions = ["walking, 0.5 Hz", "walking, 2 Hz", "rising in 0.8 s"]
+    assert follow[0] == ["design", *motions]
+    assert len(follow) == 10
+    cells = {
+        (line[0], head): cell
+        for line in follow[1:]
+        for head, cell in zip(follow[0][1:], line[1:], strict=True)
+    }
+    assert cells == {(row.design, motion(row)): torques(row) for row in by_hand.transparency}
+    assert [tuple(line) for line in devices[1:]] == list(DEVICES)
+    check_cells(
+        margins,
+        [
+            {
+                "design": row.design,
+                "posture (deg)": row.posture_deg,
+                "disk margin": row.disk_margin,
+                "gain margin": row.gain_margin,
+                "verdict": "sound" if row.disk_margin >= 0.5 else "small margin",
+            }
+            for row in by_hand.margins
+        ],
+    )
+    check_cells(
+        weak,
+        [
+            {"design": row.design, "wearer": row.wearer, "motion": motion(row), "mode": row.mode}
+            | {head: getattr(row, name) for head, name in WEAK.items()}
+            | {"motor at its limit (%)": 100.0 * row.saturated_share}
+            for row in by_hand.help
+        ],
+    )
+    assert {row.disk_margin >= 0.5 for row in by_hand.margins} == {True, False}
+
+
+def test_the_screen_has_the_answers(by_hand, check_screen):
+    lines = check_screen(report(by_hand))
+    text = " ".join(line.strip() for line in lines)
+    rows = {(row.design, motion(row)): row for row in by_hand.transparency}
+
+    def rms(design, at="walking, 0.5 Hz"):
+        return rows[design, at].rms_torque_n_m
+
+    paper = rows["paper's pump", "walking, 0.5 Hz"]
+    rising = rms("paper's pump", "rising in 0.8 s")
+    assert (
+        f"The leg must push the paper's knee with {paper.rms_torque_n_m:.3g} N·m rms (peak "
+        f"{paper.peak_torque_n_m:.3g}) to walk at 0.5 Hz, and with {rising:.3g} N·m to stand up in "
+        f"0.8 s."
+    ) in text
+    alone = rms("paper's pump, higher gains")
+    limitless = rms("motor without limits")
+    assert (
+        f"a motor without limits, {limitless:.3g} N·m remain. The other "
+        f"{paper.rms_torque_n_m - limitless:.3g} N·m are the limits of the motor."
+    ) in text
+    sized = rows["sized pump, higher gains", "walking, 0.5 Hz"]
+    assert (
+        f"16.3 times the flow and higher gains leave {sized.rms_torque_n_m:.3g} N·m (mean "
+        f"{sized.mean_torque_n_m:.3g}), 10 times {rms('larger pump, higher gains'):.3g} N·m. "
+        f"Higher gains alone leave {alone:.3g}"
+    ) in text
+    least = [
+        min(row.disk_margin for row in by_hand.margins if row.design == name)
+        for name in ("paper's pump", "paper's pump, higher gains")
+    ]
+    assert f"least disk margin is {least[0]:.2f}, with higher gains {least[1]:.2f}." in text
+    for row in by_hand.help:
+        shown = (
+            f"{row.deviation_deg:.1f}° in {row.mode} (assistance ratio {row.assistance_ratio:.2f})"
+        )
+        assert (shown in text) == (row.wearer == "average")
+    assert "1 runs failed" in text
+
+
+def test_a_failed_run_has_its_reason_and_dashes(by_hand):
+    text = report(by_hand)
+    assert "- sized pump, heavy, walking, 0.5 Hz, zero torque: left the range\n" in text
+    assert "| sized pump | heavy | walking, 0.5 Hz | zero torque | – | – |" in text
+
+
+@pytest.mark.slow
+def test_the_report_on_runs_has_the_screen(small, check_screen):
+    check_screen(report(small))

@@ -1,0 +1,276 @@
+"""The wearer's torque and help: designs, motions, weak legs, rows and margins."""
+
+import math
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+from wearer_cases import SMALL, WALKING, walking
+
+from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.errors import ParameterError
+from kneexo.parameters import Scenario
+from kneexo.parameters.paths import changed
+from kneexo.simulation.engines import simulate
+from kneexo.studies.wearer.figures import figures
+from kneexo.studies.wearer.report import report
+from kneexo.studies.wearer.study import (
+    WEARER_KNEE,
+    WearerSettings,
+    designs,
+    in_motion,
+    margins,
+    measured,
+    modes,
+    wearer_study,
+    with_flow,
+)
+from kneexo.sweeps.checkpoint import Checkpoint
+
+REDUCED = changed(WEARER_KNEE, {"plant.full_order": None})
+QUICK = {"cadence_hz": 2.0}
+
+
+# -------------------------------------------------------------------------------- scenarios
+
+
+def test_a_larger_pump_keeps_the_gains_in_flow():
+    larger = with_flow(WEARER_KNEE, 10.0, gain=3.0, feedforward=0.9)
+    before, after = WEARER_KNEE.plant, larger.plant
+    assert after.pump.displacement_m3_per_rad == pytest.approx(
+        10.0 * before.pump.displacement_m3_per_rad
+    )
+    assert after.pump.speed_limit_rad_s == before.pump.speed_limit_rad_s
+    for name in ("makeup_conductance_m3_per_s_pa", "relief_conductance_m3_per_s_pa"):
+        assert getattr(after.full_order, name) == pytest.approx(
+            10.0 * getattr(before.full_order, name)
+        )
+
+    def flow_gains(scenario):
+        law, pump = scenario.controller, scenario.plant.pump
+        return (
+            law.proportional_rad_s_per_n * pump.displacement_m3_per_rad,
+            law.integral_rad_s2_per_n * pump.displacement_m3_per_rad,
+        )
+
+    proportional, integral = flow_gains(WEARER_KNEE)
+    assert flow_gains(larger) == pytest.approx((3.0 * proportional, integral))
+    assert larger.controller.speed_feedforward == 0.9
+    assert with_flow(WEARER_KNEE, 2.0).controller.speed_feedforward == 0.5
+    assert with_flow(REDUCED, 2.0).plant.full_order is None
+
+
+def test_margins_do_not_depend_on_the_flow():
+    near = margins(with_flow(WEARER_KNEE, 1.0), 45.0)
+    assert margins(with_flow(WEARER_KNEE, 16.0), 45.0) == pytest.approx(near, rel=1e-6)
+    loop = linearize_loop(REDUCED, knee_angle_deg=45.0).margins()
+    assert near == {"disk_margin": loop.disk_margin, "gain_margin": loop.gain_margin}
+    wild = changed(WEARER_KNEE, {"controller.proportional_rad_s_per_n": 400.0})
+    assert all(math.isnan(value) for value in margins(wild, 45.0).values())
+
+
+def test_the_designs_differ_in_flow_and_gains():
+    assisting = changed(WEARER_KNEE, {"controller.mode": "impedance", "wearer.motion": "passive"})
+    settings = WearerSettings(flow_factor=5.0, sized_flow_factor=7.0, unlimited_flow_factor=9.0)
+    by_name = designs(assisting, settings)
+    for design in by_name.values():
+        assert (design.controller.mode, design.wearer.motion) == ("zero_torque", "prescribed")
+    flows = {
+        name: design.plant.pump.displacement_m3_per_rad
+        / WEARER_KNEE.plant.pump.displacement_m3_per_rad
+        for name, design in by_name.items()
+    }
+    expected = {"paper's pump": 1.0, "larger pump": 5.0, "sized pump": 7.0}
+    expected |= {"motor without limits": 9.0}
+    higher = {f"{name}, higher gains": flow for name, flow in expected.items()}
+    assert flows == pytest.approx({"motor held": 1.0} | expected | higher)
+    assert by_name["motor held"].controller.command_limit_rad_s == 1e-3
+    for name, flow in expected.items():
+        gain = by_name[name].controller.proportional_rad_s_per_n * flow
+        law = by_name[f"{name}, higher gains"].controller
+        assert gain == pytest.approx(WEARER_KNEE.controller.proportional_rad_s_per_n)
+        assert law.proportional_rad_s_per_n * flow == pytest.approx(4.0 * gain)
+        assert law.speed_feedforward == 0.7
+
+
+def test_walking_and_rising_replace_reference_and_duration():
+    walk = in_motion(WEARER_KNEE, SMALL, WALKING)
+    assert (walk.duration_s, walk.wearer) == (2.0, WEARER_KNEE.wearer)
+    assert walk.plant.load.segment_mass_kg == WEARER_KNEE.plant.load.segment_mass_kg
+    rise = in_motion(WEARER_KNEE, SMALL, {"rise_time_s": 0.8})
+    assert rise.duration_s == pytest.approx(2 * 3 * 0.8)
+    assert rise.reference.range_deg == (5.0, 85.0)
+    assert rise.plant.load.segment_mass_kg == 0.0
+
+
+def test_a_weak_leg_yields_and_lacks_a_part_of_its_moment():
+    heavy = walking("heavy")
+    leg = heavy.wearer
+    assert (leg.motion, leg.effort) == ("active", 0.8)
+    assert leg.leg_mass_kg == pytest.approx(0.061 * 110.0)
+    assert leg.stiffness_n_m_per_rad == pytest.approx(200.0 * 110.0 / 75.0)
+    assert leg.loss_modulus_n_m_per_rad == pytest.approx(0.25 * leg.stiffness_n_m_per_rad)
+    assert leg.damping_n_m_s_per_rad == pytest.approx(2.0 * 110.0 / 75.0)
+    # The extension moment of early stance: 65 N·m for 75 kg.
+    assert min(leg.moment.moments_n_m) == pytest.approx(-65.2 * 110.0 / 75.0, rel=0.01)
+    shift = np.subtract(heavy.reference.angles_deg, walking().reference.angles_deg)
+    assert shift == pytest.approx(5.0)
+    rise = in_motion(WEARER_KNEE, SMALL, {"rise_time_s": 0.8}, "light")
+    assert (rise.wearer.effort, rise.wearer.moment) == (1.0, None)
+    assert rise.wearer.stiffness_n_m_per_rad == pytest.approx(200.0 * 50.0 / 75.0)
+
+
+def test_the_modes_are_those_of_the_controller():
+    by_name = modes(WearerSettings(band_deg=3.0, shares=(0.3,)), assisting=True)
+    laws = {name: changed(walking("light"), values).controller for name, values in by_name.items()}
+    assert {name: law.mode for name, law in laws.items()} == {
+        "zero torque": "zero_torque",
+        "assist 0.3": "assist",
+        "virtual spring": "impedance",
+        "spring outside band": "assist_as_needed",
+    }
+    assert laws["assist 0.3"].assistance == 0.3
+    assert laws["virtual spring"].stiffness_n_m_per_rad == 200.0
+    assert laws["spring outside band"].band_rad == pytest.approx(math.radians(3.0))
+    assert laws["assist 0.3"].torque_limit_n_m == 60.0
+    assert "assist 0.3" not in modes(SMALL, assisting=False)
+
+
+# ------------------------------------------------------------------------------------- rows
+
+
+def test_the_numbers_of_a_row_are_those_of_its_run():
+    case = changed(
+        in_motion(with_flow(REDUCED, 10.0), SMALL, QUICK, "average"),
+        {"controller.mode": "assist", "controller.torque_limit_n_m": 60.0},
+    )
+    signals = ("interaction_torque", "wearer_motion", "knee_angle", "knee_reference")
+    run = simulate(case, signals=(*signals, "motor_speed_command", "biological_moment"))
+    late = run.time_s > 0.5 - 1e-6  # after the first of two strides of 0.5 s
+    time, torque = run.time_s[late], run["interaction_torque_n_m"][late]
+    moment, rate = run["biological_moment_n_m"][late], run["wearer_rate_rad_s"][late]
+    path, leg = run["knee_reference_rad"][late], run["wearer_angle_rad"][late]
+
+    def mean(values):
+        return np.trapezoid(values, time) / 0.5
+
+    row = measured(2, case)
+    trace = row.pop("trace")
+    assert row == pytest.approx(
+        {
+            "rms_torque_n_m": math.sqrt(mean(torque**2)),
+            "mean_torque_n_m": mean(np.abs(torque)),
+            "peak_torque_n_m": np.max(np.abs(torque)),
+            "assistance_ratio": -mean(torque * moment) / mean(moment**2),
+            "power_taken_w": mean(np.maximum(torque * rate, 0.0)),
+            "power_given_w": mean(np.maximum(-torque * rate, 0.0)),
+            "deviation_deg": math.degrees(np.max(np.abs(leg - path))),
+            "saturated_share": np.mean(
+                np.abs(run["motor_speed_command_rad_s"][late]) > 523.598  # 5000 rpm
+            ),
+        },
+        rel=1e-9,
+    )
+    assert row["deviation_deg"] > 0.1
+    assert 0.05 < row["saturated_share"] < 0.95
+    # The trace is the second stride: 601 samples from one least flexion to the next.
+    assert trace["time_s"] == pytest.approx(np.linspace(0.0, 0.5, 601).tolist())
+    at = 0.5 + np.array(trace["time_s"])
+    for name, values in (
+        ("leg_deg", np.degrees(run["wearer_angle_rad"])),
+        ("knee_deg", np.degrees(run["knee_angle_rad"])),
+        ("torque_n_m", run["interaction_torque_n_m"]),
+    ):
+        assert trace[name] == pytest.approx(np.interp(at, run.time_s, values).tolist())
+
+
+def test_a_run_that_fails_has_its_reason_in_its_row():
+    # The moment of stance straightens a soft leg, whose muscles give twice of it.
+    soft = {"wearer.stiffness_n_m_per_rad": 2.0, "wearer.loss_modulus_n_m_per_rad": 0.5}
+    case = in_motion(with_flow(REDUCED, 10.0), SMALL, WALKING, "average")
+    case = changed(case, {"controller.mode": "assist", "wearer.effort": 2.0, **soft})
+    row = measured(2, case)
+    assert list(row) == ["failure"]
+    assert "left the range of motion" in row["failure"]
+
+
+def test_results_are_the_rows_without_their_traces(by_hand, flat, check_rules):
+    numbers = by_hand.results()
+    check_rules(numbers)
+    expected = {
+        part: [
+            {name: value for name, value in asdict(row).items() if name != "trace"}
+            for row in getattr(by_hand, part)
+        ]
+        for part in ("transparency", "help", "margins")
+    }
+    assert flat(numbers) == pytest.approx(flat(expected), nan_ok=True)
+
+
+@pytest.mark.slow
+def test_every_row_is_that_of_its_own_run(small, flat):
+    by_name = designs(WEARER_KNEE, SMALL)
+    motions = {"walking, 1 Hz": WALKING, "rising in 0.8 s": {"rise_time_s": 0.8}}
+    assert len(small.transparency) == len(by_name) * len(motions)
+    assert {(r.design, r.motion) for r in small.transparency} == {
+        (design, motion) for design in by_name for motion in motions
+    }
+    assert len(small.help) == 2 * (3 * 4 + 3)
+    for row in (*small.transparency, *small.help):
+        weak = row in small.help
+        case = in_motion(
+            by_name[row.design], SMALL, motions[row.motion], row.wearer if weak else ""
+        )
+        case = changed(case, modes(SMALL, assisting=True)[row.mode])
+        expected = {name: value for name, value in asdict(row).items() if name in ROW}
+        again = {name: value for name, value in measured(2, case).items() if name in ROW}
+        assert flat(again) == pytest.approx(flat(expected), nan_ok=True), row
+    assert [(row.design, row.posture_deg) for row in small.margins] == [
+        ("paper's pump", 45.0),
+        ("paper's pump, higher gains", 45.0),
+    ]
+    for row in small.margins:
+        values = margins(by_name[row.design], 45.0)
+        assert (row.disk_margin, row.gain_margin) == pytest.approx(tuple(values.values()))
+
+
+ROW = ("rms_torque_n_m", "peak_torque_n_m", "deviation_deg", "power_taken_w", "saturated_share")
+
+
+@pytest.mark.slow
+def test_the_study_resumes_and_draws(small, tmp_path):
+    path = tmp_path / "checkpoint"
+    first = wearer_study(WEARER_KNEE, SMALL, checkpoint=Checkpoint(path))
+    again = wearer_study(WEARER_KNEE, SMALL, checkpoint=Checkpoint(path, resume=True))
+    assert report(again) == report(first) == report(small)
+    for figure in figures(again).values():
+        figure.canvas.draw()
+
+
+@pytest.mark.slow
+def test_the_torque_in_walking_is_that_of_oil_and_control():
+    def rms(name, **changes):
+        case = in_motion(designs(changed(WEARER_KNEE, changes), SMALL)[name], SMALL, HALF)
+        return measured(2, case)["rms_torque_n_m"]
+
+    # The paper's pump hardly helps. The relief valves of a held motor let 82…113 N·m through.
+    assert rms("motor held") == pytest.approx(70.5, rel=0.02)
+    assert rms("paper's pump") == pytest.approx(64.1, rel=0.02)
+    # Full feedforward of a fast, leakproof pump leaves what the lags make of the rod's speed.
+    assert rms("motor without limits") < 0.4 * rms("paper's pump")
+    assert rms("sized pump, higher gains") < 0.1 * rms("paper's pump")
+
+
+HALF = {"cadence_hz": 0.5}
+
+
+# -------------------------------------------------------------------------------- bad input
+
+
+def test_a_scenario_without_wearer_is_refused():
+    with pytest.raises(
+        ParameterError,
+        match=r"\Awearer.kind = none, controller.kind = smc: must be leg and torque; add wearer: "
+        r"leg, controller: torque\Z",
+    ):
+        wearer_study(Scenario())
