@@ -59,6 +59,7 @@ from kneexo.parameters.uncertainty import UNCERTAIN_KNEE, UNCERTAINTY, Uncertain
 from kneexo.parameters.wearer import (
     BODIES,
     MOMENT_MASS_KG,
+    WEARERS,
     CuffParameters,
     LegParameters,
     MomentTable,
@@ -84,6 +85,7 @@ __all__ = [
     "SEAL_FRICTION_N",
     "UNCERTAINTY",
     "UNCERTAIN_KNEE",
+    "WEARERS",
     "BldcPumpParameters",
     "Cia402Parameters",
     "CsvReference",

@@ -45,7 +45,6 @@ def report(result: WearerResult) -> str:
         "wearer/report.md",
         result=result,
         settings=settings,
-        law=result.scenario.controller,
         cadence=cadence,
         paper=follow[PAPER],
         paper_higher=follow[PAPER + HIGHER],

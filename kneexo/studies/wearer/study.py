@@ -25,6 +25,7 @@ from kneexo.parameters import (
     BODIES,
     MOMENT_MASS_KG,
     UNCERTAIN_KNEE,
+    WEARERS,
     Scenario,
     gait_moment,
     gait_reference,
@@ -58,9 +59,8 @@ class WearerSettings(Parameters):
         50.0, "1", "assumption: flow at which the motor stays off its limits", ge=1, le=100
     )
     gain_factor: float = quantity(
-        4.0, "1", "assumption: higher gain K_p, whose disk margin is no less", ge=0.01, le=100
+        4.0, "1", "assumption: higher gains, whose margins are no less", ge=0.01, le=100
     )
-    speed_feedforward: float = quantity(0.7, "1", "assumption: γ with the higher gain", ge=0, le=1)
     postures_deg: tuple[float, ...] = quantities(
         (10.0, 45.0, 80.0), "deg", "assumption: knee angles of the margins", ge=0, le=90
     )
@@ -75,19 +75,6 @@ class WearerSettings(Parameters):
     )
     effort: float = quantity(
         0.8, "1", "assumption: share of the biological moment that weak muscles give", ge=0, le=2
-    )
-    leg_stiffness_n_m_per_rad: float = quantity(
-        200.0,
-        "N·m/rad",
-        "PMC2801882 (reported, not checked): 143…286 N·m/rad in stance; for 75 kg",
-        ge=1,
-        le=1e3,
-    )
-    leg_loss_share: float = quantity(
-        0.25, "1", "assumption: loss modulus over stiffness, as in LegParameters", ge=0, le=0.38
-    )
-    leg_damping_n_m_s_per_rad: float = quantity(
-        2.0, "N·m·s/rad", "assumption: damping ratio 0.1 for 75 kg", ge=0, le=100
     )
     crouch_deg: float = quantity(
         5.0,
@@ -135,6 +122,7 @@ HELPING = (PAPER, SIZED + HIGHER)
 ZERO = "zero torque"
 """Name of the mode without desired torque."""
 _TRACE_POINTS = 600
+_STANCE = ("stiffness_n_m_per_rad", "loss_modulus_n_m_per_rad", "damping_n_m_s_per_rad")
 _SIGNALS = (*INTERACTION_SIGNALS, "knee_reference", "knee_angle", "motor_speed_command")
 _METRICS = (
     *("rms_torque_n_m", "mean_torque_n_m", "peak_torque_n_m"),
@@ -220,32 +208,21 @@ class WearerResult(Result):
         }
 
 
-def with_flow(
-    scenario: Scenario, factor: float, gain: float = 1.0, feedforward: float | None = None
-) -> Scenario:
-    """Return a scenario with ``factor`` times the pump's displacement.
+def with_flow(scenario: Scenario, factor: float, gain: float = 1.0) -> Scenario:
+    """Return a scenario with ``factor`` times the pump's displacement and ``gain`` times the gains.
 
-    Valves grow in proportion. The integral gain and, for ``gain`` 1, the proportional gain shrink,
-    so that an error of the force still commands the same flow. ``feedforward`` is γ; None keeps it.
+    Valves grow in proportion to the displacement. The gains apply to the flow, so K_p and K_i in
+    (rad/s)/N shrink in inverse proportion to the displacement.
     """
-    law: Any = scenario.controller
-    scaling = {
-        "controller.proportional_rad_s_per_n": gain / factor,
-        "controller.integral_rad_s2_per_n": 1.0 / factor,
-    }
+    gains = ("proportional_rad_s_per_n", "integral_rad_s2_per_n")
+    scaling = {f"controller.{name}": gain / factor for name in gains}
     if scenario.plant.full_order is not None:
-        scaling |= dict.fromkeys(
-            (
-                "plant.full_order.makeup_conductance_m3_per_s_pa",
-                "plant.full_order.relief_conductance_m3_per_s_pa",
-            ),
-            factor,
-        )
-    values = {path: value_at(scenario, path) * number for path, number in scaling.items()}
-    values["controller.speed_feedforward"] = (
-        law.speed_feedforward if feedforward is None else feedforward
+        valves = ("makeup_conductance_m3_per_s_pa", "relief_conductance_m3_per_s_pa")
+        scaling |= {f"plant.full_order.{name}": factor for name in valves}
+    return changed(
+        scaled(scenario, {DISPLACEMENT: factor}),
+        {path: value_at(scenario, path) * number for path, number in scaling.items()},
     )
-    return changed(scaled(scenario, {DISPLACEMENT: factor}), values)
 
 
 def designs(scenario: Scenario, settings: WearerSettings) -> dict[str, Scenario]:
@@ -256,12 +233,14 @@ def designs(scenario: Scenario, settings: WearerSettings) -> dict[str, Scenario]
         SIZED: settings.sized_flow_factor,
         UNLIMITED: settings.unlimited_flow_factor,
     }
-    higher = settings.gain_factor, settings.speed_feedforward
     scenario = changed(scenario, {"controller.mode": "zero_torque", "wearer.motion": "prescribed"})
     return {
         HELD: changed(scenario, {"controller.command_limit_rad_s": 1e-3}),
         **{name: with_flow(scenario, flow) for name, flow in flows.items()},
-        **{name + HIGHER: with_flow(scenario, flow, *higher) for name, flow in flows.items()},
+        **{
+            name + HIGHER: with_flow(scenario, flow, settings.gain_factor)
+            for name, flow in flows.items()
+        },
     }
 
 
@@ -293,8 +272,8 @@ def in_motion(
     """Return the scenario with walking (``cadence_hz``) or sit-to-stand (``rise_time_s``).
 
     In sit-to-stand the shank stays upright, so its weight has no moment. With one of the `BODIES`,
-    the leg is active and weak. In walking, its path is a little more flexed and its muscles lack a
-    part of the biological moment.
+    the leg is active, and stiffness and damping are those of stance, in proportion to the mass. In
+    walking, its path is a little more flexed and its muscles lack a part of the biological moment.
     """
     cycles = settings.cycles
     values: dict[str, Any] = {"wearer.moment": None, "wearer.effort": 1.0}
@@ -306,15 +285,12 @@ def in_motion(
     path = dict(reference)
     if body:
         mass, height = BODIES[body]
-        stiffness = settings.leg_stiffness_n_m_per_rad * mass / MOMENT_MASS_KG
+        stance = WEARERS["stance"]
+        values |= {f"wearer.{name}": value for name, value in leg_of_body(mass, height).items()}
         values |= {
-            "wearer.motion": "active",
-            "wearer.stiffness_n_m_per_rad": stiffness,
-            "wearer.loss_modulus_n_m_per_rad": settings.leg_loss_share * stiffness,
-            "wearer.damping_n_m_s_per_rad": settings.leg_damping_n_m_s_per_rad
-            * (mass / MOMENT_MASS_KG),
-            **{f"wearer.{name}": value for name, value in leg_of_body(mass, height).items()},
+            f"wearer.{name}": getattr(stance, name) * mass / MOMENT_MASS_KG for name in _STANCE
         }
+        values["wearer.motion"] = "active"
         if "cadence_hz" in motion:
             moment = gait_moment(motion["cadence_hz"], cycles, body_mass_kg=mass)
             values |= {"wearer.moment": dict(moment), "wearer.effort": settings.effort}
