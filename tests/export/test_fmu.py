@@ -24,22 +24,29 @@ from kneexo.command_line.parameter_list import parameter_rows
 from kneexo.compiler import write_fmu
 from kneexo.compiler.c import build as c_build
 from kneexo.compiler.fmu.description import generation_tool
+from kneexo.compiler.fmu.units import unit_of_name
 from kneexo.diagrams import SIGNALS, available_signals, columns, make_closed_loop, make_controller
 from kneexo.errors import OutputError, ParameterError
 from kneexo.export import fmu as exports
 from kneexo.export.fmu import export_fmu, parameter_effects
 from kneexo.export.target import WHAT, largest_step_s
 from kneexo.parameters import (
+    CuffParameters,
     CustomControllerParameters,
     FullCylinderParameters,
     KneeLoadParameters,
+    LegParameters,
+    LoadCellParameters,
     PidParameters,
     PlantParameters,
     SampledReference,
     Scenario,
     SimulationParameters,
+    TorqueParameters,
 )
+from kneexo.parameters.fields import unit_of
 from kneexo.parameters.paths import changed, value_at
+from kneexo.parameters.sliders import SLIDERS
 from kneexo.rod_polynomial import completed
 from kneexo.simulation.compiled import scenario_values, simulate_compiled
 
@@ -187,6 +194,21 @@ def test_each_context_parameter_has_one_master_with_its_value(what, scenario):
             if member in values:
                 assert parameter.start == values[member]
                 assert parameter.tunable
+
+
+def test_each_number_has_its_unit():
+    """The unit by the name, as in an FMU, is the unit of the field."""
+    spelt = {"N/(m/s)": "N.s/m", "(rad/s)/N": "rad/(s.N)", "(rad/s²)/N": "rad/(s2.N)"}
+    fields = [
+        (name, unit_of(field))
+        for kind in (*SLIDERS, LegParameters, CuffParameters, LoadCellParameters, TorqueParameters)
+        for name, field in kind.model_fields.items()
+    ]
+    units = {name: unit for name, unit in fields if unit and unit not in ("1", "counts/rev")}
+    assert len(units) > 50
+    for name, unit in units.items():
+        expected = spelt.get(unit, unit.translate(str.maketrans("·²³", ".23")))
+        assert unit_of_name(name).name == expected, name
 
 
 def test_effects_of_the_numbers_of_a_scenario():

@@ -11,8 +11,9 @@ from kneexo.compiler.fmu.units import BASE_UNITS, unit_of_name
 ENDINGS = (
     *("s", "per_s", "per_s2", "hz", "rad", "rad_s", "rad_s2", "rad_s3", "deg", "m", "m2", "m3"),
     *("m_s", "m_s2", "m_s3", "m3_s", "m3_per_rad", "m3_per_s_pa", "kg", "n", "n_m", "n_per_m"),
-    *("n_per_s", "n_s_per_m", "pa", "w"),
+    *("n_per_s", "n_s_per_m", "pa", "w", "deg_s", "kg_m2", "n_m_per_rad", "n_m_s_per_rad"),
 )
+GAINS = ("rad_s_per_n", "rad_s2_per_n")  # a speed or an acceleration per force
 
 _SYMBOLS = {
     "kg": (1, 0, 0, 0),
@@ -41,10 +42,10 @@ def exponents(symbol):
 
 def test_each_unit_has_the_dimension_of_its_symbol():
     assert BASE_UNITS == ("kg", "m", "s", "rad")
-    for ending in ENDINGS:
+    for ending in (*ENDINGS, *GAINS):
         unit = unit_of_name(f"x_{ending}")
         assert unit.exponents == exponents(unit.name), ending
-        assert unit.factor == (math.pi / 180.0 if unit.name == "deg" else 1.0)
+        assert unit.factor == (math.pi / 180.0 if unit.name.startswith("deg") else 1.0)
 
 
 @pytest.mark.parametrize("ending", ENDINGS)
@@ -82,6 +83,8 @@ def test_each_ending_spells_its_symbol(ending):
         ("cylinder.damping_n_s_per_m", "N.s/m"),
         ("knee.a_3_m", "m"),
         ("disturbance_n", "N"),
+        ("controller.proportional_rad_s_per_n", "rad/(s.N)"),
+        ("controller.integral_rad_s2_per_n", "rad/(s2.N)"),
     ],
 )
 def test_longest_ending_counts(name, unit):
