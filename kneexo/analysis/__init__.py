@@ -5,6 +5,14 @@ Most functions return a frozen result object, which holds data and has a method 
 """
 
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
+from kneexo.analysis.coupled_stability import (
+    CoupledStability,
+    StiffnessInterval,
+    coupled_stability,
+    stability_map,
+    stable_interval,
+    stiffness_interval,
+)
 from kneexo.analysis.energy import EnergyBalance, energy_balance
 from kneexo.analysis.frequency_response import (
     FrequencyResponse,
@@ -46,6 +54,7 @@ from kneexo.analysis.verdict import Stability, Verdict
 from kneexo.simulation import Run, simulate, simulate_diagram
 
 __all__ = [
+    "CoupledStability",
     "EnergyBalance",
     "FrequencyResponse",
     "InteractionMetrics",
@@ -61,11 +70,13 @@ __all__ = [
     "SineEstimate",
     "Stability",
     "StepMetrics",
+    "StiffnessInterval",
     "StrideLoad",
     "TorqueResponse",
     "TrackingMetrics",
     "TrackingResult",
     "Verdict",
+    "coupled_stability",
     "crossing",
     "draw_trials",
     "energy_balance",
@@ -85,7 +96,10 @@ __all__ = [
     "simulate",
     "simulate_diagram",
     "sinestream",
+    "stability_map",
+    "stable_interval",
     "step_metrics",
+    "stiffness_interval",
     "stride_load",
     "torque_response",
     "track",

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Iterable, Iterator
 
+from kneexo.analysis.coupled_stability import coupled_loop, stiffness_interval, with_spring
 from kneexo.analysis.signals import period_s
 from kneexo.diagrams.plant import moving_masses_kg
+from kneexo.errors import LinearizationError
 from kneexo.parameters import (
     LINKAGES,
     CylinderParameters,
@@ -16,6 +19,7 @@ from kneexo.parameters import (
     SlidingModeParameters,
 )
 from kneexo.parameters.fields import unit_of
+from kneexo.parameters.labels import value_text
 from kneexo.parameters.quantity import Parameters
 from kneexo.rod_polynomial import controller_polynomial, largest_error_mm
 
@@ -85,9 +89,10 @@ def notices(scenario: Scenario) -> Iterator[str]:
     """Yield a line for each property of a run of ``scenario`` that its user may not expect.
 
     Besides the `model_notices`, a line says that no wearer moves the knee under torque control. A
-    line says that the run ends within the first period of a sinusoidal reference, before it has
-    settled. A line says that the run holds the first or the last sample of its reference for more
-    than `LONGEST_HOLD` of its duration.
+    line has both ends of the stable interval, if a virtual stiffness is outside it. A line says
+    that the run ends within the first period of a sinusoidal reference, before it has settled. A
+    line says that the run holds the first or the last sample of its reference for more than
+    `LONGEST_HOLD` of its duration.
 
     Raises `LinkageError` when the linkage cannot be assembled.
     """
@@ -97,6 +102,7 @@ def notices(scenario: Scenario) -> Iterator[str]:
             "no wearer moves the knee, and controller.kind = torque does not follow the reference; "
             "add wearer: leg and plant: {load: knee}"
         )
+    yield from _stiffness_notice(scenario)
     reference, duration_s = scenario.reference, scenario.duration_s
     if (period := period_s(scenario)) >= duration_s:
         yield (
@@ -116,6 +122,28 @@ def notices(scenario: Scenario) -> Iterator[str]:
                 f"simulation.duration_s = {duration_s:g} s; leave simulation.duration_s out to "
                 f"stop at the last sample"
             )
+
+
+def _stiffness_notice(scenario: Scenario) -> Iterator[str]:
+    """Yield a line with both ends of the interval if a virtual stiffness is unstable."""
+    law, angle = scenario.controller, scenario.reference.middle_deg
+    if not (law.kind == "torque" and law.mode in ("impedance", "assist_as_needed")):
+        return
+    path, given = "controller.stiffness_n_m_per_rad", law.stiffness_n_m_per_rad
+    try:
+        if coupled_loop(with_spring(scenario), angle).stable:
+            return
+        ends = stiffness_interval(scenario, knee_angle_deg=angle)
+    except LinearizationError:  # the verdict on stability has the reason
+        return
+    low, high = ends.low_n_m_per_rad, ends.high_n_m_per_rad
+    line = f"{path} = {given:g} N·m/rad is unstable at {angle:.3g}°: "
+    if math.isnan(low):
+        yield f"{line}no stiffness is stable; reduce controller.speed_feedforward"
+    else:
+        remedy = "increase" if given < low else "reduce"
+        interval = f"{value_text(path, low)} … {value_text(path, high)}"
+        yield f"{line}must be {interval} N·m/rad; {remedy} it"
 
 
 def model_notices(scenario: Scenario) -> Iterator[str]:

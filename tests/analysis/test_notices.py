@@ -1,11 +1,19 @@
 """What a model leaves out, and notices about scenarios that surprise their users."""
 
+import re
+
 import numpy as np
 import pytest
 
 from kneexo.analysis import fit_polynomials
 from kneexo.analysis.notices import model_lines, model_notices, notices, omissions, wrapped
-from kneexo.parameters import LINKAGES, RodPolynomialParameters, SampledReference, Scenario
+from kneexo.parameters import (
+    LINKAGES,
+    RodPolynomialParameters,
+    SampledReference,
+    Scenario,
+    StepReference,
+)
 from kneexo.parameters.paths import changed
 from kneexo.rod_polynomial import completed
 
@@ -224,3 +232,32 @@ def test_no_line_is_wider_than_100_columns_unless_it_is_one_word():
     assert lines[-1] == f"  {130 * 'x'}"
     assert " ".join(" ".join(lines).split()) == f"{words} {130 * 'x'}"
     assert model_lines(Scenario(), ["a", "b"])[1:] == ["Note: a.", "Note: b."]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("law", "line"),
+    [
+        ({"stiffness_n_m_per_rad": 5e4}, r"must be 0 … \d{5} N·m/rad; reduce it"),
+        ({"stiffness_n_m_per_rad": 5e4, "mode": "assist_as_needed"}, r"must be 0 … \d{5} .*"),
+        ({"speed_feedforward": 1.0}, r"must be \d{4} … \d{5} N·m/rad; increase it"),
+        (
+            {"integral_rad_s2_per_n": 1e6},
+            r"no stiffness is stable; reduce controller.speed_feedforward",
+        ),
+    ],
+)
+def test_an_unstable_virtual_stiffness_is_a_notice_with_both_ends(law, line):
+    law = {"mode": "impedance", "damping_n_m_s_per_rad": 0.0, "leak_per_s": 0.0} | law
+    scenario = Scenario(
+        plant={"load": "knee"},
+        wearer={"kind": "leg", "motion": "active"},
+        controller={"kind": "torque"} | law,
+        reference=StepReference(start_deg=45.0, end_deg=45.0),
+    )
+    stiffness = scenario.controller.stiffness_n_m_per_rad
+    start = f"controller.stiffness_n_m_per_rad = {stiffness:g} N·m/rad is unstable at 45°: "
+    (notice,) = notices(scenario)
+    assert re.fullmatch(re.escape(start) + line, notice)
+    free = scenario.changed({"controller.mode": "zero_torque"})
+    assert not list(notices(free))

@@ -1,0 +1,320 @@
+"""Coupled stability of knee and wearer, and the stable interval of a virtual stiffness.
+
+Knee, cuff and leg are one sampled loop (`kneexo.analysis.linearize_loop`). It is stable if all its
+eigenvalues λ for one sample have |λ| < 1. In all functions a constant torque carries the weight of
+the shank, so that the loop rests at the given knee angle. A passive leg counts as an active one
+there, which has the same linear equations. Stability holds for small motions, without quantizers,
+slip and limits of the motor.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from itertools import product
+from typing import Any
+
+import numpy as np
+import scipy
+from numpy.typing import ArrayLike
+
+from kneexo.analysis.impedance import output_impedance, posed
+from kneexo.analysis.margins import SOUND_DISK_MARGIN, soundness
+from kneexo.analysis.plant_linearization import MID_RANGE_DEG
+from kneexo.analysis.sampled_loop import SampledLoop, linearize_loop
+from kneexo.errors import ParameterError
+from kneexo.parameters import LegParameters, Scenario, TorqueParameters
+from kneexo.parameters.labels import labels
+from kneexo.parameters.paths import changed, value_at
+from kneexo.parameters.wearer import STIFFNESS_FREQUENCY_HZ, WEARERS
+from kneexo.plotting import BLUE, GOLD, RED, axes_or_new, decimal_ticks
+from kneexo.result import Array, Result, data_frame
+
+_STIFFNESS = "controller.stiffness_n_m_per_rad"
+_STIFFNESSES = np.append(0.0, np.geomspace(1.0, 1e6, 21))  # N·m/rad, by factors of 2
+_SMALL = 1e3  # N·m/rad
+
+
+def coupled_loop(scenario: Scenario, knee_angle_deg: float = MID_RANGE_DEG) -> SampledLoop:
+    """Return the linear loop of a scenario, with its wearer, that rests at a knee angle in deg.
+
+    Raises `LinearizationError` if there is no such loop.
+    """
+    held = value_at(scenario, "wearer.motion") == "prescribed"
+    scenario = posed(scenario, knee_angle_deg, "prescribed" if held else "active")
+    return linearize_loop(scenario, knee_angle_deg=knee_angle_deg)
+
+
+def stable_interval(
+    scenario: Scenario,
+    path: str,
+    values: ArrayLike,
+    *,
+    knee_angle_deg: float = MID_RANGE_DEG,
+) -> tuple[float, float]:
+    """Return the ends of the interval of a parameter in which the loop is stable.
+
+    Stability is computed at ``values`` (n,) and at the scenario's own value of the parameter with
+    the dotted ``path``. Between two of them whose stability differs, a root search for |λ| = 1
+    gives the end to 1e-6. If there are several intervals, the result is the one with the scenario's
+    value, or the one that is nearest to it. An end of ``values`` at which the loop is stable is an
+    end of the interval. Both ends are nan if the loop is stable at no value.
+
+    Raises `ParameterError` for a value out of the range of the parameter, and `LinearizationError`
+    if the loop does not rest at a value.
+    """
+
+    def growth(value: float) -> float:
+        return _growth(coupled_loop(changed(scenario, {path: value}), knee_angle_deg).monodromy)
+
+    return _interval(growth, values, value_at(scenario, path))
+
+
+def _growth(monodromy: Array) -> float:
+    """Return max|λ| − 1."""
+    return float(np.abs(np.linalg.eigvals(monodromy)).max()) - 1.0
+
+
+def _interval(
+    growth: Callable[[float], float], values: ArrayLike, given: float
+) -> tuple[float, float]:
+    """Return the ends of the interval with negative growth that has a given value, or is nearest.
+
+    `stable_interval` describes the result.
+    """
+    grid = np.union1d(np.asarray(values, dtype=float), given)
+    stable = np.array([growth(value) < 0.0 for value in grid])
+    if not stable.any():
+        return math.nan, math.nan
+    start = int(np.argmin(np.where(stable, np.abs(grid - given), np.inf)))
+    unstable = np.flatnonzero(~stable)
+    below, above = unstable[unstable < start], unstable[unstable > start]
+    return (
+        _border(growth, *grid[below[-1] :][:2]) if below.size else float(grid[0]),
+        _border(growth, *grid[above[0] - 1 :][:2]) if above.size else float(grid[-1]),
+    )
+
+
+def _border(growth: Callable[[float], float], low: float, high: float) -> float:
+    """Return the value between two others at which the growth changes its sign."""
+    return float(scipy.optimize.brentq(growth, low, high, rtol=1e-6))
+
+
+@dataclass(frozen=True, repr=False)
+class StiffnessInterval(Result):
+    """Interval of the virtual stiffness in N·m/rad in which knee and wearer are stable together.
+
+    Both ends are nan if no stiffness is stable. ``high_n_m_per_rad`` is 1e6 if the loop is stable
+    there. With B_v = 0 a large stiffness is a position loop, which the lags of motor and hold
+    limit. A low end above zero is a zero-torque loop that is unstable.
+    """
+
+    low_n_m_per_rad: float
+    high_n_m_per_rad: float
+    knee_angle_deg: float
+    scenario: Scenario
+
+    @cached_property
+    def felt_n_m_per_rad(self) -> float:
+        """Dynamic stiffness |jωZ| in N·m/rad of zero torque, at the leg's side of the cuff.
+
+        The frequency is `kneexo.parameters.wearer.STIFFNESS_FREQUENCY_HZ`. A wearer cannot feel a
+        virtual spring that is much softer. Raises `ParameterError` without a wearer.
+        """
+        free = changed(self.scenario, {"controller.mode": "zero_torque"})
+        f = STIFFNESS_FREQUENCY_HZ
+        z = output_impedance(free, [f], knee_angle_deg=self.knee_angle_deg)
+        return float(z.magnitude[0]) * 2.0 * math.pi * f
+
+
+def stiffness_interval(
+    scenario: Scenario, *, knee_angle_deg: float = MID_RANGE_DEG
+) -> StiffnessInterval:
+    """Return the stable interval of the virtual stiffness K_v, for the scenario's wearer and gains.
+
+    The law is that of `with_spring`. `stable_interval` says which of several intervals is the
+    result.
+
+    Raises `ParameterError` for another controller, and `LinearizationError` if the loop does not
+    rest at the angle.
+    """
+    spring = with_spring(scenario)
+    free, stiff = (
+        coupled_loop(changed(spring, {_STIFFNESS: value}), knee_angle_deg).monodromy
+        for value in (0.0, _SMALL)
+    )
+
+    def growth(value: float) -> float:
+        return _growth(free + value / _SMALL * (stiff - free))  # exact while the loop rests there
+
+    ends = _interval(growth, _STIFFNESSES, value_at(spring, _STIFFNESS))
+    return StiffnessInterval(*ends, knee_angle_deg, scenario)
+
+
+def with_spring(scenario: Scenario) -> Scenario:
+    """Return a scenario with the mode ``impedance``, τ_d = −K_v (θ − θ_ref) − B_v dθ/dt.
+
+    B_v is zero in place of the mode ``assist_as_needed``, whose spring acts outside its band.
+    Raises `ParameterError` for another controller.
+    """
+    law = scenario.controller
+    if not isinstance(law, TorqueParameters):
+        raise ParameterError(
+            f"controller.kind = {law.kind}: a virtual stiffness needs controller.kind = torque"
+        )
+    damping = 0.0 if law.mode == "assist_as_needed" else law.damping_n_m_s_per_rad
+    spring = {"controller.mode": "impedance", "controller.damping_n_m_s_per_rad": damping}
+    return changed(scenario, spring)
+
+
+_MARGINS = ("gain_margin", "lower_gain_margin", "phase_margin_deg", "delay_margin_s", "disk_margin")
+
+
+@dataclass(frozen=True, repr=False)
+class CoupledStability(Result):
+    """Stability and margins of a loop over two quantities, such as wearer and knee angle.
+
+    ``rows`` (n,) and ``columns`` (m,) are the values of the two quantities. The arrays have the
+    shape (n, m). ``largest_eigenvalue`` is max|λ|. The margins belong to the loop at the motor
+    speed command, as in `kneexo.analysis.Margins`, and are nan where the loop is unstable.
+    ``border`` has pairs of row and column at which max|λ| = 1 to 1e-6, one pair between two columns
+    whose stability differs.
+    """
+
+    row_label: str
+    rows: tuple[Any, ...]
+    column_label: str
+    columns: tuple[float, ...]
+    largest_eigenvalue: Array
+    gain_margin: Array
+    lower_gain_margin: Array
+    phase_margin_deg: Array
+    delay_margin_s: Array
+    disk_margin: Array
+    border: tuple[tuple[Any, float], ...]
+
+    def to_dataframe(self) -> Any:
+        """Return a `pandas.DataFrame` with a line for each pair of row and column.
+
+        Raises `PackageError` without pandas.
+        """
+        pairs = list(product(self.rows, self.columns))
+        columns = {
+            label: [pair[index] for pair in pairs]
+            for index, label in enumerate((self.row_label, self.column_label))
+        }
+        names = ("largest_eigenvalue", *_MARGINS)
+        return data_frame(columns | {name: getattr(self, name).ravel() for name in names})
+
+    def plot(self, ax: Any = None) -> Any:
+        """Plot a mark for each pair, and the border of stability; return the Matplotlib axes."""
+        caption = (
+            "Stability of knee and wearer. A loop is sound if its disk margin is at least "
+            f"{SOUND_DISK_MARGIN:g}. Bars are on the border of stability."
+        )
+        ax = axes_or_new(ax, caption=caption, figsize=(7, 5))
+        pairs = np.array(list(product(self.rows, self.columns)), dtype=object)
+        words = np.array([soundness(margin) for margin in self.disk_margin.ravel()])
+        for word, style in _MARKS.items():
+            ax.plot(*pairs[words == word].T, ls="none", label=word, **style)
+        if self.border:
+            ax.plot(*zip(*self.border, strict=True), "k_", ms=16, mew=2, label="border")
+        for name, values in (("x", self.rows), ("y", self.columns)):
+            if not isinstance(values[0], str) and max(values) > 20.0 * min(values) > 0.0:
+                ax.set(**{f"{name}scale": "log"})
+                decimal_ticks(getattr(ax, f"{name}axis"))
+        ax.set(xlabel=self.row_label, ylabel=self.column_label)
+        ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4)
+        return ax
+
+
+_MARKS: dict[str, dict[str, Any]] = {
+    "sound": {"marker": "o", "color": BLUE},
+    "small margin": {"marker": "o", "color": GOLD, "mfc": "w"},
+    "unstable": {"marker": "x", "color": RED},
+}
+
+
+def coupled_stability(
+    scenario: Scenario,
+    wearers: Mapping[str, LegParameters] = WEARERS,
+    *,
+    knee_angles_deg: Sequence[float] = (10.0, 45.0, 85.0),
+) -> CoupledStability:
+    """Return stability and margins of a scenario's loop with each wearer, at each knee angle.
+
+    The cuff is that of the scenario's wearer, if it has one.
+
+    Raises `LinearizationError` if a loop does not rest at its angle.
+    """
+    cuff = value_at(scenario, "wearer.cuff")
+    legs = {
+        name: leg if cuff is None else leg.model_copy(update={"cuff": cuff})
+        for name, leg in wearers.items()
+    }
+
+    def loop_of(name: str, angle_deg: float) -> SampledLoop:
+        return coupled_loop(changed(scenario, {"wearer": legs[name]}), angle_deg)
+
+    return _survey(("wearer", "knee angle (deg)"), (tuple(wearers), knee_angles_deg), loop_of)
+
+
+def stability_map(
+    scenario: Scenario,
+    values: Mapping[str, Sequence[float]],
+    *,
+    knee_angle_deg: float = MID_RANGE_DEG,
+) -> CoupledStability:
+    """Return stability and margins of a scenario's loop over two of its parameters.
+
+    ``values`` has two entries, from the dotted path of a parameter to its values in ascending
+    order. The first parameter has the rows.
+
+    Raises `ParameterError` unless ``values`` has two entries, and for a value out of its range.
+    Raises `LinearizationError` if a loop does not rest at the angle.
+    """
+    if len(values) != 2:
+        raise ParameterError(f"values: has {len(values)} parameters; must have two")
+    row_path, column_path = values
+
+    def loop_of(row: float, column: float) -> SampledLoop:
+        return coupled_loop(changed(scenario, {row_path: row, column_path: column}), knee_angle_deg)
+
+    return _survey(tuple(labels(values).values()), tuple(values.values()), loop_of)
+
+
+def _survey(
+    names: tuple[str, ...],
+    values: tuple[Sequence[Any], ...],
+    loop_of: Callable[[Any, float], SampledLoop],
+) -> CoupledStability:
+    """Return the stability of the loops for all pairs of row and column."""
+    rows, columns = map(tuple, values)
+    loops = [[loop_of(row, column) for column in columns] for row in rows]
+
+    def growth(row: Any, column: float) -> float:
+        return _growth(loop_of(row, column).monodromy)
+
+    stable = np.array([[loop.stable for loop in row] for row in loops])
+    margins = [[loop.margins() if loop.stable else None for loop in row] for row in loops]
+    border = [
+        (
+            rows[i],
+            _border(partial(growth, rows[i]), *columns[j : j + 2]),
+        )
+        for i, j in np.argwhere(stable[:, 1:] != stable[:, :-1])
+    ]
+    return CoupledStability(
+        names[0],
+        rows,
+        names[1],
+        columns,
+        np.array([[float(abs(loop.eigenvalues[0])) for loop in row] for row in loops]),
+        **{
+            name: np.array([[getattr(m, name, np.nan) for m in row] for row in margins])
+            for name in _MARGINS
+        },
+        border=tuple(border),
+    )
