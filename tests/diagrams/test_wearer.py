@@ -187,6 +187,26 @@ def test_default_gains_are_stable_with_a_wearer(motion, angle_deg):
     assert loop.margins().gain_margin > 1.8
 
 
+@pytest.mark.slow
+def test_the_inertia_of_a_shank_needs_lower_gains_and_a_slower_load_cell():
+    """The figures of the theory page."""
+    from kneexo.analysis.sampled_loop import linearize_loop
+
+    plant = PlantParameters(load=KneeLoadParameters(inertia_kg_m2=0.064))
+    loop = linearize_loop(scenario(plant=plant), knee_angle_deg=45.0)
+    assert loop.margins().gain_margin == pytest.approx(1.44, abs=0.005)
+    for angle_deg, eigenvalue in ((20.0, 1.04), (5.0, 1.19)):
+        loop = linearize_loop(scenario(plant=plant), knee_angle_deg=angle_deg)
+        assert np.abs(loop.eigenvalues).max() == pytest.approx(eigenvalue, abs=0.005)
+    law = {"kind": "torque", "proportional_rad_s_per_n": 2.0, "integral_rad_s2_per_n": 10.0}
+    lower = scenario(plant=plant, controller=law)
+    assert not linearize_loop(lower, knee_angle_deg=5.0).stable
+    slower = lower.changed({"load_cell.filter_s": 0.005})
+    for angle_deg, margin in ((5.0, 1.91), (20.0, 2.77), (45.0, 1.89)):
+        loop = linearize_loop(slower, knee_angle_deg=angle_deg)
+        assert loop.margins().gain_margin == pytest.approx(margin, abs=0.01)
+
+
 # ------------------------------------------------------------------------------ bad input
 
 
