@@ -21,11 +21,12 @@ import scipy
 from numpy.typing import ArrayLike
 
 from kneexo.analysis.impedance import output_impedance, posed
-from kneexo.analysis.margins import SOUND_DISK_MARGIN, soundness
+from kneexo.analysis.margins import soundness
 from kneexo.analysis.plant_linearization import MID_RANGE_DEG
 from kneexo.analysis.sampled_loop import SampledLoop, linearize_loop
 from kneexo.errors import ParameterError
 from kneexo.parameters import LegParameters, Scenario, TorqueParameters
+from kneexo.parameters.criteria import SOUND_DISK_MARGIN
 from kneexo.parameters.labels import labels
 from kneexo.parameters.paths import changed, value_at
 from kneexo.parameters.wearer import STIFFNESS_FREQUENCY_HZ, WEARERS

@@ -6,10 +6,8 @@ import math
 from dataclasses import dataclass
 
 from kneexo.compiler import LoopMargins, Transfer, margins
+from kneexo.parameters.criteria import SOUND_DISK_MARGIN
 from kneexo.result import Result
-
-SOUND_DISK_MARGIN = 0.5
-"""Smallest disk margin of a sound loop. Assumption: 28° of phase alone, or gains of 0.6…1.67."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -210,6 +210,20 @@ def add_out(parser: argparse.ArgumentParser, files: str) -> None:
     )
 
 
+def add_page(parser: argparse.ArgumentParser) -> None:
+    """Add ``--out FILE.html`` and ``--open``, which writes a page and shows it in a browser."""
+    parser.add_argument(
+        "--out",
+        metavar="FILE.html",
+        type=place,
+        required=True,
+        help="file of the page; an earlier page of this command is replaced",
+    )
+    parser.add_argument(
+        "--open", dest="browser", action="store_true", help="show the page in this system's browser"
+    )
+
+
 def add_html(parser: argparse.ArgumentParser) -> None:
     """Add ``--html``, which requests the report as an HTML page too."""
     parser.add_argument(

@@ -38,18 +38,9 @@ def add_play(subparsers: Any) -> None:
     parser.add_argument(
         "--compare",
         metavar="NAME",
-        help="unchanged preset to compare with: paper, bench or leg",
+        help="unchanged preset to compare with: paper, bench, leg or wearer",
     )
-    parser.add_argument(
-        "--out",
-        metavar="FILE.html",
-        type=arguments.place,
-        required=True,
-        help="file of the page; an earlier page of this command is replaced",
-    )
-    parser.add_argument(
-        "--open", dest="browser", action="store_true", help="show the page in this system's browser"
-    )
+    arguments.add_page(parser)
 
 
 def play(

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kneexo.analysis.margins import SOUND_DISK_MARGIN
 from kneexo.analysis.signals import to_rpm
+from kneexo.parameters.criteria import SOUND_DISK_MARGIN
 from kneexo.studies.markdown import document, markdown_table, number
 
 if TYPE_CHECKING:

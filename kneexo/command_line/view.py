@@ -35,16 +35,7 @@ def add_view(subparsers: Any) -> None:
     )
     arguments.add_preset(parser)
     arguments.add_values(parser)
-    parser.add_argument(
-        "--out",
-        metavar="FILE.html",
-        type=arguments.place,
-        required=True,
-        help="the page; replaces a page of an earlier view",
-    )
-    parser.add_argument(
-        "--open", dest="browser", action="store_true", help="show the page in this system's browser"
-    )
+    arguments.add_page(parser)
 
 
 def view(

@@ -13,11 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from kneexo.compiler import CSource
+from kneexo.compiler import CSource, InputTable, input_table
 from kneexo.diagrams.closed_loop import plant_start
+from kneexo.diagrams.wearer import moment_of, moment_spline
 from kneexo.errors import KneexoError
 from kneexo.export.web_code import (
     REFERENCES,
+    TORQUE_MODES,
     loop_source,
     module_of,
     modules,
@@ -26,7 +28,13 @@ from kneexo.export.web_code import (
 )
 from kneexo.export.web_maps import Map, fit_maps
 from kneexo.linkage import pose
-from kneexo.parameters import SampledReference, Scenario, StepReference
+from kneexo.parameters import (
+    LegParameters,
+    SampledReference,
+    Scenario,
+    StepReference,
+    TorqueParameters,
+)
 from kneexo.parameters.fields import source_of as provenance_of, unit_of
 from kneexo.parameters.paths import value_at
 from kneexo.parameters.quantity import Parameters
@@ -35,22 +43,28 @@ from kneexo.result import Array
 from kneexo.rod_polynomial import completed
 from kneexo.simulation.compiled import reference_table, scenario_values, structure_key
 from kneexo.systems.cylinder import PA_PER_MPA
-from kneexo.systems.knee_reference import context_values, start_angle_rad
+from kneexo.systems.knee_reference import context_values, start_angle_rad, start_motion
 
 START = "start_angle_rad"
 """Name of the value of the reference at t = 0, which sets the initial state of the plant."""
+
+START_RATE = "start_rate_rad_s"
+"""Name of the rate of the reference at t = 0, with which an active leg of a wearer starts."""
 
 
 def with_structure(scenario: Scenario, controller: str, load: str) -> Scenario:
     """Return a scenario with these kinds of controller and load.
 
-    ``controller`` is ``smc`` or ``pid``, and ``load`` is ``none`` or ``knee``. A part of another
-    kind is replaced by a part with default values. A part of the given kind keeps its values.
+    ``controller`` is ``smc``, ``pid`` or one of `TORQUE_MODES`, and ``load`` is ``none`` or
+    ``knee``. A part of another kind is replaced by a part with default values. A part of the given
+    kind keeps its values.
     """
-    kinds = {"controller.kind": controller, "plant.load.kind": load}
+    mode = {"controller.mode": controller} if controller in TORQUE_MODES else {}
+    kinds = {"controller.kind": "torque" if mode else controller, "plant.load.kind": load}
     if scenario.nominal is not None:
         kinds["nominal.load.kind"] = load
-    return scenario.changed({p: kind for p, kind in kinds.items() if value_at(scenario, p) != kind})
+    changes = {p: kind for p, kind in kinds.items() if value_at(scenario, p) != kind}
+    return scenario.changed(changes | mode)
 
 
 def web_modules(models: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -60,7 +74,8 @@ def web_modules(models: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, Any]
     """
     keys = set()
     for model in models:
-        parts = [model["loop"], model["smooth"], *model["references"].values()]
+        loops = [model[name] for name in _LOOPS if name in model]
+        parts = [*loops, *model["references"].values()]
         keys |= {part["module"] for part in parts if "module" in part}
     return {key: modules[key] for key in sorted(keys)}
 
@@ -72,9 +87,10 @@ def web_model(scenario: Scenario) -> dict[str, Any]:
     """Return the data with which a page runs the closed loop of a scenario, ready for JSON.
 
     ``loop`` and ``smooth``
-        The loop with and without quantizers. ``module`` is the key of the module. ``base`` has the
-        values of the module's ``params``. Each of ``maps`` is a formula, see `map_value`, for the
-        parameter with the number ``index``.
+        The loop with and without quantizers. With a wearer there is no ``smooth``, because margins
+        and bandwidth are those of position control. ``module`` is the key of the module. ``base``
+        has the values of the module's ``params``. Each of ``maps`` is a formula, see `map_value`,
+        for the parameter with the number ``index``.
     ``quantities``
         The numbers that a user varies, with label, unit, range and source.
     ``references``
@@ -84,7 +100,10 @@ def web_model(scenario: Scenario) -> dict[str, Any]:
     ``limits``
         Bounds of the signals, each a number, None, or a formula.
     ``controller``, ``load``
-        The kinds of these parts.
+        The kinds of these parts, for a torque controller its mode.
+    ``wearer``, ``moment``
+        Whether the loop has a wearer, and his biological moment as a piecewise polynomial or None.
+        The input of a loop with a wearer is that of `IntervalReference`, then the moment.
 
     Raises `ParameterError` for a law that is called as Python and for a mode of the plant that the
     steps of a module cannot follow. Raises the errors of `make_closed_loop`. Raises
@@ -98,10 +117,15 @@ def web_model(scenario: Scenario) -> dict[str, Any]:
     ranges = {path: (slider.low, slider.high) for path, slider in sliders.items()}
     ranges[START] = _start_range(scenario)
     values = {path: value_at(scenario, path) for path in sliders}
-    values[START] = start_angle_rad(scenario.reference)
-    sources = {name: _loop_source(structure_key(scenario), scenario, name) for name in _LOOPS}
+    values[START], rate = start_motion(scenario.reference)
+    starts, leg = [START], scenario.wearer
+    if isinstance(leg, LegParameters) and leg.motion == "active":
+        starts.append(START_RATE)
+        ranges[START_RATE], values[START_RATE] = _RATES_RAD_S, rate
+    loops = _LOOPS if leg.kind == "none" else _LOOPS[:1]
+    sources = {name: _loop_source(structure_key(scenario), scenario, name) for name in loops}
     numbers = _Numbers(scenario, sources)
-    maps, names = fit_maps(numbers, ranges, values, (START,), scenario.bus.velocity_unit_rad_s)
+    maps, names = fit_maps(numbers, ranges, values, starts, scenario.bus.velocity_unit_rad_s)
     base = numbers(values, bounded=True)
     parts = numbers.split(maps)
     return {
@@ -113,13 +137,24 @@ def web_model(scenario: Scenario) -> dict[str, Any]:
             }
             for name, source in sources.items()
         },
-        "controller": scenario.controller.kind,
+        "controller": controller_of(scenario),
         "load": scenario.plant.load.kind,
-        "quantities": [_quantity(scenario, p, sliders[p]) for p in names if p != START],
+        "wearer": leg.kind != "none",
+        "moment": (moment := moment_of(scenario)) and _table(input_table(moment_spline(moment))),
+        "quantities": [_quantity(scenario, p, sliders[p]) for p in names if p not in starts],
         "references": _references(scenario),
         "limits": _limits(scenario, base[numbers.places["limits"]], parts["limits"]),
     }
 
+
+def controller_of(scenario: Scenario) -> str:
+    """Return the kind of a scenario's controller, or the mode of a torque controller."""
+    controller = scenario.controller
+    return controller.mode if isinstance(controller, TorqueParameters) else controller.kind
+
+
+_RATES_RAD_S = (-20.0, 20.0)
+"""Rates with which a leg can start. The fastest knee in walking has some 8 rad/s."""
 
 _LOOPS = ("loop", "smooth")
 
@@ -156,11 +191,17 @@ class _Numbers:
         Unless ``bounded``, the initial pressures of a full order are those of
         `_without_reservoir`, which are smooth functions.
         """
-        paths = tuple((name, float(value)) for name, value in values.items() if name != START)
+        paths = tuple(
+            (name, float(value))
+            for name, value in values.items()
+            if name not in (START, START_RATE)
+        )
         if paths not in self._known:
             self._known[paths] = self._parameters(self._scenario.changed(dict(paths)))
         scenario, parameters, limits = self._known[paths]
         start = plant_start(_started_at(scenario, values[START]))
+        if START_RATE in values:
+            start[_LEG_RATE] = values[START_RATE]
         if scenario.plant.full_order is not None and not bounded:
             start |= _without_reservoir(scenario, start)
         row: list[float] = []
@@ -209,6 +250,9 @@ def _columns(source: CSource) -> Iterable[tuple[str, float]]:
 
 _PRESSURES = ("plant/cylinder.x[2]", "plant/cylinder.x[3]")
 """Names of the states P_1 and P_2 of a full-order cylinder."""
+
+_LEG_RATE = "wearer.x[1]"
+"""Name of the state dθ_h/dt of a leg that is not prescribed."""
 
 
 def _without_reservoir(scenario: Scenario, start: Mapping[str, float]) -> dict[str, float]:
@@ -282,15 +326,17 @@ def _quantity(
 
 
 def _references(scenario: Scenario) -> dict[str, Any]:
-    references: dict[str, Any] = {kind: _reference(kind, scenario) for kind in REFERENCES}
+    kinds = REFERENCES if scenario.wearer.kind == "none" else ("sine",)  # a leg does not jump
+    references: dict[str, Any] = {kind: _reference(kind, scenario) for kind in kinds}
     if isinstance(scenario.reference, SampledReference):
-        table = reference_table(scenario.reference)
-        references["samples"] = {
-            "breaks": _base64(table.breaks),
-            "powers": _base64(table.coefficients[:, 0]),  # the other inputs are derivatives
-            "range_deg": list(scenario.reference.range_deg),
-        }
+        table = _table(reference_table(scenario.reference))
+        references["samples"] = table | {"range_deg": list(scenario.reference.range_deg)}
     return references
+
+
+def _table(table: InputTable) -> dict[str, str]:
+    """Return the first input of a table. The other inputs of a reference are derivatives."""
+    return {"breaks": _base64(table.breaks), "powers": _base64(table.coefficients[:, 0])}
 
 
 def _base64(values: Array) -> str:

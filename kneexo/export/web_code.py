@@ -16,7 +16,9 @@ from functools import lru_cache
 from importlib.metadata import version
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
+
+import numpy as np
 
 from kneexo.compiler import (
     CSource,
@@ -32,10 +34,18 @@ from kneexo.diagrams.law import why_python
 from kneexo.diagrams.plant import moving_masses_kg
 from kneexo.diagrams.signals import SIGNALS
 from kneexo.errors import ParameterError
-from kneexo.parameters import RampReference, Scenario, SineReference, StepReference
+from kneexo.linkage import moment_arm
+from kneexo.parameters import (
+    LegParameters,
+    RampReference,
+    Scenario,
+    SineReference,
+    StepReference,
+    TorqueParameters,
+)
 from kneexo.parameters.paths import value_at
 from kneexo.parameters.presets import with_preset
-from kneexo.systems import make_knee_reference
+from kneexo.systems import IntervalReference, make_knee_reference
 
 PERTURBATION = "plant:motor_speed_command"
 """Name of the port at which an input of the module perturbs the loop."""
@@ -43,9 +53,17 @@ PERTURBATION = "plant:motor_speed_command"
 OUTPUTS = (
     *("knee_angle", "rod_extension", "sliding_variable", "motor_speed_command", "motor_speed"),
     *("load_pressure", "rod_force", "shaft_power", "hydraulic_power"),
-    *("chamber_pressures", "relief_flow"),
+    *("chamber_pressures", "relief_flow", "interaction_torque", "wearer_motion"),
 )
 """Names of the signals that the module of a loop outputs, if the scenario has them."""
+
+INTERVAL = (
+    "interval_start_s",
+    "interval_break_s",
+    *(f"before_{n}_rad" for n in range(8)),
+    *(f"after_{n}_rad" for n in range(4)),
+)
+"""Names of the elements of the input of `IntervalReference`."""
 
 REFERENCES: Mapping[str, Any] = {
     "sine": SineReference,
@@ -53,6 +71,9 @@ REFERENCES: Mapping[str, Any] = {
     "ramp": RampReference,
 }
 """The references that have a module."""
+
+TORQUE_MODES: tuple[str, ...] = get_args(TorqueParameters.model_fields["mode"].annotation)
+"""The modes of the torque controller. On a page each mode is a kind of controller."""
 
 _INTERVAL_S = 0.002
 _STEPS = {"reduced": 15, "full": 60}
@@ -83,7 +104,10 @@ SHIPPED: Mapping[str, Mapping[str, Any]] = {
     "bench": with_preset("bench", {}),
     "leg": with_preset("leg", {}),
 }
-"""Scenarios whose modules come with the package, with sliding mode and with PID."""
+"""Scenarios whose modules come with the package, with sliding mode and with PID.
+
+The modules of the preset ``wearer`` come too, with the modes that need no biological moment.
+"""
 
 _FOLDER = ("data", "web")
 
@@ -92,14 +116,11 @@ def loop_source(scenario: Scenario, *, smooth: bool = False) -> CSource:
     """Return the closed loop of a scenario in C. The reference is an input.
 
     Another input perturbs the motor speed that the plant receives. ``smooth`` leaves out the
-    quantizers. Raises `ParameterError` for a law that is called as Python and for a wearer, whose
-    motion changes between two samples. Raises the errors of `make_closed_loop`.
+    quantizers. With a wearer, whose leg moves between two samples, the input is that of
+    `IntervalReference`, and the biological moment at the samples is an input too. Raises
+    `ParameterError` for a law that is called as Python and for a motion of the wearer that a page
+    cannot follow. Raises the errors of `make_closed_loop`.
     """
-    if scenario.wearer.kind != "none":
-        raise ParameterError(
-            f"wearer.kind = {scenario.wearer.kind!r}: must be 'none' on a page; kneexo simulate "
-            f"and kneexo view run a wearer"
-        )
     if reason := why_python(scenario):
         raise ParameterError(
             f"controller: the law has no web module, because it is called as Python: {reason}"
@@ -109,17 +130,51 @@ def loop_source(scenario: Scenario, *, smooth: bool = False) -> CSource:
         # With a fixed factor of zero the equations suit every value of the parameters.
         scenario = scenario.changed({"plant.load.disturbance_amplitude_n": 0.0})
     names = [name for name in OUTPUTS if name in available_signals(scenario)]
-    fields = {name: SIGNALS[name] for name in (*names, "knee_reference")}
-    diagram = make_closed_loop(scenario, signals=(), external_reference=True)
+    diagram, inputs = _diagram(scenario)
+    inputs |= {PERTURBATION: ("command_perturbation_rad_s",)}
     order = "reduced" if scenario.plant.full_order is None else "full"
     return source_of(
-        read_diagram(diagram, inputs=["knee_reference", PERTURBATION]),
+        read_diagram(diagram, inputs=[*inputs]),
         "loop",
         outputs=names,
-        interface=Interface(fields | {PERTURBATION: ("command_perturbation_rad_s",)}),
+        interface=Interface({name: SIGNALS[name] for name in names} | inputs),
         step_s=_INTERVAL_S / (_SMOOTH_STEPS if smooth else _STEPS)[order],
         tick_s=scenario.controller.sample_time_s,
     )
+
+
+def _diagram(scenario: Scenario) -> tuple[Any, dict[str, tuple[str, ...]]]:
+    """Return the diagram of a loop, and its open ports with the names of their elements."""
+    if scenario.wearer.kind == "none":
+        diagram = make_closed_loop(scenario, signals=(), external_reference=True)
+        return diagram, {"knee_reference": SIGNALS["knee_reference"]}
+    _require_motion(scenario)
+    reference = IntervalReference(scenario.controller.sample_time_s)
+    diagram = make_closed_loop(scenario, reference=reference, signals=(), external_moment=True)
+    inputs = {"reference:interval": INTERVAL}
+    if (moment := "biological_moment") in available_signals(scenario):
+        inputs[moment] = SIGNALS[moment]
+    return diagram, inputs
+
+
+def _require_motion(scenario: Scenario) -> None:
+    """Raise `ParameterError` if a page cannot follow the motion of a wearer between samples."""
+    reference, leg, period = scenario.reference, scenario.wearer, scenario.controller.sample_time_s
+    if reference.kind not in ("sine", "samples"):
+        raise ParameterError(
+            f"reference.kind = {reference.kind!r}: must be 'sine' or 'samples' on a page with a "
+            f"wearer, because a leg does not jump"
+        )
+    if reference.kind == "samples" and (gap := min(np.diff(reference.times_s))) < period:
+        raise ParameterError(
+            f"reference.times_s: rises by {gap:g} s; must rise by at least the control period "
+            f"{period:g} s on a page with a wearer"
+        )
+    if isinstance(leg, LegParameters) and leg.motion == "active" and leg.moment is not None:
+        raise ParameterError(
+            "wearer.motion = 'active': a page gets the biological moment at the samples only; "
+            "must be 'prescribed' or 'passive' with wearer.moment; kneexo simulate runs it"
+        )
 
 
 def require_slow_modes(scenario: Scenario) -> None:
@@ -128,7 +183,8 @@ def require_slow_modes(scenario: Scenario) -> None:
     The oil of the reduced order resonates at √(4β_e Ā²/(V_t m)) (Eq. 15, 16), where m is the least
     mass that moves with the rod in the range of motion. In the full order, friction F with the band
     v_0 decays at F/(v_0 m), and an empty chamber, of the volume V_d, fills through its make-up
-    valve C at β_e C/V_d.
+    valve C at β_e C/V_d. A cuff of the damping b_c moves the rod at b_c/(m r²), which is the
+    largest at the least moment arm r.
     """
     plant = scenario.plant
     cylinder, full = plant.cylinder, plant.full_order
@@ -136,31 +192,36 @@ def require_slow_modes(scenario: Scenario) -> None:
     if full is None:
         spring = 4.0 * cylinder.bulk_modulus_pa * cylinder.mean_area_m2**2
         rate = math.sqrt(spring / (cylinder.total_volume_m3 * mass_kg))
-        name, unit = "cylinder.mass_kg", "kg"
+        name, unit = "plant.cylinder.mass_kg", "kg"
         if plant.knee_inertia_kg_m2 is not None:
-            name, unit = "load.inertia_kg_m2", "kg·m²"
+            name, unit = "plant.load.inertia_kg_m2", "kg·m²"
         modes = [(name, unit, rate, _OIL_ANGLE, 2)]
     else:
         friction = full.coulomb_friction_n + full.stribeck_friction_n
         valve = cylinder.bulk_modulus_pa * full.makeup_conductance_m3_per_s_pa
         modes = [
             (
-                "full_order.friction_band_m_s",
+                "plant.full_order.friction_band_m_s",
                 "m/s",
                 friction / full.friction_band_m_s / mass_kg,
                 _STABLE,
                 1,
             ),
-            ("full_order.dead_volume_m3", "m³", valve / full.dead_volume_m3, _STABLE, 1),
+            ("plant.full_order.dead_volume_m3", "m³", valve / full.dead_volume_m3, _STABLE, 1),
         ]
+    if isinstance(leg := scenario.wearer, LegParameters):
+        knee, damping = plant.knee, leg.cuff.damping_n_m_s_per_rad
+        angles = np.radians(np.linspace(knee.flexion_min_deg, knee.flexion_max_deg, 91))
+        arms = moment_arm(plant.linkage, angles)
+        rate = damping / float(np.min(plant.moving_mass_kg(arms) * arms**2))
+        modes.append(("wearer.cuff.damping_n_m_s_per_rad", "N·m·s/rad", rate, _STABLE, -1))
     for name, unit, rate, angle, power in modes:
         highest = angle * _STEPS["reduced" if full is None else "full"] / _INTERVAL_S
         if rate > highest:
-            path = f"plant.{name}"
-            value = value_at(scenario, path)
+            value = value_at(scenario, name)
             raise ParameterError(
-                f"{path} = {value:g} {unit}: makes a mode of {rate:.3g} 1/s, "
-                f"which a page cannot follow; must be at least "
+                f"{name} = {value:g} {unit}: makes a mode of {rate:.3g} 1/s, "
+                f"which a page cannot follow; must be at {'least' if power > 0 else 'most'} "
                 f"{value * (rate / highest) ** power:.3g} {unit} here"
             )
 
@@ -207,6 +268,11 @@ def shipped_sources() -> Iterator[tuple[str, CSource]]:
             for smooth in (False, True):
                 kind = "without quantizers" if smooth else "with quantizers"
                 yield f"{name}, {controller}, {kind}", loop_source(scenario, smooth=smooth)
+    for mode in TORQUE_MODES:
+        if mode != "assist":
+            law = {"kind": "torque", "mode": mode}
+            worn = Scenario.model_validate(with_preset("wearer", {"controller": law}))
+            yield f"wearer, {mode}", loop_source(worn)
     period = Scenario().controller.sample_time_s
     for kind in REFERENCES:
         yield f"reference {kind}, {period:g} s", reference_source(kind, period)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from kneexo.parameters.control import (
@@ -26,6 +26,8 @@ from kneexo.parameters.plant import (
 )
 from kneexo.parameters.quantity import Parameters
 from kneexo.parameters.reference import RampReference, SineReference, StepReference
+from kneexo.parameters.torque import TorqueParameters
+from kneexo.parameters.wearer import CuffParameters, LegParameters
 
 
 @dataclass(frozen=True)
@@ -40,11 +42,15 @@ class Slider:
     scale: Literal["linear", "log"] = "linear"
     shown: tuple[str, float] | None = None
     """Unit on the page, and the factor from the unit of the field; None: the unit of the field."""
+    choices: tuple[str, ...] = ()
+    """Values of ``mode`` or ``motion`` for which the number has an effect. Empty: all values."""
 
 
+_FREE = ("active", "passive")
 _RPM = ("rpm", 1.0 / RPM)
 _MS = ("ms", 1e3)
 _BAR = ("bar", 1e-5)
+_DEG = ("deg", 180.0 / math.pi)
 _CC_REV = ("cc/rev", 2e6 * math.pi)
 _DECADE = "a factor of about ten around the paper's value"
 _LEAK = "from none to ten times the assumed leakage of the pump"
@@ -90,7 +96,7 @@ SLIDERS: Mapping[type[Parameters], Mapping[str, Slider]] = {
         "centre_of_mass_m": Slider("lever of the shank's weight", 0.05, 0.4, "within a shank"),
         "inertia_kg_m2": Slider("inertia about the knee", 0.01, 0.3, "up to a leg with shoe"),
         "knee_torque_n_m": Slider(
-            "torque of the wearer",
+            "constant torque on the knee",
             -15.0,
             15.0,
             "about the torque of a raised shank's weight, in both directions",
@@ -139,8 +145,55 @@ SLIDERS: Mapping[type[Parameters], Mapping[str, Slider]] = {
             -0.05,
             0.05,
             "about ±3°",
-            shown=("deg", 180.0 / math.pi),
+            shown=_DEG,
         ),
+    },
+    TorqueParameters: {
+        "stiffness_n_m_per_rad": Slider(
+            "virtual stiffness",
+            0.0,
+            300.0,
+            "none to the stiffness of a leg in stance",
+            choices=("impedance", "assist_as_needed"),
+        ),
+        "damping_n_m_s_per_rad": Slider(
+            "virtual damping", 0.0, 20.0, "none to a stiff damper", choices=("impedance",)
+        ),
+        "band_rad": Slider(
+            "band without torque", 0.0, 0.35, "none to 20°", "linear", _DEG, ("assist_as_needed",)
+        ),
+        "assistance": Slider(
+            "share of assistance", -0.5, 1.0, "resistance to full help", choices=("assist",)
+        ),
+        "torque_limit_n_m": Slider(
+            "limit of the desired torque",
+            1.0,
+            100.0,
+            "light help to the largest moment of walking",
+            "log",
+            choices=("assist", "impedance", "assist_as_needed"),
+        ),
+        "proportional_rad_s_per_n": Slider("P gain on the force", 0.2, 40.0, _DECADE, "log"),
+        "integral_rad_s2_per_n": Slider("I gain on the force", 0.0, 100.0, "none to unstable"),
+        "leak_per_s": Slider("leak of the integral", 0.0, 10.0, "none to a tenth of a second"),
+        "speed_feedforward": Slider("speed feedforward γ", 0.0, 1.0, "none to full"),
+    },
+    LegParameters: {
+        "inertia_kg_m2": Slider(
+            "inertia of the leg", 0.1, 1.5, "a child's leg to a leg with load", choices=_FREE
+        ),
+        "stiffness_n_m_per_rad": Slider(
+            "stiffness of the leg", 2.0, 100.0, "relaxed to tense", "log", choices=_FREE
+        ),
+        "damping_n_m_s_per_rad": Slider(
+            "damping of the leg", 0.0, 5.0, "none to tense", choices=_FREE
+        ),
+    },
+    CuffParameters: {
+        "stiffness_n_m_per_rad": Slider(
+            "stiffness of the cuff", 200.0, 2e4, "soft straps to a rigid shell", "log"
+        ),
+        "damping_n_m_s_per_rad": Slider("damping of the cuff", 0.0, 20.0, "none to four times"),
     },
     SineReference: {
         "amplitude_deg": Slider("amplitude", 1.0, 44.0, "within the range of motion"),
@@ -171,20 +224,22 @@ def sliders_of(parameters: Parameters, path: str = "") -> Iterator[tuple[str, Sl
     """Yield the dotted path and the slider of each number in ``parameters`` that has a slider.
 
     ``path`` is the path of ``parameters`` with a dot at its end, or empty. A number that is left
-    out has no slider. The range of a slider
-    includes the present value, and lies within the range of the field. The nominal plant has no
-    sliders, because only the controller's design uses it.
+    out, or that has no effect, has no slider. The range of a slider includes the present value, and
+    lies within the range of the field. The nominal plant has no sliders, because only the
+    controller's design uses it.
     """
     fields = type(parameters).model_fields
     for name, slider in SLIDERS.get(type(parameters), {}).items():
-        if (value := getattr(parameters, name)) is None:
+        value, choices = getattr(parameters, name), slider.choices
+        acts = not choices or any(choice in choices for choice in vars(parameters).values())
+        if value is None or not acts:
             continue
         low, high = limits_of(fields[name])
         low, high = max(low, min(slider.low, value)), min(high, max(slider.high, value))
         scale = "linear" if low <= 0.0 else slider.scale
         yield (
             f"{path}{name}",
-            Slider(slider.label, low, high, slider.why, scale, slider.shown),
+            replace(slider, low=low, high=high, scale=scale),
         )
     for name in fields:
         part = getattr(parameters, name)

@@ -22,6 +22,8 @@ from kneexo.systems.knee_coordinates import (
 )
 from kneexo.systems.knee_load import KneeLoad, KneeLoad_
 from kneexo.systems.knee_reference import (
+    IntervalReference,
+    IntervalReference_,
     RampKneeReference,
     RampKneeReference_,
     SineKneeReference,
@@ -65,6 +67,8 @@ __all__ = [
     "FunctionLaw_",
     "HeldCommand",
     "HeldCommand_",
+    "IntervalReference",
+    "IntervalReference_",
     "KneeCoordinates",
     "KneeCoordinates_",
     "KneeLoad",

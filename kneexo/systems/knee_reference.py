@@ -167,6 +167,53 @@ RampKneeReference_ = leaf_template(RampKneeReference)
 """Template of `RampKneeReference` classes by scalar type of Drake."""
 
 
+class IntervalReference(NamedLeaf):
+    """Reference between two samples, from polynomials that an input port gives at each sample.
+
+    θ_d(t) = Σ a_n u^n up to the break t_b, and Σ b_n u^n later, with u = (t − t_k)/T.
+
+    ==================  ====  =============  ===================================================
+    input port          size  unit
+    ==================  ====  =============  ===================================================
+    interval            14    s, s, rad, …   t_k, t_b, a_0 … a_7, b_0 … b_3
+    **output port**
+    knee_reference      4     rad, rad/s, …  θ_d and derivatives to the third
+    ==================  ====  =============  ===================================================
+
+    No state and no Context parameters. With this system a loop that gets inputs at its samples
+    alone has a leg that moves along the reference between the samples.
+
+    Parameters
+    ----------
+    sample_time_s
+        The time T between two samples, in s.
+    """
+
+    def __init__(self, sample_time_s: float = 0.002) -> None:
+        self._declare_parameters({})
+        self._sample_time = sample_time_s
+        self._interval = self.DeclareVectorInputPort("interval", 14)
+        self._declare_output("knee_reference", 4, self._calc, self._interval, self.time_ticket())
+
+    def _calc(self, context: Any) -> list[Any]:
+        start, at_break, *coefficients = self._interval.Eval(context)
+        u = (context.get_time() - start) / self._sample_time
+        before, after = coefficients[7::-1], coefficients[:7:-1]  # highest power first
+        return [
+            where_positive(
+                context.get_time() - at_break,
+                polynomial(polynomial_derivative(after, order), u),
+                polynomial(polynomial_derivative(before, order), u),
+            )
+            / self._sample_time**order
+            for order in range(4)
+        ]
+
+
+IntervalReference_ = leaf_template(IntervalReference)
+"""Template of `IntervalReference` classes by scalar type of Drake."""
+
+
 def make_knee_reference(parameters: Reference) -> Any:
     """Make the reference system for a parameter class.
 

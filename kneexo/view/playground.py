@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
+from kneexo.diagrams.wearer import moment_of
 from kneexo.errors import KneexoError, OutputError, ParameterError, shown
 from kneexo.export.web import web_model, web_modules, with_structure
+from kneexo.export.web_code import TORQUE_MODES
 from kneexo.files.writing import require_mark
 from kneexo.parameters import Scenario
+from kneexo.parameters.criteria import MARGINS
 from kneexo.parameters.fields import kind_of
 from kneexo.parameters.law import Law
 from kneexo.parameters.paths import changed
@@ -66,9 +69,25 @@ _GROUPS = (
         (
             "controller.lambda_per_s",
             "controller.phi_m_s2",
+            "controller.stiffness_n_m_per_rad",
+            "controller.damping_n_m_s_per_rad",
+            "controller.assistance",
+            "controller.band_rad",
+            "controller.proportional_rad_s_per_n",
+            "controller.speed_feedforward",
             "proportional_per_s",
             "integral_per_s2",
             "controller.derivative",
+        ),
+    ),
+    (
+        "Wearer",
+        ("wearer.", "load_cell."),
+        (
+            "wearer.cuff.stiffness_n_m_per_rad",
+            "wearer.cuff.damping_n_m_s_per_rad",
+            "wearer.inertia_kg_m2",
+            "wearer.stiffness_n_m_per_rad",
         ),
     ),
     (
@@ -149,6 +168,7 @@ def playground_data(scenarios: Sequence[Scenario], names: Sequence[str]) -> dict
         "scenarios": entries,
         "setups": [first, second],
         "compare": len(entries) > 1,
+        "margins": MARGINS,
         "groups": [
             {"title": title, "prefixes": list(prefixes), "main": list(main)}
             for title, prefixes, main in _GROUPS
@@ -159,7 +179,7 @@ def playground_data(scenarios: Sequence[Scenario], names: Sequence[str]) -> dict
             "shown_unit": "s",
             "shown_factor": 1.0,
             "low": _SHORTEST_RUN_S,
-            "high": LONGEST_RUN_S,
+            "high": min(map(_longest_s, scenarios)),
             "scale": "linear",
             "source": "",
             "help": "",
@@ -173,10 +193,11 @@ def _entry(scenario: Scenario, name: str) -> dict[str, Any]:
     The first model is that of the scenario. The models of other controllers and loads follow, if
     they can be made on this machine.
     """
-    duration_s = min(max(scenario.duration_s, _SHORTEST_RUN_S), LONGEST_RUN_S)
+    duration_s = min(max(scenario.duration_s, _SHORTEST_RUN_S), _longest_s(scenario))
     scenario = changed(scenario, {"simulation.duration_s": duration_s})
     first = _model(scenario)
-    models = [first, *_variants(scenario, first)]
+    variants, missing = _variants(scenario, first)
+    models = [first, *variants]
     for model in models[1:]:
         if model["references"].get("samples") == first["references"].get("samples"):
             model["references"].pop("samples", None)  # the page reads those of the first
@@ -184,6 +205,7 @@ def _entry(scenario: Scenario, name: str) -> dict[str, Any]:
     return {
         "name": name,
         "models": models,
+        "missing": missing,
         "duration_s": duration_s,
         "start": {
             "controller": first["controller"],
@@ -201,19 +223,39 @@ def _entry(scenario: Scenario, name: str) -> dict[str, Any]:
     }
 
 
+def _longest_s(scenario: Scenario) -> float:
+    """Return the longest run in s. The biological moment of a wearer must cover it."""
+    moment = moment_of(scenario)
+    return LONGEST_RUN_S if moment is None else min(LONGEST_RUN_S, moment.times_s[-1])
+
+
 def _model(scenario: Scenario) -> dict[str, Any]:
     return {**web_model(scenario), "scenario": _differences(scenario)}
 
 
-def _variants(scenario: Scenario, first: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """Yield the models of the other combinations of controller and load."""
-    for controller in dict.fromkeys((first["controller"], *_CONTROLLERS)):
-        for load in dict.fromkeys((first["load"], *_LOADS)):
-            if (controller, load) == (first["controller"], first["load"]):
-                continue
-            # A machine without Zig has the modules of the most common structures only.
-            with suppress(KneexoError):
-                yield _model(with_structure(scenario, controller, load))
+def _variants(
+    scenario: Scenario, first: dict[str, Any]
+) -> tuple[list[dict[str, Any]], dict[str, list[tuple[str, str]]]]:
+    """Return the models of the other combinations of controller and load.
+
+    Also return a dictionary from the reason why a model cannot be made here to the combinations
+    without model. A machine without Zig has the modules of the most common structures only.
+    """
+    controllers, loads = [first["controller"], *_CONTROLLERS], [first["load"], *_LOADS]
+    if first["wearer"]:  # a cuff acts on the load, and only a moment can be assisted
+        modes = (mode for mode in TORQUE_MODES if mode != "assist" or first["moment"])
+        controllers, loads = [first["controller"], *modes], loads[:1]
+    pairs = product(dict.fromkeys(controllers), dict.fromkeys(loads))
+    models: list[dict[str, Any]] = []
+    missing: dict[str, list[tuple[str, str]]] = {}
+    for pair in pairs:
+        if pair == (first["controller"], first["load"]):
+            continue
+        try:
+            models.append(_model(with_structure(scenario, *pair)))
+        except KneexoError as error:
+            missing.setdefault(str(error), []).append(pair)
+    return models, missing
 
 
 def _other_controller(models: list[dict[str, Any]], first: dict[str, Any]) -> dict[str, Any]:

@@ -4,14 +4,15 @@ import base64
 import json
 import math
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 import pytest
-from scipy.interpolate import PPoly
+from scipy.interpolate import BPoly, PPoly
 
 from kneexo import linkage
 from kneexo.errors import KneexoError
-from kneexo.export.web import START, web_model, web_modules, with_structure
+from kneexo.export.web import START, START_RATE, web_model, web_modules, with_structure
 from kneexo.export.web_code import SHIPPED
 from kneexo.export.web_maps import map_value
 from kneexo.parameters import PlantParameters, Scenario, gait_reference
@@ -19,6 +20,7 @@ from kneexo.simulation.compiled import simulate_together
 
 CURVES = ("knee_angle_rad", "motor_speed_command_rad_s", "load_pressure_pa")
 SIGNALS = ("knee_reference", "knee_angle", "motor_speed_command", "load_pressure")
+WORN_CURVES = ("interaction_torque_n_m", "wearer_angle_rad", "wearer_rate_rad_s")
 KEYS = ("breaks", "powers")
 BENCH = Scenario.model_validate(SHIPPED["bench"])
 LEG = Scenario.model_validate(SHIPPED["leg"])
@@ -36,6 +38,42 @@ def parameters_of(part, values):
     for formula in part["maps"]:
         row[formula["index"]] = map_value(formula, values)
     return row
+
+
+def spline_of(source):
+    """A piecewise polynomial of the data of a model."""
+    breaks, powers = (np.frombuffer(base64.b64decode(source[key])) for key in KEYS)
+    return PPoly(powers.reshape(breaks.size + 1, -1)[1:-1].T[::-1], breaks)
+
+
+def interval_rows(reference, spline, period):
+    """The input of `IntervalReference` at each sample, from the reference at the samples (n, 4).
+
+    A spline gives its own polynomials; else one of degree 7 has the values at both ends.
+    """
+    rows = np.zeros((len(reference) - 1, 14))
+    rows[:, 0], rows[:, 1] = period * np.arange(len(rows)), 1e9
+    for row, ends in zip(rows, pairwise(reference), strict=True):
+        start = row[0]
+        if spline is None:
+            scaled = [end * period ** np.arange(4) for end in ends]
+            row[2:10] = PPoly.from_bernstein_basis(BPoly.from_derivatives([0.0, 1.0], scaled)).c[
+                ::-1, 0
+            ]
+            continue
+        scale = period ** np.arange(4) / np.array([1.0, 1.0, 2.0, 6.0])
+        (inside,) = np.nonzero((spline.x > start + 1e-12) & (spline.x < start + period))
+        segment = min(np.searchsorted(spline.x, start + 1e-12) - 1, spline.c.shape[1] - 1)
+
+        def powers(number, at):
+            piece = np.polynomial.Polynomial(spline.c[::-1, number])
+            return [piece.deriv(n)(at) for n in range(4)]
+
+        row[2:6] = scale * powers(segment, start - spline.x[segment])
+        if inside.size:
+            row[1] = spline.x[inside[0]]
+            row[10:] = scale * powers(inside[0], start - spline.x[inside[0]])
+    return rows
 
 
 def values_of(model, kind):
@@ -57,17 +95,22 @@ def run_on_page(web_run):
     def run(model, kind, values, ticks):
         modules, source = web_modules([model]), model["references"][kind]
         if kind == "samples":
-            breaks, powers = (np.frombuffer(base64.b64decode(source[key])) for key in KEYS)
-            inner = powers.reshape(breaks.size + 1, -1)[1:-1]
-            spline = PPoly(inner.T[::-1], breaks)
+            spline = spline_of(source)
             time = 0.002 * np.arange(ticks + 1)  # within the breaks
             reference = np.column_stack([spline(time, order) for order in range(4)])
         else:
             instance, table = module(modules, source["module"])
             reference = instance.run(table, ticks=ticks, params=parameters_of(source, values))
         instance, table = module(modules, model["loop"]["module"])
-        params = parameters_of(model["loop"], values | {START: reference[0, 0]})
-        inputs = np.column_stack([reference, np.zeros(ticks + 1)])[:-1]
+        start = {START: reference[0, 0], START_RATE: reference[0, 1]}
+        params = parameters_of(model["loop"], values | start)
+        inputs = [reference[:-1]]
+        if model["wearer"]:
+            spline = spline_of(source) if kind == "samples" else None
+            inputs = [interval_rows(reference, spline, 0.002)]
+        if model["moment"]:
+            inputs.append(spline_of(model["moment"])(0.002 * np.arange(ticks)))
+        inputs = np.column_stack([*inputs, np.zeros(ticks)])
         outputs = instance.run(table, inputs, params=params)
         columns = dict(zip(table["outputs"], outputs.T, strict=True))
         return columns | {"knee_reference_rad": reference[:, 0]}
@@ -84,11 +127,13 @@ def require_same_curves(run_on_page, scenario, model, changes, duration_s):
     changed = scenario.changed({**changes, "simulation.duration_s": duration_s})
     table = web_modules([model])[model["loop"]["module"]]["table"]
     step_s = period / table["rk4_steps_per_tick"]
-    (run,) = simulate_together([changed], SIGNALS, "rk4", step_s)
+    worn = scenario.wearer.kind != "none"
+    signals = SIGNALS + ("interaction_torque", "wearer_motion") * worn
+    (run,) = simulate_together([changed], signals, "rk4", step_s)
     assert not isinstance(run, KneexoError), f"{changes}: {run}"
     values = values_of(model, kind) | changes
     columns = run_on_page(model, kind, values, round(duration_s / period))
-    for name in ("knee_reference_rad", *CURVES):
+    for name in ("knee_reference_rad", *CURVES, *WORN_CURVES * worn):
         largest = np.abs(run[name]).max()
         np.testing.assert_allclose(
             columns[name], run[name], rtol=0, atol=1e-9 * largest, err_msg=f"{name} with {changes}"
@@ -285,3 +330,39 @@ def test_a_controller_of_another_plant_keeps_its_limit():
     slow = {"plant.pump.speed_limit_rad_s": 100.0}
     assert limits["command_limit_rad_s"] == pytest.approx(5000.0 * math.pi / 30.0)
     assert map_value(limits["motor_speed_limit_rad_s"], slow) == 100.0
+
+
+# --------------------------------------------------------------------------------- wearer
+
+WEARER = {"plant": {"load": "knee"}, "wearer": "leg", "controller": "torque"}
+WALK = gait_reference(0.5)
+
+
+def worn(**fields):
+    """A scenario of reduced order with a wearer."""
+    return Scenario.model_validate(WEARER | {"simulation": {"duration_s": 1.0}} | fields)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "scenario",
+    [
+        worn(),
+        worn(controller={"kind": "torque", "mode": "impedance"}, reference=WALK),
+        worn(wearer={"kind": "leg", "motion": "active"}, reference=WALK),
+        worn(wearer={"kind": "leg", "motion": "passive", "cuff": {"slip_torque_n_m": 5.0}}),
+        worn(
+            controller={"kind": "torque", "mode": "assist"},
+            wearer={
+                "kind": "leg",
+                "moment": {"times_s": [0.0, 0.1234, 1.0], "moments_n_m": [0.0, 30.0, -20.0]},
+            },
+        ),
+    ],
+)
+def test_a_leg_of_a_wearer_moves_on_a_page_as_in_the_engine(scenario, run_on_page):
+    model = model_of(scenario)
+    changes = {"wearer.cuff.stiffness_n_m_per_rad": 900.0}
+    if scenario.reference.kind == "sine":
+        changes |= {"reference.frequency_hz": 2.0, "reference.ramp_s": 0.3}
+    require_same_curves(run_on_page, scenario, model, changes, 0.8)

@@ -117,10 +117,43 @@ def test_a_reference_module_follows_its_formula(web_run):
     np.testing.assert_allclose(columns.T, expected, rtol=0, atol=1e-12 * w**3)
 
 
-def test_a_wearer_is_refused_because_the_leg_moves_between_samples():
-    scenario = Scenario.model_validate({"plant": {"load": "knee"}, "wearer": "leg"})
-    with pytest.raises(ParameterError, match=r"^wearer\.kind = 'leg': must be 'none' on a page; "):
-        loop_source(scenario)
+MOMENT = {"times_s": [0.0, 1.0], "moments_n_m": [0.0, 5.0]}
+SHORT_GAP = {"kind": "samples", "times_s": [0.0, 0.001, 1.0], "angles_deg": [10.0, 11.0, 12.0]}
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        (
+            {"reference": "step"},
+            r"^reference\.kind = 'step': must be 'sine' or 'samples' on a page",
+        ),
+        (
+            {"reference": SHORT_GAP},
+            r"^reference\.times_s: rises by 0\.001 s; must rise by at least .* 0\.002 s on a page",
+        ),
+        (
+            {"wearer": {"kind": "leg", "motion": "active", "moment": MOMENT}},
+            r"^wearer\.motion = 'active': .* must be 'prescribed' or 'passive' with wearer\.moment",
+        ),
+    ],
+)
+def test_a_motion_of_a_wearer_that_a_page_cannot_follow_is_refused(fields, message):
+    worn = {"plant": {"load": "knee"}, "wearer": "leg", "simulation": {"duration_s": 1.0}}
+    with pytest.raises(ParameterError, match=message):
+        loop_source(Scenario.model_validate(worn | fields))
+
+
+def test_a_cuff_too_stiff_for_the_page_is_refused_with_the_most_it_follows():
+    """2.7/(0.002 s/15) = 20250 1/s against b/(m r²), with m = 1.6 kg and r = 36.8 mm."""
+    worn = Scenario.model_validate({"plant": {"load": "knee"}, "wearer": "leg"})
+    most = 20250 * 1.6 * 0.0368**2
+    name = "wearer.cuff.damping_n_m_s_per_rad"
+    require_slow_modes(worn.changed({name: 0.98 * most}))
+    with pytest.raises(ParameterError, match=f"^{name} = .* must be at most") as caught:
+        require_slow_modes(worn.changed({name: 1.5 * most}))
+    named = float(re.search(r"at most (\S+) ", str(caught.value))[1])
+    assert named == pytest.approx(most, rel=0.01)
 
 
 @pytest.mark.parametrize(

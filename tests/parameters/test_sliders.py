@@ -49,6 +49,24 @@ def test_the_nominal_plant_has_no_sliders():
     assert [path for path, _ in sliders_of(both)] == [path for path, _ in sliders_of(Scenario())]
 
 
+def test_a_mode_and_a_motion_have_the_sliders_that_act_in_them():
+    def ends(mode, motion):
+        fields = {"controller": {"kind": "torque", "mode": mode}, "wearer": {"motion": motion}}
+        fields["wearer"]["kind"] = "leg"
+        worn = Scenario.model_validate({"plant": {"load": "knee"}} | fields)
+        return {path.removeprefix("controller.") for path, _ in sliders_of(worn)}
+
+    virtual = {"stiffness_n_m_per_rad", "damping_n_m_s_per_rad", "band_rad", "assistance"}
+    assert not ends("zero_torque", "prescribed") & virtual
+    assert ends("impedance", "prescribed") & virtual == {
+        "stiffness_n_m_per_rad",
+        "damping_n_m_s_per_rad",
+    }
+    assert ends("assist_as_needed", "active") & virtual == {"stiffness_n_m_per_rad", "band_rad"}
+    assert "wearer.inertia_kg_m2" in ends("zero_torque", "passive")
+    assert "wearer.inertia_kg_m2" not in ends("zero_torque", "prescribed")
+
+
 def test_units_for_people():
     sliders = dict(sliders_of(Scenario()))
     unit, factor = sliders["plant.pump.speed_limit_rad_s"].shown

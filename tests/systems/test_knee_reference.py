@@ -13,6 +13,7 @@ from kneexo.parameters import (
     StepReference,
 )
 from kneexo.systems import (
+    IntervalReference,
     RampKneeReference,
     SineKneeReference,
     StepKneeReference,
@@ -115,6 +116,35 @@ def test_autodiff_time_derivative_of_each_output_is_the_next_one():
         slopes = [v.derivatives()[0] if v.derivatives().size else 0.0 for v in dual[:3]]
         values = [v.value() for v in dual[1:]]
         np.testing.assert_allclose(slopes, values, rtol=1e-12, atol=1e-14)
+
+
+def test_an_interval_reference_converts_and_has_no_state(leaf):
+    structure = leaf.structure(IntervalReference())
+    assert structure.inputs == {"interval": 14}
+    assert structure.outputs == {"knee_reference": 4}
+    assert (structure.continuous, structure.discrete) == (0, [])
+    ranges = [(0.1, 0.11), (0.104, 0.116), *[(-1.0, 1.0)] * 12]
+    probe = leaf.Probe(IntervalReference(0.01), {"interval": ranges}, time=(0.1, 0.12))
+    probe.check_conversions(6)
+    probe.check_outputs_follow_every_source()
+    probe.check_conversions_keep_arguments()
+    assert probe.largest_tree() < leaf.tree_limit
+
+
+# --------------------------------------------------------------------- numbers: intervals
+
+
+def test_an_interval_has_one_polynomial_up_to_its_break_and_another_after_it():
+    system = IntervalReference(0.01)
+    context = system.CreateDefaultContext()
+    random = np.random.default_rng(3)
+    before, after = random.uniform(-1.0, 1.0, 8), random.uniform(-1.0, 1.0, 4)
+    system.GetInputPort("interval").FixValue(context, [0.5, 0.504, *before, *after])
+    for time, powers in ((0.5, before), (0.503, before), (0.504, before), (0.509, after)):
+        context.SetTime(time)
+        polynomial = np.polynomial.Polynomial(powers, [0.5, 0.51], [0.0, 1.0])
+        expected = [polynomial.deriv(order)(time) for order in range(4)]
+        np.testing.assert_allclose(system.get_output_port().Eval(context), expected, rtol=1e-9)
 
 
 # --------------------------------------------------------------------------- numbers: sine

@@ -7,6 +7,7 @@ import pytest
 import yaml
 
 from kneexo.errors import OutputError, ParameterError
+from kneexo.export.web import controller_of
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 from kneexo.parameters.presets import PRESETS
@@ -24,9 +25,11 @@ def _models_without_maps(monkeypatch):
         if scenario.controller.kind == "pid" and scenario.plant.full_order is not None:
             raise ParameterError("no compiler for this structure")
         return {
-            "controller": scenario.controller.kind,
+            "controller": controller_of(scenario),
             "load": scenario.plant.load.kind,
             "quantities": [],
+            "wearer": scenario.wearer.kind != "none",
+            "moment": None,
             "references": {"sine": {"quantities": []}} | _samples(scenario),
             "limits": {"knee_low_rad": 0.0, "knee_high_rad": 1.5},
         }
@@ -76,9 +79,21 @@ def test_a_scenario_has_models_of_both_controllers_and_loads_its_own_first():
     assert "load" not in models[1]["scenario"].get("plant", {})
 
 
-def test_models_that_cannot_be_made_are_left_out():
+def test_models_that_cannot_be_made_are_left_out_with_the_reason():
     entry = playground_data([Scenario.preset("leg")], ["x"])["scenarios"][0]
     assert [model["controller"] for model in entry["models"]] == ["smc", "smc"]
+    assert entry["missing"] == {
+        "no compiler for this structure": [("pid", "knee"), ("pid", "none")]
+    }
+
+
+def test_a_wearer_has_models_of_the_modes_that_need_no_biological_moment():
+    data = playground_data([Scenario.preset("wearer")], ["x"])
+    modes = ["zero_torque", "impedance", "assist_as_needed"]
+    assert [model["controller"] for model in data["scenarios"][0]["models"]] == modes
+    assert {model["load"] for model in data["scenarios"][0]["models"]} == {"knee"}
+    assert [setup["controller"] for setup in data["setups"]] == modes[:2]
+    assert data["scenarios"][0]["missing"] == {}
 
 
 def test_set_up_b_is_the_other_controller_or_the_second_scenario():
@@ -95,6 +110,15 @@ def test_a_page_shows_a_run_of_half_a_second_to_a_minute():
     for duration, shown in ((0.1, 0.5), (20.0, 20.0), (1000.0, 60.0)):
         scenario = changed(Scenario(), {"simulation.duration_s": duration})
         assert playground_data([scenario], ["x"])["scenarios"][0]["duration_s"] == shown
+
+
+def test_a_run_ends_where_the_biological_moment_ends():
+    moment = {"times_s": [0.0, 7.0], "moments_n_m": [0.0, 5.0]}
+    worn = {"plant": {"load": "knee"}, "wearer": {"kind": "leg", "moment": moment}}
+    scenario = Scenario.model_validate(worn | {"simulation": {"duration_s": 2.0}})
+    data = playground_data([scenario], ["x"])
+    assert (data["duration"]["high"], data["scenarios"][0]["duration_s"]) == (7.0, 2.0)
+    assert playground_data([Scenario()], ["x"])["duration"]["high"] == 60.0
 
 
 def test_models_share_the_samples_of_a_minute_at_most():

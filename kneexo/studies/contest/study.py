@@ -20,7 +20,6 @@ import scipy
 from pydantic import Field
 
 from kneexo.analysis.assessment import assess
-from kneexo.analysis.margins import SOUND_DISK_MARGIN
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import (
     UNCERTAIN_KNEE,
@@ -32,6 +31,7 @@ from kneexo.parameters import (
     Uncertainty,
     UncertaintySet,
 )
+from kneexo.parameters.criteria import SOUND_DISK_MARGIN
 from kneexo.parameters.paths import changed
 from kneexo.parameters.quantity import Parameters, quantities, quantity
 from kneexo.parameters.uncertainty import applicable, draw, realize

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import field_validator, model_validator
 
-from kneexo.analysis.margins import SOUND_DISK_MARGIN
+from kneexo.parameters.criteria import SOUND_DISK_MARGIN
 from kneexo.parameters.quantity import (
     Parameters,
     positive_values,

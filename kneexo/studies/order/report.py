@@ -6,7 +6,8 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from kneexo.analysis.margins import SOUND_DISK_MARGIN, soundness
+from kneexo.analysis.margins import soundness
+from kneexo.parameters.criteria import SOUND_DISK_MARGIN
 from kneexo.studies.markdown import number
 from kneexo.studies.order.rows import FrequencyRow, SwitchingRow
 from kneexo.studies.order.study import ORDERS, OrderResult

@@ -35,6 +35,10 @@ const Page = (() => {
     parts.latest[index] = request;
     results[index].fresh = false;
     parts.runs.request(index, request);
+    if (Setups.isWorn(data, setup)) {
+      parts.analyses.request(index, null);
+      return;
+    }
     const sweep = requestOf({ ...setup, reference: "sine" });
     const near = results[index].near_hz; // the search is quicker beside the last result
     if (near) sweep.near_hz = near;
@@ -49,7 +53,7 @@ const Page = (() => {
     }
     const setup = state.setups[index];
     results[index] = {
-      ...results[index], fresh: parts.latest[index] === request, run: { ...answer, duration_s: request.duration_s },
+      ...results[index], worn: Setups.isWorn(data, setup), margins: data.margins, fresh: parts.latest[index] === request, run: { ...answer, duration_s: request.duration_s },
       frequency: request.reference === "sine" ? request.values["reference.frequency_hz"] : null,
       sample_time_s: data.modules[Setups.modelOf(data, setup).loop.module].table.sample_time_s,
       reference_key: JSON.stringify([request.reference, Object.entries(request.values).filter(([name]) => name.startsWith("reference."))]),
@@ -110,8 +114,8 @@ const Page = (() => {
   }
 
   function showOnStage(index, { time, columns }) {
-    const { angle, reference, pressure } = columns;
-    parts.stage.setRun(index, { time, angle, reference, pressure });
+    const { angle, reference, pressure, wearer, torque } = columns;
+    parts.stage.setRun(index, { time, angle, reference, pressure, ...(torque && { wearer, torque }) });
     parts.stage.setName(index, nameOf(index));
   }
 
@@ -150,6 +154,9 @@ const Page = (() => {
     const text = `${lines.join(" ")} At a filled mark the motor reaches its limit. At an open mark it stays below its limit.`;
     if (byId("bode-caption").textContent !== text) byId("bode-caption").textContent = text;
     byId("key").replaceChildren(...key());
+    const worn = shownSetups().map((index) => Setups.isWorn(data, state.setups[index]));
+    byId("bode").hidden = worn.every(Boolean);
+    byId("worn-note").hidden = byId("torque-option").hidden = !worn.some(Boolean);
   }
 
   /** The sines of a set-up's sweep in words. */
@@ -165,7 +172,9 @@ const Page = (() => {
       const letter = "ab"[index];
       return element("li", { class: `of-${letter}` }, nameOf(index));
     });
-    return [...items, element("li", { class: "of-reference" }, "reference"), element("li", { class: "of-limit" }, "limit of the command")];
+    const worn = shownSetups().some((index) => Setups.isWorn(data, state.setups[index]));
+    const lines = [["of-reference", "reference"], ...(worn ? [["of-wearer", "wearer's knee"]] : []), ["of-limit", "limit of the command"]];
+    return [...items, ...lines.map(([name, text]) => element("li", { class: name }, text))];
   }
 
   // ---------------------------------------------------------------------------- parts
@@ -345,6 +354,7 @@ const Page = (() => {
   }
 
   function start() {
+    byId("tour-start").hidden = Setups.isWorn(data, data.setups[0]); // the steps are about position
     byId("copy-link").hidden = location.protocol === "about:"; // inside a notebook
     byId("scenario-name").textContent = data.scenarios.map(({ name }) => name).join(", ");
     byId("made-by").textContent = `kneexo ${data.kneexo} made this page. The page needs no network and sends no data.`;

@@ -49,7 +49,7 @@ const Controls = (() => {
       const focused = document.activeElement?.id;
       this.rows = new Map();
       this.hint = element("p", { id: "hint", "aria-hidden": "true" });
-      this.parent.replaceChildren(this.head(), ...this.switches(), ...this.groups(), this.hint);
+      this.parent.replaceChildren(this.head(), ...this.switches(), ...this.missing(), ...this.groups(), this.hint);
       this.tell(null);
       if (focused && !document.activeElement?.id) document.getElementById(focused)?.focus();
       this.refresh();
@@ -109,6 +109,15 @@ const Controls = (() => {
       ];
       return lists.filter(([, , choices]) => choices.length > 1)
         .map(([name, title, choices]) => this.switch(name, title, choices));
+    }
+
+    /** A line for each reason why a controller or load is not on this page. */
+    missing() {
+      return Object.entries(this.data.scenarios[this.setup.scenario].missing).map(([reason, pairs]) => {
+        const words = pairs.map(([controller, load]) =>
+          `${Setups.CONTROLLER_NAMES[controller] ?? controller} with load ${Setups.LOAD_NAMES[load] ?? load}`);
+        return element("p", { class: "missing" }, `Not on this page: ${words.join(", ")}. ${reason}`);
+      });
     }
 
     switch(name, title, choices) {

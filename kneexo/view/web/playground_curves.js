@@ -4,6 +4,7 @@
 const Curves = (() => {
   const COLOURS = ["#0062a8", "#b8480a"];
   const REFERENCE = "#1f2328";
+  const WEARER = "#00563f"; // as the arrow of the stage
   const LIMIT = "#6b7280";
   const AXIS = "#4b5563";
   const GRID = "#e5e7eb";
@@ -16,6 +17,7 @@ const Curves = (() => {
   const PLOTS = [
     { name: "angle", title: "Knee angle", unit: "deg", factor: DEG, height: 150, extra: "reference" },
     { name: "error", title: "Error, reference minus angle", unit: "deg", factor: DEG, height: 100 },
+    { name: "torque", title: "Torque of the wearer on the exoskeleton", unit: "N·m", factor: 1, height: 110 },
     { name: "command", title: "Motor speed command", unit: "rpm", factor: RPM, height: 110, extra: "limit" },
     { name: "pressure", title: "Load pressure", unit: "bar", factor: 1e-5, height: 100 },
   ];
@@ -77,7 +79,7 @@ const Curves = (() => {
         const time = chart.posToVal(chart.cursor.left, "x");
         if (this.range === null || (time >= 0 && Number.isFinite(time))) this.onSeek(time);
       });
-      return { ...plot, chart, box, values };
+      return { ...plot, chart, box, figure, values };
     }
 
     /** Series in the order of the columns: time, A, B, then the extra lines of A and of B. */
@@ -85,7 +87,8 @@ const Curves = (() => {
       const main = COLOURS.map((stroke) => ({ stroke, width: 1.75 }));
       const extra = COLOURS.flatMap((colour, index) => {
         if (plot.extra === "reference") {
-          return [{ stroke: index ? colour : REFERENCE, width: 1.25, dash: index ? [2, 4] : [6, 4] }];
+          const wearer = { stroke: index ? colour : WEARER, width: 1.25, dash: [10, 3, 2, 3] };
+          return [{ stroke: index ? colour : REFERENCE, width: 1.25, dash: index ? [2, 4] : [6, 4] }, wearer];
         }
         const limit = { stroke: index ? colour : LIMIT, width: 1, dash: index ? [2, 6] : [2, 3] };
         return plot.extra === "limit" ? [limit, limit] : [];
@@ -120,6 +123,7 @@ const Curves = (() => {
       const again = this.end === end && this.range !== null;
       Object.assign(this, { runs, end, showing: true });
       for (const plot of this.plots) {
+        plot.figure.hidden = !runs.some((run) => run.columns[plot.name]);
         plot.data = this.columns(plot, time);
         plot.chart.setData(plot.data, false);
         plot.chart.series[1].width = runs.length > 1 ? 3.5 : 1.75; // A stays visible behind B
@@ -131,11 +135,14 @@ const Curves = (() => {
 
     columns(plot, time) {
       const empty = new Array(time.length).fill(null);
-      const column = (run, name, factor) => (run ? onTime(run, run.columns[name], time, factor) : empty);
+      const column = (run, name, factor) =>
+        (run?.columns[name] ? onTime(run, run.columns[name], time, factor) : empty);
       const [a, b] = this.runs;
       const main = [a, b].map((run) => column(run, plot.name, plot.factor));
       const extra = [a, b].flatMap((run) => {
-        if (plot.extra === "reference") return [column(run?.same_reference ? null : run, "reference", DEG)];
+        if (plot.extra === "reference") {
+          return [column(run?.same_reference ? null : run, "reference", DEG), column(run, "wearer", DEG)];
+        }
         return plot.extra === "limit" ? [1, -1].map((sign) => column(run, "limit", sign * RPM)) : [];
       });
       return [time, ...main, ...extra];
@@ -224,7 +231,7 @@ const Curves = (() => {
     const parts = runs.map((run, index) => {
       let low = Infinity;
       let high = -Infinity;
-      for (const value of run.columns[plot.name]) {
+      for (const value of run.columns[plot.name] ?? []) {
         if (value < low) low = value;
         if (value > high) high = value;
       }

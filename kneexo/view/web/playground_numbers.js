@@ -40,13 +40,19 @@ const Numbers = (() => {
       : [`−3 dB, below the sine's ${shown(frequency)} Hz`, "bad"];
   }
 
-  function ofMargin(linear, value, enough, least, words = () => null) {
+  function ofMargin(linear, value, [least, enough], words = () => null) {
     if (!linear) return ["computing", "plain"];
     if (linear.failure || linear.error) return [linear.failure ?? linear.error, "plain"];
     if (!linear.stable) return ["unstable", "bad"];
     if (value == null || value === Infinity) return ["no limit", "good"];
     if (value >= enough) return [words(value) ?? "large", "good"];
     return value >= least ? [words(value) ?? "sufficient", "fair"] : [words(value) ?? "too small", "bad"];
+  }
+
+  /** The time over which the metrics of the interaction are. */
+  function ofPeriods({ metrics: { periods } }) {
+    const time = periods ? `${periods} ${periods > 1 ? "periods" : "period"} after the first` : "whole run";
+    return [`of the wearer, ${time}`, "plain"];
   }
 
   function ofPressure(run) {
@@ -63,24 +69,33 @@ const Numbers = (() => {
     return value == null || value === Infinity ? "∞" : shown(factor * value);
   }
 
+  // A row with ``worn`` is only for set-ups with a wearer (true) or without (false).
   const ROWS = [
-    { name: "error", label: "Largest error", unit: "deg",
+    { name: "rms-torque", label: "Torque, rms", unit: "N·m", worn: true,
+      value: ({ run }) => shown(run.metrics.rms_torque_n_m), word: ({ run }) => ofPeriods(run) },
+    { name: "peak-torque", label: "Largest torque", unit: "N·m", worn: true,
+      value: ({ run }) => shown(run.metrics.peak_torque_n_m), word: ({ run }) => ofPeriods(run) },
+    { name: "power-taken", label: "Power taken", unit: "W", worn: true,
+      value: ({ run }) => shown(run.metrics.power_taken_w), word: () => ["mean, from the wearer", "plain"] },
+    { name: "power-given", label: "Power given", unit: "W", worn: true,
+      value: ({ run }) => shown(run.metrics.power_given_w), word: () => ["mean, to the wearer", "plain"] },
+    { name: "error", worn: false, label: "Largest error", unit: "deg",
       value: ({ run }) => shown(run.metrics.largest_error_rad * DEG), word: ({ run }) => ofError(run) },
     { name: "saturated", label: "Time at the limit", unit: "%",
       value: ({ run }) => shown(100 * shareOf(run)), word: ({ run }) => ofShare(shareOf(run)) },
-    { name: "bandwidth", label: "Bandwidth", unit: "Hz",
+    { name: "bandwidth", worn: false, label: "Bandwidth", unit: "Hz",
       value: ({ sweep }) => (sweep && Number.isFinite(sweep.minus_3_db_hz) ? shown(sweep.minus_3_db_hz) : "–"),
       word: ({ sweep, frequency }) => ofBandwidth(sweep, frequency) },
-    { name: "phase", label: "Phase margin", unit: "deg",
+    { name: "phase", worn: false, label: "Phase margin", unit: "deg",
       value: ({ linear }) => margin(linear, "phase_margin_deg", 1),
-      word: ({ linear }) => ofMargin(linear, linear?.phase_margin_deg, 45, 30) },
-    { name: "gain", label: "Gain margin", unit: "",
+      word: ({ linear, margins }) => ofMargin(linear, linear?.phase_margin_deg, margins.phase_deg) },
+    { name: "gain", worn: false, label: "Gain margin", unit: "",
       value: ({ linear }) => margin(linear, "gain_margin", 1),
-      word: ({ linear }) => ofMargin(linear, linear?.gain_margin, 2, 1.5) },
-    { name: "delay", label: "Delay margin", unit: "ms",
+      word: ({ linear, margins }) => ofMargin(linear, linear?.gain_margin, margins.gain) },
+    { name: "delay", worn: false, label: "Delay margin", unit: "ms",
       value: ({ linear }) => margin(linear, "delay_margin_s", 1e3),
-      word: ({ linear, sample_time_s: sample }) => ofMargin(linear, linear?.delay_margin_s, 2 * sample, sample,
-        (value) => `${Math.floor(value / sample)} samples`) },
+      word: ({ linear, margins, sample_time_s: sample }) => ofMargin(linear, linear?.delay_margin_s,
+        margins.delay_samples.map((count) => count * sample), (value) => `${Math.floor(value / sample)} samples`) },
     { name: "pressure", label: "Peak pressure", unit: "bar",
       value: ({ run }) => shown(1e-5 * run.metrics.peak_pressure_pa), word: ({ run }) => ofPressure(run) },
   ];
@@ -98,17 +113,19 @@ const Numbers = (() => {
         });
         card.prepend(element("h3", {}, row.label));
         parent.append(card);
-        return { row, values };
+        return { card, row, values };
       });
     }
 
     /** Show the results of the set-ups: objects with run, linear, sweep, frequency, sample_time_s. */
     show(results) {
-      for (const { row, values } of this.cells) {
+      for (const { card, row, values } of this.cells) {
+        const has = (result) => Boolean(result?.run) && (row.worn ?? result.worn) === result.worn;
+        card.hidden = !results.some(has);
         values.forEach(({ line, word }, index) => {
           const result = results[index];
-          line.hidden = word.hidden = !result?.run;
-          if (!result?.run) return;
+          line.hidden = word.hidden = !has(result);
+          if (!has(result)) return;
           const [text, kind] = row.word(result);
           const name = results.length > 1 ? element("span", { class: "name" }, "AB"[index]) : "";
           line.replaceChildren(name, element("span", { class: "number" }, row.value(result)),
@@ -127,6 +144,7 @@ const Numbers = (() => {
       const { run } = result;
       if (run.end) return `${name}the run ended at ${shown(run.end.time_s)} s: ${run.end.reason}.`;
       const hz = result.sweep?.minus_3_db_hz;
+      if (result.worn) return `${name}torque of the wearer ${shown(run.metrics.rms_torque_n_m)} newton metres rms.`;
       return `${name}largest error ${shown(run.metrics.largest_error_rad * DEG)} degrees, `
         + `motor at its limit ${shown(100 * shareOf(run))} percent of the time`
         + `${Number.isFinite(hz) ? `, bandwidth ${shown(hz)} hertz` : ""}.`;

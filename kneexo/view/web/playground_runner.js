@@ -70,12 +70,13 @@ const Runner = (() => {
       Object.assign(this, { crew, rest_ms, handlers, timers: [0, 0], ids: [[], []] });
     }
 
+    /** Without messages the set-up has no margins and no sweep. */
     request(index, messages) {
       clearTimeout(this.timers[index]);
       for (const id of this.ids[index]) this.crew.forget(id);
       this.ids[index] = [];
       this.handlers.onStart(index);
-      this.timers[index] = setTimeout(() => this.send(index, messages), this.rest_ms);
+      if (messages) this.timers[index] = setTimeout(() => this.send(index, messages), this.rest_ms);
     }
 
     /** Ask for the margins, then the −3 dB frequency, then the points of the sweep. */

@@ -2,7 +2,8 @@
 "use strict";
 
 const Setups = (() => {
-  const CONTROLLER_NAMES = { smc: "sliding mode", pid: "PID", law: "your law", custom: "your controller" };
+  const CONTROLLER_NAMES = { smc: "sliding mode", pid: "PID", law: "your law", custom: "your controller",
+    zero_torque: "zero torque", impedance: "impedance", assist: "assistance", assist_as_needed: "assist as needed" };
   const LOAD_NAMES = { none: "none", knee: "weight of the shank" };
   const REFERENCE_NAMES = { sine: "sine", step: "step", ramp: "ramp", samples: "samples" };
   const NUMBER = /^[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?$/i;
@@ -47,6 +48,11 @@ const Setups = (() => {
     const existing = [...new Set(all.map((model) => model[name]))];
     return existing.filter((choice) =>
       all.some((model) => model[name] === choice && model[other] === setup[other]));
+  }
+
+  /** Whether the loop of a set-up has a wearer. */
+  function isWorn(data, setup) {
+    return modelOf(data, setup).wearer;
   }
 
   function references(data, setup) {
@@ -234,7 +240,7 @@ const Setups = (() => {
 
   return {
     CONTROLLER_NAMES, LOAD_NAMES, REFERENCE_NAMES, choices, choose, clamped, copied, defaultOf,
-    display, faultOf, fresh, linkOf, modelOf, parsed, quantitiesOf, references, setValue, shown, stateOf,
+    display, faultOf, fresh, isWorn, linkOf, modelOf, parsed, quantitiesOf, references, setValue, shown, stateOf,
     valueOf, valuesOf, yamlOf,
   };
 })();

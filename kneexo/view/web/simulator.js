@@ -200,23 +200,36 @@ const Simulator = (() => {
     return instance.table.outputs.map((name) => instance.output(name, rows));
   }
 
-  // Angle and three derivatives of a piecewise polynomial at the ticks. Powers are of the time since a break.
+  // Angle and three derivatives of a piecewise polynomial at the ticks.
   function sampledColumns(source, ticks, period_s) {
-    source.decoded ??= [source.breaks, source.powers].map((text) => new Float64Array(bytesOf(text).buffer));
-    const [breaks, powers] = source.decoded;
-    const width = powers.length / (breaks.length + 1);
     const columns = [0, 1, 2, 3].map(() => new Float64Array(ticks + 1));
+    eachTick(source, ticks, period_s, (tick, segment) => {
+      const powers = segmentAt(source, segment, tick * period_s);
+      columns.forEach((column, order) => { column[tick] = powers[order]; });
+    });
+    return columns;
+  }
+
+  // Call `visit` with each tick and the segment of a piecewise polynomial at this tick.
+  function eachTick(source, ticks, period_s, visit) {
+    source.decoded ??= [source.breaks, source.powers].map((text) => new Float64Array(bytesOf(text).buffer));
+    const [breaks] = source.decoded;
     let segment = 0;
     for (let tick = 0; tick <= ticks; ++tick) {
       const time = tick * period_s;
       // A segment is closed on the left; the last break also belongs to the segment before.
       while (segment < breaks.length - 1 && time >= breaks[segment]) ++segment;
       if (time > breaks[segment]) ++segment;
-      const since = time - (breaks[segment - 1] ?? 0);
-      const row = powers.subarray(segment * width, (segment + 1) * width);
-      columns.forEach((column, order) => { column[tick] = derivativeAt(row, since, order); });
+      visit(tick, segment, breaks[segment] ?? Infinity);
     }
-    return columns;
+  }
+
+  // Value and three derivatives at a time of one segment. Its powers are of the time since its start.
+  function segmentAt({ decoded: [breaks, powers] }, segment, time) {
+    const width = powers.length / (breaks.length + 1);
+    const row = powers.subarray(segment * width, (segment + 1) * width);
+    const since = time - (breaks[segment - 1] ?? 0);
+    return [0, 1, 2, 3].map((order) => derivativeAt(row, since, order));
   }
 
   // The derivative of this order of the polynomial with the coefficients `row`, at x.
@@ -230,6 +243,38 @@ const Simulator = (() => {
     return sum;
   }
 
+  // The input of a loop with a wearer: for each tick its start, a break, eight powers of the share u
+  // of the tick before the break, and four after it. See IntervalReference in kneexo.systems.
+  function intervalColumns(source, columns, ticks, period_s) {
+    const result = Array.from({ length: 14 }, () => new Float64Array(ticks + 1));
+    const fill = (tick, first, values) => values.forEach((value, k) => { result[first + k][tick] = value; });
+    const scaled = (values) => values.map((value, n) => (value * period_s ** n) / FACTORIALS[n]);
+    const rowAt = (tick) => scaled(columns.map((column) => column[tick]));
+    for (let tick = 0; tick <= ticks; ++tick) fill(tick, 0, [tick * period_s, NEVER_S]);
+    if (source.powers === undefined) {
+      for (let tick = 0; tick < ticks; ++tick) fill(tick, 2, powersBetween(rowAt(tick), rowAt(tick + 1)));
+      return result;
+    }
+    eachTick(source, ticks, period_s, (tick, segment, end) => {
+      const time = tick * period_s;
+      fill(tick, 2, rowAt(tick));
+      if (end >= time + period_s) return;
+      result[1][tick] = end;
+      fill(tick, 10, scaled(segmentAt(source, segment + 1, time)));
+    });
+    return result;
+  }
+
+  const NEVER_S = 1e9;
+  const FACTORIALS = [1, 1, 2, 6];
+
+  // The powers of the polynomial of degree 7 with value and three scaled derivatives at u = 0 and u = 1.
+  function powersBetween([a, b, c, d], [value, slope, half, sixth]) {
+    const gap = [value - a - b - c - d, slope - b - 2 * c - 3 * d, 2 * half - 2 * c - 6 * d, 6 * sixth - 6 * d];
+    const sum = (...factors) => factors.reduce((total, factor, k) => total + factor * gap[k], 0);
+    return [a, b, c, d, sum(35, -15, 2.5, -1 / 6), sum(-84, 39, -7, 0.5), sum(70, -34, 6.5, -0.5), sum(-20, 10, -2, 1 / 6)];
+  }
+
   const periodOf = (model) => sources.get(model.loop.module).table.sample_time_s;
 
   // Run a closed loop and return its instance, the reference and the number of good rows.
@@ -241,9 +286,11 @@ const Simulator = (() => {
     if (!source) throw new Error(`reference ${reference} is not in this model`);
     const period_s = instance.table.sample_time_s;
     const columns = await referenceColumns(source, values, ticks, period_s, pause, `${purpose} ${setup}`);
-    const all = { ...values, start_angle_rad: columns[0][0] };
+    const all = { ...values, start_angle_rad: columns[0][0], start_rate_rad_s: columns[1][0] };
     instance.prepare(parametersOf(model.loop, all), ticks);
-    columns.forEach((column, order) => instance.input(order).set(column));
+    const inputs = model.wearer ? intervalColumns(source, columns, ticks, period_s) : columns;
+    if (model.moment) inputs.push(sampledColumns(model.moment, ticks, period_s)[0]);
+    inputs.forEach((column, index) => instance.input(index).set(column));
     const rows = await instance.run(pause);
     return { instance, columns, rows, end: instance.endAt(rows) };
   }
@@ -260,7 +307,7 @@ const Simulator = (() => {
     );
     const limits = limitsOf(model, values);
     const signals = signalsOf(instance, columns[0].slice(0, rows), limits.command_limit_rad_s);
-    const { time, shaft, hydraulic, chambers, ...shown } = signals;
+    const { time, shaft, hydraulic, chambers, rate, ...shown } = signals;
     const metrics = rows > 1 ? metricsOf(model, reference, values, limits, signals) : {};
     return { time, columns: shown, metrics, limits, end };
   }
@@ -270,7 +317,9 @@ const Simulator = (() => {
     const rows = reference.length;
     const signal = (name) => instance.output(name, rows);
     const angle = signal("knee_angle_rad");
+    const torque = signal("interaction_torque_n_m"); // null without a wearer
     return {
+      ...(torque && { torque, wearer: signal("wearer_angle_rad"), rate: signal("wearer_rate_rad_s") }),
       time: Float64Array.from({ length: rows }, (_, tick) => tick * instance.table.sample_time_s),
       angle,
       reference,
@@ -374,13 +423,32 @@ const Simulator = (() => {
       ...main,
       ...(step ?? {}),
       error_bound_rad: bound,
-      tracks: step ? step.settling_time_s !== null : main.largest_error_rad <= bound,
+      tracks: signals.torque ? null : step ? step.settling_time_s !== null : main.largest_error_rad <= bound,
       largest_error_overall_rad: largest(signals.error),
       rms_error_overall_rad: rms(signals.error),
       saturated_share_overall: saturatedShare(signals.command, limits.command_limit_rad_s),
       peak_command_rad_s: largest(signals.command),
       ...pressureMetrics(signals, limits),
       ...powerMetrics(signals, limits),
+      ...interactionMetrics(signals, reference === "sine" ? 1 / values["reference.frequency_hz"] : 0),
+    };
+  }
+
+  // Metrics of kneexo.analysis.interaction in the whole periods after the first, or in a short run.
+  function interactionMetrics({ time, torque, rate }, period_s) {
+    if (!torque) return {};
+    const last = time.length - 1;
+    const periods = period_s > 0 ? Math.floor(time[last] / period_s + 1e-9) : 0;
+    const ends = periods < 2 ? [0, last] : [1, periods].map((count) => indexAt(time, count * period_s));
+    const [power, torques] = [torque.map((value, k) => value * rate[k]), torque].map(
+      (column) => column.subarray(ends[0], ends[1] + 1));
+    const share = (time[1] - time[0]) / (time[ends[1]] - time[ends[0]]);
+    return {
+      periods: Math.max(periods - 1, 0),
+      rms_torque_n_m: Math.sqrt(integral(torques, share, (value) => value * value)),
+      peak_torque_n_m: largest(torques),
+      power_taken_w: integral(power, share, (value) => Math.max(value, 0)),
+      power_given_w: integral(power, share, (value) => Math.max(-value, 0)),
     };
   }
 

@@ -67,7 +67,8 @@ const StageArrow = (() => {
     const length = Math.hypot(right, down);
     const beyond = tip[0] + (right / length) * (half + 6 * pixels);
     const x = Math.min(Math.max(beyond, half), context.canvas.width - half);
-    const y = tip[1] + (down / length) * 14 * pixels;
+    const below = x === beyond ? 0 : 20; // the text would cover the arrow
+    const y = tip[1] + ((down / length) * 14 + below) * pixels;
     edged(context, pixels, (edge) => {
       if (edge) context.strokeText(text, x, y);
       else context.fillText(text, x, y);

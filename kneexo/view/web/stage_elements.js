@@ -116,9 +116,9 @@ const StageElements = (() => {
     const equal = legs.every((other) => other.data.rating_pa === leg.data.rating_pa);
     const full = equal ? StageModel.pressureText(leg.data.rating_pa, leg.data.pressure_unit) : "rating";
     const colour = (name) => css(leg.data.parts.find((part) => part.name === name).colour);
-    const item = (children) => make("li", {}, children);
+    const item = (children, className = "") => make("li", { className }, children);
     const wearer = [
-      item([line(StageArrow.COLOUR, 4), `arrow: torque of the wearer on the exoskeleton, a quarter turn is ${quarterTurn} N·m`]),
+      item([line(StageArrow.COLOUR, 4), `arrow: torque of the wearer on the exoskeleton, a quarter turn is ${quarterTurn} N·m`], "wearer"),
       item(["limb: wearer, brace and bars: exoskeleton"]),
     ];
     return make("ul", { className: "stage-legend" }, [

@@ -5,13 +5,14 @@ import math
 import numpy as np
 import pytest
 
+from kneexo.analysis import interaction_metrics
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
 from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.analysis.sine_estimate import SineEstimateSettings, estimate_sine
 from kneexo.analysis.tracking import track
 from kneexo.errors import KneexoError, LinearizationError
 from kneexo.export.web import web_model, web_modules
-from kneexo.parameters import Scenario
+from kneexo.parameters import Scenario, gait_reference
 from kneexo.parameters.paths import value_at
 from kneexo.parameters.presets import with_preset
 
@@ -298,3 +299,41 @@ def test_a_run_that_fails_ends_with_time_and_reason(worker):
     sweep = worker.ask(kind="sweep", frequencies=[1.0], **request)
     assert sweep["minus_3_db_hz"] is None
     assert "range of motion" in sweep["failure"]
+
+
+WORN = {"plant": {"load": "knee"}, "wearer": "leg", "controller": "torque"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("reference", ["sine", "samples"])
+def test_a_wearer_feels_on_a_page_the_torque_of_kneexo(worker, reference):
+    """Curves to 1e-9 of their largest, and the metrics of the interaction."""
+    motion = {"kind": "sine", "frequency_hz": 0.8, "amplitude_deg": 15.0, "mean_deg": 30.0}
+    if reference == "samples":
+        motion = gait_reference(1.2)
+    controller = {"kind": "torque", "mode": "impedance"}
+    scenario = Scenario.model_validate(WORN | {"reference": motion, "controller": controller})
+    model = loaded(worker, scenario)
+    values = {"controller.stiffness_n_m_per_rad": 55.0, "wearer.cuff.damping_n_m_s_per_rad": 8.0}
+    answer = worker.ask(
+        kind="run", model="model", reference=reference, values=values, duration_s=4.0
+    )
+    result = in_kneexo(scenario.changed(values), model, 4.0)
+    check_run(answer, result)
+    for name, column in {
+        "torque": "interaction_torque_n_m",
+        "wearer": "wearer_angle_rad",
+        "angle": "knee_angle_rad",
+    }.items():
+        size = np.max(np.abs(result[column]))
+        np.testing.assert_allclose(
+            answer["columns"][name], result[column], rtol=0.0, atol=1e-9 * size
+        )
+    period_s = 1.25 if reference == "sine" else 0.0
+    expected = interaction_metrics(result.run, period_s=period_s)
+    assert expected.start_s == (1.25 if reference == "sine" else 0.0)
+    for name in INTERACTION:
+        assert answer["metrics"][name] == pytest.approx(getattr(expected, name), rel=1e-6), name
+
+
+INTERACTION = ("rms_torque_n_m", "peak_torque_n_m", "power_taken_w", "power_given_w")
