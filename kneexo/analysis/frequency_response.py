@@ -285,8 +285,17 @@ async def _measure(settings: SinestreamSettings, work: tuple[float, Scenario]) -
 
 
 def require_sine(scenario: Scenario) -> SineReference:
-    """Return a scenario's reference. Raise `ParameterError` unless it is a sine that moves."""
+    """Return a scenario's reference, a sine that moves.
+
+    Raises `ParameterError` for another reference, and for a torque controller, which does not
+    follow the reference.
+    """
     reference = scenario.reference
+    if scenario.controller.kind == "torque":
+        raise ParameterError(
+            "controller.kind = torque: a sinestream needs a controller that follows the reference; "
+            "kneexo study wearer measures torque"
+        )
     if reference.kind != "sine" or reference.amplitude_deg == 0.0:
         shown = reference.kind if reference.kind != "sine" else "sine with amplitude_deg = 0 deg"
         raise ParameterError(f"reference = {shown}: a sinestream needs a sine that moves")

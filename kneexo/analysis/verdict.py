@@ -37,6 +37,11 @@ Section 5 of the paper: the error with the sliding-mode controller was less than
 of 30°.
 """
 
+_VALUES = ("tracks", "max_error_deg", "max_error_time_s", "error_bound_deg", "saturated_share",
+    "pressure_over_rating_share", "relief_share", "power_over_rating_share", "torque_error_rms_n_m",
+)  # fmt: skip
+"""Names of the fields of `Verdict` that its plain data contain as they are."""
+
 _UNLIMITED_RPM = 1e6
 """Motors are slower, so a higher limit of the command means no limit."""
 
@@ -189,20 +194,12 @@ class Verdict(Result):
         names = ("gain_margin", "phase_margin_deg", "delay_margin_s", "disk_margin")
         return {
             "lines": list(self.lines),
-            "tracks": self.tracks,
-            "max_error_deg": self.max_error_deg,
-            "max_error_time_s": self.max_error_time_s,
-            "error_bound_deg": self.error_bound_deg,
-            "saturated_share": self.saturated_share,
-            "pressure_over_rating_share": self.pressure_over_rating_share,
-            "relief_share": self.relief_share,
-            "power_over_rating_share": self.power_over_rating_share,
+            **{name: getattr(self, name) for name in _VALUES},
             "knee_angle_deg": stability.knee_angle_deg,
             "stable": stability.stable,
             **{name: getattr(margins, name, math.nan) for name in names},
             "margins_failure": stability.failure,
             "interaction": None if self.interaction is None else asdict(self.interaction),
-            "torque_error_rms_n_m": self.torque_error_rms_n_m,
             "omissions": list(self.omissions),
             "notices": list(self.notices),
         }
