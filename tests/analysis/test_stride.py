@@ -165,10 +165,12 @@ def test_the_smallest_piston_brings_a_stride_to_the_relief_pressure(linkage, sha
 
 
 def test_stance_can_decide_the_piston():
-    tight = FullCylinderParameters(reservoir_pressure_pa=0.0)
-    thin = CylinderParameters(rod_diameter_m=1e-3)  # the areas differ by 0.25 %
-    scenario = Scenario(plant=PlantParameters(full_order=tight, cylinder=thin))
-    assert smallest_piston_factor(scenario) == pytest.approx(773 / (CAP * 3.5e6), rel=2e-3)
+    thin = CylinderParameters(rod_diameter_m=2e-3)  # A_2 = 0.99 A_1
+    scenario = Scenario(plant=PlantParameters(cylinder=thin))
+    smallest = smallest_piston_factor(scenario)
+    assert smallest == pytest.approx(773 / (CAP * (3.5e6 - 0.99 * 0.2e6)), rel=2e-3)
+    load = stride_load(with_piston(scenario, smallest))
+    assert load.cap_pressure_pa.max() == pytest.approx(3.5e6, rel=1e-12)
 
 
 def test_a_reservoir_that_pushes_the_rod_out_is_refused():

@@ -27,7 +27,7 @@ from kneexo.analysis.hardware import (
 )
 from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.analysis.stride import smallest_piston_factor
-from kneexo.analysis.walking import walking_metrics
+from kneexo.analysis.walking import walking_demand, walking_metrics
 from kneexo.command_line.output import to_json
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import UNCERTAIN_KNEE, PlantParameters, RampReference, Scenario
@@ -179,6 +179,16 @@ def test_a_knee_that_walks_by_formula_gets_the_hardware_of_the_formula(monkeypat
         assert ratio == pytest.approx(1.1 * 0.99356, rel=1e-4)
     half = size_study(settings=changed(settings, {"moment_share": 0.5})).designs[0]
     assert half.carrying == half.scenario
+    # 1.6 kg, 0.20 m from the knee
+    shank = changed(UNCERTAIN_KNEE, {"plant.load.inertia_kg_m2": 0.064})
+    demands = [(result.segment_demands[1], {}, 1.0)]
+    demands += [(result.torque_demands[10.0], {"plant.load.knee_torque_n_m": 10.0}, 0.5)]
+    for demand, torque, frequency in demands:
+        expected = walking_demand(changed(shank, torque), frequency).rod_force_n
+        assert demand.rod_force_n == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    assert "reduced order, inertia of the shank 0.064 kg·m² in place of the mass" in (
+        result.variations
+    )
     # What follows is about 0.5 Hz.
     for entry in result.variations.values():
         assert entry["max_error_deg"] == pytest.approx(2.0 / 1.1, rel=1e-3)
