@@ -1,5 +1,7 @@
 """Settings and helpers of the tests of the study `wearer`."""
 
+import math
+
 from kneexo.studies.wearer.study import WEARER_KNEE, WearerSettings, in_motion
 
 SMALL = WearerSettings(
@@ -11,7 +13,7 @@ SMALL = WearerSettings(
     postures_deg=(45.0,),
     shares=(0.2,),
 )
-WALKING = {"cadence_hz": 1.0}
+WALKING = (1.0, math.nan)
 
 
 def walking(body=""):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from statistics import median_low
 from typing import Any
 
@@ -93,14 +93,12 @@ def _torque(result: WearerResult) -> Figure:
     return figure
 
 
-def _bars(
-    ax: Axes, rows: Sequence[Sequence[float]], names: Sequence[str], **style: Sequence[str]
-) -> None:
-    """Draw groups of bars. ``rows`` has the values (groups,) of each of the ``names``."""
-    width = 0.8 / len(rows)
-    for index, (values, name) in enumerate(zip(rows, names, strict=True)):
-        x = np.arange(len(values)) + (index - 0.5 * (len(rows) - 1)) * width
-        bars = ax.bar(x, values, 0.92 * width, label=name, color=style["colours"][index])
+def _bars(ax: Axes, heights: Mapping[str, Sequence[float]], colours: Mapping[str, str]) -> None:
+    """Draw a group of bars at 0, 1, …. ``heights`` has the heights of each label (groups,)."""
+    width = 0.8 / len(heights)
+    for index, (label, values) in enumerate(heights.items()):
+        x = np.arange(len(values)) + (index - 0.5 * (len(heights) - 1)) * width
+        bars = ax.bar(x, values, 0.92 * width, label=label, color=colours[label])
         ax.bar_label(bars, fmt="%.3g", fontsize=6, padding=1)
 
 
@@ -121,15 +119,11 @@ def _cadence(result: WearerResult) -> Figure:
         "largest mean torque of miniHydrA, an electro-hydraulic ankle."
     )
     for ax, walking in zip(axes, (True, False), strict=True):
-        rows = [
-            [
-                row.rms_torque_n_m
-                for row in result.transparency
-                if row.design == design and np.isfinite(row.cadence_hz) == walking
-            ]
-            for design in _SHOWN
-        ]
-        _bars(ax, rows, tuple(_SHOWN), colours=tuple(_SHOWN.values()))
+        rows = [row for row in result.transparency if np.isfinite(row.cadence_hz) == walking]
+        torques = {
+            name: [row.rms_torque_n_m for row in rows if row.design == name] for name in _SHOWN
+        }
+        _bars(ax, torques, _SHOWN)
         ax.axhline(_ANKLE_N_M, color="k", ls=":", lw=1.2, label="miniHydrA, 0…5 Hz")
         speeds = settings.cadences_hz if walking else settings.rise_times_s
         ax.set_xticks(range(len(speeds)), [f"{speed:g}" for speed in speeds])
@@ -158,8 +152,10 @@ def _help(result: WearerResult) -> Figure:
         xlabel="gait cycle from heel contact (%)",
         ylabel="torque that the leg gets (N·m), positive flexes",
     )
-    deviations = [[row.deviation_deg for row in rows if row.design == name] for name in HELPING]
-    _bars(axes[1], deviations, HELPING, colours=(GOLD, TEAL))
+    deviations = {
+        name: [row.deviation_deg for row in rows if row.design == name] for name in HELPING
+    }
+    _bars(axes[1], deviations, _SHOWN)
     axes[1].set_xticks(range(len(helped)), [row.mode.replace(" ", "\n", 1) for row in helped])
     axes[1].set(ylabel="largest deviation of the leg from its path (deg)")
     axes[1].set_ylim(top=1.15 * axes[1].get_ylim()[1])  # room for the legend

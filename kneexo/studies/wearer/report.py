@@ -26,43 +26,39 @@ from kneexo.studies.wearer.study import (
 def report(result: WearerResult) -> str:
     """Return the Markdown report on the torque that a wearer feels and the help that it gets."""
     settings = result.settings
-    cadence = median_low(settings.cadences_hz)
-    follow = {row.design: row for row in result.transparency if row.cadence_hz == cadence}
-    rising = median_low(settings.rise_times_s)
-    paper_rising = next(
-        row for row in result.transparency if (row.design, row.rise_time_s) == (PAPER, rising)
-    )
+    cadence, rise = median_low(settings.cadences_hz), median_low(settings.rise_times_s)
+    weak_cadence = median_low(settings.help_cadences_hz)
     by_design: dict[str, list[WearerRow]] = {}
     for row in result.transparency:
         by_design.setdefault(row.design, []).append(row)
-    weak_cadence = median_low(settings.help_cadences_hz)
-    weak = {
-        (row.design, row.mode): row
-        for row in result.help
-        if (row.wearer, row.cadence_hz) == ("average", weak_cadence)
-    }
+    walks = {row.design: row for row in result.transparency if row.cadence_hz == cadence}
+    rows = (*result.transparency, *result.help)
     return filled(
         "wearer/report.md",
         result=result,
         settings=settings,
-        cadence=cadence,
-        paper=follow[PAPER],
-        paper_higher=follow[PAPER + HIGHER],
-        unlimited=follow[UNLIMITED],
-        larger=follow[LARGER + HIGHER],
-        sized=follow[SIZED + HIGHER],
-        paper_rising=paper_rising,
+        paper=walks[PAPER],
+        paper_higher=walks[PAPER + HIGHER],
+        unlimited=walks[UNLIMITED],
+        larger=walks[LARGER + HIGHER],
+        sized=walks[SIZED + HIGHER],
+        rising=next(row for row in by_design[PAPER] if row.rise_time_s == rise),
         disk_margins=[
             min(row.disk_margin for row in result.margins if row.design == name) for name in GAINS
         ],
-        helping=HELPING,
-        weak=weak,
-        weak_cadence=weak_cadence,
+        weak={
+            name: [
+                row
+                for row in result.help
+                if (row.design, row.wearer, row.cadence_hz) == (name, "average", weak_cadence)
+            ]
+            for name in HELPING
+        },
         motions=[row.motion for row in by_design[PAPER]],
         torques=[[name, *map(_torque, rows)] for name, rows in by_design.items()],
         devices=DEVICES,
         bodies=BODIES,
-        failures=[row for row in (*result.transparency, *result.help) if row.failure],
+        failures=[row for row in rows if row.failure],
         verdict=lambda row: soundness(row.disk_margin),
         share=lambda row: number(100.0 * row.saturated_share, ".0f"),
     )

@@ -8,7 +8,7 @@ yield. There the modes of the torque controller help.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any, Unpack
@@ -119,6 +119,10 @@ GAINS = (PAPER, PAPER + HIGHER)
 """Names of designs whose margins are computed. Those of the other pumps are the same."""
 HELPING = (PAPER, SIZED + HIGHER)
 """Names of the designs that help weak legs."""
+Motion = tuple[float, float]
+"""Cadence of walking in Hz and time to stand up in s, of which one is nan."""
+ANY = "any"
+"""Name of a wearer whose leg follows its path. Its mass and stiffness have no effect."""
 ZERO = "zero torque"
 """Name of the mode without desired torque."""
 _TRACE_POINTS = 600
@@ -227,20 +231,17 @@ def with_flow(scenario: Scenario, factor: float, gain: float = 1.0) -> Scenario:
 
 def designs(scenario: Scenario, settings: WearerSettings) -> dict[str, Scenario]:
     """Return a dictionary from the name of a design to a scenario with zero desired torque."""
+    scenario = changed(scenario, {"controller.mode": "zero_torque", "wearer.motion": "prescribed"})
     flows = {
         PAPER: 1.0,
         LARGER: settings.flow_factor,
         SIZED: settings.sized_flow_factor,
         UNLIMITED: settings.unlimited_flow_factor,
     }
-    scenario = changed(scenario, {"controller.mode": "zero_torque", "wearer.motion": "prescribed"})
-    return {
-        HELD: changed(scenario, {"controller.command_limit_rad_s": 1e-3}),
-        **{name: with_flow(scenario, flow) for name, flow in flows.items()},
-        **{
-            name + HIGHER: with_flow(scenario, flow, settings.gain_factor)
-            for name, flow in flows.items()
-        },
+    return {HELD: changed(scenario, {"controller.command_limit_rad_s": 1e-3})} | {
+        name + end: with_flow(scenario, flow, gain)
+        for end, gain in (("", 1.0), (HIGHER, settings.gain_factor))
+        for name, flow in flows.items()
     }
 
 
@@ -249,27 +250,28 @@ def modes(settings: WearerSettings, assisting: bool) -> dict[str, dict[str, Any]
 
     The shares of the biological moment are among the modes only if ``assisting``.
     """
-    spring = {
+    law = {
         "controller.stiffness_n_m_per_rad": settings.virtual_stiffness_n_m_per_rad,
         "controller.band_rad": math.radians(settings.band_deg),
         "controller.torque_limit_n_m": settings.torque_limit_n_m,
     }
-    shares = {f"assist {share:g}": share for share in settings.shares if assisting}
+    assist = law | {"controller.mode": "assist"}
     return {
         ZERO: {},
         **{
-            name: spring | {"controller.mode": "assist", "controller.assistance": share}
-            for name, share in shares.items()
+            f"assist {share:g}": assist | {"controller.assistance": share}
+            for share in settings.shares
+            if assisting
         },
-        "virtual spring": spring | {"controller.mode": "impedance"},
-        "spring outside band": spring | {"controller.mode": "assist_as_needed"},
+        "virtual spring": law | {"controller.mode": "impedance"},
+        "spring outside band": law | {"controller.mode": "assist_as_needed"},
     }
 
 
 def in_motion(
-    scenario: Scenario, settings: WearerSettings, motion: Mapping[str, float], body: str = ""
+    scenario: Scenario, settings: WearerSettings, motion: Motion, body: str = ""
 ) -> Scenario:
-    """Return the scenario with walking (``cadence_hz``) or sit-to-stand (``rise_time_s``).
+    """Return the scenario with walking or sit-to-stand.
 
     In sit-to-stand the shank stays upright, so its weight has no moment. With one of the `BODIES`,
     the leg is active, and stiffness and damping are those of stance, in proportion to the mass. In
@@ -277,11 +279,13 @@ def in_motion(
     """
     cycles = settings.cycles
     values: dict[str, Any] = {"wearer.moment": None, "wearer.effort": 1.0}
-    if "rise_time_s" in motion:
-        reference = sit_to_stand_reference(motion["rise_time_s"], cycles)
-        values["plant.load.segment_mass_kg"] = 0.0
+    cadence_hz, rise_time_s = motion
+    walks = math.isnan(rise_time_s)
+    if walks:
+        reference = gait_reference(cadence_hz, cycles)
     else:
-        reference = gait_reference(motion["cadence_hz"], cycles)
+        reference = sit_to_stand_reference(rise_time_s, cycles)
+        values["plant.load.segment_mass_kg"] = 0.0
     path = dict(reference)
     if body:
         mass, height = BODIES[body]
@@ -291,8 +295,8 @@ def in_motion(
             f"wearer.{name}": getattr(stance, name) * mass / MOMENT_MASS_KG for name in _STANCE
         }
         values["wearer.motion"] = "active"
-        if "cadence_hz" in motion:
-            moment = gait_moment(motion["cadence_hz"], cycles, body_mass_kg=mass)
+        if walks:
+            moment = gait_moment(cadence_hz, cycles, body_mass_kg=mass)
             values |= {"wearer.moment": dict(moment), "wearer.effort": settings.effort}
             path["angles_deg"] = [angle + settings.crouch_deg for angle in reference.angles_deg]
     return changed(
@@ -372,30 +376,7 @@ def wearer_study(
             f"must be leg and torque; add wearer: leg, controller: torque"
         )
     by_design = designs(scenario, settings)
-    rising = [{"rise_time_s": time} for time in settings.rise_times_s]
-    walking = [{"cadence_hz": cadence} for cadence in settings.cadences_hz]
-    follow = [
-        _case(design, "any", ZERO, motion, in_motion(case, settings, motion))
-        for design, case in by_design.items()
-        for motion in (*walking, *rising)
-    ]
-    walking = [{"cadence_hz": cadence} for cadence in settings.help_cadences_hz]
-    people = [(body, motion) for motion in walking for body in BODIES]
-    people += [("average", {"rise_time_s": time}) for time in settings.help_rise_times_s]
-    yielding = [
-        _case(
-            design,
-            body,
-            mode,
-            motion,
-            changed(in_motion(by_design[design], settings, motion, body), values),
-        )
-        for design in HELPING
-        for body, motion in people
-        for mode, values in modes(settings, "cadence_hz" in motion).items()
-    ]
-    loops = [(name, posture) for name in GAINS for posture in settings.postures_deg]
-    cases = [*follow, *yielding]
+    cases = list(_cases(by_design, settings))
     with open_sweep(**options) as sweep:
         numbers = sweep.map(
             partial(measured, settings.cycles), [case for _, case in cases], "torque of wearers"
@@ -405,19 +386,40 @@ def wearer_study(
         for (labels, _), row in zip(cases, numbers, strict=True)
     ]
     return WearerResult(
-        transparency=tuple(rows[: len(follow)]),
-        help=tuple(rows[len(follow) :]),
+        transparency=tuple(row for row in rows if row.wearer == ANY),
+        help=tuple(row for row in rows if row.wearer != ANY),
         margins=tuple(
-            MarginRow(name, posture, **margins(by_design[name], posture)) for name, posture in loops
+            MarginRow(name, posture, **margins(by_design[name], posture))
+            for name in GAINS
+            for posture in settings.postures_deg
         ),
         scenario=scenario,
         settings=settings,
     )
 
 
-def _case(
-    design: str, wearer: str, mode: str, motion: Mapping[str, float], scenario: Scenario
-) -> tuple[dict[str, Any], Scenario]:
-    """Return the labels of a `WearerRow`, and its scenario."""
+def _cases(
+    by_design: Mapping[str, Scenario], settings: WearerSettings
+) -> Iterator[tuple[dict[str, Any], Scenario]]:
+    """Yield the labels of each `WearerRow`, and its scenario. Only the average wearer stands up."""
+    for design, case in by_design.items():
+        for motion in _motions(settings.cadences_hz, settings.rise_times_s):
+            yield _labels(design, ANY, ZERO, motion), in_motion(case, settings, motion)
+    for design in HELPING:
+        for motion in _motions(settings.help_cadences_hz, settings.help_rise_times_s):
+            walks = math.isnan(motion[1])
+            for body in BODIES if walks else ("average",):
+                case = in_motion(by_design[design], settings, motion, body)
+                for mode, values in modes(settings, assisting=walks).items():
+                    yield _labels(design, body, mode, motion), changed(case, values)
+
+
+def _motions(cadences_hz: tuple[float, ...], rise_times_s: tuple[float, ...]) -> list[Motion]:
+    """Return walking at each cadence, then sit-to-stand with each rise time."""
+    walking = [(cadence, math.nan) for cadence in cadences_hz]
+    return walking + [(math.nan, time) for time in rise_times_s]
+
+
+def _labels(design: str, wearer: str, mode: str, motion: Motion) -> dict[str, Any]:
     labels = {"design": design, "wearer": wearer, "mode": mode}
-    return {**labels, "cadence_hz": math.nan, "rise_time_s": math.nan, **motion}, scenario
+    return labels | dict(zip(("cadence_hz", "rise_time_s"), motion, strict=True))

@@ -29,7 +29,7 @@ from kneexo.studies.wearer.study import (
 from kneexo.sweeps.checkpoint import Checkpoint
 
 REDUCED = changed(WEARER_KNEE, {"plant.full_order": None})
-QUICK = {"cadence_hz": 2.0}
+QUICK = (2.0, math.nan)
 
 
 # -------------------------------------------------------------------------------- scenarios
@@ -98,7 +98,7 @@ def test_walking_and_rising_replace_reference_and_duration():
     walk = in_motion(WEARER_KNEE, SMALL, WALKING)
     assert (walk.duration_s, walk.wearer) == (2.0, WEARER_KNEE.wearer)
     assert walk.plant.load.segment_mass_kg == WEARER_KNEE.plant.load.segment_mass_kg
-    rise = in_motion(WEARER_KNEE, SMALL, {"rise_time_s": 0.8})
+    rise = in_motion(WEARER_KNEE, SMALL, (math.nan, 0.8))
     assert rise.duration_s == pytest.approx(2 * 3 * 0.8)
     assert rise.reference.range_deg == (5.0, 85.0)
     assert rise.plant.load.segment_mass_kg == 0.0
@@ -116,7 +116,7 @@ def test_a_weak_leg_yields_and_lacks_a_part_of_its_moment():
     assert min(leg.moment.moments_n_m) == pytest.approx(-65.2 * 110.0 / 75.0, rel=0.01)
     shift = np.subtract(heavy.reference.angles_deg, walking().reference.angles_deg)
     assert shift == pytest.approx(5.0)
-    rise = in_motion(WEARER_KNEE, SMALL, {"rise_time_s": 0.8}, "light")
+    rise = in_motion(WEARER_KNEE, SMALL, (math.nan, 0.8), "light")
     assert (rise.wearer.effort, rise.wearer.moment) == (1.0, None)
     assert rise.wearer.stiffness_n_m_per_rad == pytest.approx(286.0 * 50.0 / 75.0)
 
@@ -211,7 +211,7 @@ def test_results_are_the_rows_without_their_traces(by_hand, flat, check_rules):
 @pytest.mark.slow
 def test_every_row_is_that_of_its_own_run(small, flat):
     by_name = designs(WEARER_KNEE, SMALL)
-    motions = {"walking, 1 Hz": WALKING, "rising in 0.8 s": {"rise_time_s": 0.8}}
+    motions = {"walking, 1 Hz": WALKING, "rising in 0.8 s": (math.nan, 0.8)}
     assert len(small.transparency) == len(by_name) * len(motions)
     assert {(r.design, r.motion) for r in small.transparency} == {
         (design, motion) for design in by_name for motion in motions
@@ -255,14 +255,13 @@ def test_the_torque_in_walking_is_that_of_oil_and_control():
         case = in_motion(designs(changed(WEARER_KNEE, changes), SMALL)[name], SMALL, HALF)
         return measured(2, case)["rms_torque_n_m"]
 
-    # The pump of the paper hardly moves by itself.
     assert rms("motor held") == pytest.approx(70.5, rel=0.02)
     assert rms("paper's pump") == pytest.approx(60.6, rel=0.02)
     assert rms("motor without limits") < 0.4 * rms("paper's pump")
     assert rms("sized pump, higher gains") < 0.1 * rms("paper's pump")
 
 
-HALF = {"cadence_hz": 0.5}
+HALF = (0.5, math.nan)
 
 
 # -------------------------------------------------------------------------------- bad input
