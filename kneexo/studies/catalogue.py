@@ -268,6 +268,7 @@ STUDIES = {
             setup="full order of the cylinder, weight of the shank, torque control and a wearer",
             stages=(
                 Stage("torque of wearers", 28.0),
+                Stage("margins", 3.0),
                 Stage(FIGURES, 1.0),
                 Stage(FILES, 2.0),
             ),

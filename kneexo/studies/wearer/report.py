@@ -11,7 +11,6 @@ from kneexo.studies.markdown import number
 from kneexo.studies.template import filled
 from kneexo.studies.wearer.study import (
     DEVICES,
-    GAINS,
     HELPING,
     HIGHER,
     LARGER,
@@ -43,9 +42,6 @@ def report(result: WearerResult) -> str:
         larger=walks[LARGER + HIGHER],
         sized=walks[SIZED + HIGHER],
         rising=next(row for row in by_design[PAPER] if row.rise_time_s == rise),
-        disk_margins=[
-            min(row.disk_margin for row in result.margins if row.design == name) for name in GAINS
-        ],
         weak={
             name: [
                 row
@@ -60,6 +56,7 @@ def report(result: WearerResult) -> str:
         bodies=BODIES,
         failures=[row for row in rows if row.failure],
         verdict=lambda row: soundness(row.disk_margin),
+        interval=lambda row: f"{number(row.low_n_m_per_rad)}…{number(row.high_n_m_per_rad)}",
         share=lambda row: number(100.0 * row.saturated_share, ".0f"),
     )
 

@@ -16,9 +16,9 @@ from typing import Any, Unpack
 import numpy as np
 from pydantic import TypeAdapter
 
+from kneexo.analysis.coupled_stability import coupled_stability, stiffness_interval
 from kneexo.analysis.hardware import DISPLACEMENT, scaled
 from kneexo.analysis.interaction import INTERACTION_SIGNALS, interaction_metrics
-from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.analysis.signals import saturated_share
 from kneexo.errors import KneexoError, LinearizationError, ParameterError
 from kneexo.parameters import (
@@ -59,10 +59,10 @@ class WearerSettings(Parameters):
         50.0, "1", "assumption: flow at which the motor stays off its limits", ge=1, le=100
     )
     gain_factor: float = quantity(
-        4.0, "1", "assumption: higher gains, whose margins are no less", ge=0.01, le=100
+        4.0, "1", "assumption: higher gains, with a disk margin above 0.6", ge=0.01, le=100
     )
     postures_deg: tuple[float, ...] = quantities(
-        (10.0, 45.0, 80.0), "deg", "assumption: knee angles of the margins", ge=0, le=90
+        (10.0, 45.0, 85.0), "deg", "assumption: knee angles of the margins", ge=0, le=90
     )
     help_cadences_hz: tuple[float, ...] = quantities(
         (0.5, 1.0), "Hz", "assumption: strides per second of weak legs", ge=0.01, le=10
@@ -116,7 +116,7 @@ HELD, PAPER, LARGER, SIZED, UNLIMITED = (
 HIGHER = ", higher gains"
 """End of a design's name, if the design has the higher gains."""
 GAINS = (PAPER, PAPER + HIGHER)
-"""Names of designs whose margins are computed. Those of the other pumps are the same."""
+"""Names of the designs whose margins are computed. Those of the other pumps are the same."""
 HELPING = (PAPER, SIZED + HIGHER)
 """Names of the designs that help weak legs."""
 Motion = tuple[float, float]
@@ -179,15 +179,18 @@ class WearerRow:
 
 @dataclass(frozen=True)
 class MarginRow:
-    """Margins of the loop in reduced order, with the leg at rest.
+    """Least margins of a design in reduced order, over the legs `WEARERS` and the postures.
 
-    They are nan if the loop is unstable, or does not rest.
+    The stiffnesses are those of `kneexo.analysis.StiffnessInterval`. Numbers are nan if a loop is
+    unstable or does not rest.
     """
 
     design: str
-    posture_deg: float
-    disk_margin: float
-    gain_margin: float
+    disk_margin: float = math.nan
+    gain_margin: float = math.nan
+    low_n_m_per_rad: float = math.nan
+    high_n_m_per_rad: float = math.nan
+    felt_n_m_per_rad: float = math.nan
 
 
 @dataclass(frozen=True, repr=False)
@@ -342,14 +345,21 @@ def _trace(run: Run, period_s: float) -> dict[str, list[float]]:
     }
 
 
-def margins(scenario: Scenario, posture_deg: float) -> dict[str, float]:
+def margins(postures_deg: tuple[float, ...], scenario: Scenario) -> dict[str, float]:
     """Return the numbers of a `MarginRow`."""
     reduced = changed(scenario, {"plant.full_order": None})
     try:
-        values = linearize_loop(reduced, knee_angle_deg=posture_deg).margins()
+        loops = coupled_stability(reduced, knee_angles_deg=postures_deg)
+        springs = stiffness_interval(reduced)
+        return {
+            "disk_margin": float(loops.disk_margin.min()),
+            "gain_margin": float(loops.gain_margin.min()),
+            "low_n_m_per_rad": springs.low_n_m_per_rad,
+            "high_n_m_per_rad": springs.high_n_m_per_rad,
+            "felt_n_m_per_rad": springs.felt_n_m_per_rad,
+        }
     except LinearizationError:
-        return {"disk_margin": math.nan, "gain_margin": math.nan}
-    return {"disk_margin": values.disk_margin, "gain_margin": values.gain_margin}
+        return {}
 
 
 # ---------------------------------------------------------------------------------- study
@@ -381,6 +391,9 @@ def wearer_study(
         numbers = sweep.map(
             partial(measured, settings.cycles), [case for _, case in cases], "torque of wearers"
         )
+        stability = sweep.map(
+            partial(margins, settings.postures_deg), [by_design[name] for name in GAINS], "margins"
+        )
     rows = [
         TypeAdapter(WearerRow).validate_python(labels | row)
         for (labels, _), row in zip(cases, numbers, strict=True)
@@ -389,9 +402,7 @@ def wearer_study(
         transparency=tuple(row for row in rows if row.wearer == ANY),
         help=tuple(row for row in rows if row.wearer != ANY),
         margins=tuple(
-            MarginRow(name, posture, **margins(by_design[name], posture))
-            for name in GAINS
-            for posture in settings.postures_deg
+            MarginRow(name, **numbers) for name, numbers in zip(GAINS, stability, strict=True)
         ),
         scenario=scenario,
         settings=settings,

@@ -69,5 +69,8 @@ def by_hand():
         for mode in modes(settings, assisting=True)
     ]
     failed = WearerRow("sized pump", "heavy", "zero torque", 0.5, nan, failure="left the range")
-    margins = [MarginRow(n, p, 0.3 + 0.01 * p, 2.0 + p) for n in GAINS for p in (10.0, 45.0)]
+    margins = [
+        MarginRow(name, 0.4 + 0.2 * k, 2.11 + k, 1.0 + k, 2346.0 + k, 71.7 + k)
+        for k, name in enumerate(GAINS)
+    ]
     return WearerResult(tuple(follow), (*weak, failed), tuple(margins), WEARER_KNEE, settings)

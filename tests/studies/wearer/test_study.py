@@ -2,12 +2,13 @@
 
 import math
 from dataclasses import asdict
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from wearer_cases import SMALL, WALKING, walking
 
-from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.analysis.coupled_stability import coupled_stability
 from kneexo.errors import ParameterError
 from kneexo.parameters import WEARERS, Scenario
 from kneexo.parameters.paths import changed
@@ -62,13 +63,35 @@ def test_a_larger_pump_keeps_the_gains_in_flow():
     assert with_flow(REDUCED, 2.0).plant.full_order is None
 
 
+def test_margins_are_the_least_of_all_legs_and_postures(monkeypatch):
+    seen = []
+
+    def survey(scenario, *, knee_angles_deg):
+        seen.append((scenario, knee_angles_deg))
+        margins = np.array([[0.7, 0.4], [0.9, 0.5]])
+        return SimpleNamespace(disk_margin=margins, gain_margin=3.0 * margins)
+
+    springs = SimpleNamespace(low_n_m_per_rad=1.0, high_n_m_per_rad=9.0, felt_n_m_per_rad=3.0)
+    monkeypatch.setattr(study, "coupled_stability", survey)
+    monkeypatch.setattr(study, "stiffness_interval", lambda _: springs)
+    assert margins((45.0,), WEARER_KNEE) == vars(springs) | {
+        "disk_margin": 0.4,
+        "gain_margin": pytest.approx(1.2),
+    }
+    assert seen == [(REDUCED, (45.0,))]
+
+
+@pytest.mark.slow
 def test_margins_do_not_depend_on_the_flow():
-    near = margins(with_flow(WEARER_KNEE, 1.0), 45.0)
-    assert margins(with_flow(WEARER_KNEE, 16.0), 45.0) == pytest.approx(near, rel=1e-6)
-    loop = linearize_loop(REDUCED, knee_angle_deg=45.0).margins()
-    assert near == {"disk_margin": loop.disk_margin, "gain_margin": loop.gain_margin}
+    row = margins((45.0,), WEARER_KNEE)
+    loops = coupled_stability(REDUCED, knee_angles_deg=[45.0])
+    assert row["disk_margin"] == np.min(loops.disk_margin) > 0.5
+    assert margins((45.0,), with_flow(WEARER_KNEE, 16.0)) == pytest.approx(row, rel=1e-4)
+
+
+def test_a_loop_that_does_not_rest_has_no_margins():
     wild = changed(WEARER_KNEE, {"controller.proportional_rad_s_per_n": 400.0})
-    assert all(math.isnan(value) for value in margins(wild, 45.0).values())
+    assert margins((45.0,), wild) == {}
 
 
 def test_the_designs_differ_in_flow_and_gains():
@@ -208,6 +231,34 @@ def test_results_are_the_rows_without_their_traces(by_hand, flat, check_rules):
     assert flat(numbers) == pytest.approx(flat(expected), nan_ok=True)
 
 
+def test_the_rows_are_those_of_their_cases(monkeypatch):
+    seen = []
+
+    def count(cycles, scenario):
+        seen.append(scenario)
+        return {"rms_torque_n_m": float(len(seen)), "mean_torque_n_m": float(cycles)}
+
+    monkeypatch.setattr(study, "measured", count)
+    monkeypatch.setattr(study, "margins", lambda postures, scenario: {"disk_margin": postures[0]})
+    settings = changed(SMALL, {"cadences_hz": (0.5, 1.0)})
+    result = wearer_study(WEARER_KNEE, settings)
+    assert result.margins[0].disk_margin == 45.0
+    by_name = designs(WEARER_KNEE, settings)
+    rows = (*result.transparency, *result.help)
+    assert len({row.rms_torque_n_m for row in rows}) == len(seen) == 9 * 3 + 2 * (3 * 4 + 3)
+    assert [r.design for r in result.transparency] == [name for name in by_name for _ in range(3)]
+    for row in rows:
+        case = seen[round(row.rms_torque_n_m) - 1]
+        motion = row.cadence_hz, row.rise_time_s
+        leg = "" if row in result.transparency else row.wearer
+        law = modes(settings, assisting=True)[row.mode]
+        assert case == changed(in_motion(by_name[row.design], settings, motion, leg), law)
+        assert row.mean_torque_n_m == 2.0
+    assert {row.wearer for row in result.transparency} == {"any"}
+    assert {r.wearer for r in result.help if r.cadence_hz == 1.0} == {"light", "average", "heavy"}
+    assert {r.wearer for r in result.help if r.rise_time_s == 0.8} == {"average"}
+
+
 @pytest.mark.slow
 def test_every_row_is_that_of_its_own_run(small, flat):
     by_name = designs(WEARER_KNEE, SMALL)
@@ -226,13 +277,10 @@ def test_every_row_is_that_of_its_own_run(small, flat):
         expected = {name: value for name, value in asdict(row).items() if name in ROW}
         again = {name: value for name, value in measured(2, case).items() if name in ROW}
         assert flat(again) == pytest.approx(flat(expected), nan_ok=True), row
-    assert [(row.design, row.posture_deg) for row in small.margins] == [
-        ("paper's pump", 45.0),
-        ("paper's pump, higher gains", 45.0),
-    ]
     for row in small.margins:
-        values = margins(by_name[row.design], 45.0)
-        assert (row.disk_margin, row.gain_margin) == pytest.approx(tuple(values.values()))
+        expected = margins((45.0,), by_name[row.design])
+        assert expected == pytest.approx({name: getattr(row, name) for name in expected})
+    assert [row.design for row in small.margins] == ["paper's pump", "paper's pump, higher gains"]
 
 
 ROW = ("rms_torque_n_m", "peak_torque_n_m", "deviation_deg", "power_taken_w", "saturated_share")
