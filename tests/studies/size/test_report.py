@@ -164,7 +164,7 @@ def test_the_screen_has_the_findings(sized, check_screen):
         f" flow, {motion['peak_pressure_mpa']:.3f} MPa and {motion['peak_shaft_power_w']:.1f} W at",
         f"- Walking at 1 Hz within 2° requires {first['flow_search']['value']:.4g} times the flow "
         f"and an acceleration limit of {first['acceleration_search']['value']:.0f} rad/s².",
-        "- The whole stride takes 2.61 MPa in stance and 3.48 MPa in late swing; the limit is 3.5 ",
+        "- The whole stride takes 2.61 MPa in stance and 3.48 MPa in late swing. The limit is 3.5 ",
         f"- No hardware of the search walks at 0.8 Hz within 2°. Factor of the flow: "
         f"{second['flow_search']['value']:.4g}. Acceleration limit (rad/s²): not reached in 1000 … "
         f"100000: best 2.6° (bound 2°) at 36000.",
