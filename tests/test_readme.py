@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from kneexo.analysis import linearize_plant
+from kneexo.analysis import interaction_metrics, linearize_plant, simulate
 from kneexo.command_line.main import main
 from kneexo.parameters import Cia402Parameters, Scenario
 from kneexo.parameters.scenario_file import load_scenario
@@ -122,6 +122,15 @@ def test_the_references_of_the_scenario_files_load(text, tmp_path):
 
 def test_the_example_of_the_scenario_files_runs(tmp_path, capsys):
     assert 1.0 < float(output_of(block("python", SCENARIO_FILES), tmp_path, capsys)) < 90.0
+
+
+def test_the_example_of_a_wearer_runs_and_assists(tmp_path):
+    path = tmp_path / "scenario.yaml"
+    path.write_text(block("yaml", SCENARIO_FILES.partition("## A wearer")[2]), encoding="utf-8")
+    scenario = load_scenario(path)
+    metrics = interaction_metrics(simulate(scenario))
+    assert 0.05 < metrics.assistance_ratio < scenario.controller.assistance
+    assert metrics.peak_torque_n_m < scenario.wearer.cuff.slip_torque_n_m
 
 
 def test_the_schema_line_is_printed_by_help(capsys):
