@@ -124,13 +124,23 @@ def test_the_example_of_the_scenario_files_runs(tmp_path, capsys):
     assert 1.0 < float(output_of(block("python", SCENARIO_FILES), tmp_path, capsys)) < 90.0
 
 
-def test_the_example_of_a_wearer_runs_and_assists(tmp_path):
+@pytest.fixture
+def wearer_example(tmp_path):
     path = tmp_path / "scenario.yaml"
     path.write_text(block("yaml", SCENARIO_FILES.partition("## A wearer")[2]), encoding="utf-8")
-    scenario = load_scenario(path)
-    metrics = interaction_metrics(simulate(scenario))
-    assert 0.05 < metrics.assistance_ratio < scenario.controller.assistance
-    assert metrics.peak_torque_n_m < scenario.wearer.cuff.slip_torque_n_m
+    return load_scenario(path)
+
+
+def test_the_example_of_a_wearer_loads(wearer_example):
+    assert wearer_example.wearer.kind == "leg"
+    assert wearer_example.controller.mode == "assist"
+
+
+@pytest.mark.slow
+def test_the_example_of_a_wearer_assists(wearer_example):
+    metrics = interaction_metrics(simulate(wearer_example))
+    assert 0.05 < metrics.assistance_ratio < wearer_example.controller.assistance
+    assert metrics.peak_torque_n_m < wearer_example.wearer.cuff.slip_torque_n_m
 
 
 def test_the_schema_line_is_printed_by_help(capsys):
