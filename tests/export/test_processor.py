@@ -28,6 +28,7 @@ CASES = [
     ("Cortex-M4F", "PID", "float"),
     ("Cortex-M7", "SMC", "float"),
     ("Cortex-M7", "SMC", "double"),
+    ("Cortex-M4F", "torque", "float"),
 ]
 
 
