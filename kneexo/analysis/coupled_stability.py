@@ -36,6 +36,9 @@ from kneexo.result import Array, Result, data_frame
 _STIFFNESS = "controller.stiffness_n_m_per_rad"
 _STIFFNESSES = np.append(0.0, np.geomspace(1.0, 1e6, 21))  # N·m/rad, by factors of 2
 _SMALL = 1e3  # N·m/rad
+_ALIKE = [f"{part}.stiffness_n_m_per_rad" for part in ("wearer", "wearer.cuff", "controller")] + [
+    f"{part}.damping_n_m_s_per_rad" for part in ("wearer", "wearer.cuff", "controller")
+]  # so that a label names the part
 
 
 def coupled_loop(scenario: Scenario, knee_angle_deg: float = MID_RANGE_DEG) -> SampledLoop:
@@ -223,7 +226,7 @@ class CoupledStability(Result):
         if self.border:
             ax.plot(*zip(*self.border, strict=True), "k_", ms=16, mew=2, label="border")
         for name, values in (("x", self.rows), ("y", self.columns)):
-            if not isinstance(values[0], str) and max(values) > 20.0 * min(values) > 0.0:
+            if not isinstance(values[0], str) and max(values) >= 10.0 * min(values) > 0.0:
                 ax.set(**{f"{name}scale": "log"})
                 decimal_ticks(getattr(ax, f"{name}axis"))
         ax.set(xlabel=self.row_label, ylabel=self.column_label)
@@ -283,7 +286,8 @@ def stability_map(
     def loop_of(row: float, column: float) -> SampledLoop:
         return coupled_loop(changed(scenario, {row_path: row, column_path: column}), knee_angle_deg)
 
-    return _survey(tuple(labels(values).values()), tuple(values.values()), loop_of)
+    names = labels([*values, *_ALIKE])
+    return _survey((names[row_path], names[column_path]), tuple(values.values()), loop_of)
 
 
 def _survey(

@@ -93,8 +93,7 @@ class TorqueParameters(Parameters):
     leak_per_s: float = quantity(
         5.0,
         "1/s",
-        "assumption: rate at which the integral decays; without leak a relaxed leg has a phase "
-        "margin of 7°",
+        "assumption: rate at which the integral decays, for the phase margin of a relaxed leg",
         ge=0,
         le=100,
     )

@@ -1,6 +1,7 @@
 """Coupled stability: eigenvalues of a model of its own, runs on both sides of the border."""
 
 import math
+from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -286,7 +287,7 @@ def test_a_map_has_the_border():
     values = {"controller.speed_feedforward": [0.2, 0.9], STIFFNESS: [100.0, 2000.0, 6e4]}
     result = stability_map(case, values, knee_angle_deg=45.0)
     assert result.row_label == "speed feedforward"
-    assert result.column_label == "stiffness (N·m/rad)"
+    assert result.column_label == "controller stiffness (N·m/rad)"
     assert np.isnan(result.disk_margin[:, 2]).all()
     assert (result.largest_eigenvalue[:, 2] > 1.0).all()
     assert [row for row, _ in result.border] == [0.2, 0.9]
@@ -294,9 +295,39 @@ def test_a_map_has_the_border():
         there = case.changed({"controller.speed_feedforward": row, STIFFNESS: end})
         assert magnitudes(there, 45.0)[0] == pytest.approx(1.0, abs=2e-6)
     frame = result.to_dataframe()
-    assert list(frame["stiffness (N·m/rad)"]) == [100.0, 2000.0, 6e4] * 2
+    assert list(frame["controller stiffness (N·m/rad)"]) == [100.0, 2000.0, 6e4] * 2
     assert list(frame["speed feedforward"]) == [0.2] * 3 + [0.9] * 3
     assert frame["largest_eigenvalue"][4] == result.largest_eigenvalue[1, 1]
+
+
+@pytest.mark.slow
+def test_numbers_of_the_theory():
+    text = (Path(__file__).parents[2] / "docs" / "theory.md").read_text(encoding="utf-8")
+    case = Scenario(plant={"load": "knee"}, wearer="leg", controller="torque")
+    default = coupled_stability(case)
+    gain, phase = default.gain_margin.min(), default.phase_margin_deg.min()
+    assert f"gain margin is {gain:.2f} and the least phase margin is {phase:.1f}°" in text
+    integral = coupled_stability(case.changed({"controller.leak_per_s": 0.0})).phase_margin_deg
+    assert f"the least phase margin is {integral[0].min():.1f}°, that of a relaxed leg" in text
+    assert integral.min() == integral[0].min()
+    cuff = {"stiffness_n_m_per_rad": 5000.0, "damping_n_m_s_per_rad": 0.0}
+    unstable = coupled_stability(case.changed({"wearer.cuff": cuff})).largest_eigenvalue > 1.0
+    assert np.argwhere(unstable).tolist() == [[list(WEARERS).index("light"), 0]]
+
+    def interval(angle_deg, **law):
+        changes = {f"controller.{name}": value for name, value in law.items()}
+        active = {"wearer.motion": "active", "controller.damping_n_m_s_per_rad": 0.0}
+        return stiffness_interval(case.changed(active | changes), knee_angle_deg=angle_deg)
+
+    at_45, at_10 = interval(45.0), interval(10.0)
+    high, short = 1e-3 * at_45.high_n_m_per_rad, 1e-3 * at_10.high_n_m_per_rad
+    assert f"0 … {high:.1f} kN·m/rad at 45° and 0 … {short:.1f} kN·m/rad at 10°" in text
+    stiff = 1e-3 * interval(45.0, proportional_rad_s_per_n=16.0).high_n_m_per_rad
+    assert f"the high end at 45° is {stiff:.1f} kN·m/rad" in text
+    full = interval(45.0, speed_feedforward=1.0)
+    low, high = 1e-3 * full.low_n_m_per_rad, 1e-3 * full.high_n_m_per_rad
+    assert f"the interval at 45° is {low:.1f} … {high:.1f} kN·m/rad" in text
+    assert f"{at_45.felt_n_m_per_rad:.0f} N·m/rad at 1 Hz" in text
 
 
 def test_a_map_needs_two_parameters():
