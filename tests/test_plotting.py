@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
 
-from kneexo.plotting import RED, SERIES, axes_or_new, decimal_ticks, phase_ticks
+from kneexo.plotting import RED, SERIES, axes_or_new, decimal_ticks, label_bode, phase_ticks
 
 # Linear RGB as seen with each kind of colour blindness (Machado et al. 2009, severity 1).
 VISION = {
@@ -113,4 +113,18 @@ def test_decimal_ticks_suit_the_decades(limits, ticks):
     low, high = limits
     shown = [t for t in ax.get_xticks() if low <= t <= high]
     assert [f"{t:g}" for t in shown] == ticks
+    plt.close(figure)
+
+
+def test_bode_axes_have_labels_grid_and_plain_ticks():
+    figure, axes = plt.subplots(2, 1, sharex=True)
+    axes[0].loglog([0.1, 100.0], [1.0, 2.0])
+    axes[1].semilogx([0.1, 100.0], [-180.0, 90.0])
+    label_bode(axes, "gain (dB)")
+    figure.canvas.draw()
+    assert [ax.get_ylabel() for ax in axes] == ["gain (dB)", "phase (deg)"]
+    assert [ax.get_xlabel() for ax in axes] == ["", "frequency (Hz)"]
+    assert "0.1" in [label.get_text() for label in axes[1].get_xticklabels()]
+    assert {-90.0, 45.0} <= set(axes[1].get_yticks())
+    assert all(ax.xaxis.get_gridlines()[0].get_visible() for ax in axes)
     plt.close(figure)

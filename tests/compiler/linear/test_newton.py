@@ -61,3 +61,17 @@ def test_a_function_without_zero_leaves_a_residual():
     assert np.isfinite(point).all()
     assert residual >= 1.0
     assert newton_failure(1.25, "rate") == "the largest rate left is 1.25"
+
+
+@pytest.mark.parametrize(("noise", "ends"), [(1e-11, True), (1e-7, False)])
+def test_a_search_ends_when_rounding_no_longer_reduces_the_residual(noise, ends):
+    calls = []
+
+    def rounded(x):
+        calls.append(x)
+        return x - 1.0 + noise * (-1.0) ** len(calls), np.eye(1)
+
+    point, residual = newton(rounded, np.array([3.0]))
+    assert point == pytest.approx([1.0], abs=2.0 * noise)
+    assert residual == pytest.approx(2.0 * noise, rel=1e-4)
+    assert (len(calls) <= 4) is ends
