@@ -8,11 +8,18 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from scipy.interpolate import BPoly, PPoly
+from scipy.interpolate import PPoly
 
 from kneexo import linkage
 from kneexo.errors import KneexoError
-from kneexo.export.web import START, START_RATE, web_model, web_modules, with_structure
+from kneexo.export.web import (
+    START,
+    START_RATE,
+    controller_of,
+    web_model,
+    web_modules,
+    with_structure,
+)
 from kneexo.export.web_code import SHIPPED
 from kneexo.export.web_maps import map_value
 from kneexo.parameters import PlantParameters, Scenario, gait_reference
@@ -46,6 +53,17 @@ def spline_of(source):
     return PPoly(powers.reshape(breaks.size + 1, -1)[1:-1].T[::-1], breaks)
 
 
+HERMITE = np.array(
+    [
+        np.polynomial.Polynomial.basis(n).deriv(order)(at)
+        for at in (0.0, 1.0)
+        for order in range(4)
+        for n in range(8)
+    ]
+).reshape(8, 8)
+"""Value and three derivatives of the powers 0…7 at 0 and at 1."""
+
+
 def interval_rows(reference, spline, period):
     """The input of `IntervalReference` at each sample, from the reference at the samples (n, 4).
 
@@ -56,10 +74,10 @@ def interval_rows(reference, spline, period):
     for row, ends in zip(rows, pairwise(reference), strict=True):
         start = row[0]
         if spline is None:
-            scaled = [end * period ** np.arange(4) for end in ends]
-            row[2:10] = PPoly.from_bernstein_basis(BPoly.from_derivatives([0.0, 1.0], scaled)).c[
-                ::-1, 0
-            ]
+            base = np.array([ends[0][0], 0.0, 0.0, 0.0])  # without it rates have rounding errors
+            scaled = np.concatenate([(end - base) * period ** np.arange(4) for end in ends])
+            row[2:10] = np.linalg.solve(HERMITE, scaled)
+            row[2] = base[0]
             continue
         scale = period ** np.arange(4) / np.array([1.0, 1.0, 2.0, 6.0])
         (inside,) = np.nonzero((spline.x > start + 1e-12) & (spline.x < start + period))
@@ -191,7 +209,7 @@ STRUCTURES = [
 def name_of(scenario):
     order = "reduced" if scenario.plant.full_order is None else "full"
     bus = scenario.bus.kind
-    return f"{scenario.controller.kind}, load {scenario.plant.load.kind}, {order} order, bus {bus}"
+    return f"{controller_of(scenario)}, load {scenario.plant.load.kind}, {order} order, bus {bus}"
 
 
 @pytest.mark.slow
@@ -366,3 +384,26 @@ def test_a_leg_of_a_wearer_moves_on_a_page_as_in_the_engine(scenario, run_on_pag
     if scenario.reference.kind == "sine":
         changes |= {"reference.frequency_hz": 2.0, "reference.ramp_s": 0.3}
     require_same_curves(run_on_page, scenario, model, changes, 0.8)
+
+
+def amplifies(scenario, changes):
+    """Whether a relative change of 1e-12 of the cuff changes the torque by more than 1e-9."""
+    first = scenario.changed(changes | {"simulation.duration_s": 2.0})
+    stiffness = first.wearer.cuff.stiffness_n_m_per_rad * (1.0 + 1e-12)
+    second = first.changed({"wearer.cuff.stiffness_n_m_per_rad": stiffness})
+    runs = simulate_together([first, second], ("interaction_torque",), "rk4", 0.002 / 60)
+    torque, other = (run["interaction_torque_n_m"] for run in runs)
+    return np.abs(torque - other).max() > 1e-9 * np.abs(torque).max()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", ["impedance", "zero_torque"])
+def test_every_slider_of_a_wearer_gives_the_curves_of_the_engine(mode, run_on_page):
+    """Except where valves that open and close amplify the rounding errors of any two programs."""
+    scenario = with_structure(Scenario.preset("wearer"), mode, "knee")
+    model, compared = model_of(scenario), 0
+    for changes in ends(model, "sine"):
+        if fits_the_motion(changes) and not amplifies(scenario, changes):
+            require_same_curves(run_on_page, scenario, model, changes, 2.0)
+            compared += 1
+    assert compared > 1.5 * len(model["quantities"])
