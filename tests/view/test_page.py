@@ -1,6 +1,7 @@
 import base64
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -101,6 +102,9 @@ def test_a_page_tells_where_it_ends_and_stays_small():
     assert [run["time"][-1] for run in runs_of(page)] == [1500.0, 1500.0]
     assert 6e6 < len(page) < 8e6
     assert "the first" not in view_page([a_leg("c", time[:101])])
+    worn = replace(a_leg("w", 2.0 * time), wearer_rad=np.sin(time), torque_n_m=np.cos(time))
+    assert shown_s([worn]) == 2000.0
+    assert len(view_page([worn])) < 8e6
     assert len(view_page([a_leg("x", time[:10])] * MOST_LEGS)) < 2e6
 
 
