@@ -91,5 +91,5 @@ def test_the_table_has_its_units(processor, monkeypatch, capsys):
     monkeypatch.setattr(processor, "figures", lambda *_: figures)
     processor.main()
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 1 + 2 * 2 * 3
+    assert len(lines) == 1 + 2 * 3 * 3
     assert lines[1] == ("Cortex-M4F, 168 MHz | SMC | float | 1 | 700, 1680 | 1 % | 152, 124 | 10.8")
