@@ -36,8 +36,10 @@ from kneexo.result import Array, Result, data_frame
 _STIFFNESS = "controller.stiffness_n_m_per_rad"
 _STIFFNESSES = np.append(0.0, np.geomspace(1.0, 1e6, 21))  # N·m/rad, by factors of 2
 _SMALL = 1e3  # N·m/rad
-_ALIKE = [f"{part}.stiffness_n_m_per_rad" for part in ("wearer", "wearer.cuff", "controller")] + [
-    f"{part}.damping_n_m_s_per_rad" for part in ("wearer", "wearer.cuff", "controller")
+_ALIKE = [
+    f"{part}.{name}"
+    for part in ("wearer", "wearer.cuff", "controller")
+    for name in ("stiffness_n_m_per_rad", "damping_n_m_s_per_rad")
 ]  # so that a label names the part
 
 
@@ -70,10 +72,13 @@ def stable_interval(
     if the loop does not rest at a value.
     """
 
+    given = value_at(scenario, path)
+    scenario = changed(scenario, {path: given})  # refuses an unknown path
+
     def growth(value: float) -> float:
         return _growth(coupled_loop(changed(scenario, {path: value}), knee_angle_deg).monodromy)
 
-    return _interval(growth, values, value_at(scenario, path))
+    return _interval(growth, values, given)
 
 
 def _growth(monodromy: Array) -> float:
@@ -138,39 +143,29 @@ def stiffness_interval(
 ) -> StiffnessInterval:
     """Return the stable interval of the virtual stiffness K_v, for the scenario's wearer and gains.
 
-    The law is that of `with_spring`. `stable_interval` says which of several intervals is the
-    result.
+    The law is τ_d = −K_v (θ − θ_ref) − B_v dθ/dt. B_v is zero in the mode ``assist_as_needed``,
+    whose spring acts outside its band. `stable_interval` says which of several intervals counts.
 
     Raises `ParameterError` for another controller, and `LinearizationError` if the loop does not
     rest at the angle.
     """
-    spring = with_spring(scenario)
+    law = scenario.controller
+    if not isinstance(law, TorqueParameters):
+        raise ParameterError(
+            f"controller.kind = {law.kind}: stiffness_interval needs controller.kind = torque"
+        )
+    damping = 0.0 if law.mode == "assist_as_needed" else law.damping_n_m_s_per_rad
+    spring = {"controller.mode": "impedance", "controller.damping_n_m_s_per_rad": damping}
     free, stiff = (
-        coupled_loop(changed(spring, {_STIFFNESS: value}), knee_angle_deg).monodromy
+        coupled_loop(changed(scenario, spring | {_STIFFNESS: value}), knee_angle_deg).monodromy
         for value in (0.0, _SMALL)
     )
 
     def growth(value: float) -> float:
-        return _growth(free + value / _SMALL * (stiff - free))  # exact while the loop rests there
+        return _growth(free + value / _SMALL * (stiff - free))  # the loop rests at one angle
 
-    ends = _interval(growth, _STIFFNESSES, value_at(spring, _STIFFNESS))
+    ends = _interval(growth, _STIFFNESSES, law.stiffness_n_m_per_rad)
     return StiffnessInterval(*ends, knee_angle_deg, scenario)
-
-
-def with_spring(scenario: Scenario) -> Scenario:
-    """Return a scenario with the mode ``impedance``, τ_d = −K_v (θ − θ_ref) − B_v dθ/dt.
-
-    B_v is zero in place of the mode ``assist_as_needed``, whose spring acts outside its band.
-    Raises `ParameterError` for another controller.
-    """
-    law = scenario.controller
-    if not isinstance(law, TorqueParameters):
-        raise ParameterError(
-            f"controller.kind = {law.kind}: a virtual stiffness needs controller.kind = torque"
-        )
-    damping = 0.0 if law.mode == "assist_as_needed" else law.damping_n_m_s_per_rad
-    spring = {"controller.mode": "impedance", "controller.damping_n_m_s_per_rad": damping}
-    return changed(scenario, spring)
 
 
 _MARGINS = ("gain_margin", "lower_gain_margin", "phase_margin_deg", "delay_margin_s", "disk_margin")
@@ -188,8 +183,8 @@ class CoupledStability(Result):
     """
 
     row_label: str
-    rows: tuple[Any, ...]
     column_label: str
+    rows: tuple[Any, ...]
     columns: tuple[float, ...]
     largest_eigenvalue: Array
     gain_margin: Array
@@ -204,13 +199,10 @@ class CoupledStability(Result):
 
         Raises `PackageError` without pandas.
         """
-        pairs = list(product(self.rows, self.columns))
-        columns = {
-            label: [pair[index] for pair in pairs]
-            for index, label in enumerate((self.row_label, self.column_label))
-        }
+        rows, columns = zip(*product(self.rows, self.columns), strict=True)
         names = ("largest_eigenvalue", *_MARGINS)
-        return data_frame(columns | {name: getattr(self, name).ravel() for name in names})
+        measures = {name: getattr(self, name).ravel() for name in names}
+        return data_frame({self.row_label: rows, self.column_label: columns} | measures)
 
     def plot(self, ax: Any = None) -> Any:
         """Plot a mark for each pair, and the border of stability; return the Matplotlib axes."""
@@ -251,7 +243,8 @@ def coupled_stability(
 
     The cuff is that of the scenario's wearer, if it has one.
 
-    Raises `LinearizationError` if a loop does not rest at its angle.
+    Raises `ParameterError` without wearers or angles, and `LinearizationError` if a loop does not
+    rest at its angle.
     """
     cuff = value_at(scenario, "wearer.cuff")
     legs = {
@@ -262,7 +255,7 @@ def coupled_stability(
     def loop_of(name: str, angle_deg: float) -> SampledLoop:
         return coupled_loop(changed(scenario, {"wearer": legs[name]}), angle_deg)
 
-    return _survey(("wearer", "knee angle (deg)"), (tuple(wearers), knee_angles_deg), loop_of)
+    return _survey({"wearer": tuple(wearers), "knee angle (deg)": knee_angles_deg}, loop_of)
 
 
 def stability_map(
@@ -276,7 +269,7 @@ def stability_map(
     ``values`` has two entries, from the dotted path of a parameter to its values in ascending
     order. The first parameter has the rows.
 
-    Raises `ParameterError` unless ``values`` has two entries, and for a value out of its range.
+    Raises `ParameterError` unless ``values`` has two entries with values in range.
     Raises `LinearizationError` if a loop does not rest at the angle.
     """
     if len(values) != 2:
@@ -287,16 +280,20 @@ def stability_map(
         return coupled_loop(changed(scenario, {row_path: row, column_path: column}), knee_angle_deg)
 
     names = labels([*values, *_ALIKE])
-    return _survey((names[row_path], names[column_path]), tuple(values.values()), loop_of)
+    return _survey({names[path]: values[path] for path in values}, loop_of)
 
 
 def _survey(
-    names: tuple[str, ...],
-    values: tuple[Sequence[Any], ...],
-    loop_of: Callable[[Any, float], SampledLoop],
+    axes: Mapping[str, Sequence[Any]], loop_of: Callable[[Any, float], SampledLoop]
 ) -> CoupledStability:
-    """Return the stability of the loops for all pairs of row and column."""
-    rows, columns = map(tuple, values)
+    """Return the stability of the loops at all pairs of row and column; ``axes`` has label: values.
+
+    Raises `ParameterError` for an axis without values.
+    """
+    for label, values in axes.items():
+        if not len(values):
+            raise ParameterError(f"{label}: has no values; give at least one")
+    (row_label, rows), (column_label, columns) = ((name, tuple(axes[name])) for name in axes)
     loops = [[loop_of(row, column) for column in columns] for row in rows]
 
     def growth(row: Any, column: float) -> float:
@@ -305,21 +302,14 @@ def _survey(
     stable = np.array([[loop.stable for loop in row] for row in loops])
     margins = [[loop.margins() if loop.stable else None for loop in row] for row in loops]
     border = [
-        (
-            rows[i],
-            _border(partial(growth, rows[i]), *columns[j : j + 2]),
-        )
+        (rows[i], _border(partial(growth, rows[i]), *columns[j : j + 2]))
         for i, j in np.argwhere(stable[:, 1:] != stable[:, :-1])
     ]
+    measures = {
+        name: np.array([[getattr(m, name, np.nan) for m in row] for row in margins])
+        for name in _MARGINS
+    }
+    largest = np.array([[_growth(loop.monodromy) + 1.0 for loop in row] for row in loops])
     return CoupledStability(
-        names[0],
-        rows,
-        names[1],
-        columns,
-        np.array([[float(abs(loop.eigenvalues[0])) for loop in row] for row in loops]),
-        **{
-            name: np.array([[getattr(m, name, np.nan) for m in row] for row in margins])
-            for name in _MARGINS
-        },
-        border=tuple(border),
+        row_label, column_label, rows, columns, largest, **measures, border=tuple(border)
     )

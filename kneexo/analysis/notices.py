@@ -6,7 +6,7 @@ import math
 import textwrap
 from collections.abc import Iterable, Iterator
 
-from kneexo.analysis.coupled_stability import coupled_loop, stiffness_interval, with_spring
+from kneexo.analysis.coupled_stability import stiffness_interval
 from kneexo.analysis.signals import period_s
 from kneexo.diagrams.plant import moving_masses_kg
 from kneexo.errors import LinearizationError
@@ -131,12 +131,12 @@ def _stiffness_notice(scenario: Scenario) -> Iterator[str]:
         return
     path, given = "controller.stiffness_n_m_per_rad", law.stiffness_n_m_per_rad
     try:
-        if coupled_loop(with_spring(scenario), angle).stable:
-            return
         ends = stiffness_interval(scenario, knee_angle_deg=angle)
     except LinearizationError:  # the verdict on stability has the reason
         return
     low, high = ends.low_n_m_per_rad, ends.high_n_m_per_rad
+    if low <= given <= high:
+        return
     line = f"{path} = {given:g} N·m/rad is unstable at {angle:.3g}°: "
     if math.isnan(low):
         yield f"{line}no stiffness is stable; reduce controller.speed_feedforward"

@@ -256,7 +256,7 @@ def test_assist_as_needed_has_no_virtual_damping():
 
 
 def test_another_controller_has_no_virtual_stiffness():
-    line = r"\Acontroller.kind = smc: a virtual stiffness needs controller.kind = torque\Z"
+    line = r"\Acontroller.kind = smc: stiffness_interval needs controller.kind = torque\Z"
     with pytest.raises(ParameterError, match=line):
         stiffness_interval(Scenario())
 
@@ -335,11 +335,21 @@ def test_a_map_needs_two_parameters():
         stability_map(scenario(), {STIFFNESS: [1.0]})
 
 
+def test_no_values_and_unknown_names_are_one_line():
+    with pytest.raises(ParameterError, match=r"\Awearer: has no values; give at least one\Z"):
+        coupled_stability(scenario(), {})
+    line = r"\Aproportional \(\(rad/s\)/N\): has no values; give at least one\Z"
+    with pytest.raises(ParameterError, match=line):
+        stability_map(scenario(), {STIFFNESS: [1.0], PROPORTIONAL: []})
+    with pytest.raises(ParameterError, match=r"controller.gain: unknown name; known here: .*"):
+        stable_interval(scenario(), "controller.gain", [1.0])
+
+
 def test_a_plot_marks_sound_small_and_unstable_loops():
     disk = np.array([[0.5, 0.49, np.nan], [np.nan, 2.0, 0.1]])
     nothing = np.ones_like(disk)
     result = CoupledStability(
-        "gain", (1.0, 30.0), "wearer (kg)", (5.0, 6.0, 7.0), *[nothing] * 5, disk, ((1.0, 6.5),)
+        "gain", "wearer (kg)", (1.0, 30.0), (5.0, 6.0, 7.0), *[nothing] * 5, disk, ((1.0, 6.5),)
     )
     ax = result.plot()
     points = {line.get_label(): line.get_xydata().tolist() for line in ax.lines}
