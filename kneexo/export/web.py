@@ -49,7 +49,7 @@ START = "start_angle_rad"
 """Name of the value of the reference at t = 0, which sets the initial state of the plant."""
 
 START_RATE = "start_rate_rad_s"
-"""Name of the rate of the reference at t = 0, with which an active leg of a wearer starts."""
+"""Name of the rate of the reference at t = 0. An active leg of a wearer starts with this rate."""
 
 
 def with_structure(scenario: Scenario, controller: str, load: str) -> Scenario:
@@ -100,10 +100,10 @@ def web_model(scenario: Scenario) -> dict[str, Any]:
     ``limits``
         Bounds of the signals, each a number, None, or a formula.
     ``controller``, ``load``
-        The kinds of these parts, for a torque controller its mode.
+        The kinds of these parts. A torque controller has its mode in place of the kind.
     ``wearer``, ``moment``
-        Whether the loop has a wearer, and his biological moment as a piecewise polynomial or None.
-        The input of a loop with a wearer is that of `IntervalReference`, then the moment.
+        Whether the loop has a wearer, and the biological moment as a piecewise polynomial or None.
+        A loop with a wearer has the input of `IntervalReference`, and then the moment.
 
     Raises `ParameterError` for a law that is called as Python and for a mode of the plant that the
     steps of a module cannot follow. Raises the errors of `make_closed_loop`. Raises
@@ -154,7 +154,7 @@ def controller_of(scenario: Scenario) -> str:
 
 
 _RATES_RAD_S = (-20.0, 20.0)
-"""Rates with which a leg can start. The fastest knee in walking has some 8 rad/s."""
+"""Range of the rates with which a leg can start. In walking the largest is about 8 rad/s."""
 
 _LOOPS = ("loop", "smooth")
 
@@ -335,7 +335,7 @@ def _references(scenario: Scenario) -> dict[str, Any]:
 
 
 def _table(table: InputTable) -> dict[str, str]:
-    """Return the first input of a table. The other inputs of a reference are derivatives."""
+    """Return the first input of a table. The further inputs of a reference are derivatives."""
     return {"breaks": _base64(table.breaks), "powers": _base64(table.coefficients[:, 0])}
 
 

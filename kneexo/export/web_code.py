@@ -63,7 +63,7 @@ INTERVAL = (
     *(f"before_{n}_rad" for n in range(8)),
     *(f"after_{n}_rad" for n in range(4)),
 )
-"""Names of the elements of the input of `IntervalReference`."""
+"""Names of the elements of the input ``interval`` of `IntervalReference`."""
 
 REFERENCES: Mapping[str, Any] = {
     "sine": SineReference,
@@ -116,10 +116,10 @@ def loop_source(scenario: Scenario, *, smooth: bool = False) -> CSource:
     """Return the closed loop of a scenario in C. The reference is an input.
 
     Another input perturbs the motor speed that the plant receives. ``smooth`` leaves out the
-    quantizers. With a wearer, whose leg moves between two samples, the input is that of
-    `IntervalReference`, and the biological moment at the samples is an input too. Raises
-    `ParameterError` for a law that is called as Python and for a motion of the wearer that a page
-    cannot follow. Raises the errors of `make_closed_loop`.
+    quantizers. The leg of a wearer moves between two samples. So with a wearer the inputs are those
+    of `IntervalReference` and the biological moment at the samples. Raises `ParameterError` for a
+    law that is called as Python, and for a motion of the wearer that a page cannot follow. Raises
+    the errors of `make_closed_loop`.
     """
     if reason := why_python(scenario):
         raise ParameterError(
@@ -183,8 +183,8 @@ def require_slow_modes(scenario: Scenario) -> None:
     The oil of the reduced order resonates at √(4β_e Ā²/(V_t m)) (Eq. 15, 16), where m is the least
     mass that moves with the rod in the range of motion. In the full order, friction F with the band
     v_0 decays at F/(v_0 m), and an empty chamber, of the volume V_d, fills through its make-up
-    valve C at β_e C/V_d. A cuff of the damping b_c moves the rod at b_c/(m r²), which is the
-    largest at the least moment arm r.
+    valve C at β_e C/V_d. The damping b_c of a cuff makes a mode of b_c/(m r²), largest at the least
+    moment arm r.
     """
     plant = scenario.plant
     cylinder, full = plant.cylinder, plant.full_order

@@ -34,7 +34,7 @@ class KneeFrames(LeafSystem):
     knee_angle       1     rad       θ_p, 0 = full extension, positive = flexion
     knee_reference   4     rad, …    θ_d and its derivatives, which have no effect here;
                                      the knee angle if unconnected
-    wearer_motion    2     rad, …    θ_h of the wearer's leg and its rate, which has no effect
+    wearer_motion    2     rad, …    θ_h of the wearer's leg, and its rate, which is not used
                                      here; the knee angle if unconnected
     **output port**
     frame_poses                      `FramePoseVector`: pose of each frame in the world

@@ -24,10 +24,10 @@ COLUMNS = ("time_s", "knee_angle_rad", "knee_reference_rad", "load_pressure_pa")
 """The names of time and `SIGNALS` as columns of a run and of signals.csv."""
 
 WEARER_SIGNALS = ("wearer_motion", "interaction_torque")
-"""The further signals that a page shows of a run with a wearer."""
+"""Names of the additional signals that a page shows of a run with a wearer."""
 
 WEARER_COLUMNS = ("wearer_angle_rad", "interaction_torque_n_m")
-"""The names of the columns of `WEARER_SIGNALS` that a page shows."""
+"""Names of the columns of `WEARER_SIGNALS` that a page shows."""
 
 _SHORTEST_STEP_S = 1e-9  # the times in signals.csv have ten digits
 _HIGHEST_PRESSURE_PA = 1e12

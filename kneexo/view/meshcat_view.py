@@ -45,7 +45,7 @@ def add_meshcat_view(
         Dictionary from systems of ``builder`` to linkages. A system requires an output port
         ``knee_angle`` (1, rad); its ports ``knee_reference`` (4, the first in rad),
         ``wearer_motion`` (2, the first in rad) and ``load_pressure`` (1, Pa) are optional. A
-        diagram of `make_closed_loop` has all of them, without a wearer no ``wearer_motion``.
+        diagram of `make_closed_loop` has all of them, but ``wearer_motion`` only with a wearer.
     meshcat
         Shows the legs from the side; its grid and axes are hidden.
     largest_pressure_pa

@@ -25,7 +25,7 @@ REFERENCE = "reference"
 """Name of the shank's frame at the reference. The names of its parts begin with this word."""
 
 WEARER = "wearer"
-"""Name of the frame of the wearer's shank and foot. Without a wearer it is the frame ``shank``."""
+"""Name of the frame of the limb below the knee. Without a wearer it moves as ``shank``."""
 
 SKIN, GHOST, GROUND = "skin", "ghost", "ground"
 """Roles of parts. Skin is translucent, a ghost shows the reference, the ground never moves."""

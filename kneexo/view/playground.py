@@ -224,7 +224,7 @@ def _entry(scenario: Scenario, name: str) -> dict[str, Any]:
 
 
 def _longest_s(scenario: Scenario) -> float:
-    """Return the longest run in s. The biological moment of a wearer must cover it."""
+    """Return the duration in s of the longest run that a biological moment of a wearer covers."""
     moment = moment_of(scenario)
     return LONGEST_RUN_S if moment is None else min(LONGEST_RUN_S, moment.times_s[-1])
 
@@ -236,10 +236,10 @@ def _model(scenario: Scenario) -> dict[str, Any]:
 def _variants(
     scenario: Scenario, first: dict[str, Any]
 ) -> tuple[list[dict[str, Any]], dict[str, list[tuple[str, str]]]]:
-    """Return the models of the other combinations of controller and load.
+    """Return the models of the other combinations of controller and load, and the missing ones.
 
-    Also return a dictionary from the reason why a model cannot be made here to the combinations
-    without model. A machine without Zig has the modules of the most common structures only.
+    The second result is a dictionary from the reason why a model cannot be made to combinations of
+    controller and load. A machine without Zig has the modules of the most common structures only.
     """
     controllers, loads = [first["controller"], *_CONTROLLERS], [first["load"], *_LOADS]
     if first["wearer"]:  # a cuff acts on the load, and only a moment can be assisted

@@ -49,7 +49,7 @@ const Numbers = (() => {
     return value >= least ? [words(value) ?? "sufficient", "fair"] : [words(value) ?? "too small", "bad"];
   }
 
-  /** The time over which the metrics of the interaction are. */
+  /** Return the part of the run to which the metrics of the interaction belong. */
   function ofPeriods({ metrics: { periods } }) {
     const time = periods ? `${periods} ${periods > 1 ? "periods" : "period"} after the first` : "whole run";
     return [`of the wearer, ${time}`, "plain"];
@@ -69,7 +69,7 @@ const Numbers = (() => {
     return value == null || value === Infinity ? "∞" : shown(factor * value);
   }
 
-  // A row with ``worn`` is only for set-ups with a wearer (true) or without (false).
+  // A row whose ``worn`` is true is for set-ups with a wearer only; false, without a wearer only.
   const ROWS = [
     { name: "rms-torque", label: "Torque, rms", unit: "N·m", worn: true,
       value: ({ run }) => shown(run.metrics.rms_torque_n_m), word: ({ run }) => ofPeriods(run) },

@@ -70,7 +70,7 @@ const Runner = (() => {
       Object.assign(this, { crew, rest_ms, handlers, timers: [0, 0], ids: [[], []] });
     }
 
-    /** Without messages the set-up has no margins and no sweep. */
+    /** Request margins and sweep of a set-up. If `messages` is null, the set-up has neither. */
     request(index, messages) {
       clearTimeout(this.timers[index]);
       for (const id of this.ids[index]) this.crew.forget(id);

@@ -224,7 +224,7 @@ const Simulator = (() => {
     }
   }
 
-  // Value and three derivatives at a time of one segment. Its powers are of the time since its start.
+  // Return value and three derivatives of a segment at a time. Its powers are of the time since its start.
   function segmentAt({ decoded: [breaks, powers] }, segment, time) {
     const width = powers.length / (breaks.length + 1);
     const row = powers.subarray(segment * width, (segment + 1) * width);
@@ -243,8 +243,9 @@ const Simulator = (() => {
     return sum;
   }
 
-  // The input of a loop with a wearer: for each tick its start, a break, eight powers of the share u
-  // of the tick before the break, and four after it. See IntervalReference in kneexo.systems.
+  // Return the input of a loop with a wearer (IntervalReference in kneexo.systems). For each tick it
+  // has the start, a break, and the coefficients of two polynomials, eight up to the break and four
+  // after it. Their variable u is the share of the tick that has passed.
   function intervalColumns(source, columns, ticks, period_s) {
     const result = Array.from({ length: 14 }, () => new Float64Array(ticks + 1));
     const fill = (tick, first, values) => values.forEach((value, k) => { result[first + k][tick] = value; });
@@ -268,7 +269,7 @@ const Simulator = (() => {
   const NEVER_S = 1e9;
   const FACTORIALS = [1, 1, 2, 6];
 
-  // The powers of the polynomial of degree 7 with value and three scaled derivatives at u = 0 and u = 1.
+  // Return the coefficients of the polynomial of degree 7 with given value and scaled derivatives at u = 0 and 1.
   function powersBetween([a, b, c, d], [value, slope, half, sixth]) {
     const gap = [value - a - b - c - d, slope - b - 2 * c - 3 * d, 2 * half - 2 * c - 6 * d, 6 * sixth - 6 * d];
     const sum = (...factors) => factors.reduce((total, factor, k) => total + factor * gap[k], 0);
@@ -434,7 +435,7 @@ const Simulator = (() => {
     };
   }
 
-  // Metrics of kneexo.analysis.interaction in the whole periods after the first, or in a short run.
+  // Return metrics of kneexo.analysis.interaction, of the whole periods after the first if there are any.
   function interactionMetrics({ time, torque, rate }, period_s) {
     if (!torque) return {};
     const last = time.length - 1;

@@ -49,7 +49,7 @@ const Stage = (() => {
 
     /**
      * Show a run {time, angle, reference, pressure} in s, rad, rad, Pa. A run with a wearer also has
-     * his angle `wearer` in rad and his torque `torque` in N·m. For null the leg has no run.
+     * the angle `wearer` in rad and the torque `torque` in N·m. For null the leg has no run.
      */
     setRun(index, run) {
       this.legs[index].run = run;

@@ -7,7 +7,7 @@ const StageArrow = (() => {
   const HEAD_M = 0.045;
   const LEAST_RAD = 0.02;
 
-  /** Torque in N·m of a quarter turn: 1, 1.5, 2, 3, 5 or 7 times a power of ten, or 0 if no run has a wearer. */
+  /** Return the torque in N·m of a quarter turn, a round number. It is 0 if no run has a wearer. */
   function scaleOf(legs) {
     const torques = legs.map((leg) => leg.run?.torque).filter((torque) => torque);
     if (torques.length === 0) return 0;
@@ -58,7 +58,7 @@ const StageArrow = (() => {
     label(context, StageModel.torqueText(torque), head[0], at(RADIUS_M, end), pixels);
   }
 
-  /** Write a text beyond the tip of an arrow from a base, but within the canvas. */
+  /** Write a text beyond the tip of an arrow that points from `base` to `tip`, within the canvas. */
   function label(context, text, tip, base, pixels) {
     context.font = `600 ${13 * pixels}px system-ui, sans-serif`;
     Object.assign(context, { textAlign: "center", textBaseline: "middle", lineJoin: "round" });

@@ -119,7 +119,7 @@ const StageElements = (() => {
     const item = (children, className = "") => make("li", { className }, children);
     const wearer = [
       item([line(StageArrow.COLOUR, 4), `arrow: torque of the wearer on the exoskeleton, a quarter turn is ${quarterTurn} N·m`], "wearer"),
-      item(["limb: wearer, brace and bars: exoskeleton"]),
+      item(["the limb is the wearer's; brace and bars are the exoskeleton"]),
     ];
     return make("ul", { className: "stage-legend" }, [
       item(["cylinder: load pressure −", full, pressureScale(leg), `+${full}`]),
