@@ -8,7 +8,7 @@ For each scenario the program makes a page, opens it, and moves the slider of th
 - the time in ms from the start of the navigation to the first curves,
 - the median and the longest time in ms from a move of the slider to the frame with the new curves,
 - the times in ms from a move of the slider to the margins, and to the end of the sweep. Both start
-  when the slider has rested for 350 ms,
+  when the slider has rested for 350 ms. A page with a wearer has neither,
 - the frames in a second while the slider moves ten times a second.
 
 Chromium draws without a GPU. The run of a scenario has its default duration, 30 s.
@@ -74,7 +74,7 @@ def scenarios() -> dict[str, Scenario]:
         f"{name}, {kind}": Scenario.model_validate(values | {"controller": {"kind": kind}})
         for name, values in plants.items()
         for kind in ("smc", "pid")
-    }
+    } | {"wearer": Scenario.preset("wearer")}
 
 
 def new_browser(folder: Path) -> Any:
@@ -91,7 +91,7 @@ def new_browser(folder: Path) -> Any:
 def measured(browser: Any, file: Path, repeats: int) -> dict[str, float]:
     """The numbers of a page, by the heads of the columns."""
     browser.open(file, width=1440, height=900)
-    browser.wait_for("window.opened_ms && Page.results[0].sweep", 300.0)
+    browser.wait_for("window.opened_ms && (Page.results[0].worn || Page.results[0].sweep)", 300.0)
     browser.evaluate(f"(() => {{ {TOOLS} }})()")
     times = []
     for step in range(repeats):
@@ -104,7 +104,7 @@ def measured(browser: Any, file: Path, repeats: int) -> dict[str, float]:
         "longest": max(times),
         "frames/s": browser.evaluate("framesWhileMoving(3000)"),
     }
-    for name in ("linear", "sweep"):
+    for name in () if browser.evaluate("Page.results[0].worn") else ("linear", "sweep"):
         browser.wait_for("Page.results[0].fresh && Page.results[0].sweep", 300.0)
         row[name] = browser.evaluate(f"timeOf({repeats + len(row)}, () => Page.results[0].{name})")
     browser.require_health()

@@ -186,6 +186,24 @@ def require_slow_modes(scenario: Scenario) -> None:
     valve C at β_e C/V_d. The damping b_c of a cuff makes a mode of b_c/(m r²), largest at the least
     moment arm r.
     """
+    order = "reduced" if scenario.plant.full_order is None else "full"
+    for name, unit, rate, angle, power in _modes(scenario):
+        highest = angle * _STEPS[order] / _INTERVAL_S
+        if rate > highest:
+            value = value_at(scenario, name)
+            raise ParameterError(
+                f"{name} = {value:g} {unit}: makes a mode of {rate:.3g} 1/s, "
+                f"which a page cannot follow; must be at {'least' if power > 0 else 'most'} "
+                f"{value * (rate / highest) ** power:.3g} {unit} here"
+            )
+
+
+def _modes(scenario: Scenario) -> Iterator[tuple[str, str, float, float, int]]:
+    """Yield path and unit of a parameter, the rate of its mode in 1/s, and two numbers.
+
+    They are the largest accepted product of step and rate, and the power of the rate to which the
+    least accepted value is proportional.
+    """
     plant = scenario.plant
     cylinder, full = plant.cylinder, plant.full_order
     mass_kg, _ = moving_masses_kg(plant)
@@ -195,35 +213,20 @@ def require_slow_modes(scenario: Scenario) -> None:
         name, unit = "plant.cylinder.mass_kg", "kg"
         if plant.knee_inertia_kg_m2 is not None:
             name, unit = "plant.load.inertia_kg_m2", "kg·m²"
-        modes = [(name, unit, rate, _OIL_ANGLE, 2)]
+        yield name, unit, rate, _OIL_ANGLE, 2
     else:
         friction = full.coulomb_friction_n + full.stribeck_friction_n
-        valve = cylinder.bulk_modulus_pa * full.makeup_conductance_m3_per_s_pa
-        modes = [
-            (
-                "plant.full_order.friction_band_m_s",
-                "m/s",
-                friction / full.friction_band_m_s / mass_kg,
-                _STABLE,
-                1,
-            ),
-            ("plant.full_order.dead_volume_m3", "m³", valve / full.dead_volume_m3, _STABLE, 1),
-        ]
+        rate = friction / full.friction_band_m_s / mass_kg
+        yield "plant.full_order.friction_band_m_s", "m/s", rate, _STABLE, 1
+        rate = cylinder.bulk_modulus_pa * full.makeup_conductance_m3_per_s_pa / full.dead_volume_m3
+        yield "plant.full_order.dead_volume_m3", "m³", rate, _STABLE, 1
     if isinstance(leg := scenario.wearer, LegParameters):
-        knee, damping = plant.knee, leg.cuff.damping_n_m_s_per_rad
+        knee = plant.knee
         angles = np.radians(np.linspace(knee.flexion_min_deg, knee.flexion_max_deg, 91))
         arms = moment_arm(plant.linkage, angles)
-        rate = damping / float(np.min(plant.moving_mass_kg(arms) * arms**2))
-        modes.append(("wearer.cuff.damping_n_m_s_per_rad", "N·m·s/rad", rate, _STABLE, -1))
-    for name, unit, rate, angle, power in modes:
-        highest = angle * _STEPS["reduced" if full is None else "full"] / _INTERVAL_S
-        if rate > highest:
-            value = value_at(scenario, name)
-            raise ParameterError(
-                f"{name} = {value:g} {unit}: makes a mode of {rate:.3g} 1/s, "
-                f"which a page cannot follow; must be at {'least' if power > 0 else 'most'} "
-                f"{value * (rate / highest) ** power:.3g} {unit} here"
-            )
+        inertia = float(np.min(plant.moving_mass_kg(arms) * arms**2))
+        rate = leg.cuff.damping_n_m_s_per_rad / inertia
+        yield "wearer.cuff.damping_n_m_s_per_rad", "N·m·s/rad", rate, _STABLE, -1
 
 
 @lru_cache(maxsize=16)

@@ -118,7 +118,8 @@ const StageElements = (() => {
     const colour = (name) => css(leg.data.parts.find((part) => part.name === name).colour);
     const item = (children, className = "") => make("li", { className }, children);
     const wearer = [
-      item([line(StageArrow.COLOUR, 4), `arrow: torque of the wearer on the exoskeleton, a quarter turn is ${quarterTurn} N·m`], "wearer"),
+      item([line(StageArrow.COLOUR, 4), `arrow: torque of the wearer on the exoskeleton, `
+        + `a quarter turn is ${quarterTurn} N·m`], "wearer"),
       item(["the limb is the wearer's; brace and bars are the exoskeleton"]),
     ];
     return make("ul", { className: "stage-legend" }, [
