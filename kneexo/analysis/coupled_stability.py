@@ -2,9 +2,9 @@
 
 Knee, cuff and leg are one sampled loop (`kneexo.analysis.linearize_loop`). It is stable if all its
 eigenvalues λ for one sample have |λ| < 1. In all functions a constant torque carries the weight of
-the shank, so that the loop rests at the given knee angle. A passive leg counts as an active one
-there, which has the same linear equations. Stability holds for small motions, without quantizers,
-slip and limits of the motor.
+the shank, so that the loop rests at the given knee angle. An active leg replaces a passive one,
+which has the same linear equations. Stability holds for small motions, without quantizers, slip and
+limits of the motor.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ _ALIKE = [
 
 
 def coupled_loop(scenario: Scenario, knee_angle_deg: float = MID_RANGE_DEG) -> SampledLoop:
-    """Return the linear loop of a scenario, with its wearer, that rests at a knee angle in deg.
+    """Return the linear loop of a scenario with its wearer, at rest at a knee angle in deg.
 
-    Raises `LinearizationError` if there is no such loop.
+    Raises `LinearizationError` if the loop does not rest at the angle.
     """
     held = value_at(scenario, "wearer.motion") == "prescribed"
     scenario = posed(scenario, knee_angle_deg, "prescribed" if held else "active")
@@ -62,11 +62,11 @@ def stable_interval(
 ) -> tuple[float, float]:
     """Return the ends of the interval of a parameter in which the loop is stable.
 
-    Stability is computed at ``values`` (n,) and at the scenario's own value of the parameter with
-    the dotted ``path``. Between two of them whose stability differs, a root search for |λ| = 1
-    gives the end to 1e-6. If there are several intervals, the result is the one with the scenario's
-    value, or the one that is nearest to it. An end of ``values`` at which the loop is stable is an
-    end of the interval. Both ends are nan if the loop is stable at no value.
+    Stability is computed at ``values`` (n,), and at the scenario's value of the parameter with the
+    dotted ``path``. If the loop is stable at one of two neighbouring values only, a root search for
+    max|λ| = 1 gives the end between them to 1e-6. If the loop is stable at the first or last value,
+    this value is an end. Of several intervals the result is that with the scenario's value, or the
+    nearest to this value. Both ends are nan if the loop is stable at no value.
 
     Raises `ParameterError` for a value out of the range of the parameter, and `LinearizationError`
     if the loop does not rest at a value.
@@ -89,10 +89,7 @@ def _growth(monodromy: Array) -> float:
 def _interval(
     growth: Callable[[float], float], values: ArrayLike, given: float
 ) -> tuple[float, float]:
-    """Return the ends of the interval with negative growth that has a given value, or is nearest.
-
-    `stable_interval` describes the result.
-    """
+    """Return the ends of the interval with negative growth, as `stable_interval` describes it."""
     grid = np.union1d(np.asarray(values, dtype=float), given)
     stable = np.array([growth(value) < 0.0 for value in grid])
     if not stable.any():
@@ -144,10 +141,10 @@ def stiffness_interval(
     """Return the stable interval of the virtual stiffness K_v, for the scenario's wearer and gains.
 
     The law is τ_d = −K_v (θ − θ_ref) − B_v dθ/dt. B_v is zero in the mode ``assist_as_needed``,
-    whose spring acts outside its band. `stable_interval` says which of several intervals counts.
+    which has no damping. `stable_interval` says which of several intervals counts.
 
-    Raises `ParameterError` for another controller, and `LinearizationError` if the loop does not
-    rest at the angle.
+    Raises `ParameterError` if the controller does not control the torque, and `LinearizationError`
+    if the loop does not rest at the angle.
     """
     law = scenario.controller
     if not isinstance(law, TorqueParameters):
@@ -178,8 +175,8 @@ class CoupledStability(Result):
     ``rows`` (n,) and ``columns`` (m,) are the values of the two quantities. The arrays have the
     shape (n, m). ``largest_eigenvalue`` is max|λ|. The margins belong to the loop at the motor
     speed command, as in `kneexo.analysis.Margins`, and are nan where the loop is unstable.
-    ``border`` has pairs of row and column at which max|λ| = 1 to 1e-6, one pair between two columns
-    whose stability differs.
+    ``border`` has pairs of row and column at which max|λ| = 1 to 1e-6. There is one pair between
+    two neighbouring columns if the loop is stable at one of them only.
     """
 
     row_label: str

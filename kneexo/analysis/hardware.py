@@ -157,10 +157,10 @@ def scaled(scenario: Scenario, factors: Mapping[str, float]) -> Scenario:
 
 
 def with_piston(scenario: Scenario, factor: float) -> Scenario:
-    """Multiply the areas of the piston by ``factor``, and the displacement of the pump with them.
+    """Return a scenario with ``factor`` times the areas of the piston and the pump's displacement.
 
-    The limits of rod speed and acceleration do not change. The oil is stiffer by the factor, so η
-    of a sliding-mode controller is multiplied by it. The commands then stay the same.
+    The limits of rod speed and acceleration do not change. The oil is stiffer by the factor. So η
+    of a sliding-mode controller is multiplied by the factor, and the commands do not change.
     """
     diameters = dict.fromkeys(
         ("plant.cylinder.bore_m", "plant.cylinder.rod_diameter_m"), math.sqrt(factor)

@@ -105,7 +105,7 @@ class OutputImpedance(Result):
     def held_inertia_kg_m2(self) -> float:
         """Inertia r² m of the moving mass, Z/(jω) above the resonance with the oil's spring.
 
-        It is the inertia of the load, if the load has one.
+        It is the inertia of the load if the load has an inertia.
         """
         arm = self.moment_arm_m
         return float(arm**2 * self.scenario.plant.moving_mass_kg(arm))
@@ -255,7 +255,7 @@ def with_prescribed_leg(scenario: Scenario, what: str) -> Scenario:
 
 
 def posed(scenario: Scenario, knee_angle_deg: float, motion: str = "active") -> Scenario:
-    """Return a scenario whose loop rests at an angle, with a motion of its leg, if any.
+    """Return a scenario whose loop rests at an angle. If it has a wearer, ``motion`` is the leg's.
 
     A constant torque carries the weight of the shank, in place of the constant torque of the load.
     Biological moments are left out as in `with_prescribed_leg`. A leg with ``active`` motion yields
@@ -275,7 +275,7 @@ def posed(scenario: Scenario, knee_angle_deg: float, motion: str = "active") -> 
 
 
 def _without_moment(scenario: Scenario, motion: str, changes: dict[str, Any]) -> Scenario:
-    """Return a changed scenario without biological moment, and with a motion of the leg, if any."""
+    """Return a changed scenario without biological moment. ``motion`` is that of a wearer's leg."""
     if isinstance(scenario.wearer, LegParameters):
         changes |= {"wearer.motion": motion, "wearer.moment": None, "wearer.effort": 1.0}
     if scenario.controller.kind == "torque" and scenario.controller.mode == "assist":

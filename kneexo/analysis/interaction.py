@@ -67,9 +67,9 @@ def interaction_metrics(run: Run, *, period_s: float = 0.0) -> InteractionMetric
         Run with the signals ``interaction_torque`` and ``wearer_motion``. The assistance ratio also
         requires ``biological_moment``.
     period_s
-        Period of the motion. The metrics are those of the whole periods after the first one, which
-        has the initial transient. For 0, and for a run of less than two periods, they are those of
-        the whole run.
+        Period of the motion. The metrics are those of the whole periods after the first period,
+        which has the initial transient. If the period is 0, or the run is shorter than two periods,
+        the metrics are those of the whole run.
 
     Raises
     ------
@@ -105,9 +105,9 @@ def interaction_metrics(run: Run, *, period_s: float = 0.0) -> InteractionMetric
 
 
 def whole_periods(time_s: Array, period_s: float) -> slice:
-    """Return the samples of the whole periods after the first one, or all samples.
+    """Return the samples of the whole periods after the first period.
 
-    All samples count if the period is 0 and if ``time_s`` (n,) has less than two periods.
+    All samples are returned if the period is 0 or if ``time_s`` (n,) has less than two periods.
     """
     periods = math.floor((time_s[-1] - time_s[0]) / period_s + 1e-9) if period_s > 0.0 else 0
     if periods < 2:

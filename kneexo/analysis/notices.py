@@ -88,8 +88,8 @@ def wrapped(line: str) -> str:
 def notices(scenario: Scenario) -> Iterator[str]:
     """Yield a line for each property of a run of ``scenario`` that its user may not expect.
 
-    Besides the `model_notices`, a line says that no wearer moves the knee under torque control. A
-    line has both ends of the stable interval, if a virtual stiffness is outside it. A line says
+    Besides the `model_notices`, a line says that no wearer moves the knee under torque control. If
+    a virtual stiffness is unstable, a line has both ends of the stable interval. A line says
     that the run ends within the first period of a sinusoidal reference, before it has settled. A
     line says that the run holds the first or the last sample of its reference for more than
     `LONGEST_HOLD` of its duration.
@@ -163,7 +163,8 @@ def model_notices(scenario: Scenario) -> Iterator[str]:
         least, largest = moving_masses_kg(plant)
         text = f"plant.cylinder.mass_kg = {mass_kg:g} kg"
         if inertia is not None:
-            text = f"plant.load.inertia_kg_m2: a mass of {least:.3g} … {largest:.3g} kg at the rod"
+            text = f"plant.load.inertia_kg_m2 = {inertia:g} kg·m² acts as "
+            text += f"{least:.3g} … {largest:.3g} kg at the rod, which"
         if not low <= least <= largest <= high:
             yield (f"{text} is outside controller.mass_min_kg … mass_max_kg, {low:g} … {high:g} kg")
     if inertia is None and mass_kg > SlidingModeParameters().mass_max_kg:

@@ -179,12 +179,12 @@ def stride_load(
 
 
 def smallest_piston_factor(scenario: Scenario = Scenario(), share: float = 1.0) -> float:
-    """Return the factor on both piston areas that brings a stride just to the relief pressure.
+    """Return the factor on both piston areas with which a stride just reaches the relief pressure.
 
-    The factor f divides the pressure that holds the rod force F of `stride_load`. The larger
-    pressure is P_1 = F/(f A_1) + P_r A_2/A_1 or P_2 = −F/(f A_2) + P_r A_1/A_2.
+    With the factor f the loaded chamber has the pressure P_1 = F/(f A_1) + P_r A_2/A_1 or
+    P_2 = −F/(f A_2) + P_r A_1/A_2, where F is the rod force of `stride_load`.
 
-    Raises `ParameterError` as `stride_load` does, and if no area holds a pulling rod.
+    Raises `ParameterError` as `stride_load` does, and if no area holds a pulling force.
     """
     cylinder, valves = scenario.plant.cylinder, _valves(scenario)
     cap, rod_side = cylinder.cap_area_m2, cylinder.rod_side_area_m2

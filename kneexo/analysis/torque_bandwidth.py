@@ -17,7 +17,7 @@ from kneexo.plotting import BLUE, TEAL, axes_or_new, label_bode
 from kneexo.result import Array, Result
 
 Held = Literal["rod", "leg", "nothing"]
-"""What does not move: the ``rod``, the ``leg`` at the other side of the cuff, or ``nothing``."""
+"""The part that does not move, ``rod``, ``leg`` (the other side of the cuff) or ``nothing``."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -25,8 +25,8 @@ class TorqueResponse(Result):
     """Response F/F_d of the rod force to the desired force, for small forces.
 
     ``response`` is complex, (n,), at the n ``frequency_hz``: the fundamental of F for a sine in
-    F_d. At ``bandwidth_hz`` the gain first falls to 1/√2; it is nan if the gain does not fall so
-    far, begins below 1/√2, or if the loop is not ``stable``.
+    F_d. At ``bandwidth_hz`` the gain first falls to 1/√2. This value is nan if the gain does not
+    fall so far, if it begins below 1/√2, and if the loop is not ``stable``.
     """
 
     frequency_hz: Array
@@ -78,10 +78,10 @@ def torque_response(
     knee_angle_deg
         Angle of the leg in deg.
     held
-        The part that does not move, ``rod`` or ``leg``. With ``nothing`` the leg yields by its
-        inertia, stiffness and damping, and without wearer the bare shank moves: the force is then
-        only that of its mass, F = m dv/dt. A constant torque carries the weight of the shank, so
-        that the loop rests at the angle.
+        The part that does not move, ``rod``, ``leg`` or ``nothing``. With ``nothing`` the leg
+        yields by its inertia, stiffness and damping. Without wearer the bare shank moves, so the
+        force is only that of its mass, F = m dv/dt. A constant torque carries the weight of the
+        shank, so that the loop rests at the angle.
 
     Raises
     ------

@@ -270,7 +270,7 @@ class TrackingResult(Result):
 
     @cached_property
     def verdict(self) -> Verdict:
-        """Tracking, torques, what saturates, and the margins of the loop in a few lines.
+        """Tracking, torques, saturation and the margins of the loop in a few lines.
 
         The loop of the scenario is linearized when the verdict is first asked for.
         """
@@ -347,9 +347,9 @@ class TrackingResult(Result):
         return ax
 
     def plot_torque(self, ax: Axes | None = None) -> Axes:
-        """Plot the torques on the knee of the exoskeleton over time, as far as the run has them.
+        """Plot the torques on the knee of the exoskeleton over time.
 
-        They are the torque of the wearer, the torque of the actuator and its desired value.
+        The run may have the torque of the wearer, that of the actuator, and its desired value.
         """
         caption = "Torques of wearer and actuator on the exoskeleton over time; positive flexes."
         ax = axes_or_new(ax, caption=caption)
@@ -380,7 +380,8 @@ class TrackingResult(Result):
         """Plot angle, error, torques and motor speed command below each other; return the axes.
 
         A run without wearer and torque controller has no torques, and a run with torque controller
-        has no error. ``ax`` contains as many Matplotlib axes. If it is None, a new figure is made.
+        has no error. ``ax`` has one Matplotlib axes for each plot. If it is None, a new figure is
+        made.
         """
         torque_control = self.scenario.controller.kind == "torque"
         plots = {"knee angle with its reference": self.plot_angle}
@@ -407,7 +408,7 @@ def _legend_above(ax: Axes) -> None:
 
 
 def _verdict_signals(scenario: Scenario) -> tuple[str, ...]:
-    """Return names of further signals that the verdict on a run of ``scenario`` requires."""
+    """Return names of additional signals that the verdict on a run of ``scenario`` requires."""
     names = [*INTERACTION_SIGNALS, "biological_moment", "chamber_pressures"]
     if scenario.controller.kind == "torque":
         names += TORQUE_SIGNALS

@@ -1,4 +1,4 @@
-"""The verdict on a run in a few lines: tracking and torques, what saturates, and stability."""
+"""The verdict on a run in a few lines about tracking, torques, saturation and stability."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def loop_lines(loop: SampledLoop) -> tuple[str, ...]:
     """Return lines with the stability, margins and bandwidths of a linear loop.
 
     An unstable loop has one line, because it has neither margins nor bandwidth. A torque controller
-    has only the bandwidth of the feedback, for it does not follow the knee reference.
+    does not follow the knee reference, so it has only the bandwidth of the feedback.
     """
     stability = Stability.of_loop(loop)
     m = stability.margins
@@ -167,7 +167,7 @@ class Verdict(Result):
     omissions: tuple[str, ...]
     notices: tuple[str, ...]
     lines: tuple[str, ...]
-    """Whether the run tracks, torques, what saturates, and the margins of the loop.
+    """Lines on tracking, torques, saturation and the margins of the loop.
 
     A run without wearer and torque controller has no line on torques. A run with torque controller
     has no line on tracking.
@@ -179,8 +179,8 @@ class Verdict(Result):
     torque_error_rms_n_m: float = math.nan
     """Root mean square of desired minus actual torque of the actuator on the knee.
 
-    It begins after the first period, as the metrics of the interaction do. It is nan without torque
-    controller.
+    Its samples are those of the metrics of the interaction (`whole_periods`). It is nan without
+    torque controller.
     """
 
     @property
@@ -254,9 +254,9 @@ def verdict_of(
 def _tracking(
     scenario: Scenario, run: Run, step: tuple[bool, str] | None
 ) -> tuple[dict[str, Any], list[str]]:
-    """Return the fields of the `Verdict` on tracking, and its line, none with torque control.
+    """Return the fields of the `Verdict` on tracking, and its line.
 
-    `verdict_of` describes ``step``.
+    With torque control there is no line. `verdict_of` describes ``step``.
     """
     error_deg = np.degrees(np.abs(run["knee_reference_rad"] - run["knee_angle_rad"]))
     first = int(np.searchsorted(run.time_s, period_s(scenario) - 1e-9))
@@ -286,7 +286,7 @@ def _tracking(
 def _torques(scenario: Scenario, run: Run) -> tuple[dict[str, Any], list[str]]:
     """Return the fields of the `Verdict` on torques, and its lines.
 
-    The lines are those on interaction with a wearer and on torque control, as far as the run has
+    A line is on the interaction with a wearer, and a line is on torque control, if the run has
     their signals.
     """
     fields, lines = dict[str, Any](), []
@@ -308,10 +308,10 @@ def _torques(scenario: Scenario, run: Run) -> tuple[dict[str, Any], list[str]]:
 
 
 def _pressure_notices(scenario: Scenario, run: Run) -> Iterator[str]:
-    """Yield a line on pressures of a run that are not those of a real cylinder.
+    """Yield lines on pressures of a run that a real cylinder does not have.
 
-    A chamber falls below `LOWEST_PRESSURE_PA`, with time and knee angle, or a wearer exceeds the
-    rated pressure in the reduced order, which has no relief valves.
+    In the reduced order, which has no relief valves, a wearer can exceed the rated pressure. In the
+    full order a chamber can fall below `LOWEST_PRESSURE_PA`. Then the line has time and knee angle.
     """
     peak = np.max(np.abs(run["load_pressure_pa"]))
     reduced_order = scenario.plant.full_order is None and scenario.wearer.kind != "none"

@@ -204,8 +204,8 @@ def test_an_inertia_of_the_load_is_a_mass_beyond_the_bounds_of_the_controller():
     scenario = changed(Scenario(), {"plant.load": {"kind": "knee", "inertia_kg_m2": 0.064}})
     # I/r² with the arms of 107.09 mm at 68.3° and 36.8 mm at 0°
     assert list(model_notices(scenario)) == [
-        "plant.load.inertia_kg_m2: a mass of 5.58 … 47.3 kg at the rod is outside "
-        "controller.mass_min_kg … mass_max_kg, 1.4 … 1.8 kg"
+        "plant.load.inertia_kg_m2 = 0.064 kg·m² acts as 5.58 … 47.3 kg at the rod, which is "
+        "outside controller.mass_min_kg … mass_max_kg, 1.4 … 1.8 kg"
     ]
     pid = changed(scenario, {"controller": "pid"})
     assert not list(model_notices(pid))
