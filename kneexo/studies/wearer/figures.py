@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from kneexo.gait import gait_start_percent
 from kneexo.plotting import BLUE, GOLD, PURPLE, SERIES, TEAL
 from kneexo.result import Array
-from kneexo.studies.plots import legend_below
+from kneexo.studies.plots import OUTLINE, legend_below
 from kneexo.studies.wearer.study import (
     HELD,
     HELPING,
@@ -99,7 +99,7 @@ def _bars(ax: Axes, heights: Mapping[str, Sequence[float]], colours: Mapping[str
     for index, (label, values) in enumerate(heights.items()):
         x = np.arange(len(values)) + (index - 0.5 * (len(heights) - 1)) * width
         bars = ax.bar(x, values, 0.92 * width, label=label, color=colours[label])
-        ax.bar_label(bars, fmt="%.3g", fontsize=6, padding=1)
+        ax.bar_label(bars, fmt="%.3g", fontsize=6, padding=1, path_effects=OUTLINE)
 
 
 def _cadence(result: WearerResult) -> Figure:

@@ -115,8 +115,8 @@ HELD, PAPER, LARGER, SIZED, UNLIMITED = (
 """Names of the pumps."""
 HIGHER = ", higher gains"
 """End of a design's name, if the design has the higher gains."""
-GAINS = (PAPER, PAPER + HIGHER)
-"""Names of the designs whose margins are computed. Those of the other pumps are the same."""
+INERTIA = f"{PAPER}, inertia of the shank"
+"""Name of a design for margins, whose load has the inertia m l² about the knee."""
 HELPING = (PAPER, SIZED + HIGHER)
 """Names of the designs that help weak legs."""
 Motion = tuple[float, float]
@@ -387,12 +387,19 @@ def wearer_study(
         )
     by_design = designs(scenario, settings)
     cases = list(_cases(by_design, settings))
+    paper, load = by_design[PAPER], scenario.plant.load
+    inertia = load.segment_mass_kg * load.centre_of_mass_m**2  # type: ignore[union-attr]  # no NoLoad
+    loops = {
+        PAPER: paper,
+        PAPER + HIGHER: by_design[PAPER + HIGHER],
+        INERTIA: changed(paper, {"plant.load.inertia_kg_m2": inertia}),
+    }
     with open_sweep(**options) as sweep:
         numbers = sweep.map(
             partial(measured, settings.cycles), [case for _, case in cases], "torque of wearers"
         )
         stability = sweep.map(
-            partial(margins, settings.postures_deg), [by_design[name] for name in GAINS], "margins"
+            partial(margins, settings.postures_deg), list(loops.values()), "margins"
         )
     rows = [
         TypeAdapter(WearerRow).validate_python(labels | row)
@@ -402,7 +409,7 @@ def wearer_study(
         transparency=tuple(row for row in rows if row.wearer == ANY),
         help=tuple(row for row in rows if row.wearer != ANY),
         margins=tuple(
-            MarginRow(name, **numbers) for name, numbers in zip(GAINS, stability, strict=True)
+            MarginRow(name, **numbers) for name, numbers in zip(loops, stability, strict=True)
         ),
         scenario=scenario,
         settings=settings,

@@ -94,7 +94,10 @@ def test_the_screen_has_the_answers(by_hand, check_screen):
         f"{sized.mean_torque_n_m:.3g}), 10 times {rms('larger pump, higher gains'):.3g} N·m. "
         f"Higher gains alone leave {alone:.3g}"
     ) in text
-    assert "Least disk margin with six legs: 0.40, with higher gains 0.60." in text
+    assert (
+        "Least disk margin with six legs: 0.40 (paper's pump, small margin), 0.60 (paper's pump, "
+        "higher gains, sound), 0.80 (paper's pump, inertia of the shank, sound)."
+    ) in text
     for row in by_hand.help:
         shown = f"{row.deviation_deg:.1f}° ({row.mode})"
         assert (shown in text) == (row.wearer == "average")
