@@ -12,13 +12,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from kneexo.gait import gait_start_percent
-from kneexo.plotting import BLUE, GOLD, PURPLE, SERIES, TEAL
+from kneexo.plotting import BLUE, BROWN, GOLD, PURPLE, SERIES, TEAL
 from kneexo.result import Array
 from kneexo.studies.plots import OUTLINE, legend_below
 from kneexo.studies.wearer.study import (
     HELD,
     HELPING,
     HIGHER,
+    INERTIA,
     PAPER,
     SIZED,
     UNLIMITED,
@@ -32,6 +33,7 @@ _SHOWN = {
     UNLIMITED: PURPLE,
     SIZED: BLUE,
     SIZED + HIGHER: TEAL,
+    INERTIA: BROWN,
 }
 """Designs in the figures, and their colours."""
 _STYLES = ("-", "--", ":", "-.", (0, (5, 1)))

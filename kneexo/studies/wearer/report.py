@@ -13,6 +13,7 @@ from kneexo.studies.wearer.study import (
     DEVICES,
     HELPING,
     HIGHER,
+    INERTIA,
     LARGER,
     PAPER,
     SIZED,
@@ -41,15 +42,16 @@ def report(result: WearerResult) -> str:
         unlimited=walks[UNLIMITED],
         larger=walks[LARGER + HIGHER],
         sized=walks[SIZED + HIGHER],
+        inertia=walks[INERTIA],
         rising=next(row for row in by_design[PAPER] if row.rise_time_s == rise),
-        weak={
-            name: [
+        weak=[
+            [
                 row
                 for row in result.help
                 if (row.design, row.wearer, row.cadence_hz) == (name, "average", weak_cadence)
             ]
             for name in HELPING
-        },
+        ],
         motions=[row.motion for row in by_design[PAPER]],
         torques=[[name, *map(_torque, rows)] for name, rows in by_design.items()],
         devices=DEVICES,

@@ -61,6 +61,16 @@ class WearerSettings(Parameters):
     gain_factor: float = quantity(
         4.0, "1", "assumption: higher gains, with a disk margin above 0.6", ge=0.01, le=100
     )
+    inertia_gain_factor: float = quantity(
+        0.5,
+        "1",
+        "assumption: gains with the inertia of the shank; higher ones lose their margins",
+        ge=0.01,
+        le=100,
+    )
+    inertia_filter_s: float = quantity(
+        0.005, "s", "assumption: low-pass of the load cell with this inertia", ge=1e-5, le=1
+    )
     postures_deg: tuple[float, ...] = quantities(
         (10.0, 45.0, 85.0), "deg", "assumption: knee angles of the margins", ge=0, le=90
     )
@@ -115,8 +125,10 @@ HELD, PAPER, LARGER, SIZED, UNLIMITED = (
 """Names of the pumps."""
 HIGHER = ", higher gains"
 """End of a design's name, if the design has the higher gains."""
-INERTIA = f"{PAPER}, inertia of the shank"
-"""Name of a design for margins, whose load has the inertia m l² about the knee."""
+INERTIA = f"{SIZED}, inertia of the shank"
+"""Name of a design with the inertia m l² of the shank about the knee, and with lower gains."""
+LOOPS = (PAPER, PAPER + HIGHER, INERTIA)
+"""Names of the designs whose margins are computed. Those of other pumps are the same."""
 HELPING = (PAPER, SIZED + HIGHER)
 """Names of the designs that help weak legs."""
 Motion = tuple[float, float]
@@ -241,10 +253,21 @@ def designs(scenario: Scenario, settings: WearerSettings) -> dict[str, Scenario]
         SIZED: settings.sized_flow_factor,
         UNLIMITED: settings.unlimited_flow_factor,
     }
-    return {HELD: changed(scenario, {"controller.command_limit_rad_s": 1e-3})} | {
-        name + end: with_flow(scenario, flow, gain)
-        for end, gain in (("", 1.0), (HIGHER, settings.gain_factor))
-        for name, flow in flows.items()
+    load: Any = scenario.plant.load  # a scenario with a wearer has a load
+    shank = {
+        "plant.load.inertia_kg_m2": load.segment_mass_kg * load.centre_of_mass_m**2,
+        "load_cell.filter_s": settings.inertia_filter_s,
+    }
+    return {
+        HELD: changed(scenario, {"controller.command_limit_rad_s": 1e-3}),
+        **{
+            name + end: with_flow(scenario, flow, gain)
+            for end, gain in (("", 1.0), (HIGHER, settings.gain_factor))
+            for name, flow in flows.items()
+        },
+        INERTIA: with_flow(
+            changed(scenario, shank), settings.sized_flow_factor, settings.inertia_gain_factor
+        ),
     }
 
 
@@ -387,19 +410,12 @@ def wearer_study(
         )
     by_design = designs(scenario, settings)
     cases = list(_cases(by_design, settings))
-    paper, load = by_design[PAPER], scenario.plant.load
-    inertia = load.segment_mass_kg * load.centre_of_mass_m**2  # type: ignore[union-attr]  # no NoLoad
-    loops = {
-        PAPER: paper,
-        PAPER + HIGHER: by_design[PAPER + HIGHER],
-        INERTIA: changed(paper, {"plant.load.inertia_kg_m2": inertia}),
-    }
     with open_sweep(**options) as sweep:
         numbers = sweep.map(
             partial(measured, settings.cycles), [case for _, case in cases], "torque of wearers"
         )
         stability = sweep.map(
-            partial(margins, settings.postures_deg), list(loops.values()), "margins"
+            partial(margins, settings.postures_deg), [by_design[name] for name in LOOPS], "margins"
         )
     rows = [
         TypeAdapter(WearerRow).validate_python(labels | row)
@@ -409,7 +425,7 @@ def wearer_study(
         transparency=tuple(row for row in rows if row.wearer == ANY),
         help=tuple(row for row in rows if row.wearer != ANY),
         margins=tuple(
-            MarginRow(name, **numbers) for name, numbers in zip(loops, stability, strict=True)
+            MarginRow(name, **numbers) for name, numbers in zip(LOOPS, stability, strict=True)
         ),
         scenario=scenario,
         settings=settings,

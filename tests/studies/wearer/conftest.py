@@ -9,7 +9,7 @@ from wearer_cases import SMALL
 from kneexo.parameters.paths import changed
 from kneexo.studies.wearer.study import (
     HELPING,
-    INERTIA,
+    LOOPS,
     WEARER_KNEE,
     MarginRow,
     WearerResult,
@@ -71,6 +71,6 @@ def by_hand():
     failed = WearerRow("sized pump", "heavy", "zero torque", 0.5, nan, failure="left the range")
     margins = [
         MarginRow(name, 0.4 + 0.2 * k, 2.11 + k, 1.0 + k, 2346.0 + k, 71.7 + k)
-        for k, name in enumerate((names[1], names[5], INERTIA))
+        for k, name in enumerate(LOOPS)
     ]
     return WearerResult(tuple(follow), (*weak, failed), tuple(margins), WEARER_KNEE, settings)

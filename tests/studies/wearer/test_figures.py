@@ -64,7 +64,7 @@ def test_torque_over_cadence(by_hand, drawn):
     walking, rising = drawn["wearer_cadence"].axes
     for ax, key, speeds in ((walking, "cadence_hz", (0.5, 2.0)), (rising, "rise_time_s", (0.8,))):
         heights = bars(ax)
-        assert len(heights) == 5
+        assert len(heights) == 6
         for design, values in heights.items():
             rows = [find(by_hand.transparency, design=design, **{key: v}) for v in speeds]
             assert values == pytest.approx([row.rms_torque_n_m for row in rows])
