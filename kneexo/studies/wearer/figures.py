@@ -95,13 +95,13 @@ def _torque(result: WearerResult) -> Figure:
     return figure
 
 
-def _bars(ax: Axes, heights: Mapping[str, Sequence[float]], colours: Mapping[str, str]) -> None:
-    """Draw a group of bars at 0, 1, …. ``heights`` has the heights of each label (groups,)."""
+def _bars(ax: Axes, heights: Mapping[str, Sequence[float]], digits: int) -> None:
+    """Draw a group of bars at 0, 1, …. ``heights`` has the heights of each design (groups,)."""
     width = 0.8 / len(heights)
     for index, (label, values) in enumerate(heights.items()):
         x = np.arange(len(values)) + (index - 0.5 * (len(heights) - 1)) * width
-        bars = ax.bar(x, values, 0.92 * width, label=label, color=colours[label])
-        ax.bar_label(bars, fmt="%.3g", fontsize=6, padding=1, path_effects=OUTLINE)
+        bars = ax.bar(x, values, 0.92 * width, label=label, color=_SHOWN[label])
+        ax.bar_label(bars, fmt=f"%.{digits}g", fontsize=6, padding=1, path_effects=OUTLINE)
 
 
 def _cadence(result: WearerResult) -> Figure:
@@ -125,7 +125,7 @@ def _cadence(result: WearerResult) -> Figure:
         torques = {
             name: [row.rms_torque_n_m for row in rows if row.design == name] for name in _SHOWN
         }
-        _bars(ax, torques, _SHOWN)
+        _bars(ax, torques, digits=2)
         ax.axhline(_ANKLE_N_M, color="k", ls=":", lw=1.2, label="miniHydrA, 0…5 Hz")
         speeds = settings.cadences_hz if walking else settings.rise_times_s
         ax.set_xticks(range(len(speeds)), [f"{speed:g}" for speed in speeds])
@@ -157,7 +157,7 @@ def _help(result: WearerResult) -> Figure:
     deviations = {
         name: [row.deviation_deg for row in rows if row.design == name] for name in HELPING
     }
-    _bars(axes[1], deviations, _SHOWN)
+    _bars(axes[1], deviations, digits=3)
     axes[1].set_xticks(range(len(helped)), [row.mode.replace(" ", "\n", 1) for row in helped])
     axes[1].set(ylabel="largest deviation of the leg from its path (deg)")
     axes[1].set_ylim(top=1.15 * axes[1].get_ylim()[1])  # room for the legend
