@@ -4,9 +4,9 @@
 
 A table for each scenario, a row for each way to run it on one core: processor time (the shortest
 of several, without compilation), its ratio to C with RK4 at 0.2 ms, the largest errors at the
-samples, and how far the run lies from kneexo's compiled RK4 at 0.2 ms. Nobody wrote a loop with a
-wearer by hand, so there the exported C is the base of the ratio. At the end what is required of
-these figures, and what was found.
+samples, and how far the run lies from kneexo's compiled RK4 at 0.2 ms. There is no hand-written C
+of a loop with a wearer, so the exported C is the base of its ratios. The last lines compare the
+figures with their requirements.
 
 The error of the rod's extension is relative to the stroke, that of the load pressure to its peak;
 the reference is RK4 at 2 µs, its own error the change from 4 µs. Errors and differences are taken

@@ -50,9 +50,9 @@ def gait_knee_moment() -> tuple[Array, Array, Array]:
 def gait_moment_cycle() -> Array:
     """Return the net knee moment in N·m over the gait cycle of `gait_knee_flexion`, (101,).
 
-    It is the last stride of `gait_knee_moment`, closed by a straight line, which changes no sample
-    by more than 1.2 N·m. The strides of the two adults are aligned in phase, so that their flexions
-    correlate best. A positive moment flexes the knee.
+    The moment is that of the last stride of `gait_knee_moment`. A straight line is subtracted, so
+    that both ends are equal, which changes no sample by more than 1.2 N·m. The phase is that with
+    the largest correlation of both adults' flexions. A positive moment flexes the knee.
     """
     time, flexion, moment = gait_knee_moment()
     percent, mean, _ = gait_knee_flexion()

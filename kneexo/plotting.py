@@ -40,9 +40,10 @@ def axes_or_new(ax: Any, *shape: int, caption: str = "", **options: Any) -> Any:
 
 
 def label_bode(axes: Any, magnitude: str) -> None:
-    """Label two Matplotlib axes, one below the other, with magnitude and phase over the frequency.
+    """Label the two Matplotlib axes of a Bode plot, and draw their grids.
 
-    The frequencies are on a logarithmic axis.
+    ``magnitude`` is the label of the upper axes. The lower axes show the phase in deg over the
+    frequency in Hz on a logarithmic axis.
     """
     axes[0].set(ylabel=magnitude)
     axes[1].set(xlabel="frequency (Hz)", ylabel="phase (deg)")

@@ -160,10 +160,11 @@ def suggestion(model: type[BaseModel], name: str, known: Iterable[str], prefix: 
 
 
 def other_angle_unit(name: str, known: Iterable[str], prefix: str = "") -> str:
-    """Return a text with the known name that has another unit of angle, and the factor to it.
+    """Return a remedy for a name that differs from a known name by its unit of angle only.
 
-    ``prefix`` is the path of the known names, with a dot at its end. The text is empty without such
-    a name. N·m may be ``n_m`` or ``nm``, and ``per`` may be left out.
+    The text has the known name and the factor between the units. It is empty if there is no such
+    name. ``prefix`` is the path of the known names, with a dot at its end. In ``name`` N·m may be
+    ``n_m`` or ``nm``, and ``per`` may be left out.
     """
 
     def in_rad(words: str) -> list[str]:

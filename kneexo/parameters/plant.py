@@ -346,8 +346,8 @@ class KneeLoadParameters(Parameters):
     inertia_kg_m2: float | None = quantity(
         None,
         "kg·m²",
-        "assumption: none, plant.cylinder.mass_kg moves with the rod; a shank of 1.6 kg with its "
-        "mass 0.20 m from the knee has 0.064 kg·m²",
+        "assumption: none, plant.cylinder.mass_kg moves with the rod; a mass of 1.6 kg, 0.20 m "
+        "from the knee, has 0.064 kg·m²",
         ge=1e-4,
         le=10,
     )

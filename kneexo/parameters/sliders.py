@@ -43,7 +43,7 @@ class Slider:
     shown: tuple[str, float] | None = None
     """Unit on the page, and the factor from the unit of the field; None: the unit of the field."""
     choices: tuple[str, ...] = ()
-    """Values of ``mode`` or ``motion`` for which the number has an effect. Empty: all values."""
+    """Values of ``mode`` or ``motion`` with which the number has an effect. Empty: all values."""
 
 
 _FREE = ("active", "passive")

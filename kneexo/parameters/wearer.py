@@ -45,7 +45,7 @@ LARGEST_MOMENT_N_M = 1e3
 """Largest magnitude in N·m of a moment of the knee that a file may have."""
 
 MOMENT_MASS_KG = 75.0
-"""Assumption: mass in kg of the adult of `kneexo.gait.gait_knee_moment`, whose file lacks it."""
+"""Assumption: mass in kg of the adult of `kneexo.gait.gait_knee_moment`. The file has no mass."""
 
 BODIES = {"light": (50.0, 1.55), "average": (75.0, 1.75), "heavy": (110.0, 1.90)}
 """Assumption: mass in kg and height in m of three wearers."""
@@ -79,9 +79,10 @@ class MomentTable(Parameters):
 def gait_moment(
     frequency_hz: float = 1.0, cycles: int = 3, *, body_mass_kg: float = MOMENT_MASS_KG
 ) -> MomentTable:
-    """Return the measured knee moment of walking in phase with `gait_reference`.
+    """Return the measured knee moment of walking, in phase with `gait_reference`.
 
-    The arguments are those of `gait_reference`. The moment is proportional to ``body_mass_kg``.
+    ``frequency_hz`` and ``cycles`` are those of `gait_reference`. The moment is proportional to
+    ``body_mass_kg``.
     """
     times = gait_reference(frequency_hz, cycles).times_s
     stride = np.roll(gait_moment_cycle()[:-1], -round(gait_start_percent()))
@@ -266,7 +267,7 @@ WEARERS = {
     ),
     "held": LegParameters(motion="prescribed"),
 }
-"""Legs from soft to stiff, with which the stability of a loop is judged.
+"""Legs from soft to stiff, as cases for the stability of a loop.
 
 Sources: PMC2801882 reports 6…14 N·m/rad in swing and 143…286 N·m/rad in stance. Assumptions: the
 losses of a tense leg and of a leg in stance, and a light leg with a third of an adult's inertia.

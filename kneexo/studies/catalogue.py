@@ -264,7 +264,7 @@ STUDIES = {
             "study wearer",
             "what the wearer feels, and how much help the wearer gets",
             "Torque between leg and knee in walking and sit-to-stand, with other pumps and gains. "
-            "Weak legs, with each mode of torque control.",
+            "Help for weak legs with each mode of torque control.",
             setup="full order of the cylinder, weight of the shank, torque control and a wearer",
             stages=(
                 Stage("torque of wearers", 36.0),

@@ -64,8 +64,8 @@ def cylinder_states(*pressures: str) -> tuple[StateVariable, ...]:
 class Cylinder(NamedLeaf):
     """Base of the cylinders of reduced and full order, with common ports: m dv/dt = F_rod − F_L.
 
-    If the input ``moving_mass`` is connected, M dv/dt + ½ (dM/dx) v² = F_rod − F_L with its mass
-    M(x) instead of m, which keeps the kinetic energy ½ M v² (Lagrange's equation).
+    If the input ``moving_mass`` is connected, the mass M(x) of the input replaces m. Lagrange's
+    equation of the kinetic energy ½ M v² is then M dv/dt + ½ (dM/dx) v² = F_rod − F_L.
 
     State: x in m, v in m/s and the pressures in MPa, all of order one. A subclass defines load
     pressure, rod force and pressure rates. Raises `SimulationError` if the rod is outside the

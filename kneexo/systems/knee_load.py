@@ -83,8 +83,8 @@ class KneeLoad(NamedLeaf):
     moving_mass        2     kg,…  M = I/r² and dM/dx in kg/m, only with an inertia I
     =================  ====  ====  ======================================================
 
-    Stateless. Context parameters by name: all numbers of `KneeLoadParameters`, the inertia only if
-    it is given. The load force does not contain the inertial force. A torque that flexes
+    Stateless. Context parameters by name: all numbers of `KneeLoadParameters` that are not None.
+    The load force does not contain the inertial force. A torque that flexes
     the knee pushes the rod in: −F_L dx/dt = τ dθ_p/dt gives F_L = τ/r. While the thigh hangs
     (α = 0), the weight of the shank helps extension. Source: Lee et al. 2020, Eq. 16 contains F_L,
     but the paper does not specify F_L.

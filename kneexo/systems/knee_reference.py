@@ -168,7 +168,7 @@ RampKneeReference_ = leaf_template(RampKneeReference)
 
 
 class IntervalReference(NamedLeaf):
-    """Reference between two samples, from polynomials that an input port gives at each sample.
+    """Reference from polynomials in time, which an input port gives at each sample t_k.
 
     θ_d(t) = Σ a_n u^n up to the break t_b, and Σ b_n u^n later, with u = (t − t_k)/T.
 
@@ -180,8 +180,8 @@ class IntervalReference(NamedLeaf):
     knee_reference      4     rad, rad/s, …  θ_d and derivatives to the third
     ==================  ====  =============  ===================================================
 
-    No state and no Context parameters. With this system a loop that gets inputs at its samples
-    alone has a leg that moves along the reference between the samples.
+    No state and no Context parameters. A loop that gets inputs only at its samples uses this
+    system, so that the leg of a wearer follows the reference between the samples too.
 
     Parameters
     ----------

@@ -63,8 +63,10 @@ class Conversion:
         self._node_of_variable = node_of_variable
         self._size = 0
         self._known: dict[tuple[str, tuple[int, ...]], int] = {}
-        """Dictionary from an operation and its arguments to its node: Drake's expression contains
-        a shared part once for each reader."""
+        """Dictionary from an operation and its arguments to its node.
+
+        Drake's expression contains a shared part several times, once for each use.
+        """
 
     def nodes(self, expressions: Sequence[Any]) -> Steps[list[int]]:
         """Return the node of each expression or float.

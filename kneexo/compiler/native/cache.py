@@ -39,7 +39,7 @@ _HEADER_BYTES = len(_FORMAT) + hashlib.sha256().digest_size
 _LARGEST_ENTRY_BYTES = 256 * 2**20
 _DEFAULT_LIMIT_MB = 512
 _LARGEST_LIMIT_MB = 10**9
-_TIDY_SHARE = 0.01  # of the limit: what a process stores before it reads the directory again
+_TIDY_SHARE = 0.01  # share of the limit that a process stores between two readings of the directory
 _LONGEST_WARNING = 400  # characters
 _NAME = rf"[0-9a-f]{{32}}\.{ROOT}"
 _ENTRY = re.compile(_NAME)
@@ -181,9 +181,9 @@ def _is_trusted(status: os.stat_result) -> bool:
 def _tidy(stored: Path, size_bytes: int) -> None:
     """Delete stale files, and the least recently used entries until the rest is within the limit.
 
-    The file ``stored``, which was just written, stays in any case. To read a directory of thousands
-    of files takes long, so a process does this at its first store, and then once for each 1 % of
-    the limit that it stores.
+    The file ``stored``, which was just written, stays in any case. Reading a directory of thousands
+    of files takes long. So a process reads it at its first store, and then once for each 1 % of the
+    limit that it stores.
     """
     directory, limit = stored.parent, cache_size_limit()
     since = _bytes_since_tidy.get(directory, limit) + size_bytes

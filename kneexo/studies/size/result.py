@@ -50,10 +50,10 @@ class WalkingDesign:
     ``flow`` is the search for the smallest factor on the scenario's flow per motor revolution.
     ``acceleration`` is the search for the smallest acceleration limit of the motor in rad/s².
     ``scenario`` has the results of the two searches, times ``margin``. ``carrying`` is this
-    hardware with a piston, and a pump, that carry the share of the knee moment in a whole stride.
-    ``walking`` has the `walking_metrics` with the scenario's own solver, ``carried`` the same for
-    ``carrying``. ``checked`` and ``halved`` have the metrics of ``scenario`` with RK4, at the check
-    step and at half the check step.
+    hardware with a larger piston and pump, which carry the share of the knee moment in a whole
+    stride. ``walking`` and ``carried`` have the `walking_metrics` of ``scenario`` and ``carrying``
+    with the scenario's solver. ``checked`` and ``halved`` have the metrics of ``scenario`` with
+    RK4, at the check step and at half the check step.
     """
 
     frequency_hz: float
@@ -105,7 +105,7 @@ class SizeResult(Result):
         return _results(self)
 
     def strides(self) -> dict[str, dict[float, StrideLoad]]:
-        """Return for each hardware the load in a measured stride, by share of the knee moment."""
+        """Return the loads in a measured stride, by hardware and by share of the knee moment."""
         first, shares = self.designs[0], {1.0, 0.5, self.settings.moment_share}
         return {
             name: {share: stride_load(plant, share=share) for share in sorted(shares)[::-1]}
@@ -219,7 +219,7 @@ def _demand(demand: WalkingDemand, scenario: Scenario) -> dict[str, float]:
 
 
 def _stride(hardware: str, share: float, load: StrideLoad) -> dict[str, Any]:
-    """Return extreme pressures of a stride, each with the knee angle where it occurs."""
+    """Return the extreme pressures of a stride, each with its knee angle."""
     row: dict[str, Any] = {"hardware": hardware, "moment_share": share}
     for name, values, sign in (
         ("cap", load.cap_pressure_pa, 1.0),

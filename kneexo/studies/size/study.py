@@ -142,10 +142,10 @@ def size_study(
     4. For each stride frequency, search for the smallest flow (by the pump's displacement) with
        ample acceleration. Then, with a margin on this flow, search for the smallest acceleration
        limit.
-    5. Measure pressure and power of these designs at a small step. Enlarge the piston, and with it
-       the pump, if it does not carry the share of the measured moment in a whole stride with the
-       margin (`kneexo.analysis.stride_load`). Let the first design walk on other plants, and with
-       its hardware values varied.
+    5. Measure pressure and power of these designs at a small step. Enlarge piston and pump if the
+       piston cannot carry the share of the measured moment in a whole stride, with the margin
+       (`kneexo.analysis.stride_load`). Let the first design walk on other plants, and with its
+       hardware values varied.
 
     ``options``: see `kneexo.sweeps.SweepOptions`.
 
@@ -357,7 +357,7 @@ def _design(
 def _shank_inertia(scenario: Scenario) -> dict[str, float]:
     """Return the change of a scenario that gives its load the inertia of a point mass, m l².
 
-    The change is empty without load or mass. An inertia that the load has is not changed.
+    An inertia of the load is not changed. The change is empty without load or mass.
     """
     load = scenario.plant.load
     if not isinstance(load, KneeLoadParameters):
