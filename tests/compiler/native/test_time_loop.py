@@ -167,9 +167,9 @@ def assert_as_alone(model, runs, **options):
 
 
 ENDS = {
-    "is not finite": {("mixed", "without held"): INTEGRATORS},
+    "is not finite": {("mixed", "without discrete"): INTEGRATORS},
     "left its limits": {("mixed", "without states"): INTEGRATORS},
-    "cannot hold its tolerance": {("without held",): ("exact_hold",)},
+    "cannot hold its tolerance": {("without discrete",): ("exact_hold",)},
 }
 """Errors of which models and integrators the random runs must show."""
 
