@@ -5,7 +5,7 @@ Most functions return a frozen result object, which holds data and has a method 
 """
 
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
-from kneexo.analysis.coupled_stability import (
+from kneexo.analysis.coupling import (
     CoupledStability,
     StiffnessInterval,
     coupled_stability,

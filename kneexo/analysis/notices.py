@@ -6,7 +6,7 @@ import math
 import textwrap
 from collections.abc import Iterable, Iterator
 
-from kneexo.analysis.coupled_stability import stiffness_interval
+from kneexo.analysis.coupling import stiffness_interval
 from kneexo.analysis.signals import period_s
 from kneexo.diagrams.plant import moving_masses_kg
 from kneexo.errors import LinearizationError

@@ -16,7 +16,7 @@ from typing import Any, Unpack
 import numpy as np
 from pydantic import TypeAdapter
 
-from kneexo.analysis.coupled_stability import coupled_stability, stiffness_interval
+from kneexo.analysis.coupling import coupled_stability, stiffness_interval
 from kneexo.analysis.hardware import DISPLACEMENT, scaled
 from kneexo.analysis.interaction import INTERACTION_SIGNALS, interaction_metrics
 from kneexo.analysis.signals import saturated_share

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from wearer_cases import SMALL, WALKING, walking
 
-from kneexo.analysis.coupled_stability import coupled_stability
+from kneexo.analysis.coupling import coupled_stability
 from kneexo.errors import ParameterError
 from kneexo.parameters import WEARERS, Scenario
 from kneexo.parameters.paths import changed

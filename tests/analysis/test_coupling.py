@@ -17,7 +17,7 @@ from kneexo.analysis import (
     stable_interval,
     stiffness_interval,
 )
-from kneexo.analysis.coupled_stability import _interval, coupled_loop
+from kneexo.analysis.coupling import _interval, coupled_loop
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario, StepReference
 from kneexo.parameters.wearer import WEARERS
