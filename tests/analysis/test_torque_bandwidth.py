@@ -161,17 +161,5 @@ def test_numbers_of_the_theory():
     case = Scenario(
         plant=PlantParameters(load=KneeLoadParameters()), wearer="leg", controller="torque"
     )
-    default = torque_response(case, knee_angle_deg=45.0).bandwidth_hz
-    assert f"it falls by 3 dB at {default:.2f} Hz" in text
-    low = case.changed(
-        {
-            "controller.proportional_rad_s_per_n": 0.02,
-            "controller.integral_rad_s2_per_n": 1.0,
-        }
-    )
-    rod, leg = (
-        torque_response(low, knee_angle_deg=45.0, held=held).bandwidth_hz for held in ("rod", "leg")
-    )
-    assert f"{rod:.2f} Hz on a locked rod and {leg:.2f} Hz behind the cuff" in text
     free = torque_response(case, knee_angle_deg=45.0, held="nothing").bandwidth_hz
     assert f"the force then falls by 3 dB at {free:.2f} Hz" in text
