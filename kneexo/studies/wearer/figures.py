@@ -69,8 +69,9 @@ def _torque(result: WearerResult) -> Figure:
     figure.set_label(
         "How does the knee feel? Above: angle of the leg and of the exoskeleton. The difference is "
         "the strain of the cuff. Below: torque with which the leg must push the exoskeleton, "
-        "positive in flexion. The controller asks for no torque. A free leg would push with 0 N·m. "
-        "With higher gains the torque shakes where the load changes from one chamber to the other."
+        "positive in flexion. The desired torque is zero. A free leg would push with 0 N·m. "
+        "With higher gains the torque oscillates when the load changes from one chamber to the "
+        "other."
     )
     titles = f"walking, {cadence:g} strides/s", f"standing up and sitting down, {rise:g} s each"
     for column, title in zip(axes.T, titles, strict=True):

@@ -1,6 +1,6 @@
 """Torque between wearer and knee in walking and sit-to-stand, with other pumps, gains and modes.
 
-The leg of the first table follows its path with any torque, and the controller asks for no torque.
+The leg of the first table follows its path with any torque, and the desired torque is zero.
 So the torque that remains is the error of the actuator. The legs of the second table are weak and
 yield. There the modes of the torque controller help.
 """
@@ -395,7 +395,7 @@ def wearer_study(
 ) -> WearerResult:
     """Measure the torque that a wearer feels, and the help that a weak wearer gets.
 
-    1. The leg follows walking or sit-to-stand exactly, and the controller asks for no torque. The
+    1. The leg follows walking or sit-to-stand exactly, and the desired torque is zero. The
        designs have other pumps and gains. The study also computes their margins.
     2. Weak legs of light, average and heavy wearers yield. The modes of the controller help them.
 

@@ -86,13 +86,14 @@ def test_the_screen_has_the_answers(by_hand, check_screen):
     limitless = rms("motor without limits")
     assert (
         f"a motor without limits, {limitless:.3g} N·m remain. The other "
-        f"{paper.rms_torque_n_m - limitless:.3g} N·m are the limits of the motor."
+        f"{paper.rms_torque_n_m - limitless:.3g} N·m are due to the limits of the motor."
     ) in text
     sized = rows[SIZED, "walking, 0.5 Hz"]
     assert (
-        f"16.3 times the flow and higher gains leave {sized.rms_torque_n_m:.3g} N·m (mean "
-        f"{sized.mean_torque_n_m:.3g}), 10 times {rms('larger pump, higher gains'):.3g} N·m. "
-        f"Higher gains alone leave {alone:.3g}"
+        f"With higher gains {sized.rms_torque_n_m:.3g} N·m remain (mean "
+        f"{sized.mean_torque_n_m:.3g}) at 16.3 times the flow, "
+        f"{rms('larger pump, higher gains'):.3g} N·m at 10 times the flow, and {alone:.3g} N·m "
+        f"with the paper's pump."
     ) in text
     inertia = rms("sized pump, inertia of the shank")
     assert f"the gains must be lower, and {inertia:.3g} N·m remain." in text
