@@ -26,7 +26,7 @@ def test_help_shows_only_defaults_that_tell_something(command, capsys, monkeypat
     assert not re.search(r"default:\s+(None|False|\[\])", text)
     assert ("--engine" in text) == (command not in WITHOUT_ENGINE)
     assert max(map(len, text.splitlines())) <= 100
-    assert re.search(r"Takes about\s\d+\s(s|min|h)\son\stwo\scores\.", text)
+    assert re.search(r"Takes\sabout\s\d+\s(s|min|h)\son\stwo\scores\.", text)
 
 
 @pytest.mark.parametrize("command", [[], ["study"], ["setup"], ["export"]])
