@@ -32,6 +32,16 @@ _LEG = {
     "plant": {"load": _WEIGHT, "full_order": {"coulomb_friction_n": SEAL_FRICTION_N}},
     "bus": _DRIVE,
 }
+_SOUND_TORQUE = {
+    "kind": "torque",
+    "proportional_rad_s_per_n": 3.0,
+    "integral_rad_s2_per_n": 10.0,
+    "speed_feedforward": 0.3,
+}
+"""Torque control with lower gains than the default, because the bus delays the loop.
+
+From 5 to 70° the disk margin is at least 0.5, that of a sound loop. The default gains leave 0.27.
+"""
 
 PRESETS: Mapping[str, Preset] = {
     "paper": Preset(
@@ -48,7 +58,7 @@ PRESETS: Mapping[str, Preset] = {
     ),
     "wearer": Preset(
         "leg, and the leg of a wearer in a cuff; torque control that keeps the rod free of force",
-        {**_LEG, "wearer": {"kind": "leg"}, "controller": {"kind": "torque"}},
+        {**_LEG, "wearer": {"kind": "leg"}, "controller": _SOUND_TORQUE},
     ),
 }
 """The presets by name. Each preset contains what the preset before it contains."""

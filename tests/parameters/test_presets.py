@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from kneexo.analysis import linearize_loop, linearize_plant, simulate, track
+from kneexo.analysis.coupling import coupled_loop
 from kneexo.errors import ParameterError, ScenarioError
 from kneexo.parameters import Cia402Parameters, KneeLoadParameters, NoBus, NoLoad, Scenario
+from kneexo.parameters.criteria import SOUND_DISK_MARGIN
 from kneexo.parameters.paths import changed
 from kneexo.parameters.presets import PRESETS, with_preset
 from kneexo.parameters.scenario_file import dump_scenario, load_scenario
@@ -37,7 +39,9 @@ def test_each_preset_adds_parts_to_the_one_before():
     assert (BENCH.plant.load, BENCH.bus) == (KneeLoadParameters(), Cia402Parameters())
     assert changed(PAPER, {"plant.load": {"kind": "knee"}, "bus": {"kind": "cia402"}}) == BENCH
     assert changed(BENCH, {"plant.full_order": {"coulomb_friction_n": 40.0}}) == LEG
-    assert changed(LEG, {"wearer": "leg", "controller": "torque"}) == WEARER
+    gains = {"proportional_rad_s_per_n": 3, "integral_rad_s2_per_n": 10, "speed_feedforward": 0.3}
+    torque = {"kind": "torque", **gains}
+    assert changed(LEG, {"wearer": "leg", "controller": torque}) == WEARER
     # The pump leaks in all of them; the controller knows the plant.
     for scenario in (PAPER, BENCH, LEG, WEARER):
         assert scenario.plant.pump.leakage_m3_per_s_pa == 2e-13
@@ -164,6 +168,16 @@ def test_the_areas_of_the_chambers_make_the_error_of_leg():
     assert leg == pytest.approx(math.degrees(rate / 7.0 * stiffness / (20.0**2 * slope)), rel=0.1)
     assert leg == pytest.approx(0.55, abs=0.005)
     assert paper == pytest.approx(0.047, abs=0.002)
+
+
+def test_the_knee_with_a_wearer_is_sound_at_each_angle_and_with_the_default_gains_it_is_not():
+    default = changed(WEARER, {"controller": {"kind": "torque"}})
+    margins, without = (
+        [coupled_loop(scenario, angle).margins().disk_margin for angle in (5, 30, 50, 70)]
+        for scenario in (WEARER, default)
+    )
+    assert min(margins) >= SOUND_DISK_MARGIN
+    assert min(without) == pytest.approx(0.27, abs=0.01)
 
 
 def test_a_file_can_change_wearer_and_controller_of_the_preset(load):
