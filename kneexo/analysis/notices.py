@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import textwrap
 from collections.abc import Iterable, Iterator
 
-from kneexo.analysis.coupling import stiffness_interval
+from kneexo.analysis.coupling import coupled_loop, stiffness_interval
 from kneexo.analysis.signals import period_s
 from kneexo.diagrams.plant import moving_masses_kg
 from kneexo.errors import LinearizationError
@@ -89,9 +90,10 @@ def notices(scenario: Scenario) -> Iterator[str]:
     """Yield a line for each property of a run of ``scenario`` that its user may not expect.
 
     Besides the `model_notices`, a line says that no wearer moves the knee under torque control. If
-    a virtual stiffness is unstable, a line has both ends of the stable interval. A line says
-    that the run ends within the first period of a sinusoidal reference, before it has settled. A
-    line says that the run holds the first or the last sample of its reference for more than
+    a virtual stiffness is unstable, a line has both ends of the stable interval. A line says at
+    which end of the reference's range the torque control of a wearer is unstable. A line says that
+    the run ends within the first period of a sinusoidal reference, before it has settled. A line
+    says that the run holds the first or the last sample of its reference for more than
     `LONGEST_HOLD` of its duration.
 
     Raises `LinkageError` when the linkage cannot be assembled.
@@ -103,6 +105,7 @@ def notices(scenario: Scenario) -> Iterator[str]:
             "add wearer: leg and plant: {load: knee}"
         )
     yield from _stiffness_notice(scenario)
+    yield from _torque_control_notice(scenario)
     reference, duration_s = scenario.reference, scenario.duration_s
     if (period := period_s(scenario)) >= duration_s:
         yield (
@@ -144,6 +147,25 @@ def _stiffness_notice(scenario: Scenario) -> Iterator[str]:
         remedy = "increase" if given < low else "reduce"
         interval = f"{value_text(path, low)} … {value_text(path, high)}"
         yield f"{line}must be {interval} N·m/rad; {remedy} it"
+
+
+def _torque_control_notice(scenario: Scenario) -> Iterator[str]:
+    """Yield a line if knee and wearer are unstable at an end of the reference's range.
+
+    The verdict has the stability in the middle of the range. The moment arm, the oil and an inertia
+    at the rod change with the angle.
+    """
+    if scenario.controller.kind != "torque" or scenario.wearer.kind == "none":
+        return
+    growth = {}
+    for angle in set(scenario.reference.range_deg) - {scenario.reference.middle_deg}:
+        with contextlib.suppress(LinearizationError):
+            growth[angle] = float(abs(coupled_loop(scenario, angle).eigenvalues[0]))
+    if growth and growth[worst := max(growth, key=lambda angle: growth[angle])] >= 1.0:
+        yield (
+            f"knee and wearer are unstable at {worst:.3g}°: the largest eigenvalue of the sampled "
+            f"loop is {growth[worst]:.3g}, and must be below 1; reduce the controller's gains"
+        )
 
 
 def model_notices(scenario: Scenario) -> Iterator[str]:

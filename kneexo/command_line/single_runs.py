@@ -96,8 +96,8 @@ def simulate(choice: ScenarioChoice, out: Path, page: ReportPage | None = None) 
         verdict.text,
         f"  {error}  {number(m.rms_error_deg, '.3g')} deg",
         f"  change of the command     {number(m.mean_command_change_rpm, '.3g')} rpm per sample",
-        f"  work of the motor         {m.shaft_energy_delivered_j:.3g} J, of which "
-        f"{m.shaft_energy_delivered_j - m.shaft_energy_j:.3g} J flows back",
+        f"  work of the motor         {m.shaft_energy_delivered_j:.3g} J; "
+        f"{m.shaft_energy_delivered_j - m.shaft_energy_j:.3g} J flows back to the motor",
         wrapped(f"In {shown(out)}: {', '.join(file_names(files, figures))}"),
     ]
     return Outcome("\n".join(lines) + "\n", results, files=files, figures=figures)

@@ -5,13 +5,14 @@ import re
 import numpy as np
 import pytest
 
-from kneexo.analysis import fit_polynomials
+from kneexo.analysis import fit_polynomials, linearize_loop
 from kneexo.analysis.notices import model_lines, model_notices, notices, omissions, wrapped
 from kneexo.parameters import (
     LINKAGES,
     RodPolynomialParameters,
     SampledReference,
     Scenario,
+    SineReference,
     StepReference,
 )
 from kneexo.parameters.paths import changed
@@ -261,3 +262,29 @@ def test_an_unstable_virtual_stiffness_is_a_notice_with_both_ends(law, line):
     assert re.fullmatch(re.escape(start) + line, notice)
     free = scenario.changed({"controller.mode": "zero_torque"})
     assert not list(notices(free))
+
+
+@pytest.mark.slow
+def test_torque_control_that_is_unstable_near_extension_is_a_notice():
+    load = {"kind": "knee", "inertia_kg_m2": 0.064}
+    scenario = Scenario(
+        plant={"load": load},
+        wearer={"kind": "leg"},
+        controller={"kind": "torque"},
+        reference=SineReference(mean_deg=40.0, amplitude_deg=35.0),
+    )
+    loop = linearize_loop(scenario, knee_angle_deg=5.0)
+    largest = abs(loop.eigenvalues).max()
+    assert largest > 1.1
+    (notice,) = notices(scenario)
+    assert notice == (
+        f"knee and wearer are unstable at 5°: the largest eigenvalue of the sampled loop is "
+        f"{largest:.3g}, and must be below 1; reduce the controller's gains"
+    )
+    softer = {
+        "controller.proportional_rad_s_per_n": 2.0,
+        "controller.integral_rad_s2_per_n": 10.0,
+        "load_cell.filter_s": 0.005,
+    }
+    assert not list(notices(scenario.changed(softer)))
+    assert not list(notices(scenario.changed({"plant.load": {"kind": "knee"}})))

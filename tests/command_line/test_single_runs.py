@@ -122,7 +122,7 @@ def test_numbers_of_the_terminal_have_words_and_units(capsys, short, tmp_path, u
     back_j = m.shaft_energy_delivered_j - m.shaft_energy_j
     assert f"  error (root mean square)  {m.rms_error_deg:.3g} deg\n" in text
     assert f"  change of the command     {m.mean_command_change_rpm:.3g} rpm per sample\n" in text
-    work = f"{m.shaft_energy_delivered_j:.3g} J, of which {back_j:.3g} J flows back"
+    work = f"{m.shaft_energy_delivered_j:.3g} J; {back_j:.3g} J flows back to the motor"
     assert f"  work of the motor         {work}\n" in text
 
 
