@@ -65,8 +65,9 @@ def stable_interval(
     Stability is computed at ``values`` (n,), and at the scenario's value of the parameter with the
     dotted ``path``. If the loop is stable at one of two neighbouring values only, a root search for
     max|λ| = 1 gives the end between them to 1e-6. If the loop is stable at the first or last value,
-    this value is an end. Of several intervals the result is that with the scenario's value, or the
-    nearest to this value. Both ends are nan if the loop is stable at no value.
+    this value is an end. If there are several intervals, the result is the interval with the
+    scenario's value, or else the interval nearest to this value. If the loop is stable at no value,
+    both ends are nan.
 
     Raises `ParameterError` for a value out of the range of the parameter, and `LinearizationError`
     if the loop does not rest at a value.
@@ -202,7 +203,7 @@ class CoupledStability(Result):
         return data_frame({self.row_label: rows, self.column_label: columns} | measures)
 
     def plot(self, ax: Any = None) -> Any:
-        """Plot a mark for each pair, and the border of stability; return the Matplotlib axes."""
+        """Plot a mark for each pair, and the border of stability. Return the Matplotlib axes."""
         caption = (
             "Stability of knee and wearer. A loop is sound if its disk margin is at least "
             f"{SOUND_DISK_MARGIN:g}. Bars are on the border of stability."
@@ -283,8 +284,9 @@ def stability_map(
 def _survey(
     axes: Mapping[str, Sequence[Any]], loop_of: Callable[[Any, float], SampledLoop]
 ) -> CoupledStability:
-    """Return the stability of the loops at all pairs of row and column; ``axes`` has label: values.
+    """Return the stability of the loops at all pairs of row and column.
 
+    ``axes`` maps the labels of rows and columns to their values.
     Raises `ParameterError` for an axis without values.
     """
     for label, values in axes.items():

@@ -105,7 +105,7 @@ class OutputImpedance(Result):
     def held_inertia_kg_m2(self) -> float:
         """Inertia r² m of the moving mass, Z/(jω) above the resonance with the oil's spring.
 
-        It is the inertia of the load if the load has an inertia.
+        If the load has an inertia about the knee, the result is this inertia.
         """
         arm = self.moment_arm_m
         return float(arm**2 * self.scenario.plant.moving_mass_kg(arm))
@@ -255,7 +255,7 @@ def with_prescribed_leg(scenario: Scenario, what: str) -> Scenario:
 
 
 def posed(scenario: Scenario, knee_angle_deg: float, motion: str = "active") -> Scenario:
-    """Return a scenario whose loop rests at an angle. If it has a wearer, ``motion`` is the leg's.
+    """Return a scenario whose loop rests at an angle. ``motion`` is the motion of a wearer's leg.
 
     A constant torque carries the weight of the shank, in place of the constant torque of the load.
     Biological moments are left out as in `with_prescribed_leg`. A leg with ``active`` motion yields
@@ -297,7 +297,8 @@ def wearer_model(
         # The age of a reading is constant, and a reading depends on time only while it is missing.
         warnings.filterwarnings("ignore", "(load_cell: .*|.* of load_cell.* depend on the time.*)")
         if not getattr(scenario.plant.load, "disturbance_amplitude_n", 0.0):
-            # Divided by a mass that depends on x, the sine of the load is in its derivative.
+            # With an inertia, the force of the load is divided by a mass that depends on x. So the
+            # derivative over x contains the load's sine, which depends on the time.
             warnings.filterwarnings("ignore", ".* of plant/cylinder.* depend on the time")
         model = linearize(
             equilibrium.float_diagram, equilibrium.context, inputs=inputs, outputs=outputs

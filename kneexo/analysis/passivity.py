@@ -24,14 +24,14 @@ class PassivityLimits(Result):
     """Largest gains of a torque controller with which the knee can be passive.
 
     ``integral_rad_s2_per_n`` is the largest K_i, at low frequency, for the scenario's K_p and γ,
-    without leak of the integral: (1 − γ)(C_t + k_p) ≥ k_i (τ_m + γ T/2). The lag of the hold, T/2,
-    does not act on the integral, because its sum includes the present sample.
+    without leak of the integral, (1 − γ)(C_t + k_p) ≥ k_i (τ_m + γ T/2 + (1 − γ) τ_F). The lag of
+    the hold, T/2, does not act on the integral, because its sum includes the present sample.
 
     ``proportional_rad_s_per_n`` is the largest K_p, at high frequency, without integral and
-    feedforward: k_p ≤ C_t/max(−Re H), H = (1 − e^{−jωT})/(jωT (1 + jωτ_m)).
+    feedforward, k_p ≤ C_t/max(−Re H_F) with H_F = (1 − e^{−jωT})/(jωT (1 + jωτ_m)(1 + jωτ_F)).
 
-    The motor's lag τ_m includes the latency of the bus. The load cell's low-pass adds its lag,
-    times 1 − γ at low frequency. The estimator ``difference`` lags by T/2, times γ. The tracking
+    τ_F is the lag of the load cell. The lag τ_m of the motor includes the latency of the bus. The
+    estimator ``difference`` lags by T/2, so the first limit has γ T in place of γ T/2. The tracking
     observer follows a constant acceleration without lag.
     """
 
@@ -62,7 +62,7 @@ def passivity_limits(scenario: Scenario) -> PassivityLimits:
     integral = (1.0 - share) * (leakage + law.proportional_rad_s_per_n) / lag
 
     def real_part(angle: float) -> float:
-        """Return Re H at ωT = ``angle``."""
+        """Return Re H_F at ωT = ``angle``."""
         s = 1j * angle / period
         hold = (1.0 - np.exp(-1j * angle)) / (1j * angle)
         return float((hold * np.exp(-s * delay) / ((1.0 + s * motor) * (1.0 + s * cell))).real)

@@ -349,7 +349,8 @@ class TrackingResult(Result):
     def plot_torque(self, ax: Axes | None = None) -> Axes:
         """Plot the torques on the knee of the exoskeleton over time.
 
-        The run may have the torque of the wearer, that of the actuator, and its desired value.
+        The plot has the torque of the wearer, the torque of the actuator and its desired value, as
+        far as the run has their signals.
         """
         caption = "Torques of wearer and actuator on the exoskeleton over time; positive flexes."
         ax = axes_or_new(ax, caption=caption)
@@ -377,7 +378,7 @@ class TrackingResult(Result):
         return ax
 
     def plot(self, ax: Any = None) -> Any:
-        """Plot angle, error, torques and motor speed command below each other; return the axes.
+        """Plot angle, error, torques and motor speed command below each other. Return the axes.
 
         A run without wearer and torque controller has no torques, and a run with torque controller
         has no error. ``ax`` has one Matplotlib axes for each plot. If it is None, a new figure is

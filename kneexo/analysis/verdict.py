@@ -138,7 +138,7 @@ def loop_lines(loop: SampledLoop) -> tuple[str, ...]:
 
 @dataclass(frozen=True, repr=False)
 class Verdict(Result):
-    """The verdict on a run. ``print`` shows it in a few lines.
+    """The verdict on a run. ``print`` shows the verdict in a few lines.
 
     A run tracks if its largest error after the first period of a sinusoidal reference is at most
     ``error_bound_deg``. This bound is `ERROR_SHARE` of the amplitude, but at least the largest knee
@@ -286,8 +286,8 @@ def _tracking(
 def _torques(scenario: Scenario, run: Run) -> tuple[dict[str, Any], list[str]]:
     """Return the fields of the `Verdict` on torques, and its lines.
 
-    A line is on the interaction with a wearer, and a line is on torque control, if the run has
-    their signals.
+    If the run has the signals, one line describes the interaction with a wearer, and one line
+    describes the error of the torque.
     """
     fields, lines = dict[str, Any](), []
     if set(columns(INTERACTION_SIGNALS)) <= set(run.data):

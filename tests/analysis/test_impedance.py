@@ -1,7 +1,6 @@
 """Output impedance against the formula of oil and mass, and against runs with sines."""
 
 import math
-from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -208,16 +207,6 @@ def test_a_virtual_spring_is_felt_in_series_with_the_cuff():
     # The moment arm of Eq. 10 differs from that of the linkage by some tenths of a percent.
     assert stiffness.real == pytest.approx(1.0 / (1.0 / 200.0 + 1.0 / CUFF), rel=1e-2)
     assert abs(stiffness.imag) < 0.05 * stiffness.real
-
-
-@pytest.mark.slow
-def test_numbers_of_the_theory():
-    text = (Path(__file__).parents[2] / "docs" / "theory.md").read_text(encoding="utf-8")
-    case = scenario(plant=PlantParameters(load=KneeLoadParameters()))
-    result = output_impedance(case, [1.0], knee_angle_deg=ANGLE_DEG)
-    assert f"a damper of {result.held_damper_n_m_s_per_rad:,.0f} N·m·s/rad" in text
-    assert f"a spring of {1e-3 * result.held_spring_n_m_per_rad:.0f} kN·m/rad" in text
-    assert f"an inertia of {result.held_inertia_kg_m2:.4f} kg·m²" in text
 
 
 @pytest.mark.slow

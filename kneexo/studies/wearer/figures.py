@@ -52,7 +52,8 @@ def figures(result: WearerResult) -> dict[str, Figure]:
 def _cycle(row: WearerRow) -> tuple[Array, Any]:
     """Return abscissa and order of the samples of a trace.
 
-    The abscissa of walking is the gait cycle in % from heel contact, that of rising the time in s.
+    For walking the abscissa is the gait cycle in % from heel contact. For rising it is the time
+    in s.
     """
     time = np.asarray(row.trace.time_s)
     if np.isnan(row.cadence_hz):
@@ -117,8 +118,8 @@ def _cadence(result: WearerResult) -> Figure:
     )
     figure.set_label(
         "How does the torque depend on the speed of the motion? Root mean square of the torque "
-        "with which the leg must push the exoskeleton, without desired torque. The part that "
-        "remains with a motor without limits belongs to the control. The dotted line is the "
+        "with which the leg must push the exoskeleton, without desired torque. The torque that "
+        "remains with a motor without limits is due to the control. The dotted line is the "
         "largest mean torque of miniHydrA, an electro-hydraulic ankle."
     )
     for ax, walking in zip(axes, (True, False), strict=True):

@@ -1,8 +1,8 @@
 """Torque between wearer and knee in walking and sit-to-stand, with other pumps, gains and modes.
 
-The leg of the first table follows its path with any torque, and the desired torque is zero.
-So the torque that remains is the error of the actuator. The legs of the second table are weak and
-yield. There the modes of the torque controller help.
+The leg of the first table follows its path whatever torque it feels, and the desired torque is
+zero. So the torque that remains is the error of the actuator. The legs of the second table are weak
+and yield. The modes of the torque controller help these legs.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class WearerSettings(Parameters):
         (0.5, 1.0), "Hz", "assumption: strides per second of weak legs", ge=0.01, le=10
     )
     help_rise_times_s: tuple[float, ...] = quantities(
-        (2.0,), "s", "assumption: the same for weak legs", ge=0.1, le=100
+        (2.0,), "s", "assumption: time to stand up, and to sit down, of weak legs", ge=0.1, le=100
     )
     shares: tuple[float, ...] = quantities(
         (0.2, 0.5), "1", "assumption: shares of the biological moment", ge=-1, le=1
@@ -128,11 +128,11 @@ HIGHER = ", higher gains"
 INERTIA = f"{SIZED}, inertia of the shank"
 """Name of a design with the inertia m l² of the shank about the knee, and with lower gains."""
 LOOPS = (PAPER, PAPER + HIGHER, INERTIA)
-"""Names of the designs whose margins are computed. Those of other pumps are the same."""
+"""Names of the designs whose margins are computed. Other pumps have the same margins."""
 HELPING = (PAPER, SIZED + HIGHER)
 """Names of the designs that help weak legs."""
 Motion = tuple[float, float]
-"""Cadence of walking in Hz and time to stand up in s, of which one is nan."""
+"""Cadence of walking in Hz and time to stand up in s. The number of the other motion is nan."""
 ANY = "any"
 """Name of a wearer whose leg follows its path. Its mass and stiffness have no effect."""
 ZERO = "zero torque"
@@ -148,7 +148,7 @@ _METRICS = (
 
 @dataclass(frozen=True)
 class WearerTrace:
-    """The last cycle of a run, each (n,). It is empty if the run failed."""
+    """The last cycle of a run, as columns (n,). The columns are empty if the run failed."""
 
     time_s: tuple[float, ...] = ()
     leg_deg: tuple[float, ...] = ()
@@ -159,7 +159,7 @@ class WearerTrace:
 
 @dataclass(frozen=True)
 class WearerRow:
-    """One run. Numbers are nan, with the reason in ``failure``, if it failed.
+    """One run. If the run failed, its numbers are nan, and ``failure`` has the reason.
 
     ``cadence_hz`` is nan for sit-to-stand, and ``rise_time_s`` is nan for walking.
     """
@@ -300,8 +300,9 @@ def in_motion(
     """Return the scenario with walking or sit-to-stand.
 
     In sit-to-stand the shank stays upright, so its weight has no moment. With one of the `BODIES`,
-    the leg is active, and stiffness and damping are those of stance, in proportion to the mass. In
-    walking, its path is a little more flexed and its muscles lack a part of the biological moment.
+    the leg is active. Its stiffness and damping are those of stance, in proportion to the mass. In
+    walking the path of this leg is more flexed, and the muscles give the share ``effort`` of the
+    biological moment.
     """
     cycles = settings.cycles
     values: dict[str, Any] = {"wearer.moment": None, "wearer.effort": 1.0}
@@ -399,9 +400,9 @@ def wearer_study(
        designs have other pumps and gains. The study also computes their margins.
     2. Weak legs of light, average and heavy wearers yield. The modes of the controller help them.
 
-    The study replaces the reference, the motion of the leg and the mode of the controller. A run
-    that fails has nan. ``options``: see `kneexo.sweeps.SweepOptions`. Raises `ParameterError` if
-    the scenario has no wearer or another controller.
+    The study replaces the reference, the motion of the leg and the mode of the controller. The row
+    of a run that fails has nan. `kneexo.sweeps.SweepOptions` describes ``options``. Raises
+    `ParameterError` if the scenario has no wearer or another controller.
     """
     if scenario.wearer.kind != "leg" or scenario.controller.kind != "torque":
         raise ParameterError(

@@ -13,7 +13,7 @@ WEAK = {
     "assistance ratio": "assistance_ratio",
     "wearer gives (W)": "power_taken_w",
     "wearer gets (W)": "power_given_w",
-    "leg off its path (deg)": "deviation_deg",
+    "deviation of the leg from its path (deg)": "deviation_deg",
 }
 
 
@@ -50,7 +50,7 @@ def test_every_cell_of_the_report_is_in_its_row(by_hand, tables, check_cells):
                 "gain margin": row.gain_margin,
                 "verdict": "sound" if row.disk_margin >= 0.5 else "small margin",
                 "stable virtual springs (N·m/rad)": f"{1 + k}…2350",
-                "zero torque feels like, at 1 Hz (N·m/rad)": row.felt_n_m_per_rad,
+                "felt stiffness without desired torque, at 1 Hz (N·m/rad)": row.felt_n_m_per_rad,
             }
             for k, row in enumerate(by_hand.margins)
         ],
@@ -98,7 +98,8 @@ def test_the_screen_has_the_answers(by_hand, check_screen):
     inertia = rms("sized pump, inertia of the shank")
     assert f"the gains must be lower, and {inertia:.3g} N·m remain." in text
     margins = (
-        "Least disk margin with six legs: 0.40, with higher gains 0.60, with the inertia 0.80."
+        "The least disk margin with six legs is 0.40, 0.60 with higher gains, and 0.80 with the "
+        "inertia."
     )
     assert margins in text
     average = [row for row in by_hand.help if row.wearer == "average"]
@@ -112,7 +113,7 @@ def test_the_screen_has_the_answers(by_hand, check_screen):
             f"{row.assistance_ratio:.2f} ({row.mode})",
         ):
             assert (shown in text) == (row.wearer == "average" and row.design == SIZED)
-    assert "1 runs failed" in text
+    assert "Failed runs: 1." in text
 
 
 def test_a_failed_run_has_its_reason_and_dashes(by_hand):
