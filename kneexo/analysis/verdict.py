@@ -95,7 +95,7 @@ class Stability(Result):
         m = self.margins
         gain = "infinite"
         if math.isfinite(m.gain_margin):
-            gain = f"{m.gain_margin:.3g} ({20.0 * math.log10(m.gain_margin):.2g} dB)"
+            gain = f"{m.gain_margin:.3g} ({_two_digits(20.0 * math.log10(m.gain_margin))} dB)"
         if m.lower_gain_margin > 0.0:
             gain += f" and {m.lower_gain_margin:.3g}"
         phase, delay = "infinite", "infinite"
@@ -398,10 +398,15 @@ def _limits(scenario: Scenario, run: Run) -> dict[str, _Limit]:
 def _saturation_line(limits: Collection[_Limit]) -> str:
     """Return one line that says which limits the run reaches, and for which share of its time."""
     reached = [
-        f"{limit.reached} for {100.0 * limit.share:.2g} % of the run"
+        f"{limit.reached} for {_two_digits(100.0 * limit.share)} % of the run"
         for limit in limits
         if limit.share > 0.0
     ]
     if reached:
         return f"Saturates: {', '.join(reached)}."
     return f"Nothing saturates: {', '.join(limit.largest for limit in limits if limit.largest)}."
+
+
+def _two_digits(value: float) -> str:
+    """Return a number of two digits. From 100 on it has no exponent."""
+    return f"{float(f'{value:.2g}'):g}"

@@ -104,6 +104,9 @@ def test_what_saturates_is_named_with_its_share_of_the_run():
     command = np.where(TIME < 1.5, -limit, 0.5 * limit)  # the first period counts here
     line = result(motor_speed_command_rad_s=command).verdict.lines[1]
     assert line == "Saturates: command at its limit of 5000 rpm for 25 % of the run."
+    command[:-1] = limit  # and nearly always
+    line = result(motor_speed_command_rad_s=command).verdict.lines[1]
+    assert line == "Saturates: command at its limit of 5000 rpm for 100 % of the run."
     pressure = np.where(TIME < 0.6, -3.6e6, 0.0)
     power = np.where(TIME < 0.3, 201.0, 0.0)
     verdict = result(load_pressure_pa=pressure, shaft_power_w=power).verdict
@@ -282,6 +285,9 @@ def test_gain_margins_in_both_directions_are_told():
     both = dataclasses.replace(margins, lower_gain_margin=0.25)
     line = dataclasses.replace(Stability.of_loop(loop), margins=both).line
     assert " dB) and 0.25, phase margin" in line
+    large = dataclasses.replace(margins, gain_margin=1e6)
+    line = dataclasses.replace(Stability.of_loop(loop), margins=large).line
+    assert "gain margin 1e+06 (120 dB), phase" in line
     none = dataclasses.replace(
         margins, gain_margin=math.inf, phase_margin_deg=math.inf, delay_margin_s=math.inf
     )
