@@ -91,7 +91,9 @@ def new_browser(folder: Path) -> Any:
 def measured(browser: Any, file: Path, repeats: int) -> dict[str, float]:
     """The numbers of a page, by the heads of the columns."""
     browser.open(file, width=1440, height=900)
-    browser.wait_for("window.opened_ms && (Page.results[0].worn || Page.results[0].sweep)", 300.0)
+    browser.wait_for(
+        "window.opened_ms && (Page.results[0].hasWearer || Page.results[0].sweep)", 300.0
+    )
     browser.evaluate(f"(() => {{ {TOOLS} }})()")
     times = []
     for step in range(repeats):
@@ -104,7 +106,7 @@ def measured(browser: Any, file: Path, repeats: int) -> dict[str, float]:
         "longest": max(times),
         "frames/s": browser.evaluate("framesWhileMoving(3000)"),
     }
-    for name in () if browser.evaluate("Page.results[0].worn") else ("linear", "sweep"):
+    for name in () if browser.evaluate("Page.results[0].hasWearer") else ("linear", "sweep"):
         browser.wait_for("Page.results[0].fresh && Page.results[0].sweep", 300.0)
         row[name] = browser.evaluate(f"timeOf({repeats + len(row)}, () => Page.results[0].{name})")
     browser.require_health()

@@ -173,7 +173,7 @@ def _require_motion(scenario: Scenario) -> None:
     if isinstance(leg, LegParameters) and leg.motion == "active" and leg.moment is not None:
         raise ParameterError(
             "wearer.motion = 'active': a page gets the biological moment at the samples only; "
-            "must be 'prescribed' or 'passive' with wearer.moment; kneexo simulate runs it"
+            "must be 'prescribed' or 'passive' with wearer.moment; kneexo simulate runs this leg"
         )
 
 
@@ -199,10 +199,10 @@ def require_slow_modes(scenario: Scenario) -> None:
 
 
 def _modes(scenario: Scenario) -> Iterator[tuple[str, str, float, float, int]]:
-    """Yield path and unit of a parameter, the rate of its mode in 1/s, and two numbers.
+    """Yield path and unit of a parameter, the rate of its mode in 1/s, an angle, and a power.
 
-    They are the largest accepted product of step and rate, and the power of the rate to which the
-    least accepted value is proportional.
+    The angle is the largest accepted product of step and rate. A value of the parameter is
+    multiplied by (rate/accepted rate)^power to give the limit of the parameter.
     """
     plant = scenario.plant
     cylinder, full = plant.cylinder, plant.full_order

@@ -43,7 +43,7 @@ class Slider:
     shown: tuple[str, float] | None = None
     """Unit on the page, and the factor from the unit of the field; None: the unit of the field."""
     choices: tuple[str, ...] = ()
-    """Values of ``mode`` or ``motion`` with which the number has an effect. Empty: all values."""
+    """Values of ``mode`` or ``motion`` with which the number has an effect; empty for all."""
 
 
 _FREE = ("active", "passive")
@@ -193,7 +193,9 @@ SLIDERS: Mapping[type[Parameters], Mapping[str, Slider]] = {
         "stiffness_n_m_per_rad": Slider(
             "stiffness of the cuff", 200.0, 2e4, "soft straps to a rigid shell", "log"
         ),
-        "damping_n_m_s_per_rad": Slider("damping of the cuff", 0.0, 20.0, "none to four times"),
+        "damping_n_m_s_per_rad": Slider(
+            "damping of the cuff", 0.0, 20.0, "none to four times the default"
+        ),
     },
     SineReference: {
         "amplitude_deg": Slider("amplitude", 1.0, 44.0, "within the range of motion"),

@@ -30,7 +30,7 @@ def knee_kinematics(p: Any, polynomials: Iterable[Any], extension: Any) -> list[
 
 
 def moment_arm_slope(p: Any, coefficients: Any, extension: Any) -> Any:
-    """Return dr/dx at a rod extension; ``coefficients`` are the polynomial of r (`RodInverse`)."""
+    """Return dr/dx at a rod extension. ``coefficients`` are the polynomial of r (`RodInverse`)."""
     root = drake_math.sqrt(drake_math.max(p.dead_centre_m - extension, 1e-12))
     t = (root - p.centre) / p.half_width
     return -polynomial(polynomial_derivative(coefficients), t) / (2.0 * p.half_width * root)

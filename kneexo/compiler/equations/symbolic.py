@@ -81,10 +81,10 @@ class Conversion:
         return nodes
 
     def _node(self, expression: Any) -> Steps[int]:
-        """Return the node of an expression; the nodes of its arguments come first, in order.
+        """Return the node of an expression. The nodes of its arguments come first, in order.
 
-        A list holds the items to convert, so a deep expression does not reach the limit of
-        recursion. An item with a name stands for an operation whose arguments have their nodes.
+        A list has the items to convert, so a deep expression does not reach the limit of recursion.
+        An item with a name is an operation whose arguments are converted before it.
         """
         graph = self._graph
         nodes: list[int] = []
@@ -113,7 +113,7 @@ class Conversion:
         return nodes[0]
 
     def _name(self, kind: Any) -> str:
-        """Return the name of a kind of `_NAMES`, and count the nodes of the expression.
+        """Return the name of a kind of node in `_NAMES`, and count the node.
 
         Raises `CompilationError` for an expression that is too large or does not compile.
         """

@@ -33,8 +33,8 @@ def newton(
     The search ends after `NEWTON_STEPS` steps, when the step of each variable is below 1e-13, or
     when steps below 1e-9 no longer reduce the residual. If ``relative`` is True, these bounds are
     factors of 1 + |variable|. The residual is the largest absolute value of the function before the
-    last step. The residual is nan if a value or a derivative of the function is not finite; the
-    search then ends at once.
+    last step. If a value or a derivative of the function is not finite, the residual is nan, and
+    the search ends at once.
     """
     point, residual = start, math.inf
     for _ in range(NEWTON_STEPS):

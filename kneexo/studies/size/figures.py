@@ -339,7 +339,7 @@ def _stride(result: SizeResult) -> Figure:
     figure, axes = plt.subplots(2, 1, figsize=(7.5, 7.4), sharex=True, layout="constrained")
     figure.set_label(
         "Chamber pressures over a measured stride, for shares of the knee moment. The grey line is "
-        "the chamber that grows while the leg is faster than the pump."
+        "the pressure of the growing chamber while the leg is faster than the pump."
     )
     for axis, (hardware, loads) in zip(axes, list(result.strides().items())[::2], strict=True):
         for (share, load), line in zip(loads.items(), ("-", "--", ":"), strict=False):

@@ -35,7 +35,7 @@ const Page = (() => {
     parts.latest[index] = request;
     results[index].fresh = false;
     parts.runs.request(index, request);
-    if (Setups.isWorn(data, setup)) {
+    if (Setups.hasWearer(data, setup)) {
       parts.analyses.request(index, null);
       return;
     }
@@ -53,7 +53,7 @@ const Page = (() => {
     }
     const setup = state.setups[index];
     results[index] = {
-      ...results[index], worn: Setups.isWorn(data, setup), margins: data.margins, fresh: parts.latest[index] === request, run: { ...answer, duration_s: request.duration_s },
+      ...results[index], hasWearer: Setups.hasWearer(data, setup), margins: data.margins, fresh: parts.latest[index] === request, run: { ...answer, duration_s: request.duration_s },
       frequency: request.reference === "sine" ? request.values["reference.frequency_hz"] : null,
       sample_time_s: data.modules[Setups.modelOf(data, setup).loop.module].table.sample_time_s,
       reference_key: JSON.stringify([request.reference, Object.entries(request.values).filter(([name]) => name.startsWith("reference."))]),
@@ -154,9 +154,9 @@ const Page = (() => {
     const text = `${lines.join(" ")} At a filled mark the motor reaches its limit. At an open mark it stays below its limit.`;
     if (byId("bode-caption").textContent !== text) byId("bode-caption").textContent = text;
     byId("key").replaceChildren(...key());
-    const worn = shownSetups().map((index) => Setups.isWorn(data, state.setups[index]));
-    byId("bode").hidden = worn.every(Boolean);
-    byId("worn-note").hidden = byId("torque-option").hidden = !worn.some(Boolean);
+    const wearers = shownSetups().map((index) => Setups.hasWearer(data, state.setups[index]));
+    byId("bode").hidden = wearers.every(Boolean);
+    byId("wearer-note").hidden = byId("torque-option").hidden = !wearers.some(Boolean);
   }
 
   /** The sines of a set-up's sweep in words. */
@@ -172,8 +172,8 @@ const Page = (() => {
       const letter = "ab"[index];
       return element("li", { class: `of-${letter}` }, nameOf(index));
     });
-    const worn = shownSetups().some((index) => Setups.isWorn(data, state.setups[index]));
-    const lines = [["of-reference", "reference"], ...(worn ? [["of-wearer", "wearer's knee"]] : []), ["of-limit", "limit of the command"]];
+    const wearer = shownSetups().some((index) => Setups.hasWearer(data, state.setups[index]));
+    const lines = [["of-reference", "reference"], ...(wearer ? [["of-wearer", "wearer's knee"]] : []), ["of-limit", "limit of the command"]];
     return [...items, ...lines.map(([name, text]) => element("li", { class: name }, text))];
   }
 
@@ -354,7 +354,7 @@ const Page = (() => {
   }
 
   function start() {
-    byId("tour-start").hidden = Setups.isWorn(data, data.setups[0]); // the steps are about position
+    byId("tour-start").hidden = Setups.hasWearer(data, data.setups[0]); // the steps are about position
     byId("copy-link").hidden = location.protocol === "about:"; // inside a notebook
     byId("scenario-name").textContent = data.scenarios.map(({ name }) => name).join(", ");
     byId("made-by").textContent = `kneexo ${data.kneexo} made this page. The page needs no network and sends no data.`;

@@ -69,30 +69,30 @@ const Numbers = (() => {
     return value == null || value === Infinity ? "∞" : shown(factor * value);
   }
 
-  // A row whose ``worn`` is true is for set-ups with a wearer only; false, without a wearer only.
+  // If a row has `wearer`, it is only for set-ups with a wearer (true) or without a wearer (false).
   const ROWS = [
-    { name: "rms-torque", label: "Torque, rms", unit: "N·m", worn: true,
+    { name: "rms-torque", label: "Torque, rms", unit: "N·m", wearer: true,
       value: ({ run }) => shown(run.metrics.rms_torque_n_m), word: ({ run }) => ofPeriods(run) },
-    { name: "peak-torque", label: "Largest torque", unit: "N·m", worn: true,
+    { name: "peak-torque", label: "Largest torque", unit: "N·m", wearer: true,
       value: ({ run }) => shown(run.metrics.peak_torque_n_m), word: ({ run }) => ofPeriods(run) },
-    { name: "power-taken", label: "Power taken", unit: "W", worn: true,
-      value: ({ run }) => shown(run.metrics.power_taken_w), word: () => ["mean, from the wearer", "plain"] },
-    { name: "power-given", label: "Power given", unit: "W", worn: true,
-      value: ({ run }) => shown(run.metrics.power_given_w), word: () => ["mean, to the wearer", "plain"] },
-    { name: "error", worn: false, label: "Largest error", unit: "deg",
+    { name: "power-taken", label: "Wearer gives", unit: "W", wearer: true,
+      value: ({ run }) => shown(run.metrics.power_taken_w), word: () => ["mean power", "plain"] },
+    { name: "power-given", label: "Wearer gets", unit: "W", wearer: true,
+      value: ({ run }) => shown(run.metrics.power_given_w), word: () => ["mean power", "plain"] },
+    { name: "error", wearer: false, label: "Largest error", unit: "deg",
       value: ({ run }) => shown(run.metrics.largest_error_rad * DEG), word: ({ run }) => ofError(run) },
     { name: "saturated", label: "Time at the limit", unit: "%",
       value: ({ run }) => shown(100 * shareOf(run)), word: ({ run }) => ofShare(shareOf(run)) },
-    { name: "bandwidth", worn: false, label: "Bandwidth", unit: "Hz",
+    { name: "bandwidth", wearer: false, label: "Bandwidth", unit: "Hz",
       value: ({ sweep }) => (sweep && Number.isFinite(sweep.minus_3_db_hz) ? shown(sweep.minus_3_db_hz) : "–"),
       word: ({ sweep, frequency }) => ofBandwidth(sweep, frequency) },
-    { name: "phase", worn: false, label: "Phase margin", unit: "deg",
+    { name: "phase", wearer: false, label: "Phase margin", unit: "deg",
       value: ({ linear }) => margin(linear, "phase_margin_deg", 1),
       word: ({ linear, margins }) => ofMargin(linear, linear?.phase_margin_deg, margins.phase_deg) },
-    { name: "gain", worn: false, label: "Gain margin", unit: "",
+    { name: "gain", wearer: false, label: "Gain margin", unit: "",
       value: ({ linear }) => margin(linear, "gain_margin", 1),
       word: ({ linear, margins }) => ofMargin(linear, linear?.gain_margin, margins.gain) },
-    { name: "delay", worn: false, label: "Delay margin", unit: "ms",
+    { name: "delay", wearer: false, label: "Delay margin", unit: "ms",
       value: ({ linear }) => margin(linear, "delay_margin_s", 1e3),
       word: ({ linear, margins, sample_time_s: sample }) => ofMargin(linear, linear?.delay_margin_s,
         margins.delay_samples.map((count) => count * sample), (value) => `${Math.floor(value / sample)} samples`) },
@@ -120,7 +120,7 @@ const Numbers = (() => {
     /** Show the results of the set-ups: objects with run, linear, sweep, frequency, sample_time_s. */
     show(results) {
       for (const { card, row, values } of this.cells) {
-        const has = (result) => Boolean(result?.run) && (row.worn ?? result.worn) === result.worn;
+        const has = (result) => Boolean(result?.run) && (row.wearer ?? result.hasWearer) === result.hasWearer;
         card.hidden = !results.some(has);
         values.forEach(({ line, word }, index) => {
           const result = results[index];
@@ -144,7 +144,7 @@ const Numbers = (() => {
       const { run } = result;
       if (run.end) return `${name}the run ended at ${shown(run.end.time_s)} s: ${run.end.reason}.`;
       const hz = result.sweep?.minus_3_db_hz;
-      if (result.worn) return `${name}torque of the wearer ${shown(run.metrics.rms_torque_n_m)} newton metres rms.`;
+      if (result.hasWearer) return `${name}torque of the wearer ${shown(run.metrics.rms_torque_n_m)} newton metres rms.`;
       return `${name}largest error ${shown(run.metrics.largest_error_rad * DEG)} degrees, `
         + `motor at its limit ${shown(100 * shareOf(run))} percent of the time`
         + `${Number.isFinite(hz) ? `, bandwidth ${shown(hz)} hertz` : ""}.`;

@@ -51,7 +51,7 @@ const Setups = (() => {
   }
 
   /** Whether the loop of a set-up has a wearer. */
-  function isWorn(data, setup) {
+  function hasWearer(data, setup) {
     return modelOf(data, setup).wearer;
   }
 
@@ -240,7 +240,7 @@ const Setups = (() => {
 
   return {
     CONTROLLER_NAMES, LOAD_NAMES, REFERENCE_NAMES, choices, choose, clamped, copied, defaultOf,
-    display, faultOf, fresh, isWorn, linkOf, modelOf, parsed, quantitiesOf, references, setValue, shown, stateOf,
+    display, faultOf, fresh, hasWearer, linkOf, modelOf, parsed, quantitiesOf, references, setValue, shown, stateOf,
     valueOf, valuesOf, yamlOf,
   };
 })();

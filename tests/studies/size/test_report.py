@@ -164,7 +164,7 @@ def test_the_screen_has_the_findings(sized, check_screen):
         f" flow, {motion['peak_pressure_mpa']:.3f} MPa and {motion['peak_shaft_power_w']:.1f} W at",
         f"- Walking at 1 Hz within 2° requires {first['flow_search']['value']:.4g} times the flow "
         f"and an acceleration limit of {first['acceleration_search']['value']:.0f} rad/s².",
-        "- The whole stride takes 2.61 MPa in stance and 3.48 MPa in late swing. The limit is 3.5 ",
+        "- The whole stride requires 2.61 MPa in stance and 3.48 MPa in late swing. The limit is 3",
         f"- No hardware of the search walks at 0.8 Hz within 2°. Factor of the flow: "
         f"{second['flow_search']['value']:.4g}. Acceleration limit (rad/s²): not reached in 1000 … "
         f"100000: best 2.6° (bound 2°) at 36000.",
@@ -208,10 +208,10 @@ def test_the_words_have_the_numbers_of_the_results(sized):
         + " times the flow",
         "ratings are 3.5 MPa and 200 W",
         "The relief valves open at 3.5 MPa, and oil evaporates below -0.1 MPa.",
-        "A piston that carries the share 1 of the moment, with 1.1 times the force, has 1.210 "
-        "times the area, a bore of 22.0 mm.",
+        "A piston for 1.1 times the force of the share 1 of the moment has 1.210 times the area, "
+        "and a bore of 22.0 mm.",
         # 0.017 times 560 and 500
-        "walks at 1 Hz within 9.52°, and without it within 8.50°.",
+        "walks at 1 Hz within 9.52°, and without this piston within 8.50°.",
     ):
         assert said in text
     assert "nan" not in text
