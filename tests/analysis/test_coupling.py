@@ -1,4 +1,4 @@
-"""Coupled stability: eigenvalues of a model of its own, runs on both sides of the border."""
+"""Coupled stability against the eigenvalues of another model and against runs beside the border."""
 
 import math
 from pathlib import Path
@@ -123,7 +123,7 @@ def test_a_passive_leg_is_an_active_one_at_the_angle():
 
 
 def grows(case, angle_deg, path, value):
-    """Whether a run of a rod that starts 1 µm beside its rest does not come to rest.
+    """Return whether a rod that starts 1 µm beside its equilibrium does not come to rest in a run.
 
     An oscillation grows until the motor reaches its limits. A stable loop comes to rest by
     e^{−4} between the two quarters, by the slowest mode alone.

@@ -74,7 +74,7 @@ def interval_rows(reference, spline, period):
     for row, ends in zip(rows, pairwise(reference), strict=True):
         start = row[0]
         if spline is None:
-            base = np.array([ends[0][0], 0.0, 0.0, 0.0])  # without it rates have rounding errors
+            base = np.array([ends[0][0], 0.0, 0.0, 0.0])  # without it, rates lose digits
             scaled = np.concatenate([(end - base) * period ** np.arange(4) for end in ends])
             row[2:10] = np.linalg.solve(HERMITE, scaled)
             row[2] = base[0]
@@ -406,7 +406,7 @@ def amplifies(scenario, changes):
 @pytest.mark.slow
 @pytest.mark.parametrize("mode", ["impedance", "zero_torque"])
 def test_every_slider_of_a_wearer_gives_the_curves_of_the_engine(mode, run_on_page):
-    """Except where valves that open and close amplify the rounding errors of any two programs."""
+    """Leave out the cases in which opening and closing valves amplify rounding errors."""
     scenario = with_structure(Scenario.preset("wearer"), mode, "knee")
     model, compared = model_of(scenario), 0
     for changes in ends(model, "sine"):

@@ -147,7 +147,7 @@ def test_moment_arm_and_centre_of_rotation_meet_differences_of_the_construction(
     np.testing.assert_allclose(values["moment_arm"][:, 0], arm, rtol=0.0, atol=1e-8)
     own_centre = values["icr"] @ [1.0, 1.0j]
     np.testing.assert_allclose(own_centre, centre, rtol=0.0, atol=1e-8)
-    # Virtual work: r is the clockwise moment of a unit force of the rod about the own centre. The
+    # Virtual work: r is the clockwise moment of a unit force of the rod about its own centre. The
     # fit leaves 2e-11 of an arm of 0.03 m.
     anchor = link.rod_anchor_radius_m * np.exp(1j * link.rod_anchor_angle_rad)
     pin, rod = at.rod_pin[1:], at.rod_pin[1:] - anchor

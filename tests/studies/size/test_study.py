@@ -173,7 +173,7 @@ def test_a_knee_that_walks_by_formula_gets_the_hardware_of_the_formula(monkeypat
         assert design.flow.value == pytest.approx(10.0 * frequency, rel=1e-3)
         assert design.acceleration.value == pytest.approx(2e4 * frequency, rel=1e-3)
         assert design.walking["max_error_deg"] == pytest.approx(2.0 / 1.1, rel=1e-3)
-        # The paper's piston carries the moment with 0.6 % to spare; wanted are 10 %.
+        # The paper's piston carries the moment with 0.6 % to spare; 10 % are required.
         assert design.carrying == with_piston(design.scenario, 1.1 * smallest_piston_factor())
         ratio = design.carried["displacement"] / design.walking["displacement"]
         assert ratio == pytest.approx(1.1 * 0.99356, rel=1e-4)

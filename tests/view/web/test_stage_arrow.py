@@ -1,4 +1,4 @@
-"""The arrow of a wearer's torque, and his limb, in a browser."""
+"""The arrow of a wearer's torque, and the limb of the wearer, in a browser."""
 
 import numpy as np
 import pytest
