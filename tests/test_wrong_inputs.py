@@ -109,7 +109,8 @@ FILES = {
     WORN + "inertia_kg_m2: }": r"wearer.inertia_kg_m2 has no value: must be a number, >= 0.001 ",
     WORN + "loss_modulus_n_m_per_rad: 0.77}": r" 0.77 N·m/rad: .* 0.38 times .*; reduce it",
     WORN + "moment: {times_s: [0, 9], moments_n_m: [0, 5]}}": r"covers 0 … 9 s, .* from 0 to 30 s",
-    WORN + "moment: {times_s: [1, 30], moments_n_m: [0, 5]}}": r"covers 1 … 30 s, .*; extend",
+    WORN
+    + "moment: {times_s: [1, 30], moments_n_m: [0, 5]}}": r"covers 1 … 30 s, .*; sub.*, and ext",
     WORN + "moment: no.csv}": r"wearer.moment: no.csv: cannot be read: No such file",
     WORN + "moment: law.py}": r"wearer.moment = 'law.py': must be a mapping of names to values",
     WORN + "moment: .}": r"wearer.moment = '.': must be a mapping of names to values",

@@ -6,6 +6,7 @@ import math
 from typing import Any
 
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
+from kneexo.analysis.interaction import INTERACTION_METRICS
 from kneexo.analysis.reduced_tracking import track_basic_metrics
 from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.analysis.tracking import TRACKING_METRICS
@@ -25,7 +26,8 @@ async def assess(
 
     Each of these arguments adds a group of metrics if it is True:
 
-    - ``tracking``: the `TRACKING_METRICS` of a simulated run, and ``tracking_failure``.
+    - ``tracking``: the `TRACKING_METRICS` of a simulated run, and ``tracking_failure``. A scenario
+      with a wearer adds the `INTERACTION_METRICS` of the samples after the first period.
     - ``margins``: ``stable``, `MARGIN_METRICS` and ``margins_failure``. The loop is linearized in
       the middle of the reference's range. The margins of an unstable loop are nan.
     - ``bandwidth``: ``bandwidth_hz`` (`large_signal_bandwidth_hz`) and ``bandwidth_failure``.
@@ -36,7 +38,8 @@ async def assess(
     """
     metrics: dict[str, Any] = {}
     if tracking:
-        metrics |= dict.fromkeys(TRACKING_METRICS, math.nan) | {"tracking_failure": ""}
+        names = TRACKING_METRICS + INTERACTION_METRICS * (scenario.wearer.kind != "none")
+        metrics |= dict.fromkeys(names, math.nan) | {"tracking_failure": ""}
         try:
             metrics |= await awaitable(track_basic_metrics, scenario)
         except KneexoError as error:

@@ -14,6 +14,9 @@ from kneexo.simulation import Run
 INTERACTION_SIGNALS = ("interaction_torque", "wearer_motion")
 """Names of the signals that `interaction_metrics` requires."""
 
+INTERACTION_METRICS = ("peak_torque_n_m", "rms_torque_n_m")
+"""Names of the fields of `InteractionMetrics` that `kneexo.analysis.assess` returns."""
+
 TORQUE_SIGNALS = ("desired_torque", "moment_arm", "rod_force")
 """Names of the signals of `torque_error`."""
 

@@ -5,12 +5,16 @@ from __future__ import annotations
 import math
 from functools import lru_cache, partial
 
-from kneexo.analysis.signals import period_s, saturation, to_rpm
+import numpy as np
+
+from kneexo.analysis.interaction import INTERACTION_METRICS, INTERACTION_SIGNALS
+from kneexo.analysis.signals import period_s, rms, saturation, to_rpm
 from kneexo.analysis.tracking import (
     TRACKING_METRICS,
     TRACKING_SIGNALS,
     TrackingMetrics,
     basic_tracking_metrics,
+    peak,
     require_samples,
     track,
 )
@@ -23,16 +27,22 @@ from kneexo.simulation import awaitable, can_reduce, needs_runs, reduce_run, sim
 async def track_basic_metrics(scenario: Scenario) -> dict[str, float]:
     """Simulate a scenario and return its `TRACKING_METRICS`.
 
-    If `can_reduce` accepts the scenario, the compiled engine computes the metrics inside its time
-    loop, without a log. Otherwise the run logs the signals, and NumPy computes the metrics. The two
-    ways round sums differently.
+    With a wearer the result has the `INTERACTION_METRICS` too, over the samples after the first
+    period. If `can_reduce` accepts the scenario, the compiled engine computes the metrics inside
+    its time loop, without a log. Otherwise the run logs the signals, and NumPy computes the
+    metrics. The two ways round sums differently.
     """
     settled_s, limit = period_s(scenario), scenario.command_limit_rad_s
+    wearer = scenario.wearer.kind != "none"
     if can_reduce(scenario):
-        reductions = _basic_reductions(settled_s, limit)
-        return _reduced_metrics(*await awaitable(reduce_run, scenario, reductions))
-    run = await awaitable(simulate, scenario, signals=TRACKING_SIGNALS[:4])
-    return basic_tracking_metrics(
+        basic = _basic_reductions(settled_s, limit)
+        more = _torque_reductions(settled_s) if wearer else ()
+        values = await awaitable(reduce_run, scenario, basic + more)
+        metrics = _reduced_metrics(*values[: len(basic)])
+        return metrics | dict(zip(INTERACTION_METRICS, values[len(basic) :].tolist(), strict=False))
+    signals = (*TRACKING_SIGNALS[:4], *INTERACTION_SIGNALS[:1] * wearer)
+    run = await awaitable(simulate, scenario, signals=signals)
+    metrics = basic_tracking_metrics(
         run.time_s,
         run["knee_reference_rad"] - run["knee_angle_rad"],
         run["motor_speed_command_rad_s"],
@@ -40,6 +50,11 @@ async def track_basic_metrics(scenario: Scenario) -> dict[str, float]:
         settled_s=settled_s,
         command_limit_rad_s=limit,
     )
+    if wearer:
+        torque = run["interaction_torque_n_m"][np.searchsorted(run.time_s, settled_s - 1e-9) :]
+        torques = (peak(torque), rms(torque)) if torque.size else (math.nan, math.nan)
+        metrics |= dict(zip(INTERACTION_METRICS, torques, strict=True))
+    return metrics
 
 
 @needs_runs
@@ -87,6 +102,13 @@ def _basic_reductions(settled_s: float, command_limit_rad_s: float) -> tuple[Red
         command("variation"),
         command("count", magnitude=True, bound=saturation(command_limit_rad_s)),
     )
+
+
+@lru_cache
+def _torque_reductions(settled_s: float) -> tuple[Reduction, ...]:
+    """Return the reductions that compute the `INTERACTION_METRICS`."""
+    torque = partial(Reduction, output="interaction_torque", after_s=settled_s)
+    return torque("maximum", magnitude=True), torque("rms")
 
 
 @lru_cache

@@ -290,11 +290,11 @@ class Scenario(Parameters):
         if leg.moment is not None:
             start_s, end_s = leg.moment.times_s[0], leg.moment.times_s[-1]
             if start_s > 0.0 or end_s < self.duration_s:
-                remedy = "extend the table, or reduce simulation.duration_s"
-                if start_s > 0.0:
-                    remedy = f"subtract {start_s:g} s from its times"
+                remedies = [f"subtract {start_s:g} s from its times"] * (start_s > 0.0)
+                if end_s - max(start_s, 0.0) < self.duration_s:
+                    remedies.append("extend the table, or reduce simulation.duration_s")
                 raise ValueError(
                     f"wearer.moment covers {start_s:g} … {end_s:g} s, and the run lasts from 0 to "
-                    f"{self.duration_s:g} s; must cover it; {remedy}"
+                    f"{self.duration_s:g} s; must cover it; {', and '.join(remedies)}"
                 )
         return self

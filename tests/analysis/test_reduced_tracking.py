@@ -3,6 +3,7 @@
 import dataclasses
 import math
 
+import numpy as np
 import pytest
 
 from kneexo.analysis.reduced_tracking import track_basic_metrics, track_metrics
@@ -18,6 +19,7 @@ from kneexo.parameters import (
     SimulationParameters,
     SineReference,
 )
+from kneexo.simulation import simulate
 
 BRISK = Scenario(
     plant=PlantParameters(
@@ -52,6 +54,22 @@ def test_metrics_without_a_log_are_those_of_the_log(change):
         assert 0.0 < expected[share] < 1.0
     energy, delivered = expected["shaft_energy_j"], expected["shaft_energy_delivered_j"]
     assert delivered > 1.01 * energy
+
+
+@pytest.mark.parametrize("integrator", ["exact_hold", "radau3"])
+def test_a_wearer_adds_the_torque_after_the_first_period(integrator):
+    worn = {"wearer": "leg", "controller": "torque", "simulation.integrator": integrator}
+    scenario = BRISK.changed(worn)
+    run = simulate(scenario)
+    torque = run["interaction_torque_n_m"][run.time_s >= period_s(BRISK) - 1e-9]
+    metrics = track_basic_metrics(scenario)
+    assert metrics["peak_torque_n_m"] == np.abs(torque).max()
+    assert metrics["rms_torque_n_m"] == pytest.approx(math.sqrt(np.mean(torque**2)), rel=1e-12)
+    whole = math.sqrt(np.mean(run["interaction_torque_n_m"] ** 2))
+    assert metrics["rms_torque_n_m"] != pytest.approx(whole, rel=0.01)
+    short = track_basic_metrics(scenario.changed({"simulation.duration_s": 0.3}))
+    assert math.isnan(short["peak_torque_n_m"])
+    assert math.isnan(short["rms_torque_n_m"])
 
 
 @pytest.mark.parametrize("periods", [0.5, 1.0])

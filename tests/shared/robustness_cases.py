@@ -37,10 +37,14 @@ SMALL = uncertain(
 )
 
 
+POSITION = [name for name in MERITS if "torque" not in name]
+"""The figures of merit of a knee without a wearer."""
+
+
 def merits(**changes):
     """What `assess` returns, all well unless said otherwise."""
     return {
-        **{name: 1.0 for name in MERITS if name != "bandwidth_hz"},
+        **{name: 1.0 for name in POSITION if name != "bandwidth_hz"},
         "stable": True,
         "tracking_failure": "",
         "margins_failure": "",
@@ -55,7 +59,7 @@ REAL = changed(
         "simulation.duration_s": 0.3,
     },
 )
-UNITS = dict(zip(MERITS, (1.0, 0.5, 20.0, 0.3, 60.0, 0.2, 0.7), strict=True))
+UNITS = dict(zip(POSITION, (1.0, 0.5, 20.0, 0.3, 60.0, 0.2, 0.7), strict=True))
 """Size of each figure of merit; an assessment has a number of its own times it."""
 
 

@@ -30,7 +30,7 @@ from kneexo.studies.robustness.study import (
     worst_value,
 )
 
-_SHOWN = ("max_error_deg", "bandwidth_hz", "disk_margin")
+_SHOWN = ("max_error_deg", "peak_torque_n_m", "bandwidth_hz", "disk_margin")
 
 
 def distribution(result: RobustnessResult) -> Figure:
@@ -39,7 +39,7 @@ def distribution(result: RobustnessResult) -> Figure:
     Failed samples count but are not drawn. So the curve ends below one if larger values are worse,
     and begins above zero if smaller values are worse.
     """
-    names = [merit for merit in result.merits if merit != "rms_error_deg"]
+    names = [merit for merit in result.merits if not merit.startswith("rms_")]
     columns = min(3, len(names))
     rows = math.ceil(len(names) / columns)
     figure, axes = plt.subplots(
@@ -83,7 +83,7 @@ def _plot_distribution(ax: Axes, result: RobustnessResult, merit: str) -> None:
 
 
 def tornado(result: RobustnessResult) -> Figure:
-    """Draw how error, bandwidth and disk margin change when a single uncertain value varies.
+    """Draw how a single uncertain value changes error or torque, bandwidth and disk margin.
 
     All panels have the same rows. The effect of a value on a metric is relative to the largest
     effect of all values on this metric. The value with the largest effect on any metric is on top.
@@ -100,8 +100,8 @@ def tornado(result: RobustnessResult) -> Figure:
         sharey=True,
     )
     figure.set_label(
-        "Error, bandwidth and disk margin when a single value of the plant varies. All other "
-        "values are nominal. The value with the largest effect is on top."
+        "The largest error or torque, the bandwidth and the disk margin, if a single value of the "
+        "plant varies. All other values are nominal. The value with the largest effect is on top."
     )
     for ax, merit in zip(axes[0], merits, strict=True):
         _plot_tornado(ax, result, merit, order)

@@ -30,8 +30,10 @@ from kneexo.studies.robustness.study import (
 )
 from kneexo.studies.template import filled
 
-_COMPARED = ("max_error_deg", "bandwidth_hz", "disk_margin")
+_COMPARED = ("max_error_deg", "peak_torque_n_m", "bandwidth_hz", "disk_margin")
 """Figures of merit whose worst corner the report shows."""
+_MEANS = {"max_error_deg": "rms_error_deg", "peak_torque_n_m": "rms_torque_n_m"}
+"""Figures of merit whose root mean square shows better than the peak what matters."""
 _DISTRIBUTION_HEAD = ("metric", "nominal", "median", "5 %", "95 %", "worst sample", "worst corner")
 _STRONGEST = 2
 """Largest number of uncertain values that the findings name for a figure of merit."""
@@ -62,7 +64,7 @@ def report(result: RobustnessResult) -> str:
         corners=list(_corners(result, merits, names)),
         beyond=[MERITS[merit].label for merit in result.merits if _sample_is_worst(result, merit)],
         commands=replay_commands(failed_runs(result)),
-        importance=list(_importance(result, ("rms_error_deg", *merits[1:]), names)),
+        importance=list(_importance(result, [_MEANS.get(m, m) for m in merits], names)),
     )
 
 

@@ -78,6 +78,8 @@ class Merit(NamedTuple):
 MERITS = {
     "max_error_deg": Merit("largest error (deg)", 1.0),
     "rms_error_deg": Merit("rms error (deg)", 1.0),
+    "peak_torque_n_m": Merit("largest torque of the wearer (N·m)", 1.0),
+    "rms_torque_n_m": Merit("rms torque of the wearer (N·m)", 1.0),
     "mean_command_change_rpm": Merit("chattering (rpm per sample)", 1.0),
     "bandwidth_hz": Merit("bandwidth (Hz)", -1.0),
     "phase_margin_deg": Merit("phase margin (deg)", -1.0),
@@ -85,6 +87,15 @@ MERITS = {
     "disk_margin": Merit("disk margin", -1.0),
 }
 """The figures of merit, which are the metrics of `assess` whose worst cases are sought."""
+
+
+def merits_of(scenario: Scenario, metrics: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the names of the figures of merit of a scenario that are in ``metrics``.
+
+    Torque control does not follow the reference, so the error of the angle is none of them.
+    """
+    errors = ("max_error_deg", "rms_error_deg") if scenario.controller.kind == "torque" else ()
+    return tuple(name for name in MERITS if name in metrics and name not in errors)
 
 
 @dataclass(frozen=True)
@@ -229,7 +240,7 @@ class RobustnessResult(Result):
     @property
     def merits(self) -> tuple[str, ...]:
         """Names of the figures of merit that the study computed. The bandwidth can be missing."""
-        return tuple(name for name in MERITS if name in self.nominal.metrics)
+        return merits_of(self.scenario, self.nominal.metrics)
 
     def effects(self, merit: str) -> dict[str, list[float]]:
         """Return a dictionary from path to the figures of merit at the levels of this value."""
@@ -338,8 +349,8 @@ def robustness_study(
     """Assess the closed loop of ``scenario`` on plants with the values of ``uncertainty``.
 
     The study ignores uncertain values that the scenario lacks, such as the values of a load in a
-    scenario without load, and reports their paths. The bandwidth is measured only if the reference
-    is a sine that moves. ``options``: see `kneexo.sweeps.SweepOptions`.
+    scenario without load, and reports their paths. The bandwidth is measured only if the knee
+    follows a sine that moves. ``options``: see `kneexo.sweeps.SweepOptions`.
 
     Raises `ParameterError` for an uncertain value that no scenario has or that is out of range, and
     if the scenario has none of the values.
@@ -353,7 +364,8 @@ def _explore(
 ) -> RobustnessResult:
     kept, left_out = applicable(scenario, uncertainty)
     reference = scenario.reference
-    moves = reference.kind == "sine" and reference.amplitude_deg > 0.0
+    follows = scenario.controller.kind != "torque"
+    moves = reference.kind == "sine" and reference.amplitude_deg > 0.0 and follows
     judge = partial(
         assess_plant, scenario, kept, partial(assess, bandwidth=settings.bandwidth and moves)
     )
@@ -369,7 +381,7 @@ def _explore(
     each = [{path: level} for path, span in kept.values.items() for level in span.levels]
     singly = assessment(each, "one at a time")
     samples = assessment(draw(kept, settings.samples, settings.seed), "samples")
-    merits = [name for name in MERITS if name in nominal]
+    merits = merits_of(scenario, nominal)
     corners, settled = _corners(kept, merits, singly, settings, partial(assessment, what="corners"))
     paths = [
         p for p, span in kept.values.items() if not span.options and differentiable(scenario, p)

@@ -6,6 +6,7 @@ import pytest
 from robustness_cases import (
     FEW,
     LINEAR,
+    POSITION,
     SAMPLED,
     SMALL,
     UNITS,
@@ -42,8 +43,8 @@ def test_every_figure_can_be_drawn(real):
 def test_distributions_rise_by_one_share_for_each_sample(by_hand, curves):
     axes = figures(by_hand)["robustness_distribution"].axes
     shown = {ax.get_xlabel(): ax for ax in axes if ax.get_visible()}
-    assert set(shown) == {MERITS[m].label for m in MERITS if m != "rms_error_deg"}
-    for merit in set(MERITS) - {"rms_error_deg"}:
+    assert set(shown) == {MERITS[m].label for m in POSITION if m != "rms_error_deg"}
+    for merit in set(POSITION) - {"rms_error_deg"}:
         lines = curves(shown[MERITS[merit].label])
         values = np.sort(SAMPLED if merit != "max_error_deg" else SAMPLED[[0, 1, 2, 4]])
         assert lines["samples"][0] == pytest.approx(UNITS[merit] * values)
@@ -170,7 +171,7 @@ def test_importance_has_correlations_beside_linear_effects(by_hand):
         sign = 1.0 if more_is_worse else -1.0
         sampled = np.array([correlations[merit][path] for path in rows[:2]])
         assert np.asarray(shown_ranks[:2, column]) == pytest.approx(sign * sampled)
-    assert len(ranks.get_xticklabels()) == len(MERITS)
+    assert len(ranks.get_xticklabels()) == len(POSITION)
 
 
 def test_nyquist_draws_the_loops_of_the_samples(by_hand):

@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from robustness_cases import (
     FEW,
+    POSITION,
     REAL,
     SAMPLED,
     SMALL,
@@ -37,7 +38,8 @@ from kneexo.parameters import (
 )
 from kneexo.parameters.paths import changed
 from kneexo.parameters.uncertainty import draw
-from kneexo.simulation import engines
+from kneexo.simulation import engines, simulate
+from kneexo.studies.markdown import number
 from kneexo.studies.robustness import study as module
 from kneexo.studies.robustness.report import report
 from kneexo.studies.robustness.study import (
@@ -483,7 +485,7 @@ def test_a_reference_that_does_not_move_has_no_bandwidth(formula):
 def test_the_summary_of_each_figure_is_that_of_its_visits(by_hand, flat, check_rules):
     numbers = by_hand.results()
     check_rules(numbers)
-    assert list(numbers["metrics"]) == list(MERITS)
+    assert list(numbers["metrics"]) == POSITION
     for merit, summary in numbers["metrics"].items():
         names = ("nominal", "median", "percentile_5", "percentile_95")
         values = [summary[name] for name in names]
@@ -519,3 +521,30 @@ def test_the_summary_of_each_figure_is_that_of_its_visits(by_hand, flat, check_r
         for n, path in enumerate(("plant.cylinder.mass_kg", "plant.pump.lag_s")):
             x = [(1.50, 1.45, 1.60, 1.75, 1.65), (0.012, 0.007, 0.019, 0.011, 0.009)][n]
             assert by_path[path] == pytest.approx(spearmanr(x, values).statistic)
+
+
+def test_with_torque_control_the_torque_of_the_wearer_is_ranked_and_the_angle_is_not():
+    scenario = REAL.changed({"wearer": "leg", "controller": "torque"})
+    cuff = uncertain(
+        wearer__cuff__stiffness_n_m_per_rad={"low": 750.0, "high": 3000.0},
+        plant__pump__lag_s={"low": 0.005, "high": 0.02},
+    )
+    few = FEW.model_copy(update={"samples": 4, "bandwidth": True})
+    result = robustness_study(scenario, cuff, few)
+    assert result.merits[:2] == ("peak_torque_n_m", "rms_torque_n_m")
+    assert not {"max_error_deg", "rms_error_deg", "bandwidth_hz"} & set(result.merits)
+
+    def torque(stiffness, lag):
+        values = {"wearer.cuff.stiffness_n_m_per_rad": stiffness, "plant.pump.lag_s": lag}
+        run = simulate(scenario.changed(values))
+        return np.abs(run["interaction_torque_n_m"][run.time_s >= 0.25 - 1e-9]).max()
+
+    corners = {(k, lag): torque(k, lag) for k in (750.0, 3000.0) for lag in (0.005, 0.02)}
+    largest = max(corners, key=corners.get)
+    corner = worst(result.corners, "peak_torque_n_m")
+    assert tuple(corner.values.values()) == largest
+    assert corner.metrics["peak_torque_n_m"] == pytest.approx(corners[largest], rel=1e-6)
+    text = report(result)
+    assert f"| largest torque of the wearer (N·m) | {number(torque(1500.0, 0.01))} |" in text
+    assert "- What matters most, by rank correlation: rms torque of the wearer (N·m):" in text
+    assert "error (deg)" not in text
