@@ -15,7 +15,7 @@ INTERACTION_SIGNALS = ("interaction_torque", "wearer_motion")
 """Names of the signals that `interaction_metrics` requires."""
 
 INTERACTION_METRICS = ("peak_torque_n_m", "rms_torque_n_m")
-"""Names of the fields of `InteractionMetrics` that `kneexo.analysis.assess` returns."""
+"""Names of the fields of `InteractionMetrics` that `kneexo.analysis.assessment.assess` returns."""
 
 TORQUE_SIGNALS = ("desired_torque", "moment_arm", "rod_force")
 """Names of the signals of `torque_error`."""
