@@ -21,11 +21,15 @@ from kneexo.compiler import newton, newton_failure
 from kneexo.diagrams import make_closed_loop
 from kneexo.diagrams.closed_loop import loop_values, plant_start
 from kneexo.diagrams.controller import has_unknown_parts, known_to_controller
+from kneexo.diagrams.wearer import moment_of
 from kneexo.errors import LinearizationError, shortened
-from kneexo.parameters import LawParameters, Scenario, StepReference
+from kneexo.parameters import LawParameters, PlantParameters, Scenario, StepReference
 from kneexo.result import Array
 from kneexo.simulation.compiled import structure_key
 from kneexo.systems.function_law import hides_state
+
+_NO_LIMIT = 1e12
+"""A speed or an acceleration that no motor reaches, in rad/s or rad/s²."""
 
 
 @dataclass(frozen=True)
@@ -76,16 +80,26 @@ class Equilibrium:
         return number[:-1], gradient[:-1], gradient[-1:, : self.continuous_states]
 
 
+_PASSIVE_STARTS = (0.05, 0.3, 0.6, 0.95)
+"""Shares of the range of motion at which the search for the rest of a passive leg starts again.
+
+A passive leg rests far from the reference. A first step of Newton's method may leave the range of
+motion, where the search gets stuck.
+"""
+
 _built: dict[str, tuple[Any, Any]] = {}
 
 
 def _diagrams(scenario: Scenario) -> tuple[Any, Any]:
     """Return the closed loop as a diagram of floats and as a diagram of AutoDiffXd.
 
-    Scenarios that differ only in numbers share these two diagrams.
+    Scenarios that differ only in numbers share these two diagrams, unless the biological moment
+    differs.
     """
     key = structure_key(scenario)
     law = scenario.controller
+    if (moment := moment_of(scenario)) is not None:  # a source, which has no Context parameters
+        key += moment.model_dump_json()
     if has_unknown_parts(scenario):  # whose Context parameters cannot be set by name
         key += known_to_controller(scenario).model_dump_json()
     elif isinstance(law, LawParameters):  # laws that run as Python share one structure
@@ -168,7 +182,8 @@ def find_equilibrium(
     """Find the equilibrium of the sampled loop of a scenario by Newton's method.
 
     The reference is the constant ``knee_angle_deg``, the initial offset is zero, and the
-    quantizers are bypassed. `kneexo.analysis.linearize_loop` describes ``diagram``.
+    quantizers are bypassed. The biological moment is that at t = 0. The search ignores the limits
+    of the motor. `kneexo.analysis.linearize_loop` describes ``diagram``.
 
     Raises `LinearizationError` when there is no equilibrium, when the command there is at its
     limit, and when the sliding variable there is outside the boundary layer. Also raises it when
@@ -193,10 +208,11 @@ def find_equilibrium(
         }
     )
     reference = np.array([math.radians(knee_angle_deg), 0.0, 0.0, 0.0])
-    if diagram is None:
+    shared = diagram is None
+    if shared:
         diagram, automatic = _diagrams(fixed)
         context = diagram.CreateDefaultContext()
-        set_loop_parameters(diagram, context, fixed)
+        set_loop_parameters(diagram, context, _without_motor_limits(fixed))
         context.SetContinuousState(start_state(fixed, context.num_continuous_states()))
     else:
         if not diagram.HasInputPort("knee_reference"):
@@ -221,8 +237,19 @@ def find_equilibrium(
         jacobian[n:, n:] -= np.eye(m)
         return np.concatenate([values[:n], values[n:] - point[n:]]), jacobian
 
-    point, residual = newton(changes, point, rank_tolerance=1e-14, relative=True)
-    if not residual < 1e-6:
+    starts = [point]
+    if getattr(fixed.wearer, "motion", "") == "passive" and shared:  # rests where its weight is
+        knee = fixed.plant.knee
+        for share in _PASSIVE_STARTS:
+            angle = knee.flexion_min_deg + share * (knee.flexion_max_deg - knee.flexion_min_deg)
+            posture = StepReference(start_deg=angle, end_deg=angle)
+            at_rest = start_state(fixed.model_copy(update={"reference": posture}), n)
+            starts.append(np.concatenate([at_rest, z]))
+    for start in starts:
+        point, residual = newton(changes, start, rank_tolerance=1e-14, relative=True)
+        if residual < 1e-6:
+            break
+    else:
         remedy = "reduce the load"
         if isinstance(controller, LawParameters):
             remedy += ", or let the law act on the error without rounding"
@@ -230,10 +257,27 @@ def find_equilibrium(
             f"the loop does not rest at knee angle {knee_angle_deg:g} deg: "
             f"{newton_failure(residual, 'residual')}; {remedy}"
         )
+    if shared:
+        set_loop_parameters(diagram, context, fixed)
     _set_point(diagram, context, point, reference, n)
     _require_linear(diagram, context, fixed)
     angle = float(diagram.GetOutputPort("knee_angle").Eval(context)[0])
     return replace(equilibrium, point=point, knee_angle_rad=angle)
+
+
+def _without_motor_limits(scenario: Scenario) -> Scenario:
+    """Return a scenario whose command and motor have no limits.
+
+    While a command is clipped, it does not depend on the state, and Newton's method gets stuck.
+    """
+
+    def unlimited(plant: PlantParameters | None) -> PlantParameters | None:
+        limits = {"speed_limit_rad_s": _NO_LIMIT, "acceleration_limit_rad_s2": _NO_LIMIT}
+        return plant and plant.model_copy(update={"pump": plant.pump.model_copy(update=limits)})
+
+    controller = scenario.controller.model_copy(update={"command_limit_rad_s": _NO_LIMIT})
+    plants = {"plant": unlimited(scenario.plant), "nominal": unlimited(scenario.nominal)}
+    return scenario.model_copy(update={**plants, "controller": controller})
 
 
 def _sample_time_s(diagram: Any) -> float:
@@ -255,8 +299,8 @@ def _require_linear(diagram: Any, context: Any, scenario: Scenario) -> None:
     limit = scenario.command_limit_rad_s
     if command >= limit * (1.0 - 1e-9):
         raise LinearizationError(
-            f"motor_speed_command = {command:.4g} rad/s is at its limit of {limit:.4g} rad/s: "
-            f"there is no linear loop; reduce the load"
+            f"motor_speed_command = {command:.4g} rad/s is at or above its limit of "
+            f"{limit:.4g} rad/s: there is no linear loop; reduce the load"
         )
     if scenario.controller.kind == "smc" and diagram.HasOutputPort("sliding_variable"):
         s = abs(float(diagram.GetOutputPort("sliding_variable").Eval(context)[0]))

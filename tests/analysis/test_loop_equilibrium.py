@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+import scipy
 from linear_cases import (
     AREA,
     DISPLACEMENT,
@@ -26,15 +27,19 @@ from kneexo.diagrams import make_closed_loop
 from kneexo.errors import LinearizationError
 from kneexo.parameters import (
     BldcPumpParameters,
+    CuffParameters,
     DifferenceParameters,
     ExactParameters,
     KneeLoadParameters,
+    LegParameters,
+    MomentTable,
     ObserverParameters,
     PidParameters,
     PlantParameters,
     RodPolynomialParameters,
     Scenario,
     SlidingModeParameters,
+    TorqueParameters,
 )
 from kneexo.studies.paper import IDEAL_SMC
 
@@ -115,15 +120,6 @@ def pushed(force, **more):
     return plant_parameters(n, load=load, **more), speed
 
 
-@pytest.mark.parametrize("share", [0.99, 0.5])
-@pytest.mark.parametrize("kind", [SlidingModeParameters, PidParameters])
-def test_a_command_limit_below_the_leakage_leaves_no_rest(share, kind):
-    plant, speed = pushed(200.0)
-    controller = kind(command_limit_rad_s=share * speed)
-    with raises_one_line(LinearizationError, "does not rest at knee angle 40 deg"):
-        linearize_loop(Scenario(plant=plant, controller=controller))
-
-
 def test_a_proportional_controller_rests_beside_its_reference_by_what_feeds_the_leakage():
     # u = −G r_0 K_p (θ_d − θ): the error is small, and the unused integral takes no part in it.
     plant, speed = pushed(200.0)
@@ -145,11 +141,31 @@ def test_a_search_that_leaves_the_linkage_says_so():
         linearize_loop(Scenario(plant=plant, controller=PidParameters()), knee_angle_deg=45.0)
 
 
-def test_a_rest_at_the_speed_limit_is_refused():
+@pytest.mark.parametrize("share", [1.0 + 1e-10, 0.99, 0.5])
+@pytest.mark.parametrize("kind", [SlidingModeParameters, PidParameters])
+def test_a_rest_that_needs_the_speed_limit_or_more_is_refused(share, kind):
     plant, speed = pushed(200.0)
-    controller = PidParameters(proportional_per_s=50.0, command_limit_rad_s=speed * (1.0 + 1e-10))
-    with raises_one_line(LinearizationError, "motor_speed_command = .* is at its limit of"):
+    controller = kind(command_limit_rad_s=share * speed)
+    needed = rf"motor_speed_command = {speed:.4g} rad/s is at or above its limit of .* rad/s"
+    with raises_one_line(LinearizationError, needed):
         linearize_loop(Scenario(plant=plant, controller=controller))
+
+
+@pytest.mark.parametrize("moment", [-64.0, 20.0, 60.0])
+def test_a_knee_that_assists_rests_where_the_cuff_carries_the_desired_torque(moment):
+    # Without mass and leak the cuff carries a M, which is k (θ − θ_leg), and θ_leg is 40°. Each
+    # moment is that at t = 0, and the search starts where the command is far above its limit.
+    wearer = LegParameters(
+        moment=MomentTable(times_s=(0.0, 30.0), moments_n_m=(moment, 0.0)),
+        cuff=CuffParameters(stiffness_n_m_per_rad=1500.0),
+    )
+    scenario = Scenario(
+        plant={"load": {"kind": "knee", "segment_mass_kg": 0.0}, "rod_map": "polynomial"},
+        wearer=wearer,
+        controller=TorqueParameters(mode="assist", assistance=0.4, leak_per_s=0.0),
+    )
+    rest = find_equilibrium(scenario, knee_angle_deg=40.0).knee_angle_rad
+    assert rest - math.radians(40.0) == pytest.approx(0.4 * moment / 1500.0, rel=1e-6)
 
 
 @pytest.mark.parametrize("eta", [3e3, 5e3, 8e3])
@@ -159,6 +175,27 @@ def test_a_boundary_layer_too_weak_for_the_leakage_leaves_no_rest(eta):
     assert speed > 100.0
     with raises_one_line(LinearizationError, "does not rest at knee angle 40 deg"):
         linearize_loop(Scenario(plant=plant, controller=controller))
+
+
+@pytest.mark.parametrize("full_order", [None, {}])
+def test_a_passive_leg_rests_where_its_weight_is_whatever_the_reference(full_order):
+    """W(θ) + k_0 (θ_n − θ) = 0 of leg and shank together, with zero torque of the actuator."""
+    leg = Scenario.preset("wearer").changed(
+        {"wearer.motion": "passive", "plant.full_order": full_order}
+    )
+    rests = [
+        find_equilibrium(leg, knee_angle_deg=angle).knee_angle_rad for angle in (5.0, 40.0, 80.0)
+    ]
+    assert rests == pytest.approx([rests[0]] * 3, abs=1e-6)
+    wearer, load = leg.wearer, leg.plant.load
+    weight = 9.81 * (
+        wearer.leg_mass_kg * wearer.centre_of_mass_m + load.segment_mass_kg * load.centre_of_mass_m
+    )
+    spring = wearer.bare_stiffness_n_m_per_rad
+    by_hand = scipy.optimize.brentq(
+        lambda x: -weight * math.sin(x) - spring * (x - wearer.neutral_angle_rad), 0.0, 1.0
+    )
+    assert rests[0] == pytest.approx(by_hand, rel=0.05)
 
 
 def test_a_rest_outside_the_boundary_layer_is_refused():
