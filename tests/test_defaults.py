@@ -11,12 +11,13 @@ from pathlib import Path
 from pydantic.fields import FieldInfo
 
 from kneexo import parameters
-from kneexo.parameters import UNCERTAINTY, Scenario
-from kneexo.parameters.fields import models_of, unit_of
+from kneexo.parameters import Scenario
+from kneexo.parameters.fields import models_of, more_models_of, unit_of
 from kneexo.parameters.quantity import Parameters
 from kneexo.studies import paper
 from kneexo.studies.catalogue import STUDIES
 
+SETS = ("UNCERTAINTY", "WEARER_UNCERTAINTY")
 SNAPSHOT = Path(__file__).with_name("defaults.txt")
 
 
@@ -24,7 +25,7 @@ def classes_of(model: type[Parameters]) -> typing.Iterator[type[Parameters]]:
     """The class and those that its fields may hold."""
     yield model
     for field in model.model_fields.values():
-        for held in models_of(field):
+        for held in (*models_of(field), *more_models_of(field)):
             yield from classes_of(held)
 
 
@@ -70,10 +71,11 @@ def snapshot() -> str:
         ]
     for module in (parameters, paper):
         for name, value in vars(module).items():
-            if name.isupper() and name[0] != "_" and name not in ("LINKAGES", "UNCERTAINTY"):
+            if name.isupper() and name[0] != "_" and name not in ("LINKAGES", *SETS):
                 lines.append(f"{name} | {plain(value)}")
-    for path, value in UNCERTAINTY.values.items():
-        lines.append(f"UNCERTAINTY {path} | {plain(value.model_copy(update={'source': ''}))}")
+    for set_name in SETS:
+        for path, value in getattr(parameters, set_name).values.items():
+            lines.append(f"{set_name} {path} | {plain(value.model_copy(update={'source': ''}))}")
     lines += [
         f"kneexo {study.command} | {plain(study.scenario)}"
         for study in STUDIES.values()

@@ -111,9 +111,12 @@ FILES = {
     WORN + "moment: {times_s: [0, 9], moments_n_m: [0, 5]}}": r"covers 0 … 9 s, .* from 0 to 30 s",
     WORN
     + "moment: {times_s: [1, 30], moments_n_m: [0, 5]}}": r"covers 1 … 30 s, .*; sub.*, and ext",
+    WORN + "}\nreference: step": r"my.yaml:1: wearer.motion = prescribed: .*kind = step; choose",
     WORN + "moment: no.csv}": r"wearer.moment: no.csv: cannot be read: No such file",
-    WORN + "moment: law.py}": r"wearer.moment = 'law.py': must be a mapping of names to values",
-    WORN + "moment: .}": r"wearer.moment = '.': must be a mapping of names to values",
+    WORN + "moment: gate}": r"path of a .csv file or a mapping; did you mean gait\?$",
+    WORN
+    + "moment: law.py}": r"wearer.moment = 'law.py': must be gait, the path of a .csv file or ",
+    WORN + "moment: .}": r"wearer.moment = '.': must be gait, the path of a .csv file or ",
     "load_cell: {noise_n: 2}": r"my.yaml:1: load_cell: noise_n = 2 N: seed .*; add seed: 1$",
     # units of angle
     WORN + "stiffness_n_m_per_deg: 1}": r"per_rad; multiply the value by 57.3$",

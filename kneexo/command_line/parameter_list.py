@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from kneexo.errors import ParameterError, close_names, question, shortened
-from kneexo.parameters import LINKAGES, UNCERTAINTY, Scenario
+from kneexo.parameters import LINKAGES, UNCERTAINTY, WEARER_UNCERTAINTY, Scenario
 from kneexo.parameters.fields import (
     allowed_range,
     kind_of,
@@ -103,8 +103,8 @@ def setting_rows() -> Iterator[Row]:
 
 
 def uncertainty_rows() -> Iterator[Row]:
-    """Yield a row for each value of the default uncertainty set."""
-    for path, uncertainty in UNCERTAINTY.values.items():
+    """Yield a row for each value of the default uncertainty sets."""
+    for path, uncertainty in (UNCERTAINTY.values | WEARER_UNCERTAINTY.values).items():
         options = uncertainty.options
         yield {
             "parameter": f"uncertainty: {path}",

@@ -55,12 +55,19 @@ from kneexo.parameters.reference import (
 )
 from kneexo.parameters.scenario import DEFAULT_DURATION_S, Scenario, SimulationParameters
 from kneexo.parameters.torque import LoadCellParameters, TorqueParameters
-from kneexo.parameters.uncertainty import UNCERTAIN_KNEE, UNCERTAINTY, Uncertainty, UncertaintySet
+from kneexo.parameters.uncertainty import (
+    UNCERTAIN_KNEE,
+    UNCERTAINTY,
+    WEARER_UNCERTAINTY,
+    Uncertainty,
+    UncertaintySet,
+)
 from kneexo.parameters.wearer import (
     BODIES,
     MOMENT_MASS_KG,
     WEARERS,
     CuffParameters,
+    GaitMoment,
     LegParameters,
     MomentTable,
     NoWearer,
@@ -86,6 +93,7 @@ __all__ = [
     "UNCERTAINTY",
     "UNCERTAIN_KNEE",
     "WEARERS",
+    "WEARER_UNCERTAINTY",
     "BldcPumpParameters",
     "Cia402Parameters",
     "CsvReference",
@@ -96,6 +104,7 @@ __all__ = [
     "EncoderParameters",
     "ExactParameters",
     "FullCylinderParameters",
+    "GaitMoment",
     "GaitReference",
     "Interpolation",
     "KneeLoadParameters",

@@ -17,6 +17,7 @@ from kneexo.parameters.fields import (
     allowed_range,
     kind_of,
     models_of,
+    others_of,
     source_of,
     unit_of,
     words_of,
@@ -138,7 +139,8 @@ def _expected(kind: str, context: Mapping[str, Any], field: FieldInfo | None, va
         return "an object of " + " or ".join(part.__name__ for part in models)
     if words := words_of(field):
         shown = ["true" if w is True else "false" if w is False else str(w) for w in words]
-        return ", ".join(shown) + " or a mapping" + question(_meant(value, field))
+        accepted = listed_names([*shown, *others_of(field), "a mapping"])
+        return accepted + question(_meant(value, field))
     if models:
         first = next(iter(models[0].model_fields))
         return f"a mapping of names to values, such as {{{first}: …}}"

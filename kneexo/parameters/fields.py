@@ -19,6 +19,8 @@ class Words:
     """The values for which the words stand."""
     models: tuple[type[BaseModel], ...] = ()
     """More classes whose ``kind`` is a word. The scenario replaces their objects by others."""
+    others: tuple[str, ...] = ()
+    """What else the field accepts besides words and a mapping, for messages."""
 
 
 def allowed_range(field: FieldInfo) -> str:
@@ -89,6 +91,12 @@ def more_models_of(field: FieldInfo | None) -> tuple[type[BaseModel], ...]:
     """Return the classes whose objects a field accepts but does not keep, as `Words` says."""
     metadata = [] if field is None else field.metadata
     return tuple(model for more in metadata if isinstance(more, Words) for model in more.models)
+
+
+def others_of(field: FieldInfo | None) -> tuple[str, ...]:
+    """Return what a field accepts besides words and a mapping, as `Words` says."""
+    metadata = [] if field is None else field.metadata
+    return tuple(text for more in metadata if isinstance(more, Words) for text in more.others)
 
 
 def words_of(field: FieldInfo | None) -> dict[Any, Any]:

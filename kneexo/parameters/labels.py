@@ -15,18 +15,21 @@ _UNITS = frozenset(
     ("deg", "hz", "kg", "m", "m2", "m3", "mm", "n", "pa", "per", "rad", "rpm", "s", "s2", "s3", "w")
 )
 """The units at the ends of names."""
+_NEEDS_PART = frozenset(("offset", "stiffness"))
+"""Words that say nothing without the part of the scenario."""
+
 _GREEK = {"lambda": "λ", "phi": "Φ", "eta": "η"}
 
 
 def labels(paths: Iterable[str]) -> dict[str, str]:
     """Return a dictionary from dotted path to words with a unit, such as ``mass (kg)``.
 
-    If several values have the same words, each text begins with the part of the scenario, such as
-    ``cylinder mass (kg)``.
+    If several values have the same words, or if the word says nothing alone, the text begins with
+    the part of the scenario, such as ``cylinder mass (kg)`` and ``cuff stiffness (N·m/rad)``.
     """
     known, texts = list(paths), {}
     for path in known:
-        count, unit = 1, _unit(path)
+        count, unit = 2 if _words(path) in _NEEDS_PART else 1, _unit(path)
         while count <= path.count(".") and any(
             _last_words(other, count) == _last_words(path, count)
             for other in known

@@ -281,11 +281,17 @@ class Scenario(Parameters):
                 "wearer.kind = leg needs plant.load.kind = knee, on which the cuff acts; add "
                 "plant: {load: knee}"
             )
+        low_deg, high_deg = self.reference.range_deg
+        if leg.motion == "prescribed" and self.reference.kind == "step" and low_deg < high_deg:
+            raise ValueError(
+                "wearer.motion = prescribed: the leg cannot follow the jump of reference.kind = "
+                "step; choose reference: ramp, or wearer.motion: active"
+            )
         if leg.moment is None and (assists or leg.effort != 1.0):
             why = "controller.mode = assist" if assists else f"wearer.effort = {leg.effort:g}"
             raise ValueError(
-                f"{why} needs wearer.moment; add a table, or the path of a CSV file with the "
-                f"columns time_s and knee_moment_nm"
+                f"{why} needs wearer.moment; add gait, a table, or the path of a CSV file with "
+                f"the columns time_s and knee_moment_nm"
             )
         if leg.moment is not None:
             start_s, end_s = leg.moment.times_s[0], leg.moment.times_s[-1]

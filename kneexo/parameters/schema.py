@@ -35,7 +35,10 @@ def json_schema() -> dict[str, Any]:
         for name, field in model.model_fields.items():
             _accept_words(classes[model.__name__]["properties"][name], field)
     scenario = classes.pop("Scenario")
-    scenario["properties"]["reference"]["oneOf"].append({"type": "string", "pattern": r"\.csv$"})
+    moment = classes["LegParameters"]["properties"]["moment"]
+    for alternatives in (scenario["properties"]["reference"]["oneOf"], moment["anyOf"]):
+        alternatives.append({"type": "string", "pattern": r"\.csv$"})
+    classes["GaitMoment"]["required"] = ["kind"]
     summaries = "; ".join(f"{name}: {preset.summary}" for name, preset in PRESETS.items())
     scenario["properties"]["preset"] = {"enum": list(PRESETS), "description": summaries}
     for schema in (scenario, *classes.values()):
@@ -64,7 +67,8 @@ def _accept_words(value: dict[str, Any], field: FieldInfo) -> None:
     ``value`` is the schema of the field. A kind that has values without default is no word.
     """
     more = more_models_of(field)
-    value.get("oneOf", []).extend({"$ref": f"#/$defs/{model.__name__}"} for model in more)
+    alternatives = value.get("oneOf", value.get("anyOf", []))
+    alternatives.extend({"$ref": f"#/$defs/{model.__name__}"} for model in more)
     incomplete = {
         kind_of(model)
         for model in (*models_of(field), *more)

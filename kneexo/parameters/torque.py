@@ -86,7 +86,8 @@ class TorqueParameters(Parameters):
     integral_rad_s2_per_n: float = quantity(
         20.0,
         "(rad/s²)/N",
-        "assumption: below (1 − γ)(C_t + k_p) ≥ k_i(τ_m + γT/2), the limit of passivity",
+        "assumption: about a tenth of the largest passive gain, "
+        "k_i ≤ (1 − γ)(C_t + k_p)/(τ_m + γT/2 + (1 − γ)τ_F)",
         ge=0,
         le=1e6,
     )

@@ -124,6 +124,18 @@ UNCERTAINTY = UncertaintySet(
 )
 """Uncertain values that ``kneexo study robustness`` and ``kneexo study contest`` use by default."""
 
+WEARER_UNCERTAINTY = UncertaintySet(
+    values={
+        "wearer.cuff.stiffness_n_m_per_rad": Uncertainty(
+            low=750.0, high=3000.0, scale="log", source="assumption: half and twice the default"
+        ),
+        "load_cell.offset_n": Uncertainty(
+            low=-10.0, high=10.0, source="assumption: 0.5 % of the range"
+        ),
+    }
+)
+"""Uncertain values that belong to `UNCERTAINTY` if the scenario has a wearer."""
+
 UNCERTAIN_KNEE = Scenario(plant=PlantParameters(load=KneeLoadParameters()))
 """The scenario that `UNCERTAINTY` varies: the paper's setup under the weight of the shank."""
 
@@ -135,9 +147,12 @@ def applicable(
 
     The scenario lacks the other values. The ranges of `UNCERTAINTY` are about the paper's knee, so
     they do not vary a value of the scenario that lies outside them, such as a linkage of the user.
+    With a wearer `UNCERTAINTY` also has the values of `WEARER_UNCERTAINTY`.
     Raises `ParameterError` if no value is left, and the errors of `require_applicable`.
     """
     values, is_default = uncertainty.values, uncertainty == UNCERTAINTY
+    if is_default and scenario.wearer.kind != "none":
+        values = values | WEARER_UNCERTAINTY.values
     present = {
         path: value
         for path, value in values.items()

@@ -12,8 +12,9 @@ from kneexo.errors import ParameterError
 from kneexo.files.reading import file_error
 from kneexo.files.table import read_table
 from kneexo.gait import gait_moment_cycle, gait_start_percent
+from kneexo.parameters.fields import Words
 from kneexo.parameters.quantity import Parameters, choice, quantities, quantity
-from kneexo.parameters.reference import LONGEST_TIME_S, gait_reference
+from kneexo.parameters.reference import LONGEST_TIME_S, GaitReference, gait_reference
 
 MAXWELL_BANK = (
     (0.06, 1.3939),
@@ -76,6 +77,14 @@ class MomentTable(Parameters):
         return self
 
 
+class GaitMoment(GaitReference):
+    """The built-in knee moment of walking, in phase with `GaitReference`; see `gait_moment`."""
+
+    body_mass_kg: float = quantity(
+        MOMENT_MASS_KG, "kg", "assumption: an adult; the moment is proportional", ge=1, le=500
+    )
+
+
 def gait_moment(
     frequency_hz: float = 1.0, cycles: int = 3, *, body_mass_kg: float = MOMENT_MASS_KG
 ) -> MomentTable:
@@ -105,11 +114,20 @@ def leg_of_body(mass_kg: float, height_m: float) -> dict[str, float]:
 
 
 def read_moment(value: Any, directory: Any) -> Any:
-    """Return the table of a CSV file if ``value`` is a path. Return any other value unchanged.
+    """Return the table of a moment of walking or of a CSV file. Return other values unchanged.
 
-    The file has the columns ``time_s`` and ``knee_moment_nm``. A relative path starts at
-    ``directory``. Raises `ParameterError` for a faulty file.
+    ``value`` is an object, a mapping or the path of a CSV file with the columns ``time_s`` and
+    ``knee_moment_nm``. A relative path starts at ``directory``. Raises `ParameterError` for a
+    faulty file or value.
     """
+    if isinstance(value, dict) and value.get("kind") == "gait":
+        try:
+            value = GaitMoment(**value)
+        except ParameterError as error:
+            raise ParameterError(str(error).removeprefix("GaitMoment: ")) from None
+    if isinstance(value, GaitMoment):
+        mass_kg = value.body_mass_kg
+        return gait_moment(value.frequency_hz, value.cycles, body_mass_kg=mass_kg)
     if not (isinstance(value, str) and value.endswith(".csv")):
         return value
     path = Path(directory, value)
@@ -210,8 +228,10 @@ class LegParameters(Parameters):
         ge=0,
         le=2,
     )
-    moment: MomentTable | None = choice(
-        None, "given by the user: biological moment, a table or the path of a CSV file"
+    moment: Annotated[
+        MomentTable | None, Words(models=(GaitMoment,), others=("the path of a .csv file",))
+    ] = choice(
+        None, "given by the user: biological moment, a table, gait, or the path of a CSV file"
     )
     cuff: CuffParameters = CuffParameters()
 
@@ -269,6 +289,7 @@ WEARERS = {
 }
 """Legs from soft to stiff, as cases for the stability of a loop.
 
-Sources: PMC2801882 reports 6…14 N·m/rad in swing and 143…286 N·m/rad in stance. Assumptions: the
-losses of a tense leg and of a leg in stance, and a light leg with a third of an adult's inertia.
+Sources: PMC2801882 reports 6…14 N·m/rad in swing and 143…286 N·m/rad in stance. arXiv 2112.05564
+reports 0…3.5 N·m/rad in swing, the source of the default. Assumptions: the losses of a tense leg
+and of a leg in stance, and a light leg with a third of an adult's inertia.
 """

@@ -17,6 +17,8 @@ from kneexo.parameters.labels import labels, value_text
         ("controller.phi_m_s2", "Φ (m/s²)"),
         ("plant.linkage", "linkage"),
         ("initial_offset_m", "initial offset (m)"),
+        ("load_cell.offset_n", "load cell offset (N)"),
+        ("wearer.cuff.stiffness_n_m_per_rad", "cuff stiffness (N·m/rad)"),
     ],
 )
 def test_a_label_has_words_and_the_unit_of_the_field(path, text):

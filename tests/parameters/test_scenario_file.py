@@ -557,7 +557,7 @@ def instances_of(model: type[Parameters]) -> st.SearchStrategy[Parameters]:
     if model is LawParameters:  # its function has one gain and no state
         fields["values"] = st.fixed_dictionaries({"gain": st.floats(-1e6, 1e6)})
         fields["initial_state"] = st.just(())
-    if model is Scenario:  # a wearer needs a load, a moment must cover the run
+    if model is Scenario:  # a moment must cover the run
         fields["wearer"] = st.just(NoWearer()) | instances_of(LegParameters)
     if model is LegParameters:
         fields["loss_modulus_n_m_per_rad"] = st.just(0.0)
@@ -573,8 +573,9 @@ def instances_of(model: type[Parameters]) -> st.SearchStrategy[Parameters]:
             knee = drawn["plant"].knee
             if low < knee.flexion_min_deg or high > knee.flexion_max_deg:
                 del drawn["reference"], drawn["plant"]
-            if drawn.get("plant", PlantParameters()).load.kind == "none":
-                del drawn["wearer"]
+            jumps = "reference" in drawn and drawn["reference"].kind == "step"
+            if jumps or drawn.get("plant", PlantParameters()).load.kind == "none":
+                del drawn["wearer"]  # a prescribed leg cannot jump, and a cuff acts on a load
             law, leg = drawn["controller"], drawn.get("wearer", NoWearer())
             if law.kind == "torque" and getattr(leg, "moment", None) is None:
                 drawn["controller"] = law.model_copy(update={"mode": "impedance"})

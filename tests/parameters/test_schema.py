@@ -77,6 +77,9 @@ VALID = [
     *(f"plant: {{load: {word}}}" for word in ("none", "knee")),
     "plant: {full_order: true}",
     "plant: {full_order: false}",
+    "plant: {load: knee}\nwearer: {kind: leg, moment: gait}",
+    "plant: {load: knee}\nwearer: {kind: leg, moment: {kind: gait, body_mass_kg: 60}}",
+    "plant: {load: knee}\nwearer: {kind: leg, moment: moment.csv}",
     "estimator: {}",
     "bus: {latency_samples: 2}",
     "bus: {kind: cia402, velocity_unit_rpm: 1, latency_samples: 1}",
@@ -89,6 +92,7 @@ def test_schema_accepts_what_loads(schema, text, tmp_path):
     path = tmp_path / "scenario.yaml"
     path.write_text(text, encoding="utf-8")
     (tmp_path / "gait.csv").write_text("time_s,knee_angle_deg\n0,1\n1,2\n2,3\n")
+    (tmp_path / "moment.csv").write_text("time_s,knee_moment_nm\n0,1\n30,2\n")
     load_scenario(path)
     assert errors(schema, text) == []
 
@@ -113,6 +117,9 @@ def test_schema_accepts_what_loads(schema, text, tmp_path):
         "plant: {full_order: 1}",
         "reference: {kind: csv}",
         "reference: {kind: samples, times_s: [0, 1], angles_deg: [3, 4]}",
+        "plant: {load: knee}\nwearer: {kind: leg, moment: walk}",
+        "plant: {load: knee}\nwearer: {kind: leg, moment: {kind: gait, body_mass_kg: 0}}",
+        "plant: {load: knee}\nwearer: {kind: leg, moment: {body_mass_kg: 60}}",
         "bus: {latency_samples: 11}",
         "bus: {velocity_unit_rpm: 1}",
         "bus: {kind: cia402, velocity_unit_rpm: 0.5}",

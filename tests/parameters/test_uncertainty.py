@@ -12,6 +12,7 @@ from kneexo.parameters import (
     LINKAGES,
     UNCERTAIN_KNEE,
     UNCERTAINTY,
+    CuffParameters,
     FullCylinderParameters,
     PlantParameters,
     Scenario,
@@ -104,6 +105,23 @@ def test_the_default_set_varies_every_value_of_a_preset(preset):
     scenario = Scenario.preset(preset)
     _, absent = applicable(scenario, UNCERTAINTY)
     assert all(not has_path(scenario, path) for path in absent)
+
+
+def test_a_wearer_adds_cuff_and_load_cell_to_the_default_set_alone():
+    """Ranges from half to twice the default stiffness, and of 0.5 % of the load cell's range."""
+    wearer = Scenario.preset("wearer")
+    present, _ = applicable(wearer, UNCERTAINTY)
+    cuff = present.values["wearer.cuff.stiffness_n_m_per_rad"]
+    offset = present.values["load_cell.offset_n"]
+    stiffness = CuffParameters().stiffness_n_m_per_rad
+    assert (cuff.low, cuff.high) == (stiffness / 2, stiffness * 2)
+    assert (offset.low, offset.high) == pytest.approx(
+        (-0.005 * wearer.load_cell.range_n, 0.005 * wearer.load_cell.range_n)
+    )
+    low = realize(wearer, present, {path: present.values[path].at(0.0) for path in present.values})
+    assert (low.wearer.cuff.stiffness_n_m_per_rad, low.load_cell.offset_n) == (750.0, -10.0)
+    chosen = UncertaintySet(values={"plant.linkage": UNCERTAINTY.values["plant.linkage"]})
+    assert applicable(wearer, chosen) == (chosen, ())
 
 
 FAULTS = {

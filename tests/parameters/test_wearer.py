@@ -8,6 +8,7 @@ from kneexo.errors import ParameterError
 from kneexo.gait import gait_knee_flexion, gait_moment_cycle
 from kneexo.parameters import (
     BODIES,
+    GaitMoment,
     LegParameters,
     MomentTable,
     gait_moment,
@@ -85,6 +86,27 @@ def test_a_leg_without_inertia_is_refused() -> None:
 def test_a_faulty_table_is_refused_in_one_line(times, moments, line) -> None:
     with pytest.raises(ParameterError, match=rf"^MomentTable: {line}\Z"):
         MomentTable(times_s=times, moments_n_m=moments)
+
+
+@pytest.mark.parametrize(
+    ("given", "moment"),
+    [
+        ("gait", gait_moment(1.0, 30)),
+        (GaitMoment(cycles=2), gait_moment(1.0, 2)),
+        (
+            {"kind": "gait", "frequency_hz": 0.5, "cycles": 3, "body_mass_kg": 150.0},
+            gait_moment(0.5, 3, body_mass_kg=150.0),
+        ),
+    ],
+)
+def test_the_moment_of_walking_has_a_name(given, moment) -> None:
+    assert LegParameters(moment=given).moment == moment
+
+
+def test_a_faulty_moment_of_walking_is_refused_in_one_line() -> None:
+    line = r"^LegParameters: moment: body_mass_kg = 0 kg is out of range: .*>= 1 and <= 500 kg\Z"
+    with pytest.raises(ParameterError, match=line):
+        LegParameters(moment={"kind": "gait", "body_mass_kg": 0})
 
 
 def test_a_moment_can_be_a_csv_file(tmp_path) -> None:

@@ -350,7 +350,8 @@ def robustness_study(
 
     The study ignores uncertain values that the scenario lacks, such as the values of a load in a
     scenario without load, and reports their paths. The bandwidth is measured only if the knee
-    follows a sine that moves. ``options``: see `kneexo.sweeps.SweepOptions`.
+    follows a sine that moves. A torque controller does not follow the reference, so its tracking
+    error has no derivatives. ``options``: see `kneexo.sweeps.SweepOptions`.
 
     Raises `ParameterError` for an uncertain value that no scenario has or that is out of range, and
     if the scenario has none of the values.
@@ -389,7 +390,7 @@ def _explore(
     local: dict[str, dict[str, float]] = {}
     troubles = []
     if paths:
-        tasks = ["margins", *(["tracking"] if settings.sensitivity_duration_s else [])]
+        tasks = ["margins", *(["tracking"] if settings.sensitivity_duration_s and follows else [])]
         function = partial(_local, scenario, tuple(paths), settings.sensitivity_duration_s)
         for gradients in sweep.map(function, tasks, "sensitivities"):
             troubles += [gradients.pop("failure")] if "failure" in gradients else []

@@ -25,7 +25,7 @@ from robustness_cases import (
 )
 from scipy.stats import spearmanr
 
-from kneexo.analysis.assessment import assess
+from kneexo.analysis.assessment import MARGIN_METRICS, assess
 from kneexo.command_line.output import to_json
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
@@ -529,8 +529,9 @@ def test_with_torque_control_the_torque_of_the_wearer_is_ranked_and_the_angle_is
         wearer__cuff__stiffness_n_m_per_rad={"low": 750.0, "high": 3000.0},
         plant__pump__lag_s={"low": 0.005, "high": 0.02},
     )
-    few = FEW.model_copy(update={"samples": 4, "bandwidth": True})
+    few = FEW.model_copy(update={"samples": 4, "bandwidth": True, "sensitivity_duration_s": 0.1})
     result = robustness_study(scenario, cuff, few)
+    assert {"disk_margin"} <= set(result.local) <= {"largest_eigenvalue", *MARGIN_METRICS}
     assert result.merits[:2] == ("peak_torque_n_m", "rms_torque_n_m")
     assert not {"max_error_deg", "rms_error_deg", "bandwidth_hz"} & set(result.merits)
 
