@@ -44,9 +44,9 @@ class InteractionMetrics(Result):
 
     It is nan without biological moment.
     """
-    power_taken_w: float
+    power_from_wearer_w: float
     """∫max(τ_i dθ_h/dt, 0) dt/T, mean power that the wearer gives to the exoskeleton."""
-    power_given_w: float
+    power_to_wearer_w: float
     """∫max(−τ_i dθ_h/dt, 0) dt/T, mean power that the wearer gets from the exoskeleton."""
 
     @property
@@ -57,7 +57,7 @@ class InteractionMetrics(Result):
         return (
             f"Interaction torque {self.rms_torque_n_m:.3g} N·m rms, peak "
             f"{self.peak_torque_n_m:.3g} N·m at {self.peak_time_s:.4g} s; the wearer gives "
-            f"{self.power_taken_w:.3g} W and gets {self.power_given_w:.3g} W{assistance}."
+            f"{self.power_from_wearer_w:.3g} W and gets {self.power_to_wearer_w:.3g} W{assistance}."
         )
 
 
@@ -102,17 +102,19 @@ def interaction_metrics(run: Run, *, period_s: float = 0.0) -> InteractionMetric
         peak_torque_n_m=float(np.abs(torque[largest])),
         peak_time_s=float(time[largest]),
         assistance_ratio=ratio,
-        power_taken_w=mean(np.maximum(torque * rate, 0.0)),
-        power_given_w=mean(np.maximum(-torque * rate, 0.0)),
+        power_from_wearer_w=mean(np.maximum(torque * rate, 0.0)),
+        power_to_wearer_w=mean(np.maximum(-torque * rate, 0.0)),
     )
 
 
 def whole_periods(time_s: Array, period_s: float) -> slice:
     """Return the samples of the whole periods after the first period.
 
-    All samples are returned if the period is 0 or if ``time_s`` (n,) has less than two periods.
+    All samples are returned if the period is 0 or if ``time_s`` (n,) has less than two periods. The
+    last period may lack its last sample, because a period may end between two samples.
     """
-    periods = math.floor((time_s[-1] - time_s[0]) / period_s + 1e-9) if period_s > 0.0 else 0
+    span_s = time_s[-1] - time_s[0] + (time_s[1] - time_s[0])
+    periods = math.floor(span_s / period_s + 1e-9) if period_s > 0.0 else 0
     if periods < 2:
         return slice(None)
     ends = time_s[0] + period_s * np.array([1, periods])

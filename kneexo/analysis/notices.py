@@ -91,10 +91,10 @@ def notices(scenario: Scenario) -> Iterator[str]:
 
     Besides the `model_notices`, a line says that no wearer moves the knee under torque control. If
     a virtual stiffness is unstable, a line has both ends of the stable interval. A line says at
-    which end of the reference's range the torque control of a wearer is unstable. A line says that
-    the run ends within the first period of a sinusoidal reference, before it has settled. A line
-    says that the run holds the first or the last sample of its reference for more than
-    `LONGEST_HOLD` of its duration.
+    which end of the reference's range the torque control of a wearer is unstable. A line says when
+    missing readings of the load cell stop the motor. A line says that the run ends within the first
+    period of a sinusoidal reference, before it has settled. A line says that the run holds the
+    first or the last sample of its reference for more than `LONGEST_HOLD` of its duration.
 
     Raises `LinkageError` when the linkage cannot be assembled.
     """
@@ -106,6 +106,7 @@ def notices(scenario: Scenario) -> Iterator[str]:
         )
     yield from _stiffness_notice(scenario)
     yield from _torque_control_notice(scenario)
+    yield from _load_cell_notice(scenario)
     reference, duration_s = scenario.reference, scenario.duration_s
     if (period := period_s(scenario)) >= duration_s:
         yield (
@@ -140,9 +141,12 @@ def _stiffness_notice(scenario: Scenario) -> Iterator[str]:
     low, high = ends.low_n_m_per_rad, ends.high_n_m_per_rad
     if low <= given <= high:
         return
-    line = f"{path} = {given:g} N·m/rad is unstable at {angle:.3g}°: "
+    where = f"{angle:.3g}°"
+    if law.mode == "assist_as_needed":  # within the band there is no spring
+        where += ", outside the band"
+    line = f"{path} = {given:g} N·m/rad is unstable at {where}: "
     if math.isnan(low):
-        yield f"{line}no stiffness is stable; reduce controller.speed_feedforward"
+        yield f"{line}no stiffness is stable; reduce the controller's gains and damping"
     else:
         remedy = "increase" if given < low else "reduce"
         interval = f"{value_text(path, low)} … {value_text(path, high)}"
@@ -165,6 +169,18 @@ def _torque_control_notice(scenario: Scenario) -> Iterator[str]:
         yield (
             f"knee and wearer are unstable at {worst:.3g}°: the largest eigenvalue of the sampled "
             f"loop is {growth[worst]:.3g}, and must be below 1; reduce the controller's gains"
+        )
+
+
+def _load_cell_notice(scenario: Scenario) -> Iterator[str]:
+    """Yield a line if readings of the load cell are missing until the torque control stops."""
+    law, cell = scenario.controller, scenario.load_cell
+    stop_s = cell.dropout_start_s + law.timeout_s if law.kind == "torque" else math.inf
+    end_s = min(cell.dropout_start_s + cell.dropout_s, scenario.duration_s)
+    if stop_s < end_s:
+        yield (
+            f"load_cell.dropout_s = {cell.dropout_s:g} s: without readings the motor stops from "
+            f"{stop_s:.4g} s to {end_s:.4g} s, which margins and impedance leave out"
         )
 
 

@@ -293,7 +293,10 @@ def _torques(scenario: Scenario, run: Run) -> tuple[dict[str, Any], list[str]]:
     if set(columns(INTERACTION_SIGNALS)) <= set(run.data):
         interaction = interaction_metrics(run, period_s=period_s(scenario))
         fields["interaction"] = interaction
-        lines.append(interaction.line)
+        law, line, ratio = scenario.controller, interaction.line, interaction.assistance_ratio
+        if law.kind == "torque" and law.mode == "assist" and not math.isnan(ratio):
+            line = f"{line.removesuffix('.')} (requested {law.assistance:.3g})."
+        lines.append(line)
     if set(columns(TORQUE_SIGNALS)) <= set(run.data):
         window = whole_periods(run.time_s, period_s(scenario))
         error, time_s = torque_error(run)[window], run.time_s[window]
@@ -391,6 +394,27 @@ def _limits(scenario: Scenario, run: Run) -> dict[str, _Limit]:
             share_above(power, rated_w),
             f"power above {rated_w:.3g} W",
             f"power {np.max(np.abs(power)):.2g} of {rated_w:.3g} W",
+        ),
+        **_torque_limits(scenario, run),
+    }
+
+
+def _torque_limits(scenario: Scenario, run: Run) -> dict[str, _Limit]:
+    """Return the limits of the desired torque and of the load cell, of a torque controller."""
+    law, cell = scenario.controller, scenario.load_cell
+    if law.kind != "torque" or not set(columns(TORQUE_SIGNALS)) <= set(run.data):
+        return {}
+    limit, force = law.torque_limit_n_m, run["rod_force_n"] + cell.offset_n
+    return {
+        "desired torque": _Limit(
+            saturated_share(run["desired_torque_n_m"], limit),
+            f"desired torque at its limit of {limit:.4g} N·m",
+            "",
+        ),
+        "load cell": _Limit(
+            share_above(force, cell.range_n),
+            f"load cell beyond its range of {cell.range_n:.4g} N",
+            "",
         ),
     }
 

@@ -90,8 +90,14 @@ def _numbers(result: TrackingResult) -> Iterator[Row]:
         yield (f"interaction torque, root mean square{first}", _torque(torques.rms_torque_n_m))
         yield (f"interaction torque, mean magnitude{first}", _torque(torques.mean_torque_n_m))
         yield (f"interaction torque, largest{first}", _torque(torques.peak_torque_n_m))
-        yield (f"mean power that the wearer gives{first}", _with_unit(torques.power_taken_w, "W"))
-        yield (f"mean power that the wearer gets{first}", _with_unit(torques.power_given_w, "W"))
+        yield (
+            f"mean power that the wearer gives{first}",
+            _with_unit(torques.power_from_wearer_w, "W"),
+        )
+        yield (
+            f"mean power that the wearer gets{first}",
+            _with_unit(torques.power_to_wearer_w, "W"),
+        )
         if not math.isnan(torques.assistance_ratio):
             yield (f"assistance ratio{first}", _percent(torques.assistance_ratio))
     if verdict.tracks is None:

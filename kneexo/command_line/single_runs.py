@@ -91,7 +91,7 @@ def simulate(choice: ScenarioChoice, out: Path, page: ReportPage | None = None) 
         motions = {name: (scenario.plant, result.run.columns)}
         files |= page.file(report, figures, origin, motions)
     m = result.metrics
-    error = "error (root mean square)" if verdict.tracks is not None else "distance from reference "
+    error = "error (root mean square)" if verdict.tracks is not None else "rms from the reference  "
     lines = [
         verdict.text,
         f"  {error}  {number(m.rms_error_deg, '.3g')} deg",

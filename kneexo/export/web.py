@@ -326,7 +326,7 @@ def _quantity(
 
 
 def _references(scenario: Scenario) -> dict[str, Any]:
-    kinds = REFERENCES if scenario.wearer.kind == "none" else ("sine",)  # a leg does not jump
+    kinds = REFERENCES if scenario.wearer.kind == "none" else ("sine",)  # see `loop_source`
     references: dict[str, Any] = {kind: _reference(kind, scenario) for kind in kinds}
     if isinstance(scenario.reference, SampledReference):
         table = _table(reference_table(scenario.reference))

@@ -163,7 +163,7 @@ def _require_motion(scenario: Scenario) -> None:
     if reference.kind not in ("sine", "samples"):
         raise ParameterError(
             f"reference.kind = {reference.kind!r}: must be 'sine' or 'samples' on a page with a "
-            f"wearer, because a leg does not jump"
+            f"wearer, because the page has only their motion between two samples"
         )
     if reference.kind == "samples" and (gap := min(np.diff(reference.times_s))) < period:
         raise ParameterError(

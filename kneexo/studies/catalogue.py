@@ -267,7 +267,7 @@ STUDIES = {
             "Help for weak legs with each mode of torque control.",
             setup="full order of the cylinder, weight of the shank, torque control and a wearer",
             stages=(
-                Stage("torque of wearers", 36.0),
+                Stage("torque of wearers", 62.0),
                 Stage("margins", 4.0),
                 Stage(FIGURES, 1.0),
                 Stage(FILES, 2.0),

@@ -52,7 +52,7 @@ class TorqueController(NamedLeaf):
     r̂ = −dx/dθ follows from Eq. 10, and the knee rate is −v̂/r̂. By ``mode``,
     ``zero_torque``: τ_d = 0;  ``assist``: τ_d = a M;
     ``impedance``: τ_d = −K_v(θ − θ_ref) − B_v(dθ/dt − dθ_ref/dt);
-    ``assist_as_needed``: τ_d = −K_v dz(θ − θ_ref), where dz is zero within the band.
+    ``assist_as_needed``: τ_d = −K_v(θ − θ_ref − clip(θ − θ_ref, ±band)).
     If the age of the reading exceeds ``timeout_s``, the command and I are zero, and the oil holds
     the knee. Without integral action (K_i = 0) I stays zero.
 

@@ -44,15 +44,15 @@ def test_torque_and_powers_of_sines_are_those_of_integrals_by_hand():
     phi = 0.7
     taken = 15.0 * (math.sin(phi) + (math.pi - phi) * math.cos(phi)) / math.pi
     given = 15.0 * (math.sin(phi) - phi * math.cos(phi)) / math.pi
-    assert metrics.power_taken_w == pytest.approx(taken, **KINKS)
-    assert metrics.power_given_w == pytest.approx(given, **KINKS)
+    assert metrics.power_from_wearer_w == pytest.approx(taken, **KINKS)
+    assert metrics.power_to_wearer_w == pytest.approx(given, **KINKS)
     assert math.isnan(metrics.assistance_ratio)
 
 
 def test_a_wearer_who_is_pulled_along_gets_power():
     metrics = interaction_metrics(sines(phase=math.pi), period_s=2.0)
-    assert metrics.power_taken_w == pytest.approx(0.0, abs=1e-9)
-    assert metrics.power_given_w == pytest.approx(15.0, **EXACT)
+    assert metrics.power_from_wearer_w == pytest.approx(0.0, abs=1e-9)
+    assert metrics.power_to_wearer_w == pytest.approx(15.0, **EXACT)
 
 
 @pytest.mark.parametrize(("phase", "ratio"), [(math.pi, 0.25), (0.0, -0.25), (math.pi / 2, 0.0)])
@@ -72,11 +72,14 @@ def test_the_initial_transient_and_a_part_of_a_period_do_not_count():
     assert (metrics.peak_torque_n_m, metrics.peak_time_s) == (7.0, pytest.approx(2.5))
     # one sample of 1 ms in 2 s
     assert metrics.mean_torque_n_m == pytest.approx(2.0 + 5.0 * 0.001 / 2.0)
-    assert metrics.power_given_w == pytest.approx(metrics.mean_torque_n_m)
-    assert metrics.power_taken_w == 0.0
+    assert metrics.power_to_wearer_w == pytest.approx(metrics.mean_torque_n_m)
+    assert metrics.power_from_wearer_w == 0.0
     for whole in (interaction_metrics(run), interaction_metrics(run, period_s=2.6)):
         assert (whole.start_s, whole.end_s, whole.peak_torque_n_m) == (0.0, 5.0, 99.0)
     assert interaction_metrics(run, period_s=2.5).end_s == 5.0
+    between = interaction_metrics(run, period_s=5.0008 / 2)  # its end lies between two samples
+    assert (between.start_s, between.end_s) == pytest.approx((2.501, 5.0))
+    assert interaction_metrics(run, period_s=5.0012 / 2).start_s == 0.0
 
 
 def test_the_mean_torque_is_in_the_root_mean_square():
@@ -114,8 +117,8 @@ def test_a_run_agrees_with_its_own_power_and_force():
     metrics = interaction_metrics(run)
     power = run["power_of_wearer_w"]
     net = np.trapezoid(power, run.time_s) / 2.0
-    assert metrics.power_taken_w - metrics.power_given_w == pytest.approx(net, rel=1e-9)
-    assert metrics.power_taken_w + metrics.power_given_w == pytest.approx(
+    assert metrics.power_from_wearer_w - metrics.power_to_wearer_w == pytest.approx(net, rel=1e-9)
+    assert metrics.power_from_wearer_w + metrics.power_to_wearer_w == pytest.approx(
         np.trapezoid(np.abs(power), run.time_s) / 2.0, rel=1e-9
     )
     # The mass of 1.6 kg at the rod, without weight, needs less than 1e-3 N·m.

@@ -235,6 +235,23 @@ def test_no_line_is_wider_than_100_columns_unless_it_is_one_word():
     assert model_lines(Scenario(), ["a", "b"])[1:] == ["Note: a.", "Note: b."]
 
 
+@pytest.mark.parametrize(
+    ("cell", "line"),
+    [
+        ({"dropout_s": 2.0, "dropout_start_s": 3.0}, "2 s: .* from 3.01 s to 5 s, which margins"),
+        ({"dropout_s": 1e5}, "100000 s: .* from 1.01 s to 30 s, which margins"),
+        ({"dropout_s": 0.009}, ""),
+        ({"dropout_s": 9.0, "dropout_start_s": 30.0}, ""),
+    ],
+)
+def test_readings_that_are_missing_for_long_are_a_notice(cell, line):
+    values = {"plant": {"load": "knee"}, "wearer": "leg", "load_cell": cell}
+    lines = list(notices(Scenario(controller={"kind": "torque", "timeout_s": 0.01}, **values)))
+    assert len(lines) == bool(line)
+    assert not line or re.match(f"load_cell.dropout_s = {line}", lines[0])
+    assert not list(notices(Scenario(**values)))  # position control does not read the cell
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("law", "line"),
@@ -244,7 +261,7 @@ def test_no_line_is_wider_than_100_columns_unless_it_is_one_word():
         ({"speed_feedforward": 1.0}, r"must be \d{4} … \d{5} N·m/rad; increase it"),
         (
             {"integral_rad_s2_per_n": 1e6},
-            r"no stiffness is stable; reduce controller.speed_feedforward",
+            r"no stiffness is stable; reduce the controller's gains and damping",
         ),
     ],
 )
@@ -257,7 +274,8 @@ def test_an_unstable_virtual_stiffness_is_a_notice_with_both_ends(law, line):
         reference=StepReference(start_deg=45.0, end_deg=45.0),
     )
     stiffness = scenario.controller.stiffness_n_m_per_rad
-    start = f"controller.stiffness_n_m_per_rad = {stiffness:g} N·m/rad is unstable at 45°: "
+    where = "45°" if law["mode"] == "impedance" else "45°, outside the band"
+    start = f"controller.stiffness_n_m_per_rad = {stiffness:g} N·m/rad is unstable at {where}: "
     (notice,) = notices(scenario)
     assert re.fullmatch(re.escape(start) + line, notice)
     free = scenario.changed({"controller.mode": "zero_torque"})

@@ -75,7 +75,7 @@ def test_a_wearer_who_walks_opens_valves_and_draws_a_vacuum(capsys, tmp_path, un
         f"Interaction torque {rms:.3g} N·m rms, peak {abs(torque).max():.3g} N·m"
     )
     assert "relief valves open for" in text
-    assert "distance from reference" in text
+    assert "rms from the reference" in text
     assert "error (root mean square)" not in text
 
 

@@ -224,11 +224,11 @@ def test_the_inertia_of_a_shank_needs_lower_gains_and_a_slower_load_cell():
                 "wearer": "leg",
                 "controller": {"kind": "torque", "mode": "assist"},
             },
-            r"controller.mode = assist needs wearer.moment; add a table, .*",
+            r"controller.mode = assist needs wearer.moment; add gait, a table, .*",
         ),
         (
             {"plant": LOADED, "wearer": {"kind": "leg", "effort": 0.7}},
-            r"wearer.effort = 0.7 needs wearer.moment; add a table, .*",
+            r"wearer.effort = 0.7 needs wearer.moment; add gait, a table, .*",
         ),
         (
             {

@@ -125,8 +125,8 @@ SHORT_GAP = {"kind": "samples", "times_s": [0.0, 0.001, 1.0], "angles_deg": [10.
     ("fields", "message"),
     [
         (
-            {"reference": "step"},
-            r"^reference\.kind = 'step': must be 'sine' or 'samples' on a page",
+            {"reference": "ramp"},
+            r"^reference\.kind = 'ramp': must be 'sine' or 'samples' on a page",
         ),
         (
             {"reference": SHORT_GAP},

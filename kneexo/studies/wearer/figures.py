@@ -68,11 +68,11 @@ def _torque(result: WearerResult) -> Figure:
     rise = median_low(result.settings.rise_times_s)
     figure, axes = plt.subplots(2, 2, figsize=(9.5, 6.0), sharex="col", layout="constrained")
     figure.set_label(
-        "How does the knee feel? Above: angle of the leg and of the exoskeleton. The difference is "
-        "the strain of the cuff. Below: torque with which the leg must push the exoskeleton, "
-        "positive in flexion. The desired torque is zero. A free leg would push with 0 N·m. "
-        "With higher gains the torque oscillates when the load changes from one chamber to the "
-        "other."
+        "What torque does the leg feel? Above: angle of the leg and of the exoskeleton. The "
+        "difference is the deflection of the cuff. Below: torque with which the leg must push "
+        "the exoskeleton, positive in flexion. The desired torque is zero. A free leg would push "
+        "with 0 N·m. With higher gains the torque oscillates when the load changes from one "
+        "chamber to the other."
     )
     titles = f"walking, {cadence:g} strides/s", f"standing up and sitting down, {rise:g} s each"
     for column, title in zip(axes.T, titles, strict=True):
@@ -119,8 +119,8 @@ def _cadence(result: WearerResult) -> Figure:
     figure.set_label(
         "How does the torque depend on the speed of the motion? Root mean square of the torque "
         "with which the leg must push the exoskeleton, without desired torque. The torque that "
-        "remains with a motor without limits is due to the control. The dotted line is the "
-        "largest mean torque of miniHydrA, an electro-hydraulic ankle."
+        "remains with a motor without limits is due to control, oil and valves. The dotted line "
+        "is the largest mean magnitude of the torque of miniHydrA, an electro-hydraulic ankle."
     )
     for ax, walking in zip(axes, (True, False), strict=True):
         rows = [row for row in result.transparency if np.isfinite(row.cadence_hz) == walking]
@@ -128,7 +128,7 @@ def _cadence(result: WearerResult) -> Figure:
             name: [row.rms_torque_n_m for row in rows if row.design == name] for name in _SHOWN
         }
         _bars(ax, torques, digits=2)
-        ax.axhline(_ANKLE_N_M, color="k", ls=":", lw=1.2, label="miniHydrA, 0…5 Hz")
+        ax.axhline(_ANKLE_N_M, color="k", ls=":", lw=1.2, label="miniHydrA, 0…5 Hz, mean")
         speeds = settings.cadences_hz if walking else settings.rise_times_s
         ax.set_xticks(range(len(speeds)), [f"{speed:g}" for speed in speeds])
     axes[0].set(xlabel="walking, strides per second (Hz)", ylabel="rms torque of the leg (N·m)")

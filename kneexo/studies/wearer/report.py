@@ -6,7 +6,7 @@ import math
 from statistics import median_low
 
 from kneexo.analysis.margins import soundness
-from kneexo.parameters import BODIES
+from kneexo.parameters import BODIES, SEAL_FRICTION_N
 from kneexo.studies.markdown import number
 from kneexo.studies.template import filled
 from kneexo.studies.wearer.study import (
@@ -36,7 +36,9 @@ def report(result: WearerResult) -> str:
     return filled(
         "wearer/report.md",
         result=result,
+        scenario=result.scenario,
         settings=settings,
+        seal_friction_n=SEAL_FRICTION_N,
         paper=walks[PAPER],
         paper_higher=walks[PAPER + HIGHER],
         unlimited=walks[UNLIMITED],

@@ -142,7 +142,7 @@ _STANCE = ("stiffness_n_m_per_rad", "loss_modulus_n_m_per_rad", "damping_n_m_s_p
 _SIGNALS = (*INTERACTION_SIGNALS, "knee_reference", "knee_angle", "motor_speed_command")
 _METRICS = (
     *("rms_torque_n_m", "mean_torque_n_m", "peak_torque_n_m"),
-    *("assistance_ratio", "power_taken_w", "power_given_w"),
+    *("assistance_ratio", "power_from_wearer_w", "power_to_wearer_w"),
 )
 
 
@@ -173,8 +173,8 @@ class WearerRow:
     mean_torque_n_m: float = math.nan
     peak_torque_n_m: float = math.nan
     assistance_ratio: float = math.nan
-    power_taken_w: float = math.nan
-    power_given_w: float = math.nan
+    power_from_wearer_w: float = math.nan
+    power_to_wearer_w: float = math.nan
     deviation_deg: float = math.nan
     """Largest deviation of the leg from its path."""
     saturated_share: float = math.nan

@@ -439,8 +439,9 @@ const Simulator = (() => {
   function interactionMetrics({ time, torque, rate }, period_s) {
     if (!torque) return {};
     const last = time.length - 1;
-    const periods = period_s > 0 ? Math.floor(time[last] / period_s + 1e-9) : 0;
-    const ends = periods < 2 ? [0, last] : [1, periods].map((count) => indexAt(time, count * period_s));
+    const periods = period_s > 0 ? Math.floor((time[last] + time[1]) / period_s + 1e-9) : 0;
+    const ends = periods < 2 ? [0, last] : [1, periods].map(
+      (count) => Math.min(indexAt(time, count * period_s), last));
     const [power, torques] = [torque.map((value, k) => value * rate[k]), torque].map(
       (column) => column.subarray(ends[0], ends[1] + 1));
     const share = (time[1] - time[0]) / (time[ends[1]] - time[ends[0]]);
@@ -448,8 +449,8 @@ const Simulator = (() => {
       periods: Math.max(periods - 1, 0),
       rms_torque_n_m: Math.sqrt(integral(torques, share, (value) => value * value)),
       peak_torque_n_m: largest(torques),
-      power_taken_w: integral(power, share, (value) => Math.max(value, 0)),
-      power_given_w: integral(power, share, (value) => Math.max(-value, 0)),
+      power_from_wearer_w: integral(power, share, (value) => Math.max(value, 0)),
+      power_to_wearer_w: integral(power, share, (value) => Math.max(-value, 0)),
     };
   }
 

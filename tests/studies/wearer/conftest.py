@@ -22,7 +22,7 @@ from kneexo.studies.wearer.study import (
 
 NUMBERS = (
     *("rms_torque_n_m", "mean_torque_n_m", "peak_torque_n_m", "assistance_ratio"),
-    *("power_taken_w", "power_given_w", "deviation_deg"),
+    *("power_from_wearer_w", "power_to_wearer_w", "deviation_deg"),
 )
 
 

@@ -1,9 +1,11 @@
 """Each number of the report on the study `wearer` is that of its row."""
 
 import math
+from dataclasses import replace
 
 import pytest
 
+from kneexo.parameters.paths import changed
 from kneexo.studies.wearer.report import report
 from kneexo.studies.wearer.study import DEVICES
 
@@ -11,8 +13,8 @@ SIZED = "sized pump, higher gains"
 WEAK = {
     "rms torque (N·m)": "rms_torque_n_m",
     "assistance ratio": "assistance_ratio",
-    "wearer gives (W)": "power_taken_w",
-    "wearer gets (W)": "power_given_w",
+    "wearer gives (W)": "power_from_wearer_w",
+    "wearer gets (W)": "power_to_wearer_w",
     "deviation of the leg from its path (deg)": "deviation_deg",
 }
 
@@ -85,8 +87,7 @@ def test_the_screen_has_the_answers(by_hand, check_screen):
     alone = rms("paper's pump, higher gains")
     limitless = rms("motor without limits")
     assert (
-        f"a motor without limits, {limitless:.3g} N·m remain. The other "
-        f"{paper.rms_torque_n_m - limitless:.3g} N·m are due to the limits of the motor."
+        f"a motor without limits and larger valves the torque falls to {limitless:.3g} N·m."
     ) in text
     sized = rows[SIZED, "walking, 0.5 Hz"]
     assert (
@@ -105,7 +106,8 @@ def test_the_screen_has_the_answers(by_hand, check_screen):
     average = [row for row in by_hand.help if row.wearer == "average"]
     off = [row.deviation_deg for row in average if row.design == "paper's pump"]
     assert (
-        f"by up to {min(off):.1f}…{max(off):.1f}° with the paper's pump. With the {SIZED}: " in text
+        f"by at most {min(off):.1f}…{max(off):.1f}°, depending on the mode, with the paper's "
+        f"pump. With the {SIZED}: " in text
     )
     for row in by_hand.help:
         for shown in (
@@ -114,6 +116,14 @@ def test_the_screen_has_the_answers(by_hand, check_screen):
         ):
             assert (shown in text) == (row.wearer == "average" and row.design == SIZED)
     assert "Failed runs: 1." in text
+
+
+def test_the_assumptions_have_the_seal_friction(by_hand):
+    stiff = changed(by_hand.scenario, {"plant.full_order.coulomb_friction_n": 12.0})
+    reduced = changed(by_hand.scenario, {"plant.full_order": None})
+    text = " ".join(report(replace(by_hand, scenario=stiff)).split())
+    assert "seal friction of the cylinder is 12 N. The preset `wearer` has 40 N." in text
+    assert "seal friction" not in report(replace(by_hand, scenario=reduced))
 
 
 def test_a_failed_run_has_its_reason_and_dashes(by_hand):

@@ -336,4 +336,4 @@ def test_a_wearer_feels_on_a_page_the_torque_of_kneexo(worker, reference):
         assert answer["metrics"][name] == pytest.approx(getattr(expected, name), rel=1e-6), name
 
 
-INTERACTION = ("rms_torque_n_m", "peak_torque_n_m", "power_taken_w", "power_given_w")
+INTERACTION = ("rms_torque_n_m", "peak_torque_n_m", "power_from_wearer_w", "power_to_wearer_w")
