@@ -115,7 +115,10 @@ class StiffnessInterval(Result):
 
     Both ends are nan if no stiffness is stable. ``high_n_m_per_rad`` is 1e6 if the loop is stable
     there. With B_v = 0 a large stiffness is a position loop, which the lags of motor and hold
-    limit. A low end above zero is a zero-torque loop that is unstable.
+    limit. A low end above zero means that the zero-torque loop is unstable.
+
+    The interval is that of small motions without encoder counts. A count of the encoder times a
+    large stiffness is a large torque: 0.088° times 37 kN·m/rad is 57 N·m.
     """
 
     low_n_m_per_rad: float
@@ -141,8 +144,9 @@ def stiffness_interval(
 ) -> StiffnessInterval:
     """Return the stable interval of the virtual stiffness K_v, for the scenario's wearer and gains.
 
-    The law is τ_d = −K_v (θ − θ_ref) − B_v dθ/dt. B_v is zero in the mode ``assist_as_needed``,
-    which has no damping. `stable_interval` says which of several intervals counts.
+    The law is τ_d = −K_v (θ − θ_ref) − B_v dθ/dt with a constant θ_ref. In the mode
+    ``assist_as_needed``, which has no damping, B_v is zero. `stable_interval` says which
+    of several intervals counts.
 
     Raises `ParameterError` if the controller does not control the torque, and `LinearizationError`
     if the loop does not rest at the angle.

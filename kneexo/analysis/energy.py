@@ -82,8 +82,8 @@ def energy_balance(scenario: Scenario) -> EnergyBalance:
     Raises
     ------
     ParameterError
-        The scenario has no full order, air in the oil, an integrator of Drake, or a law that
-        runs as Python.
+        The cylinder is in reduced order, the oil contains air, the integrator is one of Drake, or
+        the law runs as Python.
     KneexoError
         Errors of `kneexo.simulation.simulate`.
     """

@@ -1,4 +1,4 @@
-"""Output impedance of the knee, the torque with which the exoskeleton resists a wearer's motion.
+"""Output impedance of the knee, the torque of a wearer per rate of the knee.
 
 `output_impedance` computes it from the linearized sampled loop. `measure_impedance` measures it
 with a sine of any amplitude. Motor and pressure may then reach their limits.
@@ -114,10 +114,10 @@ class OutputImpedance(Result):
     def least_real_part(self) -> tuple[float, float]:
         """Least real part of Z in N·m·s/rad over the frequencies, and its frequency in Hz.
 
-        No motion takes energy out of a passive port. Re Z ≥ 0 at all frequencies below half the
-        sampling rate is necessary for such a port. It is not sufficient, because Z leaves out the
-        harmonics of sampling. If the least real part is negative, a leg with some mass or spring
-        and little damping begins to oscillate.
+        No motion takes more energy out of a passive port than went in before. Re Z ≥ 0 at all
+        frequencies below half the sampling rate is necessary for such a port. It is not sufficient,
+        because Z leaves out the harmonics of sampling. If the least real part is negative, a leg
+        with some mass or spring and little damping can begin to oscillate.
         """
         index = int(np.argmin(self.impedance.real))
         return float(self.impedance.real[index]), float(self.frequency_hz[index])
@@ -203,7 +203,7 @@ def output_impedance(
     port
         Where the motion is a sine, at the ``knee`` or at the wearer's side of the ``cuff``.
     motor_held
-        True: the command of the motor is zero, and only oil and mass resist.
+        True: the motor does not turn, and oil, leakage, damping, mass and cuff resist.
 
     Raises
     ------

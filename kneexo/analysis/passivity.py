@@ -2,9 +2,10 @@
 
 The rod's flow balance has the admittance Y(s) = s/k_q + C_t + k_p + k_i/s, with k_q = 4 β_e/V_t.
 The gains k = K D_m Ā/gear are flows per pressure. The leakage C_t is the damping. The output
-impedance is Z ≈ r² (Ā² (1 − γ)/Y + m s), with lags in γ, k_p and k_i. The limits below follow from
-Re Z ≥ 0 at low and at high frequency. They are necessary for a passive port, but not
-sufficient (see `kneexo.analysis.OutputImpedance`).
+impedance is Z ≈ r² (Ā² (1 − γ)/Y + m s), with lags in γ, k_p and k_i. It leaves out the damping B
+of the cylinder, which control reduces. The limits below follow from Re Z ≥ 0 at low and at high
+frequency. They are necessary for a passive port, but not sufficient (see
+`kneexo.analysis.OutputImpedance`).
 """
 
 from __future__ import annotations
@@ -50,10 +51,12 @@ def passivity_limits(scenario: Scenario) -> PassivityLimits:
             f"controller.kind = {law.kind}: passivity_limits needs controller.kind = torque"
         )
     pump, period = plant.pump, law.sample_time_s
-    flow_per_force = pump.displacement_m3_per_rad / pump.gear_ratio * plant.cylinder.mean_area_m2
+    admittance_per_gain = (
+        pump.displacement_m3_per_rad / pump.gear_ratio * plant.cylinder.mean_area_m2
+    )
     leakage = (
         pump.leakage_m3_per_s_pa + plant.cylinder.leakage_m3_per_s_pa
-    ) / flow_per_force  # as a gain, (rad/s)/N
+    ) / admittance_per_gain  # as a gain, (rad/s)/N
     motor = 0.0 if plant.ideal_motor else pump.lag_s
     delay, cell = scenario.bus.latency_samples * period, scenario.load_cell.filter_s
     share = law.speed_feedforward

@@ -162,6 +162,25 @@ def test_a_held_motor_moves_the_inertia_of_the_load(rod_of_knee):
     assert result.held_inertia_kg_m2 == pytest.approx(0.064, rel=1e-14)
 
 
+def test_control_reduces_the_damping_of_the_cylinder(rod_of_knee):
+    """Z = r² ((Ā²(1 − γH) + B(s/k_q + C_t))/Y + m s): the load cell is behind the damping B."""
+    law = {"proportional_rad_s_per_n": 0.05, "integral_rad_s2_per_n": 0.0, "speed_feedforward": 0.3}
+    damping = 1e5
+    damped = scenario(controller=law, estimator={"kind": "exact"}).changed(
+        {"plant.cylinder.damping_n_s_per_m": damping}
+    )
+    frequency_hz = np.array([0.1, 0.3, 1.0])
+    z = output_impedance(damped, frequency_hz, knee_angle_deg=ANGLE_DEG, port="knee")
+    s = 2j * np.pi * frequency_hz
+    hold = (1.0 - np.exp(-0.002 * s)) / (0.002 * s) / (1.0 + 0.01 * s)
+    area = math.pi * (0.02**2 - 0.5 * 0.01**2) / 4.0
+    oil = s * VOLUME / (4.0 * BULK_MODULUS) + LEAKAGE
+    flow = 0.8e-6 / (2.0 * math.pi) / 6.0 * area  # 0.8 cm³/rev behind a gear of 6
+    total = oil + 0.05 * flow * hold / (1.0 + 0.001 * s)
+    formula = (area**2 * (1.0 - 0.3 * hold) + damping * oil) / total + MASS * s
+    assert z.impedance == pytest.approx(arm(rod_of_knee) ** 2 * formula, rel=1e-4)
+
+
 @pytest.mark.slow
 def test_at_the_cuff_a_held_motor_is_in_series_with_the_cuff(rod_of_knee):
     f = np.geomspace(0.013, 503.0, 40)
