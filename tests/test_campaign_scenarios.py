@@ -45,7 +45,7 @@ def test_every_number_is_tried_at_both_ends_of_its_range():
         assert any(line.endswith(text) for line in subjects)
 
 
-def test_a_traceback_is_told_of_its_run_alone(monkeypatch):
+def test_a_traceback_names_its_run_alone(monkeypatch):
     def dividing(requests):
         for index, request in requests.items():
             if request.scenario.initial_offset_m:

@@ -61,7 +61,7 @@ def test_the_bandwidth_is_the_measured_one():
     }
 
 
-def test_a_gain_that_does_not_fall_is_told(monkeypatch):
+def test_a_gain_that_does_not_fall_is_reported(monkeypatch):
     monkeypatch.setattr(assessment, "large_signal_bandwidth_hz", lambda s: math.nan)
     numbers = assess(SHORT, tracking=False, margins=False, bandwidth=True)
     assert numbers["bandwidth_failure"] == "no bandwidth: the gain does not cross 1/√2"
@@ -77,7 +77,7 @@ PUSHED = changed(
 )
 
 
-def test_failures_are_told_in_one_line():
+def test_failures_are_reported_in_one_line():
     assessment = assess(PUSHED, bandwidth=True)
     assert all(
         math.isnan(assessment[n]) for n in (*TRACKING_METRICS, *MARGIN_METRICS, "bandwidth_hz")

@@ -133,7 +133,7 @@ def test_a_loop_that_settles_slowly_is_waited_for(monkeypatch):
     assert more.averaged_cycles >= 12
 
 
-def test_a_loop_that_does_not_settle_is_told(monkeypatch):
+def test_a_loop_that_does_not_settle_is_reported(monkeypatch):
     fake_loop(monkeypatch, time_constant=20.0)
     scenario = Scenario(reference=SineReference(frequency_hz=2.0))
     estimate = estimate_sine(scenario, SineEstimateSettings(largest_cycles=10))

@@ -81,7 +81,7 @@ def test_energy_is_the_integral_of_power_and_delivered_energy_leaves_out_returns
     assert m.peak_shaft_power_w == pytest.approx(1.0, abs=1e-4)
 
 
-def test_shaft_and_hydraulic_energy_are_told_apart():
+def test_shaft_and_hydraulic_energy_differ():
     # 7 W at the shaft from 1 s on, of which 5 W reach the cylinder; 3 W come back before.
     pushed = TIME >= 1.0 - 1e-9
     m = metrics(0 * TIME, power=np.where(pushed, 7.0, -3.0), hydraulic=np.where(pushed, 5.0, -2.0))

@@ -311,7 +311,7 @@ def test_a_run_of_a_diagram_of_the_user_is_marked():
     assert not track(scenario).user_diagram
 
 
-def test_gain_margins_in_both_directions_are_told():
+def test_gain_margins_in_both_directions_are_reported():
     loop = _linearized(LEG, knee_angle_deg=40.0)
     margins = loop.margins()
     both = dataclasses.replace(margins, lower_gain_margin=0.25)

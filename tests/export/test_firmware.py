@@ -415,7 +415,7 @@ def test_two_controllers_link_into_one_program(tmp_path, tool):
     ("precision", "fails"),
     [("float", True), pytest.param("double", False, marks=pytest.mark.slow)],
 )
-def test_a_replay_that_differs_is_told(tmp_path, capsys, precision, fails, no_targets):
+def test_a_replay_that_differs_is_reported(tmp_path, capsys, precision, fails, no_targets):
     """In float the loop reads another count sooner or later."""
     options = ["--what", "loop", "--precision", precision, "--json"]
     assert main(["export", "c", "--out", str(tmp_path / "out"), *options]) == 0

@@ -150,7 +150,7 @@ def test_parameters_are_those_of_the_two_classes_by_name():
     assert values == {name: common[name] for name in values}
 
 
-def test_rod_starts_at_rest_holding_nothing_or_where_told():
+def test_rod_starts_at_rest_holding_nothing_or_where_given():
     system = FullCylinder()
     start = system.CreateDefaultContext().get_continuous_state_vector().CopyToVector()
     # Without load P_1 = P_r is the lower pressure: P_1 A_1 = P_2 A_2.

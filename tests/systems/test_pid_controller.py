@@ -85,7 +85,7 @@ def test_held_command_has_no_direct_feedthrough(leaf):
     assert structure.feedthrough == set()
 
 
-def test_command_is_renewed_every_2_ms_or_as_told():
+def test_command_is_renewed_every_2_ms_or_as_given():
     for values, period in (({}, 0.002), ({"sample_time_s": 0.001}, 0.001)):
         system = PidController(PidParameters(**values))
         for converted in (system, system.ToAutoDiffXd(), system.ToSymbolic()):

@@ -75,7 +75,7 @@ def test_parameters_have_these_names_and_the_values_of_the_paper():
     }
 
 
-def test_rod_starts_at_rest_in_the_middle_of_the_stroke_or_where_told():
+def test_rod_starts_at_rest_in_the_middle_of_the_stroke_or_where_given():
     start = ReducedCylinder().CreateDefaultContext().get_continuous_state_vector().CopyToVector()
     assert list(start) == [0.075, 0.0, 0.0]
     cylinder = ReducedCylinder(CylinderParameters(), 0.02, 1.5e6)

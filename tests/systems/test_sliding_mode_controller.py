@@ -93,7 +93,7 @@ def test_continuous_controller_has_no_state_and_feeds_through(leaf):
     assert structure.feedthrough == {(i, o) for i in structure.inputs for o in structure.outputs}
 
 
-def test_command_is_renewed_every_2_ms_or_as_told():
+def test_command_is_renewed_every_2_ms_or_as_given():
     for values, period in (({}, 0.002), ({"sample_time_s": 0.001}, 0.001)):
         system = SlidingModeController(SlidingModeParameters(**values))
         for converted in (system, system.ToAutoDiffXd(), system.ToSymbolic()):

@@ -47,7 +47,7 @@ def test_estimate_feeds_the_measurement_through_and_remembers(leaf, kind, states
 
 
 @both
-def test_updates_come_every_2_ms_or_as_told(kind):
+def test_updates_come_every_2_ms_or_as_given(kind):
     for system, period in ((kind(), 0.002), (kind(sample_time_s=0.005), 0.005)):
         timing = system.GetUniquePeriodicDiscreteUpdateAttribute()
         assert (timing.period_sec(), timing.offset_sec()) == (period, 0.0)

@@ -119,7 +119,7 @@ class Trace:
         numbers: dict[tuple[str, str], set[float]] = {}
         for section in self.equations.sections:
             system = section.where.rpartition(": ")[0], section.equation.partition(":")[0]
-            read = {node for own in self._own[section.where] for node in graph.arguments(own)}
+            read = {node for new in self._new_nodes[section.where] for node in graph.arguments(new)}
             values = {value for node in read if (value := graph.value(node)) is not None}
             numbers.setdefault(system, set()).update(values.difference(_UNITS))
         return [
@@ -132,20 +132,20 @@ class Trace:
         """Return what depends on a section: numbers of outputs in the test vectors, or status."""
         constant = self.equations.graph.value
         values = (node for node in section.nodes if constant(node) is None)
-        nodes = self._own[section.where].union(values)
+        nodes = self._new_nodes[section.where].union(values)
         numbers = [number for number, behind in enumerate(self._behind, 1) if nodes & behind]
         status = ["status"] if section.where.endswith(": margin") else []
         return ", ".join([*_ranges(numbers), *status]) or "none"
 
     @cached_property
-    def _own(self) -> dict[str, set[int]]:
+    def _new_nodes(self) -> dict[str, set[int]]:
         """For each section the operations that no earlier section computes: its lines in C."""
-        graph, earlier, own = self.equations.graph, set[int](), {}
+        graph, earlier, new = self.equations.graph, set[int](), {}
         for section in self.equations.sections:
             nodes = set(graph.reachable(section.nodes)) - earlier
-            own[section.where] = {node for node in nodes if graph.nodes[node][0] not in SOURCES}
+            new[section.where] = {node for node in nodes if graph.nodes[node][0] not in SOURCES}
             earlier |= nodes
-        return own
+        return new
 
     @cached_property
     def _behind(self) -> list[set[int]]:

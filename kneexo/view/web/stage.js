@@ -180,8 +180,8 @@ const Stage = (() => {
       const start = performance.now();
       this._draw(false);
       this._adapt(performance.now() - start);
-      if (this._told !== this.time) {
-        this._told = this.time;
+      if (this._announcedTime !== this.time) {
+        this._announcedTime = this.time;
         this.element.dispatchEvent(new CustomEvent("stagetime", { detail: this.time }));
       }
       if (this.playing) this._update();

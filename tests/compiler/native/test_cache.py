@@ -512,7 +512,7 @@ def test_a_directory_that_cannot_be_written_serves_what_it_has(directory, monkey
     assert len(cache.cache_entries()) == 4
 
 
-def test_a_read_only_directory_is_told(directory):
+def test_a_read_only_directory_is_reported(directory):
     directory.mkdir(mode=0o500)
     if os.access(directory, os.W_OK):
         pytest.skip("root may write everywhere")

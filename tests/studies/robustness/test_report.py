@@ -99,7 +99,7 @@ def test_the_words_count_as_the_results_do(by_hand):
     assert "left out: knee torque (N·m)." in text
 
 
-def test_values_above_chance_and_those_that_the_controller_knows_are_told(by_hand):
+def test_values_above_chance_and_those_that_the_controller_knows_are_reported(by_hand):
     known = SMALL.values["plant.pump.lag_s"].model_copy(update={"known": True})
     samples = tuple(assessment(n, 1.5, 0.01 + 1e-3 * n, n % 3) for n in range(1, 8))
     text = report(
@@ -127,7 +127,7 @@ def test_unstable_loops_whose_runs_end_are_counted_with_their_errors(by_hand):
     assert "largest errors of 3 … 7 deg" in text
 
 
-def test_failures_are_told_as_a_share(by_hand):
+def test_failures_are_reported_as_a_share(by_hand):
     two = tuple(
         dataclasses.replace(assessment, metrics=by_hand.samples[3].metrics)
         for assessment in by_hand.samples[:2]

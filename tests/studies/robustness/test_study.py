@@ -172,7 +172,7 @@ def test_the_search_finds_a_corner_that_no_single_effect_points_at(weighted):
     assert "no single change makes the worst one of any metric worse" in report(result)
 
 
-def test_a_small_budget_is_kept_and_told(weighted):
+def test_a_small_budget_is_kept_and_reported(weighted):
     weighted(interaction=30.0)
     result = robustness_study(
         UNCERTAIN_KNEE, UNCERTAINTY, FEW.model_copy(update={"corners_max": 60})
