@@ -24,12 +24,13 @@ from kneexo.result import Result
 class PassivityLimits(Result):
     """Largest gains of a torque controller with which the knee can be passive.
 
-    ``integral_rad_s2_per_n`` is the largest K_i, at low frequency, for the scenario's K_p and γ,
-    without leak of the integral, (1 − γ)(C_t + k_p) ≥ k_i (τ_m + γ T/2 + (1 − γ) τ_F). The lag of
-    the hold, T/2, does not act on the integral, because its sum includes the present sample.
+    ``integral_rad_s2_per_n`` is the largest K_i for the scenario's K_p and γ. It limits Re Z at low
+    frequency: (1 − γ)(C_t + k_p) ≥ k_i (τ_m + γ T/2 + (1 − γ) τ_F). The formula leaves out the leak
+    of the integral. The lag of the hold, T/2, does not act on the integral, because its sum
+    includes the present sample.
 
-    ``proportional_rad_s_per_n`` is the largest K_p, at high frequency, without integral and
-    feedforward, k_p ≤ C_t/max(−Re H_F) with H_F = (1 − e^{−jωT})/(jωT (1 + jωτ_m)(1 + jωτ_F)).
+    ``proportional_rad_s_per_n`` is the largest K_p without integral and feedforward. It limits Re Z
+    at high frequency: k_p ≤ C_t/max(−Re H_F), H_F = (1 − e^{−jωT})/(jωT (1 + jωτ_m)(1 + jωτ_F)).
 
     τ_F is the lag of the load cell. The lag τ_m of the motor includes the latency of the bus. The
     estimator ``difference`` lags by T/2, so the first limit has γ T in place of γ T/2. The tracking

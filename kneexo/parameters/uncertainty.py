@@ -145,8 +145,8 @@ def applicable(
 ) -> tuple[UncertaintySet, tuple[str, ...]]:
     """Return the uncertain values that vary in the scenario, and the paths of the other values.
 
-    The scenario lacks the other values. The ranges of `UNCERTAINTY` are about the paper's knee, so
-    they do not vary a value of the scenario that lies outside them, such as a linkage of the user.
+    The scenario lacks the other values. The ranges of `UNCERTAINTY` are about the paper's knee. A
+    value of the scenario outside its range, such as a linkage of the user, does not vary.
     With a wearer `UNCERTAINTY` also has the values of `WEARER_UNCERTAINTY`.
     Raises `ParameterError` if no value is left, and the errors of `require_applicable`.
     """

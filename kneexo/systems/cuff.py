@@ -74,8 +74,8 @@ class Cuff(NamedLeaf):
         return context.get_continuous_state_vector().GetAtIndex(0) if self._slides else 0.0
 
     def _spring_torque(self, context: Any) -> Any:
-        strain = self._leg.Eval(context)[0] - self._angle.Eval(context)[0] - self._slip(context)
-        return self.parameters(context).stiffness_n_m_per_rad * strain
+        deflection = self._leg.Eval(context)[0] - self._angle.Eval(context)[0] - self._slip(context)
+        return self.parameters(context).stiffness_n_m_per_rad * deflection
 
     def _knee_rate(self, context: Any) -> Any:
         return -self._velocity.Eval(context)[0] / self._arm.Eval(context)[0]

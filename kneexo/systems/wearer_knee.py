@@ -61,8 +61,8 @@ def start_state(
     if parameters.motion == "prescribed":
         return ()
     if parameters.motion == "passive":
-        strain = angle_rad - parameters.neutral_angle_rad
-        return (angle_rad, 0.0, *([strain] * len(MAXWELL_BANK)))
+        deflection = angle_rad - parameters.neutral_angle_rad
+        return (angle_rad, 0.0, *([deflection] * len(MAXWELL_BANK)))
     return (angle_rad, rate_rad_s, *([0.0] * len(MAXWELL_BANK)))
 
 
@@ -72,8 +72,8 @@ class WearerKnee(NamedLeaf):
     With ``prescribed`` motion θ_h = θ_ref and dθ_h/dt = dθ_ref/dt, without state. Otherwise
     I d²θ_h/dt² = A + W(θ_h) − k_0 s − b ds/dt − h Σ κ_i (s − ξ_i) − τ_i,
     dξ_i/dt = 2π f_i (s − ξ_i),  W(θ) = m g l sin(α − θ).
-    A leg with ``passive`` motion has the strain s = θ_h − θ_0 about the neutral angle, and A = 0. A
-    leg with ``active`` motion has the strain s = θ_h − θ_ref about the reference, and
+    With ``passive`` motion the deflection is s = θ_h − θ_0 about the neutral angle, and A = 0.
+    With ``active`` motion the deflection is s = θ_h − θ_ref about the reference, and
     A = (e − 1) M + I d²θ_ref/dt² − W(θ_ref). Its muscles give the share e of the biological moment
     M(t). An external torque −M + I d²θ_ref/dt² − W(θ_ref) balances the whole moment, as the ground
     reaction does in walking.
@@ -135,14 +135,16 @@ class WearerKnee(NamedLeaf):
             )
 
         torque = weight(angle) - value_or_zero(self._torque, context)
-        strain, strain_rate = angle - p.neutral_angle_rad, rate
+        deflection, deflection_rate = angle - p.neutral_angle_rad, rate
         if self._motion == "active":
             reference = self._reference.Eval(context)
-            strain, strain_rate = angle - reference[0], rate - reference[1]
+            deflection, deflection_rate = angle - reference[0], rate - reference[1]
             muscles = (p.effort - 1.0) * value_or_zero(self._moment, context)
             torque += muscles + p.inertia_kg_m2 * reference[2] - weight(reference[0])
-        torque -= p.bare_stiffness_n_m_per_rad * strain + p.damping_n_m_s_per_rad * strain_rate
-        lags = [strain - memory for memory in memories]
+        torque -= (
+            p.bare_stiffness_n_m_per_rad * deflection + p.damping_n_m_s_per_rad * deflection_rate
+        )
+        lags = [deflection - memory for memory in memories]
         bank = sum(share * lag for share, lag in zip(_WEIGHTS, lags, strict=True))
         acceleration = (torque - p.loss_modulus_n_m_per_rad * bank) / p.inertia_kg_m2
         require_finite(self, context, leg_acceleration=acceleration)

@@ -15,8 +15,8 @@ pytestmark = pytest.mark.slow
 CARDS = {
     "rms-torque": "rms_torque_n_m",
     "peak-torque": "peak_torque_n_m",
-    "power-taken": "power_from_wearer_w",
-    "power-given": "power_to_wearer_w",
+    "power-from-wearer": "power_from_wearer_w",
+    "power-to-wearer": "power_to_wearer_w",
 }
 STIFFNESS = "wearer.cuff.stiffness_n_m_per_rad"
 READ = """(() => Object.fromEntries([...document.querySelectorAll(".card")]
