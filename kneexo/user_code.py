@@ -25,8 +25,10 @@ def user_code(failure: str) -> Iterator[None]:
 
     An error in the body becomes a `ParameterError`, and so does a call of ``sys.exit``. The message
     is one line that begins with ``failure`` and goes on with the text of ``cause_of``. A
-    `KneexoError` and a `KeyboardInterrupt` are raised unchanged.
+    `KneexoError` and a `KeyboardInterrupt` are raised unchanged. If the body changes the working
+    directory, the directory is restored, because paths of kneexo may be relative to it.
     """
+    directory = os.getcwd()
     try:
         yield
     except (KneexoError, KeyboardInterrupt):
@@ -35,6 +37,9 @@ def user_code(failure: str) -> Iterator[None]:
         raise ParameterError(
             f"{failure}: {cause_of(error)}; correct that code, or name another function"
         ) from error
+    finally:
+        if os.getcwd() != directory:
+            os.chdir(directory)
 
 
 def function_at(name: str, subject: str) -> Any:

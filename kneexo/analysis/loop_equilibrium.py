@@ -17,10 +17,11 @@ from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoD
 from pydrake.systems.analysis import Simulator
 
 from kneexo.analysis.plant_linearization import MID_RANGE_DEG
-from kneexo.compiler import newton, newton_failure
+from kneexo.compiler import newton, newton_failure, truth_of_scalars
 from kneexo.diagrams import make_closed_loop
 from kneexo.diagrams.closed_loop import loop_values, plant_start
-from kneexo.diagrams.controller import has_unknown_parts, known_to_controller
+from kneexo.diagrams.controller import has_unknown_parts, known_to_controller, users_law
+from kneexo.diagrams.law import remembered, runs_as_python
 from kneexo.diagrams.wearer import moment_of
 from kneexo.errors import LinearizationError, shortened
 from kneexo.parameters import LawParameters, PlantParameters, Scenario, StepReference
@@ -61,9 +62,11 @@ class Equilibrium:
 
     def rates(self, context: Any) -> Any:
         """Return an array of dx/dt and the updated discrete state z⁺, evaluated at ``context``."""
-        updated = self.diagram.EvalUniquePeriodicDiscreteUpdate(context)
+        with truth_of_scalars():
+            updated = self.diagram.EvalUniquePeriodicDiscreteUpdate(context)
+            rates = self.diagram.EvalTimeDerivatives(context).CopyToVector()
         groups = [updated.get_vector(i).CopyToVector() for i in range(updated.num_groups())]
-        return np.concatenate([self.diagram.EvalTimeDerivatives(context).CopyToVector(), *groups])
+        return np.concatenate([rates, *groups])
 
     def gradients(self, point: Array, reference: Array, output: str) -> tuple[Array, ...]:
         """Return `rates` at a point, their gradients in (x, z, r), and the gradient of a port in x.
@@ -97,16 +100,21 @@ def _diagrams(scenario: Scenario) -> tuple[Any, Any]:
     differs.
     """
     key = structure_key(scenario)
-    law = scenario.controller
     if (moment := moment_of(scenario)) is not None:  # a source, which has no Context parameters
         key += moment.model_dump_json()
+
+    def built() -> tuple[Any, Any]:
+        diagram = make_closed_loop(scenario, signals=(), external_reference=True)
+        return diagram, _autodiff(diagram)
+
     if has_unknown_parts(scenario):  # whose Context parameters cannot be set by name
         key += known_to_controller(scenario).model_dump_json()
-    elif isinstance(law, LawParameters):  # laws that run as Python share one structure
-        key += law.function.identity()
+        return remembered(users_law(scenario), key, built)
+    law = scenario.controller
+    if isinstance(law, LawParameters) and runs_as_python(scenario):  # such laws share a structure
+        return remembered(law.function, key, built)
     if key not in _built:
-        diagram = make_closed_loop(scenario, signals=(), external_reference=True)
-        _built[key] = diagram, _autodiff(diagram)
+        _built[key] = built()
     return _built[key]
 
 

@@ -100,7 +100,8 @@ def params(choice: ScenarioChoice, yaml: bool, schema: bool, find: str | None = 
         rows = matching(rows, find)
     document = {**arguments.origin_of(scenario), "parameters": rows}
     text = listing(rows, grouped=find is None)
-    return Outcome(text, json.dumps(document, indent=2, ensure_ascii=False) + "\n")
+    text_of_rows = json.dumps(document, indent=2, ensure_ascii=False, default=str)  # a law
+    return Outcome(text, text_of_rows + "\n")
 
 
 def diagram(choice: ScenarioChoice, out: Path) -> Outcome:

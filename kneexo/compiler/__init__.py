@@ -46,8 +46,10 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
     from .compiled_system import CompiledSystem as CompiledSystem
     from .diagram_equations import (
         DiagramEquations as DiagramEquations,
+        expressions_key as expressions_key,
         read_diagram as read_diagram,
     )
+    from .equations.truth import truth_of_scalars as truth_of_scalars
     from .errors import (
         CompilationError as CompilationError,
         Error as Error,
@@ -145,7 +147,8 @@ else:
         "c.vectors": ("Vectors", "recorded_vectors"),
         "c.wasm": ("WasmModule", "wasm_files", "wasm_module", "wasm_table"),
         "compiled_system": ("CompiledSystem",),
-        "diagram_equations": ("DiagramEquations", "read_diagram"),
+        "diagram_equations": ("DiagramEquations", "expressions_key", "read_diagram"),
+        "equations.truth": ("truth_of_scalars",),
         "errors": (
             *("CompilationError", "Error", "LinearizationError", "OutputError", "ParameterError"),
             *("ResultError", "SimulationError", "StiffnessError", "escaped", "shortened", "shown"),

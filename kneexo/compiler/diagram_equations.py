@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from functools import cached_property
 from importlib.metadata import version
@@ -14,8 +14,10 @@ from pydrake.systems.framework import System
 from .arguments import names, quoted
 from .equations.contexts import parameters_of, state_of
 from .equations.equations import Equations
+from .equations.graph import Graph
 from .equations.ports import bypass as bypass_system, find_port
 from .equations.reader import read_tree
+from .equations.symbolic import Conversion, Steps, completed
 from .equations.tree import Node
 from .errors import CompilationError
 from .run_data import Array, State
@@ -107,8 +109,29 @@ def require_system(diagram: Any) -> None:
         )
 
 
+def expressions_key(expressions: Sequence[Any], variables: Sequence[Any]) -> str:
+    """Return a hash (SHA-256) of the graph of symbolic expressions and the version of Drake.
+
+    ``variables`` are all variables of the expressions. The hash contains a variable by its place in
+    ``variables``, so that equal functions of other variables have the same hash.
+    """
+    graph = Graph()
+    places = {variable.get_id(): place for place, variable in enumerate(variables)}
+
+    def node_of_variable(variable: Any) -> Steps[int]:
+        return graph.source("input", places[variable.get_id()])
+        yield  # makes this function a generator, as `Conversion` requires
+
+    nodes = completed(Conversion(graph, "expression", node_of_variable).nodes(expressions))
+    return _hash((nodes, graph.nodes))
+
+
 def equations_key(equations: Equations) -> str:
     """Return a hash (SHA-256) of the equations and the version of Drake."""
     named = [(field.name, getattr(equations, field.name)) for field in fields(equations)]
     content = [value.nodes if name == "graph" else value for name, value in named]
+    return _hash(content)
+
+
+def _hash(content: Any) -> str:
     return hashlib.sha256(repr((version("drake"), content)).encode()).hexdigest()

@@ -4,19 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextvars import ContextVar
+from functools import lru_cache
 from typing import Any
 
 from pydrake.systems.framework import DiagramBuilder, System
 from pydrake.systems.primitives import Saturation, ZeroOrderHold
 
 from kneexo import systems
-from kneexo.diagrams.law import held_command, port_sizes as port_sizes, require_ports
+from kneexo.diagrams.law import (
+    held_command,
+    port_sizes as port_sizes,
+    remembered,
+    require_ports,
+)
 from kneexo.diagrams.part import Part, add_parts
 from kneexo.diagrams.signals import LAW_OUTPUTS
 from kneexo.errors import ParameterError, shortened
 from kneexo.parameters import (
     LAW_INPUTS,
     CustomControllerParameters,
+    Law,
     LawParameters,
     ObserverParameters,
     PidParameters,
@@ -153,6 +160,18 @@ def has_unknown_parts(scenario: Scenario) -> bool:
     if isinstance(law, LawParameters):
         return law.function.is_system
     return isinstance(law, CustomControllerParameters)
+
+
+def users_law(scenario: Scenario) -> Law:
+    """Return the code of the user in a controller that `has_unknown_parts`, as a law."""
+    law = scenario.controller
+    if isinstance(law, LawParameters):
+        return law.function
+    assert isinstance(law, CustomControllerParameters)
+    return _maker(function_at(law.make, f"controller.make = {shortened(law.make)!r}"))
+
+
+_maker = lru_cache(maxsize=64)(Law)
 
 
 def _parts(scenario: Scenario, custom_law: System | None = None) -> list[Part]:
@@ -307,13 +326,12 @@ def _require_period(system: System, sample_time_s: float, subject: str) -> None:
 
 def controller_outputs(scenario: Scenario) -> dict[str, int]:
     """Return a dictionary from the name of each output port of a user's controller to its size."""
-    key = known_to_controller(scenario).model_dump_json()
-    if key not in _outputs:
-        _outputs[key] = port_sizes(make_controller(scenario, held_command(scenario)))
-    return _outputs[key]
+    return remembered(
+        users_law(scenario),
+        ("outputs", known_to_controller(scenario).model_dump_json()),
+        lambda: port_sizes(make_controller(scenario, held_command(scenario))),
+    )
 
-
-_outputs: dict[str, dict[str, int]] = {}
 
 _running: ContextVar[frozenset[str]] = ContextVar("running", default=frozenset())
 """Names of the users' functions that are running, by which recursion is detected."""

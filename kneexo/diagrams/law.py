@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
-from typing import Any
+from collections.abc import Callable, Hashable
+from typing import Any, TypeVar, cast
 
 from pydrake.systems.framework import System
 
@@ -11,7 +11,9 @@ from kneexo import systems
 from kneexo.compiler import read_diagram
 from kneexo.errors import KneexoError, ParameterError
 from kneexo.parameters import LAW_INPUTS, Law, LawParameters, Scenario
-from kneexo.systems.function_law import why_not_compiled
+from kneexo.systems.function_law import trace
+
+T = TypeVar("T")
 
 
 def why_python(scenario: Scenario) -> str:
@@ -24,7 +26,7 @@ def why_python(scenario: Scenario) -> str:
         return ""
     if law.function.is_system:
         return _why_system(law.function)
-    return why_not_compiled(law.function, len(law.initial_state))
+    return trace(law.function, len(law.initial_state)).why_not_compiled
 
 
 def runs_as_python(scenario: Scenario) -> bool:
@@ -32,12 +34,29 @@ def runs_as_python(scenario: Scenario) -> bool:
     return bool(why_python(scenario))
 
 
-@lru_cache(maxsize=256)
 def _why_system(law: Law) -> str:
     """Return why the system of a law cannot be compiled; an empty text if it can.
 
     Raises `ParameterError` if a port is wrong.
     """
+    return remembered(law, "why_system", lambda: _why_not_read(law))
+
+
+def remembered(law: Law, question: Hashable, answer: Callable[[], T]) -> T:
+    """Return ``answer()``, or its earlier result if the law of a user has not changed since.
+
+    A Drake system does not change. Any other law has not changed if its fingerprint is the same. An
+    answer about a law without fingerprint is not kept.
+    """
+    now = law.target if isinstance(law.target, System) else law.fingerprint
+    before, known = law.memo.get(question, (None, None))
+    if now is None or now != before:
+        known = answer()
+        law.memo[question] = now, known
+    return cast(T, known)
+
+
+def _why_not_read(law: Law) -> str:
     require_ports(law.any_system(), LAW_INPUTS, f"law {law.short_name}")
     inputs = list(port_sizes(law.any_system(), inputs=True))
     try:

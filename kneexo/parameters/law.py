@@ -1,19 +1,31 @@
 """Control laws of the user: plain functions or Drake systems, named by file or module.
 
-A law is identified by a digest of its code, so that two functions of the same name differ.
+A law is known by its object, or across processes by the fingerprint of its code and values.
 """
 
 from __future__ import annotations
 
+import copy
+import copyreg
 import hashlib
 import importlib.util
 import inspect
+import math
 import sys
 import sysconfig
-from collections.abc import Callable, Mapping
-from functools import cached_property, lru_cache, partial
+from collections.abc import Callable, Iterable, Mapping
+from functools import cached_property, lru_cache
+from numbers import Real
 from pathlib import Path
-from types import CodeType, FunctionType, MethodType, ModuleType
+from types import (
+    CodeType,
+    FunctionType,
+    GetSetDescriptorType,
+    MappingProxyType,
+    MemberDescriptorType,
+    MethodType,
+    ModuleType,
+)
 from typing import Any, NamedTuple
 
 import cloudpickle
@@ -40,8 +52,11 @@ in rad, and ``knee_reference`` is θ_d in rad and its derivatives to the third.
 """
 
 _DIGITS = 12  # hexadecimal digits of a digest in a text
-_PACKAGE = str(Path(__file__).parents[1])
-_LIBRARIES = tuple(sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib"))
+_NOT_OF_USERS = (
+    str(Path(__file__).parents[1]),
+    *(sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")),
+)
+"""Directories of code that the versions of kneexo and of the libraries identify."""
 
 
 class LawArguments(NamedTuple):
@@ -63,9 +78,9 @@ class Law:
     """A control law: a function, an object that can be called, or a Drake system.
 
     ``target`` is the law, or a class or function without arguments that makes the Drake system.
-    ``name`` is ``FILE.py:NAME`` or ``MODULE:NAME``. ``digest`` identifies the code of the target,
-    the values in its closure and attributes, and the user's functions and modules that it uses.
-    Two laws are equal if name and digest are equal.
+    ``name`` is ``FILE.py:NAME`` or ``MODULE:NAME``. Two laws are equal if their names are equal,
+    and their targets are one object or have one `fingerprint`. ``memo`` holds what other modules
+    have found out about this law.
     """
 
     def __init__(self, target: Any, name: str | None = None) -> None:
@@ -79,7 +94,7 @@ class Law:
             )
         self.target = target
         self.name = name or _name_of(target)
-        self.digest = _Digest().of(target)
+        self.memo: dict[Any, Any] = {}
 
     @classmethod
     def from_text(cls, text: str, directory: str | Path = ".") -> Law:
@@ -119,12 +134,33 @@ class Law:
             law = cls(getattr(module, path), name)
         else:
             law = cls(function_at(name, subject), name)
-        if digest and law.digest[: len(digest)] != digest:
+        if digest and (law.fingerprint or "")[: len(digest)] != digest:
             raise ParameterError(
                 f"{subject}: the code has changed since {digest} was noted; leave out "
                 f"'#{digest}' to use the code of today"
             )
         return law
+
+    @property
+    def fingerprint(self) -> str | None:
+        """Digest of the code and the values of the law as they are now; None if a type is unknown.
+
+        The digest covers closure, attributes, and the user's functions, classes and modules that
+        the law reads. A type is unknown if pickle cannot write its values.
+        """
+        try:
+            return hashlib.sha256(repr(_Walk().parts(self.target)).encode()).hexdigest()
+        except (_UnknownTypeError, RecursionError, OSError):
+            return None
+
+    def copy_of_target(self) -> Any:
+        """Return a copy of an object that can be called, or else the function itself.
+
+        An object may hide state, so each run begins with a copy. Raises `ParameterError` for an
+        object that cannot be copied.
+        """
+        with user_code(f"law {self.short_name}: the object cannot be copied for a run"):
+            return copy.deepcopy(self.target)
 
     @cached_property
     def is_system(self) -> bool:
@@ -200,8 +236,10 @@ class Law:
                 if name == "state" and default is not parameter.empty:
                     with user_code(f"law {self.short_name}: the default of state must be numbers"):
                         initial_state = tuple(map(float, np.atleast_1d(default)))
-            elif isinstance(default, int | float) and not isinstance(default, bool):
+                    self._require_finite("state", *initial_state)
+            elif isinstance(default, Real) and not isinstance(default, bool):
                 gains[name] = float(default)
+                self._require_finite(name, gains[name])
             else:
                 known = [*LAW_INPUTS, *flags]
                 hint = question(close_names(name, known))
@@ -211,12 +249,25 @@ class Law:
                 )
         return LawArguments(tuple(inputs), flags["time_s"], flags["state"], initial_state, gains)
 
+    def _require_finite(self, name: str, *defaults: float) -> None:
+        for default in defaults:
+            if not math.isfinite(default):
+                raise ParameterError(
+                    f"law {self.short_name}: the default {name} = {default} must be finite; give "
+                    f"the argument a number"
+                )
+
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Law) and (self.name, self.digest) == (other.name, other.digest)
+        if not isinstance(other, Law) or self.name != other.name:
+            return False
+        if self.target is other.target:
+            return True
+        fingerprint = self.fingerprint
+        return fingerprint is not None and fingerprint == other.fingerprint
 
     def __hash__(self) -> int:
-        """Return a hash of name and digest."""
-        return hash((self.name, self.digest))
+        """Return a hash of the name."""
+        return hash(self.name)
 
     def __str__(self) -> str:
         """Return the name, as scenario files have it."""
@@ -227,8 +278,9 @@ class Law:
         return repr(self.name)
 
     def identity(self) -> str:
-        """Return name and digest as text, ``NAME#DIGEST``."""
-        return f"{self.name}#{self.digest[:_DIGITS]}"
+        """Return name and fingerprint as text, ``NAME#DIGEST``, or only the name without one."""
+        fingerprint = self.fingerprint
+        return self.name if fingerprint is None else f"{self.name}#{fingerprint[:_DIGITS]}"
 
     def __reduce__(self) -> tuple[Callable[..., Law], tuple[bytes, str]]:
         try:
@@ -324,86 +376,113 @@ def _name_of(target: Any) -> str:
     return f"{module}:{target.__qualname__}"
 
 
-class _Digest:
-    """Computes the digest of an object from its code and its values."""
+class _UnknownTypeError(Exception):
+    """A value of a law that cannot be compared with a value of another process."""
+
+
+class _Walk:
+    """Turns a law into nested tuples of texts and numbers that stand for its code and its values.
+
+    Equal tuples mean equal laws. The walk follows what pickle would keep of a value, so it covers
+    every type that pickle can write, and raises `_UnknownTypeError` for all others.
+    """
 
     def __init__(self) -> None:
         # The values are kept, because Python uses the id of a freed value again.
         self._seen: dict[int, tuple[int, Any]] = {}
 
-    def of(self, value: Any) -> str:
-        """Return the digest of ``value`` as a hexadecimal text."""
-        return hashlib.sha256(repr(self._parts(value)).encode()).hexdigest()
-
-    def _parts(self, value: Any) -> Any:
+    def parts(self, value: Any) -> Any:
         """Return nested tuples of texts and numbers that stand for ``value``."""
-        if value is None or isinstance(value, bool | int | float | complex | str | bytes):
+        if value is None or type(value) in (bool, int, float, complex, str, bytes, type(...)):
             return value
         if id(value) in self._seen:
             return "seen", self._seen[id(value)][0]
         self._seen[id(value)] = len(self._seen), value
-        if isinstance(value, CodeType):
-            return (
-                value.co_code,
-                value.co_names,
-                value.co_varnames,
-                tuple(map(self._parts, value.co_consts)),
-            )
-        if isinstance(value, FunctionType):
-            if value.__code__.co_filename.startswith(_LIBRARIES):
-                return value.__module__, value.__qualname__
-            cells = (cell.cell_contents for cell in value.__closure__ or () if _filled(cell))
-            names = (name for name in _names(value.__code__) if name in value.__globals__)
-            return (
-                self._parts(value.__code__),
-                self._parts(value.__defaults__),
-                self._parts(value.__kwdefaults__),
-                tuple(map(self._parts, cells)),
-                tuple((name, self._parts(value.__globals__[name])) for name in names),
-            )
-        if isinstance(value, ModuleType):
-            file = getattr(value, "__file__", None)
-            if file and not file.startswith((*_LIBRARIES, _PACKAGE)):  # a file of the user
-                return value.__name__, Path(file).read_bytes()
-            return value.__name__, str(getattr(value, "__version__", ""))
-        if isinstance(value, MethodType):
-            return self._parts(value.__func__), self._parts(value.__self__)
-        if isinstance(value, partial):
-            return tuple(map(self._parts, (value.func, value.args, value.keywords)))
-        if isinstance(value, np.ndarray | np.generic):
-            return str(value.dtype), value.shape, value.tobytes()
-        if isinstance(value, type):
-            return self._class(value)
-        if isinstance(value, Mapping):
-            return tuple((repr(k), self._parts(v)) for k, v in value.items())
-        if isinstance(value, set | frozenset):
-            return tuple(sorted(map(repr, value)))
-        if isinstance(value, list | tuple):
-            return type(value).__name__, tuple(map(self._parts, value))
-        return self._parts(type(value)), self._object_state(value)
+        match value:
+            case CodeType():
+                constants = self._all(value.co_consts)
+                return value.co_code, value.co_names, value.co_varnames, constants
+            case FunctionType():
+                return self._function(value)
+            case ModuleType():
+                return self._module(value, ())
+            case MethodType():
+                return self._all((value.__func__, value.__self__))
+            case staticmethod() | classmethod():
+                return self.parts(value.__func__)
+            case property():
+                return self._all((value.fget, value.fset))
+            case cached_property():
+                return self.parts(value.func)
+            case type():
+                return self._class(value)
+        kind = type(value)
+        if kind is np.ndarray and value.dtype != object:
+            return value.dtype.str, value.shape, hashlib.sha256(value.tobytes()).hexdigest()
+        if kind in (dict, MappingProxyType):
+            return self._all(value.keys()), self._all(value.values())
+        if kind in (set, frozenset):
+            return kind.__name__, sorted(map(repr, self._all(value)))
+        if kind in (list, tuple):
+            return kind.__name__, self._all(value)
+        return self._pickled(value)
+
+    def _all(self, values: Iterable[Any]) -> tuple[Any, ...]:
+        return tuple(map(self.parts, values))
+
+    def _function(self, function: FunctionType) -> Any:
+        code = function.__code__
+        if code.co_filename.startswith(_NOT_OF_USERS):
+            return function.__module__, function.__qualname__
+        cells = (cell.cell_contents for cell in function.__closure__ or () if _filled(cell))
+        names = _names(code)
+        found = {name: function.__globals__[name] for name in names if name in function.__globals__}
+        return (
+            *self._all((code, function.__defaults__, function.__kwdefaults__, vars(function))),
+            self._all(cells),
+            [
+                (name, self._module(g, names) if isinstance(g, ModuleType) else self.parts(g))
+                for name, g in found.items()
+            ],
+        )
+
+    def _module(self, module: ModuleType, names: Iterable[str]) -> Any:
+        """Return parts of a module: its file, and those of its ``names`` that code may read."""
+        file = getattr(module, "__file__", None)
+        if not file or file.startswith(_NOT_OF_USERS):
+            return module.__name__, str(getattr(module, "__version__", ""))
+        values = [(name, self.parts(vars(module)[name])) for name in names if name in vars(module)]
+        return module.__name__, Path(file).read_bytes(), values
 
     def _class(self, value: type) -> Any:
-        module = sys.modules.get(value.__module__)
-        file = getattr(module, "__file__", None)
-        if value.__module__ == "builtins" or (file or "").startswith(_LIBRARIES):
+        file = getattr(sys.modules.get(value.__module__), "__file__", None) or ""
+        if value.__module__ == "builtins" or file.startswith(_NOT_OF_USERS):
             return value.__module__, value.__qualname__
-        members = {
-            name: member
+        members = [
+            (name, self.parts(member))
             for name, member in vars(value).items()
-            if isinstance(member, FunctionType | int | float | str | tuple | property)
-        }
-        getters = {n: m.fget if isinstance(m, property) else m for n, m in members.items()}
-        return value.__qualname__, self._parts(getters), tuple(map(self._parts, value.__bases__))
+            if name not in _NO_MEMBERS
+            and not isinstance(member, MemberDescriptorType | GetSetDescriptorType)
+        ]
+        return value.__qualname__, members, self._all(value.__bases__)
 
-    def _object_state(self, value: Any) -> Any:
-        """Return parts of an object's attributes, or of what pickle would keep of the object."""
-        if hasattr(value, "__dict__"):
-            return self._parts(vars(value))
+    def _pickled(self, value: Any) -> Any:
+        """Return parts of what pickle would keep of a value."""
+        if hasattr(value, "__wrapped__"):  # a cached function, of which pickle keeps the name only
+            return self.parts(value.__wrapped__)
         try:
-            reduced = value.__reduce_ex__(2)
-        except TypeError:  # cannot be pickled
-            return ""
-        return self._parts(reduced[2]) if isinstance(reduced, tuple) and len(reduced) > 2 else ""
+            reduce = copyreg.dispatch_table.get(type(value))
+            reduced = value.__reduce_ex__(4) if reduce is None else reduce(value)
+        except Exception as error:  # a type of the user may raise any error
+            raise _UnknownTypeError(type(value).__name__) from error
+        if isinstance(reduced, str):  # a global name
+            return str(getattr(value, "__module__", "")), reduced
+        make, arguments, state, items, pairs = (*reduced, None, None, None)[:5]
+        return self._all((make, arguments, state, [*(items or ())], [*(pairs or ())]))
+
+
+_NO_MEMBERS = {"__dict__", "__weakref__", "__module__", "__doc__", "__firstlineno__", "_abc_impl"}
+"""Names in a class that do not change what its objects compute."""
 
 
 def _filled(cell: Any) -> bool:
@@ -415,7 +494,7 @@ def _filled(cell: Any) -> bool:
 
 
 def _names(code: CodeType) -> list[str]:
-    """Return the names of globals that a code and its nested functions read."""
+    """Return the names of globals and attributes that a code and its nested functions read."""
     names = list(code.co_names)
     for constant in code.co_consts:
         if isinstance(constant, CodeType):

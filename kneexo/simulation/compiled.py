@@ -17,10 +17,8 @@ from importlib.metadata import version
 from pathlib import Path
 from threading import RLock
 from typing import Any, NamedTuple, get_origin
-from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
 from kneexo.compiler import (
     STEP_S,
@@ -46,8 +44,9 @@ from kneexo.diagrams.controller import (
     has_unknown_parts,
     known_to_controller,
     make_controller,
+    users_law,
 )
-from kneexo.diagrams.law import held_command, law_inputs, runs_as_python
+from kneexo.diagrams.law import held_command, law_inputs, remembered, runs_as_python
 from kneexo.diagrams.signals import SIGNALS, columns
 from kneexo.diagrams.wearer import moment_of, moment_spline
 from kneexo.errors import CompilationError, KneexoError
@@ -63,7 +62,7 @@ from kneexo.result import Array
 from kneexo.simulation.python_law import PythonLaw
 from kneexo.simulation.run import Run
 from kneexo.systems import knee_reference
-from kneexo.systems.function_law import LAW_COMMAND
+from kneexo.systems.function_law import LAW_COMMAND, trace
 
 _PACKAGE = Path(__file__).parents[1]
 _SOURCES = (
@@ -140,8 +139,10 @@ def structure_key(scenario: Scenario) -> str:
         # Its numbers may be constants of its equations, so the key contains the equations.
         fields["controller"] = law.sample_time_s, _custom(scenario).key
     elif isinstance(law, LawParameters):
-        size = len(law.initial_state)
-        fields["controller"] = law.function.identity(), size, law.sample_time_s
+        # The names of arguments and states become names of the model.
+        arguments, size = law.function.arguments, len(law.initial_state)
+        names = arguments.inputs, tuple(arguments.gains), size, law.sample_time_s
+        fields["controller"] = names, trace(law.function, size).key
     return _key(tuple(fields.items()))
 
 
@@ -230,34 +231,32 @@ class _Custom(NamedTuple):
     """Dictionary from a state's name in the closed loop to its value in the default Context."""
 
 
-_customs: dict[str, _Custom] = {}
-
-
 def _custom(scenario: Scenario) -> _Custom:
-    key = known_to_controller(scenario).model_dump_json()
+    question = "read", known_to_controller(scenario).model_dump_json()
     with _lock:
-        if key not in _customs:
-            controller = make_controller(scenario, held_command(scenario))
-            ports = map(controller.get_input_port, range(controller.num_input_ports()))
-            try:
-                read = read_diagram(controller, inputs=[port.get_name() for port in ports])
-            except CompilationError as error:
-                raise CompilationError(
-                    f"{error}; track(scenario, law=law) also runs a law that does not convert"
-                ) from None
+        return remembered(users_law(scenario), question, lambda: _read_controller(scenario))
 
-            def named(names: Sequence[str], values: Array) -> dict[str, float]:
-                paths = (n if n.startswith(".") else f"/{n}" for n in names)  # a leaf has no path
-                return dict(zip((f"controller{p}" for p in paths), values.tolist(), strict=True))
 
-            state = read.state()
-            _customs[key] = _Custom(
-                read.key,
-                named(read.parameter_names, read.parameters()),
-                named(read.state_names, state.continuous)
-                | named(read.discrete_names, state.discrete),
-            )
-        return _customs[key]
+def _read_controller(scenario: Scenario) -> _Custom:
+    controller = make_controller(scenario, held_command(scenario))
+    ports = map(controller.get_input_port, range(controller.num_input_ports()))
+    try:
+        read = read_diagram(controller, inputs=[port.get_name() for port in ports])
+    except CompilationError as error:
+        raise CompilationError(
+            f"{error}; track(scenario, law=law) also runs a law that does not convert"
+        ) from None
+
+    def named(names: Sequence[str], values: Array) -> dict[str, float]:
+        paths = (n if n.startswith(".") else f"/{n}" for n in names)  # a leaf has no path
+        return dict(zip((f"controller{p}" for p in paths), values.tolist(), strict=True))
+
+    state = read.state()
+    return _Custom(
+        read.key,
+        named(read.parameter_names, read.parameters()),
+        named(read.state_names, state.continuous) | named(read.discrete_names, state.discrete),
+    )
 
 
 # --------------------------------------------------------------- parameters, state, inputs
@@ -273,21 +272,6 @@ def scenario_values(scenario: Scenario) -> dict[str, float]:
     if has_unknown_parts(scenario):
         values |= _custom(scenario).values
     return values
-
-
-def _parameters(scenario: Scenario, model: CompiledModel) -> Array:
-    """Return the values of `scenario_values` in the order of the model's parameters."""
-    groups = [values.values() for _, values in loop_values(scenario)]
-    if has_unknown_parts(scenario):
-        groups.append(_custom(scenario).values.values())
-    values = np.array([value for group in groups for value in group], dtype=float)
-    if model not in _orders:  # scenarios of one structure have one order of the values
-        place = {name: n for n, name in enumerate(scenario_values(scenario))}
-        _orders[model] = np.array([place[name] for name in model.parameter_names], dtype=np.intp)
-    return np.asarray(values[_orders[model]])
-
-
-_orders: WeakKeyDictionary[CompiledModel, NDArray[np.intp]] = WeakKeyDictionary()
 
 
 def scenario_start(scenario: Scenario) -> dict[str, float]:
@@ -344,12 +328,16 @@ def scenario_run(scenario: Scenario, model: CompiledModel) -> tuple[Array, State
     `ParameterError` and `LinkageError` as `make_closed_loop` does.
     """
     _require_reference_in_range(scenario)
-    parameters, start = _parameters(scenario, model), scenario_start(scenario)
+    values, start = scenario_values(scenario), scenario_start(scenario)
+    # By name, because a law that runs as Python has values that the model does not have.
+    parameters = np.array([values[name] for name in model.parameter_names])
     state = State(
-        np.array([start.get(name, 0.0) for name in model.state_names]),
-        np.zeros(len(model.discrete_names)),
+        *(
+            np.array([start.get(name, 0.0) for name in names])
+            for names in (model.state_names, model.discrete_names)
+        )
     )
-    inputs = scenario_inputs(scenario)
+    inputs = _stacked(LAW_COMMAND in model.inputs, scenario.reference, moment_of(scenario))
     return parameters, model.initialized(parameters, state, inputs), inputs
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 import multiprocessing
 import sys
@@ -52,7 +51,7 @@ class PythonLaw:
             self._simulator = Simulator(law.function.any_system())
             self._started = False
             return
-        self._function = copy.deepcopy(law.function.target)
+        self._function = law.function.copy_of_target()
         self._state = np.array(law.initial_state)
         self._gains = {name: np.array([value]) for name, value in law.values.items()}
 

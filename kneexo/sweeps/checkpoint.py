@@ -13,9 +13,10 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from kneexo.errors import OutputError, shown
+from kneexo.errors import KneexoError, OutputError, shown
 from kneexo.files.locking import LockedFile
 from kneexo.files.reading import MIB
+from kneexo.parameters import LawParameters, Scenario
 from kneexo.version import __version__
 
 _HEADER = b'{"kneexo checkpoint": 1}'  # increase the number when the format changes
@@ -141,6 +142,10 @@ class Checkpoint:
         return unused
 
 
+class UnknownLawError(KneexoError):
+    """A law has no fingerprint by which a later process could recognize it."""
+
+
 def _sealed(payload: bytes) -> bytes:
     """Return a line of the file, made of a checksum and ``payload``, the JSON of key and result."""
     seal = hashlib.sha256(payload).hexdigest().encode()
@@ -154,6 +159,7 @@ def piece_keys(function: Any, items: Iterable[Any]) -> list[str]:
     """Return the key of each piece of work ``function(item)``.
 
     The key is a digest of kneexo's version, the function with its bound arguments, and the item.
+    Raises `UnknownLawError` for an item with a law that another process cannot compare.
     """
     shared = hashlib.sha256(_text([__version__, function]))
     keys = []
@@ -170,6 +176,13 @@ def _text(value: Any) -> bytes:
 
 def _plain(value: Any) -> Any:
     """Return JSON-compatible data that stands for a value that JSON cannot write."""
+    if isinstance(value, Scenario) and isinstance(value.controller, LawParameters):
+        law = value.controller.function
+        if law.fingerprint is None:
+            raise UnknownLawError(
+                f"law {law.short_name} has values that cannot be compared with those of another "
+                f"run, so no finished pieces are kept"
+            )
     if isinstance(value, BaseModel):
         return [type(value).__name__, value.model_dump_json()]
     if isinstance(value, partial):

@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import threading
 import time
+import warnings
 from collections import deque
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from concurrent.futures import (
@@ -26,7 +27,7 @@ from kneexo.errors import WorkerError
 from kneexo.interruption import interrupt_later
 from kneexo.progress import progress_bar
 from kneexo.simulation.coroutines import is_synchronous, map_concurrently
-from kneexo.sweeps.checkpoint import Checkpoint, piece_keys
+from kneexo.sweeps.checkpoint import Checkpoint, UnknownLawError, piece_keys
 from kneexo.version import __version__
 
 Item = TypeVar("Item")
@@ -229,7 +230,11 @@ def parallel_map(
     WorkerError
         A worker process died.
     """
-    keys = [] if checkpoint is None else piece_keys(function, items)
+    try:
+        keys = [] if checkpoint is None else piece_keys(function, items)
+    except UnknownLawError as error:
+        warnings.warn(f"checkpoint: {error}", stacklevel=2)
+        checkpoint, keys = None, []
     results: dict[int, Result] = {}
 
     def keep(index: int, result: Result) -> None:

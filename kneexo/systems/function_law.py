@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import copy
 import math
-from collections.abc import Mapping
-from contextlib import nullcontext
-from functools import lru_cache
-from typing import Any
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from itertools import chain
+from numbers import Real
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.symbolic import Expression, Variable
 
+from kneexo.compiler import expressions_key, truth_of_scalars
 from kneexo.errors import ParameterError, SimulationError, shortened
 from kneexo.parameters import LAW_INPUTS, Law, LawParameters
 from kneexo.systems._leaf import NamedLeaf, clip, discrete_state, leaf_template
@@ -38,34 +39,67 @@ def call_law(law: Law, function: Any, arguments: Mapping[str, Any]) -> list[Any]
     """Call the function of a law; return the command in rad/s and then the next state.
 
     ``arguments`` has an array for each argument. The function gets a scalar for an array of one
-    element, except for ``state``. Raises `ParameterError` if the function fails or returns
-    something else.
+    element, except for ``state``. A constant Expression in the result of a call with numbers, such
+    as pydrake's ``if_then_else`` returns, becomes a float. Raises `ParameterError` if the function
+    fails or returns something else.
     """
-    plain = {
-        name: values.copy() if name == "state" or values.size > 1 else values.item()
-        for name, values in arguments.items()
-    }
-    with user_code(f"law {law.short_name}: the function fails"):
-        symbolic = any(values.dtype == object for values in arguments.values())
-        # NumPy raises false alarms for arrays of Expression.
-        with np.errstate(invalid="ignore") if symbolic else nullcontext():
-            result = function(**plain)
+    kinds = {type(value) for values in arguments.values() for value in values}
+    scalars = kinds & {AutoDiffXd, Expression}
+    with user_code(f"law {law.short_name}: the function fails"), _arithmetic(bool(scalars)):
+        try:
+            result = function(**_plain(arguments))
+        except TypeError as error:
+            # Drake 1.58 accepts no comparison of NumPy scalars, but one of Expressions.
+            if scalars or "if_then_else()" not in str(error) or function is not law.target:
+                raise
+            constants = {name: _constants(values) for name, values in arguments.items()}
+            result = function(**_plain(constants))
     values, expected = [result], "must return the motor speed in rad/s, one number"
-    if "state" in plain:
-        size = plain["state"].size
+    count = 1
+    if "state" in arguments:
+        size = arguments["state"].size
         expected = f"must return (command, next_state), with {size} numbers in next_state"
         if not isinstance(result, tuple | list) or len(result) != 2:
             raise _wrong_result(law, result, expected)
         values = [result[0], *np.asarray(result[1], dtype=object).reshape(-1)]
-        if len(values) != 1 + size:
-            raise _wrong_result(law, result, expected)
+        count += size
     values[:1] = np.asarray(values[0], dtype=object).reshape(-1)
-    count = 1 + ("state" in plain and plain["state"].size)
-    numbers = (int, float, np.number, Expression, AutoDiffXd)
-    suited = (isinstance(v, numbers) and not isinstance(v, bool) for v in values)
+    suited = (isinstance(v, _NUMBERS) and not isinstance(v, bool) for v in values)
     if len(values) != count or not all(suited):
         raise _wrong_result(law, result, expected)
-    return values
+    return [v if type(v) in scalars else _number(v) for v in values]
+
+
+_NUMBERS = (Real, Expression, AutoDiffXd)
+
+
+def _number(value: Any) -> float:
+    """Return a number or a constant Expression as a float."""
+    return float(value.Evaluate() if isinstance(value, Expression) else value)
+
+
+@contextmanager
+def _arithmetic(with_scalars: bool) -> Iterator[None]:
+    """Context manager: the body calculates with scalars of Drake if ``with_scalars``."""
+    if not with_scalars:
+        yield
+        return
+    # NumPy raises false alarms for arrays of Expression.
+    with truth_of_scalars(), np.errstate(invalid="ignore"):
+        yield
+
+
+def _plain(arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments of a function: a scalar for an array of one element, but not `state`."""
+    return {
+        name: values.copy() if name == "state" or values.size > 1 else values.item()
+        for name, values in arguments.items()
+    }
+
+
+def _constants(values: Any) -> Any:
+    """Return an array of numbers as an array of constant Expressions."""
+    return np.array([Expression(value) for value in values])
 
 
 def _wrong_result(law: Law, result: Any, expected: str) -> ParameterError:
@@ -100,7 +134,7 @@ class FunctionLaw(NamedLeaf):
 
     def __init__(self, parameters: LawParameters) -> None:
         self._law = law = parameters.function
-        self._function = copy.deepcopy(law.target)  # an object may hide state
+        self._function = law.copy_of_target()
         self._arguments_of_law = law.arguments
         self._declare_parameters(context_values(parameters))
         self._states = len(parameters.initial_state)
@@ -204,56 +238,109 @@ _TYPICAL = {  # largest magnitudes of the inputs at the points of comparison, in
     "knee_angle": (1.5,),
     "knee_reference": (1.5, 1.0, 1.0, 10.0),
 }
-_POINTS = 4
+_STATE_SCALES = (1.0, 0.0, 10.0, 1e3)  # largest states at the points: flags, counters, integrals
 _ZERO = Expression(0.0)
 _TOLERANCE = 1e-9  # sums in another order; conditioning of a law with gains up to 1e6
 
 
-@lru_cache(maxsize=256)
-def why_not_compiled(law: Law, states: int) -> str:
-    """Return why the function of a law cannot become equations; an empty text if it can.
+class Trace(NamedTuple):
+    """The equations of a law's function, or the reason why there are none."""
 
-    ``states`` is the number of elements of its argument ``state``. The function is traced twice
-    with variables, and compared with calls with numbers. Raises `ParameterError` if the function
-    hides state that cannot be copied.
+    why_not_compiled: str
+    """Reason why the function cannot become equations; empty if it can."""
+    expressions: tuple[Any, ...] = ()
+    """Symbolic expressions of the command and then the next state."""
+    key: str = ""
+    """Hash of the expressions, from which gains appear as variables."""
+
+
+def trace(law: Law, states: int) -> Trace:
+    """Trace the function of a law with symbolic variables, and compare it with calls with numbers.
+
+    ``states`` is the number of elements of its argument ``state``. Values that the function reads
+    may change between two runs. So each call traces the function anew, and repeats the comparison
+    if the equations have changed. Raises `ParameterError` if the function hides state that cannot
+    be copied.
     """
     if hides_state(law, states):
-        return "the object changes when it is called"
-    variables = {
+        return Trace("the object changes when it is called")
+    variables = law.memo.setdefault(("variables", states), _variables(law, states))
+    try:
+        expressions = _symbolic_call(law, variables)
+        known = law.memo.get(("trace", states))
+        if known is None or not _are_equal(known.expressions, expressions):
+            again = _symbolic_call(law, variables)
+            known = law.memo["trace", states] = _compared(law, variables, expressions, again)
+    except ParameterError as error:
+        return Trace(_reason(error))
+    return known
+
+
+def _variables(law: Law, states: int) -> dict[str, Any]:
+    """Return an array of symbolic variables for each argument of the function."""
+    return {
         name: np.array([Variable(f"{name}{n}") for n in range(size)])
         for name, size in _sizes(law, states).items()
     }
+
+
+def _symbolic_call(law: Law, variables: Mapping[str, Any]) -> tuple[Any, ...]:
     symbols = {name: np.array([Expression(v) for v in vs]) for name, vs in variables.items()}
-    try:
-        traces = [call_law(law, law.target, symbols) for _ in range(2)]
-    except ParameterError as error:
-        return _reason(error)
+    return tuple(_ZERO + value for value in call_law(law, law.copy_of_target(), symbols))
+
+
+def _are_equal(expressions: Iterable[Any], others: Iterable[Any]) -> bool:
+    return all(one.EqualTo(other) for one, other in zip(expressions, others, strict=True))
+
+
+def _compared(
+    law: Law, variables: Mapping[str, Any], expressions: tuple[Any, ...], again: tuple[Any, ...]
+) -> Trace:
+    """Return the trace of a law whose two symbolic calls gave ``expressions`` and ``again``.
+
+    The expressions become equations if they are equal, and if calls with numbers agree with them.
+    """
+    states = len(expressions) - 1
+    differ = "the equations that were read off differ from calls with numbers"
+    if not _are_equal(expressions, again):
+        return Trace(differ, expressions)
     random = np.random.default_rng(0)
-    for _ in range(_POINTS):
+    function = law.copy_of_target()
+    for scale in _STATE_SCALES:
         point = _random_point(law, states, random)
-        environment = {
+        if states:
+            point["state"] = scale * point["state"]
+        values = {
             variable: value
             for name, vs in variables.items()
             for variable, value in zip(vs, point[name], strict=True)
         }
         try:
-            numbers = np.array(call_law(law, law.target, point), dtype=float)
-            read = np.array([[(_ZERO + e).Evaluate(environment) for e in t] for t in traces])
+            numbers = call_law(law, function, point)
+            read = [expression.Evaluate(values) for expression in expressions]
         except (ParameterError, RuntimeError, ValueError):
-            return "the function fails for numbers within the usual range"
-        if not np.isclose(read, numbers, rtol=_TOLERANCE, atol=_TOLERANCE).all():
-            return "the equations that were read off differ from calls with numbers"
-    return ""
+            return Trace("the function fails for numbers within the usual range", expressions)
+        if not np.allclose(read, numbers, rtol=_TOLERANCE, atol=_TOLERANCE, equal_nan=True):
+            return Trace(differ, expressions)
+    return Trace("", expressions, expressions_key(expressions, [*chain(*variables.values())]))
 
 
-@lru_cache(maxsize=256)
 def hides_state(law: Law, states: int) -> bool:
     """Return True if a law is an object that changes when it is called.
 
     Raises `ParameterError` if a function changes outer variables, or returns two commands for equal
     arguments. Such a function cannot start a second run afresh.
     """
-    function = copy.deepcopy(law.target)
+    if ("hides_state", states) not in law.memo:
+        law.memo["hides_state", states] = _hides_state(law, states)
+    hides: bool = law.memo["hides_state", states]
+    return hides
+
+
+def _hides_state(law: Law, states: int) -> bool:
+    function = law.copy_of_target()
+    is_object = function is not law.target
+    before = Law(function).fingerprint
     random = np.random.default_rng(1)
     changed = False
     try:
@@ -263,8 +350,9 @@ def hides_state(law: Law, states: int) -> bool:
             changed |= not np.array_equal(first, again, equal_nan=True)
     except ParameterError:
         return False  # the run or the trace reports the cause
-    changed |= Law(function, law.name).digest != law.digest
-    if changed and (function is law.target or Law(law.target, law.name).digest != law.digest):
+    after = Law(function).fingerprint
+    changed |= before != after or (is_object and before is None)
+    if changed and (not is_object or law.fingerprint != before):
         raise ParameterError(
             f"law {law.short_name}: hides state: it changes outer variables, or returns two "
             f"commands for equal arguments; must take the argument state and return "
@@ -308,7 +396,7 @@ def _reason(error: ParameterError) -> str:
     place = place_in_user_code(cause)
     line = f" (line {place[1]})" if place else ""
     if "__bool__" in str(cause):
-        return f"the function compares values{line}"
+        return f"the function branches on a value{line}"
     if isinstance(cause, TypeError):
         return f"the function needs plain numbers{line}"
     return f"the function raises {type(cause).__name__} for symbolic variables{line}"

@@ -145,6 +145,21 @@ def test_the_faulty_one_of_several_values_is_named(capsys, tmp_path):
     assert capsys.readouterr().err.startswith(line)
 
 
+def test_a_relative_out_belongs_to_the_directory_of_the_call(
+    capsys, short, tmp_path, undrawn, monkeypatch
+):
+    (tmp_path / "elsewhere").mkdir()
+    file = tmp_path / "my.py"
+    file.write_text(
+        f"import os\nos.chdir({str(tmp_path / 'elsewhere')!r})\n"
+        "def law(rod_extension, rod_reference):\n"
+        "    return 1.3e5 * (rod_reference[0] - rod_extension)\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    assert main(["simulate", short, "--law", f"{file}:law", "--out", "results"]) == 0
+    assert (tmp_path / "results" / "signals.csv").is_file()
+
+
 def test_a_law_of_the_user_replaces_that_of_the_file(capsys, short, tmp_path, undrawn):
     out, law = tmp_path / "out", f"{EXAMPLES / 'own_law.py'}:law"
     command = ["simulate", short, "--law", law, "--out", str(out), "--json"]

@@ -1,11 +1,14 @@
 import json
 import os
+from pathlib import Path
 
 import kneexo
 from kneexo.command_line.main import main
 from kneexo.compiler.native import cache
 from kneexo.parameters import Scenario
 from kneexo.parameters.scenario_file import load_scenario
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 def test_params_lists_every_number_with_unit_and_provenance(capsys):
@@ -21,6 +24,17 @@ def test_params_lists_every_number_with_unit_and_provenance(capsys):
         "plant.pump:\n  speed_limit_rad_s = 523.5987756 rad/s  [0.1 … 5000]  Tab"
     )
     assert "\n\nuncertainty:\n  plant.cylinder.mass_kg = [1.4, 1.8]" in text
+
+
+def test_params_lists_a_law_of_the_user_and_its_gains(capsys):
+    law = f"{EXAMPLES / 'own_law.py'}:law"
+    assert main(["params", "--law", law]) == 0
+    assert f"function = {law}" in capsys.readouterr().out
+    assert main(["params", "--law", law, "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["parameters"]
+    values = {row["parameter"]: row["value"] for row in rows}
+    assert values["controller.function"] == law
+    assert values["controller.values"] == {"gain": 1.3e5}
 
 
 def test_params_finds_what_the_scenario_changes(capsys, scenario_file):

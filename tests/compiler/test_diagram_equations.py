@@ -3,11 +3,12 @@
 import dataclasses
 
 import pytest
+from pydrake.symbolic import Expression, Variable, if_then_else, max as symbolic_max
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import Integrator, LinearSystem
 
 from kneexo.compiler import compile_diagram
-from kneexo.compiler.diagram_equations import equations_key
+from kneexo.compiler.diagram_equations import equations_key, expressions_key
 from kneexo.compiler.equations.equations import Equations, Limit, Section, Update
 from kneexo.compiler.equations.graph import Graph
 from kneexo.compiler.equations.passes import Program
@@ -81,3 +82,21 @@ def test_equal_diagrams_of_nameless_systems_give_equal_text():
 
     first = text()
     assert text() == first
+
+
+def test_the_key_of_expressions_depends_on_operations_numbers_and_places_of_variables():
+    def key(function):
+        variables = [Variable(name) for name in "ab"]
+        return expressions_key([function(*map(Expression, variables))], variables)
+
+    expected = key(lambda a, b: 0.1 * a + b)
+    assert key(lambda a, b: b + a * 0.1) == expected
+    others = [
+        lambda a, b: 0.1 * b + a,
+        lambda a, b: 0.10000000000000002 * a + b,
+        lambda a, b: 0.1 * a - b,
+        lambda a, b: symbolic_max(0.1 * a, b),
+        lambda a, b: if_then_else(a > b, 0.1 * a, b),
+        lambda a, b: if_then_else(a >= b, 0.1 * a, b),
+    ]
+    assert len({expected, *map(key, others)}) == 1 + len(others)

@@ -1,11 +1,21 @@
-"""Control laws of the user: names, digests, arguments, errors."""
+"""Control laws of the user: names, fingerprints, arguments, errors."""
 
+import math
 import pickle
+import sys
+from array import array
+from collections import defaultdict, deque
+from decimal import Decimal
+from fractions import Fraction
+from functools import lru_cache, partial
+from operator import itemgetter
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 import pytest
 from pydrake.systems.framework import LeafSystem
+from pydrake.systems.primitives import Gain
 
 from kneexo.errors import ParameterError
 from kneexo.parameters import Law, LawParameters, Scenario
@@ -39,7 +49,7 @@ def test_arguments_choose_inputs_and_gains() -> None:
     assert arguments.gains == {"k": 3.0, "tau": 0.5}
 
 
-def test_equal_code_has_an_equal_digest_and_other_code_another() -> None:
+def test_equal_code_has_an_equal_fingerprint_and_other_code_another() -> None:
     assert Law(with_factor(1.0)) == Law(with_factor(1.0))
     assert hash(Law(with_factor(1.0))) == hash(Law(with_factor(1.0)))
     assert Law(with_factor(1.0)) != Law(with_factor(2.0))  # a variable of the closure
@@ -48,9 +58,9 @@ def test_equal_code_has_an_equal_digest_and_other_code_another() -> None:
     assert Law(lambda x, k=1.0: x) != Law(lambda x, k=2.0: x)
     assert Law(lambda x, *, k=1.0: x) != Law(lambda x, *, k=2.0: x)
     matrix = np.eye(2)
-    before = Law(with_factor(matrix)).digest
+    before = Law(with_factor(matrix)).fingerprint
     matrix[0, 1] = 1e-12
-    assert Law(with_factor(matrix)).digest != before
+    assert Law(with_factor(matrix)).fingerprint != before
 
 
 GAIN = 2.0
@@ -64,14 +74,14 @@ def helper(value):
     return GAIN * value
 
 
-def test_the_digest_follows_the_functions_and_values_that_a_law_reads(monkeypatch) -> None:
-    before = Law(reads_a_global).digest
-    assert Law(reads_a_global).digest == before
+def test_the_fingerprint_follows_the_functions_and_values_that_a_law_reads(monkeypatch) -> None:
+    before = Law(reads_a_global).fingerprint
+    assert Law(reads_a_global).fingerprint == before
     monkeypatch.setitem(globals(), "GAIN", 3.0)
-    assert Law(reads_a_global).digest != before
+    assert Law(reads_a_global).fingerprint != before
 
 
-def test_the_digest_follows_the_attributes_of_an_object() -> None:
+def test_the_fingerprint_follows_the_attributes_of_an_object() -> None:
     class Object:
         def __init__(self, gain):
             self.gain = gain
@@ -79,8 +89,8 @@ def test_the_digest_follows_the_attributes_of_an_object() -> None:
         def __call__(self, rod_extension):
             return self.gain * rod_extension
 
-    assert Law(Object(1.0)).digest == Law(Object(1.0)).digest
-    assert Law(Object(1.0)).digest != Law(Object(2.0)).digest
+    assert Law(Object(1.0)).fingerprint == Law(Object(1.0)).fingerprint
+    assert Law(Object(1.0)).fingerprint != Law(Object(2.0)).fingerprint
 
 
 def test_a_file_gives_the_law_and_later_changes_are_noticed(tmp_path: Path) -> None:
@@ -174,13 +184,13 @@ def test_a_wrong_law_is_one_line(bad, message: str) -> None:
     assert "LawParameters" not in text
 
 
-def test_the_digest_follows_the_modules_of_the_user(tmp_path: Path) -> None:
+def test_the_fingerprint_follows_the_modules_of_the_user(tmp_path: Path) -> None:
     (tmp_path / "gains_of_law.py").write_text("K = 1.0\n")
     file = tmp_path / "my.py"
     file.write_text("import gains_of_law\ndef law(rod_extension):\n    return gains_of_law.K\n")
-    before = Law.from_text(f"{file}:law").digest
+    before = Law.from_text(f"{file}:law").fingerprint
     (tmp_path / "gains_of_law.py").write_text("K = 2.0\n")
-    assert Law.from_text(f"{file}:law").digest != before
+    assert Law.from_text(f"{file}:law").fingerprint != before
 
 
 def test_a_template_of_drake_is_its_class_for_floats() -> None:
@@ -222,3 +232,67 @@ def test_values_and_states_must_suit_the_function() -> None:
         LawParameters(function=law, initial_state=[0.0])
     with pytest.raises(ParameterError, match="is a Drake system: initial_state and values must"):
         LawParameters(function=LeafSystem, values={"gain": 1.0})
+
+
+HELD = {
+    "Fraction": lambda n: Fraction(n, 3),
+    "Decimal": lambda n: Decimal(n),
+    "array": lambda n: array("d", [n]),
+    "deque": lambda n: deque([n]),
+    "range": range,
+    "slice": slice,
+    "bytearray": lambda n: bytearray([n]),
+    "itemgetter": itemgetter,
+    "defaultdict": lambda n: defaultdict(lambda: n),
+    "set": lambda n: {n, "text"},
+    "partial": lambda n: partial(pow, n),
+    "cached function": lambda n: lru_cache(lambda: n),
+    "array of NumPy": lambda n: np.array([n], dtype=np.float32),
+    "class attribute": lambda n: type("Holder", (), {"gain": [n]})(),
+    "static method": lambda n: type("Holder", (), {"gain": staticmethod(lambda: n)})(),
+    "property": lambda n: type("Holder", (), {"gain": property(lambda self: n)})(),
+    "attribute of a function": lambda n: with_attribute(n),
+}
+
+
+def with_attribute(value):
+    def function():
+        return 0.0
+
+    function.gain = value
+    return function
+
+
+@pytest.mark.parametrize("held", HELD)
+def test_the_fingerprint_follows_values_of_any_type(held: str) -> None:
+    one, same, other = (Law(with_factor(HELD[held](n))).fingerprint for n in (1, 1, 2))
+    assert one == same
+    assert None not in (one, other)
+    assert one != other
+
+
+def test_a_law_with_values_that_nobody_can_compare_has_no_fingerprint() -> None:
+    for value in (Lock(), (n for n in ()), Gain(1.0, 1), sys.stdout):
+        law = Law(with_factor(value))
+        assert law.fingerprint is None
+        assert law.identity() == law.name
+        assert law == Law(law.target)
+        assert law != Law(with_factor(value))
+
+
+def test_numbers_of_numpy_are_gains_and_others_are_one_line() -> None:
+    def law(rod_extension, a=np.float32(0.5), b=np.int64(3), c=Fraction(1, 4)):
+        return 0.0
+
+    assert Law(law).arguments.gains == {"a": 0.5, "b": 3.0, "c": 0.25}
+    for bad in (math.nan, -math.inf, np.float32(math.inf)):
+        with pytest.raises(ParameterError, match=r"the default gain = .* must be finite; give"):
+            Scenario().with_law(lambda rod_extension, gain=bad: gain)
+        with pytest.raises(ParameterError, match=r"the default state = .* must be finite"):
+            Scenario().with_law(lambda rod_extension, state=(1.0, bad): (0.0, state))
+        with pytest.raises(ParameterError, match=r"values.gain.* finite"):
+            Scenario().with_law(law_with_gain, values={"gain": bad})
+
+
+def law_with_gain(rod_extension, gain=1.0):
+    return gain * rod_extension

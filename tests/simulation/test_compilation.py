@@ -39,5 +39,7 @@ def test_a_diagram_compiles():
 
 def test_a_law_that_is_called_as_python_is_no_machine_code():
     scenario = Scenario().with_law(lambda rod_extension: max(0.0, rod_extension))
-    with pytest.raises(CompilationError, match=r"called as Python: the function compares values"):
+    with pytest.raises(
+        CompilationError, match=r"called as Python: the function branches on a value"
+    ):
         kneexo.compile(scenario)

@@ -290,18 +290,6 @@ def test_no_quantity_is_baked_into_the_equations(case):
     assert keys[0] == keys[1]
 
 
-@pytest.mark.parametrize("case", EVERYTHING)
-def test_the_parameter_vector_is_in_the_models_order(case):
-    class Model:
-        parameter_names = tuple(sorted(scenario_values(EVERYTHING[case])))
-
-    base, model = EVERYTHING[case], Model()
-    heavy = changed(base, ("plant", "cylinder", "mass_kg"), 1.9)
-    for scenario in (base, heavy, changed(heavy, ("plant", "linkage"), G3), base):
-        expected = [scenario_values(scenario)[name] for name in Model.parameter_names]
-        assert compiled._parameters(scenario, model).tolist() == expected
-
-
 def test_the_believed_plant_is_part_of_the_structure():
     base = Scenario()
     assert structure_key(base) == structure_key(Scenario(nominal=base.plant))

@@ -1,11 +1,13 @@
 """Control laws of the user in closed loop: compiled, or called as Python beside the plant."""
 
 import math
+from collections import deque
+from fractions import Fraction
 
 import numpy as np
 import pytest
-from pydrake.systems.framework import LeafSystem
-from pydrake.systems.primitives import Gain
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from pydrake.systems.primitives import Gain, LinearSystem
 
 from kneexo.analysis import linearize_loop, track
 from kneexo.diagrams import make_controller
@@ -91,6 +93,79 @@ def test_a_law_in_python_moves_the_knee_as_the_compiled_law_does() -> None:
     np.testing.assert_array_less(1e-4, np.abs(angles(SHORT, law) - expected).max())
 
 
+def test_laws_in_python_do_not_disturb_each_other() -> None:
+    """They share the compiled plant, but each has its own gains and states."""
+
+    def with_gain(rod_extension, rod_reference, ki=0.0, k=K):
+        return law_with_branch(rod_extension, rod_reference, k + ki)
+
+    def with_state(rod_extension, rod_reference, state=(0.0, 0.0), k=K):
+        return law_with_branch(rod_extension, rod_reference, k), state
+
+    bench = Scenario.preset("bench").changed({"simulation.duration_s": 0.1})
+    expected = angles(bench, law_with_branch)
+    for form in (with_gain, with_state, law_with_branch):
+        assert angles(bench, form).tolist() == expected.tolist()
+
+
+@pytest.mark.parametrize(
+    "held",
+    [
+        lambda n: Fraction(n),
+        lambda n: deque([n]),
+        lambda n: type("Holder", (), {"gain": staticmethod(lambda: n)}),
+    ],
+)
+def test_laws_of_one_text_with_other_values_have_their_own_equations(held) -> None:
+    def with_value(value):
+        def law_of_value(rod_extension, rod_reference):
+            gain = value.gain() if hasattr(value, "gain") else value
+            gain = gain[0] if isinstance(gain, deque) else gain
+            return float(gain) * (rod_reference[0] - rod_extension)
+
+        return law_of_value
+
+    for gain in (80_000, 20_000):
+        form = with_value(held(gain))
+        assert not runs_as_python(SHORT.with_law(form))
+        direct = lambda rod_extension, rod_reference, k=float(gain): (  # noqa: E731
+            k * (rod_reference[0] - rod_extension)
+        )
+        expected = angles(SHORT, direct)
+        np.testing.assert_allclose(angles(SHORT, form), expected, rtol=0.0, atol=1e-12)
+
+
+def test_a_law_follows_a_value_that_changes_between_two_runs() -> None:
+    """The scenario is kept; the law reads a value that is not its own."""
+    gains = {"k": 8e4}
+
+    def reads(rod_extension, rod_reference):
+        return gains["k"] * (rod_reference[0] - rod_extension)
+
+    scenario = SHORT.with_law(reads)
+    first = simulate(scenario)["knee_angle_rad"]
+    gains["k"] = 2e4
+    second = simulate(scenario)["knee_angle_rad"]
+    assert np.abs(second - first).max() > 1e-4
+    assert second.tolist() == angles(SHORT, reads).tolist()
+
+
+def system_that_starts_moving():
+    """Return a system whose command decays from 300 rad/s, its default discrete state."""
+    builder = DiagramBuilder()
+    decay = builder.AddSystem(LinearSystem([[0.99]], [[0.0]], [[1.0]], [[0.0]], 0.002))
+    decay.configure_default_state([300.0])
+    builder.ExportInput(decay.get_input_port(), "rod_extension")
+    builder.ExportOutput(decay.get_output_port(), "motor_speed_command")
+    return builder.Build()
+
+
+def test_a_drake_system_starts_at_its_default_state() -> None:
+    assert not runs_as_python(SHORT.with_law(system_that_starts_moving))
+    command = simulate(SHORT, law=system_that_starts_moving)["motor_speed_command_rad_s"]
+    np.testing.assert_allclose(command[:3], [300.0, 297.0, 294.03], rtol=1e-12)
+
+
 def test_the_engines_agree_for_a_law() -> None:
     drake = SHORT.with_steps(2e-4).with_engine("drake")
     for form in (pi, pi_with_floats, SystemPi):
@@ -174,7 +249,7 @@ def test_the_first_run_says_once_why_the_law_is_slow(capsys) -> None:
         simulate(SHORT, law=slow)
     (line,) = (text for text in capsys.readouterr().err.splitlines() if "slow" in text)
     assert "runs as Python" in line
-    assert "the function compares values (line " in line
+    assert "the function branches on a value (line " in line
     assert "docs/your_controller.md" in line
 
 

@@ -3,8 +3,10 @@ import hashlib
 import math
 import os
 from dataclasses import dataclass
+from fractions import Fraction
 from functools import partial
 from io import FileIO
+from threading import Lock
 from types import MappingProxyType
 
 import pytest
@@ -310,3 +312,34 @@ def test_keys_tell_apart_what_json_does_not_know():
     ]
     assert len(set(piece_keys(square, tried))) == len(tried)
     assert piece_keys(square, [{"a": 1.0, "b": 2.0}]) == piece_keys(square, [{"b": 2.0, "a": 1.0}])
+
+
+def law_with(value):
+    def law(rod_extension):
+        return float(value != 0) * rod_extension
+
+    return law
+
+
+def test_pieces_of_laws_are_known_by_their_values(tmp_path):
+    def keys(value):
+        return piece_keys(square, [Scenario().with_law(law_with(value))])
+
+    assert keys(Fraction(1)) == keys(Fraction(1))
+    assert keys(Fraction(1)) != keys(Fraction(2))
+
+
+def test_a_law_that_cannot_be_compared_keeps_no_pieces(tmp_path):
+    path = tmp_path / "sweep.jsonl"
+    scenario = Scenario().with_law(law_with(Lock()))
+    for _ in range(2):
+        checkpoint = Checkpoint(path)
+        with pytest.warns(UserWarning, match="law .*law has values that cannot be compared"):
+            parallel_map(duration_of, [scenario], checkpoint=checkpoint)
+        assert len(checkpoint) == 0
+    assert CALLS == [30.0, 30.0]
+
+
+def duration_of(scenario):
+    CALLS.append(scenario.duration_s)
+    return scenario.duration_s

@@ -113,7 +113,7 @@ def test_the_file_names_the_law_relative_to_itself(tmp_path, wrong_sign):
     assert "rod_reference" not in json.dumps(json.loads(text)["scenario"])
     name, digest = json.loads(text)["scenario"]["controller"]["function"].split("#")
     assert name == os.path.join("..", "laws", "my.py:law")
-    assert scenario.controller.function.digest.startswith(digest)
+    assert scenario.controller.function.fingerprint.startswith(digest)
     (tmp_path / "failures").rename(tmp_path / "moved")
     assert read_failure(tmp_path / "moved" / "a b.json").replay().same
 

@@ -1,17 +1,20 @@
 """The user's law as a leaf system: structure, scalar conversion, numbers, bad input."""
 
 import math
+from collections import deque
+from fractions import Fraction
+from threading import Lock
 
 import numpy as np
 import pytest
 from pydrake.autodiffutils import AutoDiffXd
-from pydrake.symbolic import Expression
+from pydrake.symbolic import Expression, if_then_else
 from pydrake.systems.analysis import Simulator
 
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import Law, LawParameters
 from kneexo.systems import FunctionLaw, FunctionLaw_, HeldCommand
-from kneexo.systems.function_law import hides_state, why_not_compiled
+from kneexo.systems.function_law import hides_state, trace
 
 
 def proportional(rod_extension, rod_reference, gain=1e3):
@@ -146,7 +149,7 @@ class Integrator:
 
 def reason(function) -> str:
     law = Law(function)
-    return why_not_compiled(law, len(law.arguments.initial_state))
+    return trace(law, len(law.arguments.initial_state)).why_not_compiled
 
 
 def test_what_traces_is_compiled() -> None:
@@ -156,7 +159,7 @@ def test_what_traces_is_compiled() -> None:
 
 
 def test_what_does_not_trace_says_why() -> None:
-    assert "compares values" in reason(lambda rod_extension: max(rod_extension, 0.0))
+    assert "branches on a value" in reason(lambda rod_extension: max(rod_extension, 0.0))
     assert "needs plain numbers" in reason(with_math)
     assert "raises ZeroDivisionError" in reason(lambda rod_extension: 1 / 0)
     assert "changes when it is called" in reason(Integrator())
@@ -169,6 +172,88 @@ def test_a_trace_that_differs_from_numbers_is_refused() -> None:
         return 2.0 * rod_extension if isinstance(rod_extension, Expression) else rod_extension
 
     assert "differ from calls with numbers" in reason(sly)
+
+
+def with_flag(rod_extension, state=(0.0,), gain=10.0):
+    return (gain * rod_extension if state[0] else 0.0), [1.0 - state[0]]
+
+
+@pytest.mark.parametrize(
+    "branch",
+    [
+        lambda rod_extension: 1.0 if rod_extension else 2.0,
+        lambda rod_extension, knee_angle: rod_extension and knee_angle,
+        lambda rod_extension: rod_extension or 1.0,
+        lambda rod_extension: float(not rod_extension),
+        lambda rod_extension: float(any([rod_extension])),
+        lambda rod_extension, state=(0.0,): ({0.0: 1.0}.get(state[0], 2.0), [0.0]),
+    ],
+)
+def test_a_branch_on_a_value_is_never_traced(branch) -> None:
+    assert "branches on a value (line " in reason(branch) or "needs plain numbers" in reason(branch)
+
+
+def test_a_table_that_a_counter_reads_is_never_traced() -> None:
+    """The symbolic call takes the first row; calls with small states do so too."""
+
+    def looks_up(rod_extension, state=(0.0,)):
+        try:
+            row = int(state[0])
+        except TypeError:
+            row = 0
+        return (1.0, 2.0, 3.0, 4.0, 5.0)[row % 5], [state[0] + 1.0]
+
+    assert reason(looks_up)
+
+
+def test_a_branch_on_a_state_follows_its_value_in_derivatives() -> None:
+    system = FunctionLaw_[AutoDiffXd](LawParameters(function=with_flag))
+    context = system.CreateDefaultContext()
+    system.GetInputPort("rod_extension").FixValue(context, [AutoDiffXd(0.5, [1.0])])
+    for flag, expected in ((0.0, 0.0), (1.0, 5.0)):
+        context.SetDiscreteState([AutoDiffXd(0.0), AutoDiffXd(flag)])
+        updated = system.EvalUniquePeriodicDiscreteUpdate(context).get_vector(0)[0]
+        assert updated.value() == expected
+
+
+def relay(rod_extension, rod_reference):
+    return if_then_else(rod_reference[0] - rod_extension > 0, 500.0, -500.0)
+
+
+def test_if_then_else_gives_numbers() -> None:
+    assert reason(relay) == ""
+    for function in (relay, lambda rod_extension: if_then_else(rod_extension > 1.0, 500.0, -500.0)):
+        system = FunctionLaw(LawParameters(function=function))
+        ports = [system.get_input_port(i) for i in range(system.num_input_ports())]
+        simulator = started(system, **{p.get_name(): [0.1, 0, 0, 0][: p.size()] for p in ports})
+        simulator.AdvanceTo(0.001)
+        assert command_of(simulator) == -500.0
+
+
+def test_equal_equations_have_one_key_and_others_another() -> None:
+    def key(function):
+        law = Law(function)
+        return trace(law, len(law.arguments.initial_state)).key
+
+    def scaled(factor):
+        return lambda rod_extension, gain=1.0: gain * factor * rod_extension
+
+    assert key(scaled(2.0)) == key(scaled(Fraction(2)))
+    assert key(scaled(2.0)) == key(lambda rod_extension, gain=5.0: gain * rod_extension * 2)
+    for other in (Fraction(2, 3), np.float32(0.1), 2.0000000000000004):
+        assert key(scaled(other)) not in ("", key(scaled(2.0)))
+    assert key(with_math) == ""
+
+
+def test_a_law_is_traced_anew_when_its_values_change() -> None:
+    gains = {"k": 1.0}
+    law = Law(lambda rod_extension: gains["k"] * rod_extension)
+    before = trace(law, 0)
+    assert trace(law, 0) is before
+    gains["k"] = 2.0
+    assert trace(law, 0).key != before.key
+    gains["k"] = 1.0
+    assert trace(law, 0).key == before.key
 
 
 def test_hidden_state() -> None:
@@ -186,3 +271,25 @@ def test_hidden_state() -> None:
     random = np.random.default_rng()
     with pytest.raises(ParameterError, match="hides state"):
         hides_state(Law(lambda rod_extension: random.normal()), 0)
+    last = deque([0.0] * 99)
+
+    def late(rod_extension):
+        last.append(rod_extension)
+        return last.popleft()
+
+    with pytest.raises(ParameterError, match="hides state"):
+        hides_state(Law(late), 0)
+
+
+def test_an_object_that_cannot_be_copied_is_one_line() -> None:
+    class Locked:
+        def __init__(self):
+            self.lock = Lock()
+
+        def __call__(self, rod_extension):
+            return rod_extension
+
+    with pytest.raises(
+        ParameterError, match=r"Locked: the object cannot be copied for a run: Type"
+    ):
+        hides_state(Law(Locked()), 0)

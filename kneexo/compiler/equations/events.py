@@ -5,26 +5,43 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from os import sep
+from pathlib import Path
 from threading import RLock
+from traceback import extract_tb
 from typing import Any
 
+import pydrake
 from pydrake.symbolic import Expression
 from pydrake.systems.framework import LeafSystem_, UnrestrictedUpdateEvent_
 
-from ..errors import CompilationError
+from ..errors import CompilationError, shown
 from .tree import Node
+from .truth import truth_of_scalars
+
+_NOT_OF_USERS = tuple(
+    f"{folder}{sep}" for folder in (Path(__file__).parents[1], Path(pydrake.__file__).parent)
+)
 
 
 def symbolic_value(where: str, evaluate: Callable[[], Any]) -> Any:
     """Return ``evaluate()``, which calls a user's leaf system with symbolic values.
 
-    The leaf's code can raise any error. The function raises `CompilationError` in place of this
-    error, with a message that begins with ``where``.
+    The leaf's code can raise any error, and a branch on a symbolic value raises one
+    (`truth_of_scalars`). The function raises `CompilationError` in place of this error, with a
+    message that begins with ``where`` and names file and line of the user's code.
     """
     try:
-        return evaluate()
+        with truth_of_scalars():
+            return evaluate()
     except (Exception, SystemExit) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
+        if "`__bool__`" in reason:  # also of a Formula, whose own text does not help
+            reason = "the code branches on a symbolic value"
+        frames = extract_tb(error.__traceback__)
+        users = [frame for frame in frames if not frame.filename.startswith(_NOT_OF_USERS)]
+        if users:
+            reason += f"; {shown(Path(users[-1].filename).name)}, line {users[-1].lineno}"
         raise CompilationError(f"{where}: has no symbolic form ({reason})") from error
 
 

@@ -125,3 +125,28 @@ def test_witness_functions_are_refused_without_a_crash():
         f"walker: {name} has a witness function; only sampled events compile"
         for name in ("Ball", "CompassGait", "RimlessWheel")
     ]
+
+
+@pytest.mark.parametrize(
+    "branch",
+    [
+        lambda x: 1.0 if x else 2.0,
+        lambda x: x and 2.0,
+        lambda x: 1.0 if x > 0.0 else 2.0,
+    ],
+)
+def test_a_branch_on_a_value_is_refused_with_its_line(branch, diagram_of, leaf):
+    def construct(self, T):
+        u = self.DeclareVectorInputPort("u", 1)
+        self.DeclareVectorOutputPort(
+            "y", 1, lambda c, y: y.SetAtIndex(0, T(branch(u.Eval(c)[0]))), {u.ticket()}
+        )
+
+    line = branch.__code__.co_firstlineno
+    expected = (
+        f"block: output port y: has no symbolic form (the code branches on a symbolic value; "
+        f"test_events.py, line {line})"
+    )
+    with pytest.raises(CompilationError) as caught:
+        read_equations(diagram_of(leaf("Branch", construct)), ["u"])
+    assert str(caught.value) == expected

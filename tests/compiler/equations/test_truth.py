@@ -1,0 +1,58 @@
+"""Branches on Drake's scalars: a number decides, or an error."""
+
+from threading import Thread
+
+import pytest
+from pydrake.autodiffutils import AutoDiffXd
+from pydrake.symbolic import Expression, Variable
+
+from kneexo.compiler import truth_of_scalars
+
+X = Expression(Variable("x"))
+
+
+@pytest.mark.parametrize(
+    "branch",
+    [
+        lambda: 1 if X else 2,
+        lambda: X and 1,
+        lambda: X or 1,
+        lambda: not X,
+        lambda: any([X]),
+        lambda: [n for n in (1,) if X],
+        lambda: {0.0: 1}.get(X, 2),
+        lambda: X in {1.0},
+    ],
+)
+def test_a_branch_on_an_expression_raises(branch) -> None:
+    with truth_of_scalars(), pytest.raises(TypeError, match="of a symbolic variable"):
+        branch()
+
+
+def test_a_branch_on_an_autodiff_scalar_follows_its_value() -> None:
+    zero, one = AutoDiffXd(0.0, [1.0]), AutoDiffXd(1.0, [1.0])
+    assert zero, "pydrake's own truth value; without this fault the module is not needed"
+    with truth_of_scalars():
+        assert not zero
+        assert one
+        with truth_of_scalars():
+            assert not zero
+        assert not zero
+    assert zero
+
+
+def test_the_classes_are_restored_after_an_error() -> None:
+    before = [vars(kind).get("__bool__") for kind in (Expression, AutoDiffXd)]
+    with pytest.raises(ValueError, match="body"), truth_of_scalars():
+        raise ValueError("body")
+    assert [vars(kind).get("__bool__") for kind in (Expression, AutoDiffXd)] == before
+    assert X
+
+
+def test_other_threads_keep_the_truth_value_of_python() -> None:
+    seen = []
+    with truth_of_scalars():
+        thread = Thread(target=lambda: seen.append(bool(X)))
+        thread.start()
+        thread.join()
+    assert seen == [True]
