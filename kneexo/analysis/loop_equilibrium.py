@@ -26,7 +26,7 @@ from kneexo.diagrams.wearer import moment_of
 from kneexo.errors import LinearizationError, shortened
 from kneexo.parameters import LawParameters, PlantParameters, Scenario, StepReference
 from kneexo.result import Array
-from kneexo.simulation.compiled import structure_key
+from kneexo.simulation.compiled import Recent, structure_key
 from kneexo.systems.function_law import hides_state
 
 _NO_LIMIT = 1e12
@@ -90,7 +90,7 @@ A passive leg rests far from the reference. A first step of Newton's method may 
 motion, where the search gets stuck.
 """
 
-_built: dict[str, tuple[Any, Any]] = {}
+_built: Recent[tuple[Any, Any]] = Recent()
 
 
 def _diagrams(scenario: Scenario) -> tuple[Any, Any]:
@@ -113,9 +113,7 @@ def _diagrams(scenario: Scenario) -> tuple[Any, Any]:
     law = scenario.controller
     if isinstance(law, LawParameters) and runs_as_python(scenario):  # such laws share a structure
         return remembered(law.function, key, built)
-    if key not in _built:
-        _built[key] = built()
-    return _built[key]
+    return _built.of(key, built)
 
 
 def _autodiff(diagram: Any) -> Any:

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache, lru_cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from threading import RLock
-from typing import Any, NamedTuple, get_origin
+from typing import Any, NamedTuple, TypeVar, get_origin
 
 import numpy as np
 
@@ -190,23 +191,42 @@ def compile_scenario(scenario: Scenario = Scenario()) -> CompiledModel:
 
 
 def _model(key: str, scenario: Scenario) -> CompiledModel:
-    with _lock:
-        if key not in _models:
-            # Raise the errors of a wrong scenario here, before the diagram is built.
-            _require_reference_in_range(scenario)
-            scenario_values(scenario)
-            scenario_start(scenario)
-            inputs = [LAW_COMMAND] if runs_as_python(scenario) else []
-            inputs += ["knee_reference"] if scenario.reference.kind == "samples" else []
-            inputs += [] if moment_of(scenario) is None else ["biological_moment"]
-            make_diagram = partial(_diagram, key, scenario)
-            _models[key] = compile_by_key(key, make_diagram, inputs=inputs)
-        return _models[key]
+    def make() -> CompiledModel:
+        # Raise the errors of a wrong scenario here, before the diagram is built.
+        _require_reference_in_range(scenario)
+        scenario_values(scenario)
+        scenario_start(scenario)
+        inputs = [LAW_COMMAND] if runs_as_python(scenario) else []
+        inputs += ["knee_reference"] if scenario.reference.kind == "samples" else []
+        inputs += [] if moment_of(scenario) is None else ["biological_moment"]
+        return compile_by_key(key, partial(_diagram, key, scenario), inputs=inputs)
+
+    return _models.of(key, make)
+
+
+MOST_STRUCTURES = 32
+"""Largest number of structures whose models and diagrams a process keeps; each has some MiB."""
+
+V = TypeVar("V")
+
+
+class Recent(OrderedDict[str, V]):
+    """The values of the last `MOST_STRUCTURES` structures that were asked for, by their keys."""
+
+    def of(self, key: str, make: Callable[[], V]) -> V:
+        """Return the value of a structure, which ``make()`` makes if it is not kept."""
+        with _lock:
+            if key not in self:
+                self[key] = make()
+            self.move_to_end(key)
+            if len(self) > MOST_STRUCTURES:
+                self.popitem(last=False)
+            return self[key]
 
 
 _lock = RLock()  # threads may run scenarios of one structure
-_models: dict[str, CompiledModel] = {}
-_diagrams: dict[str, Any] = {}
+_models: Recent[CompiledModel] = Recent()
+_diagrams: Recent[Any] = Recent()
 
 
 def _diagram(key: str, scenario: Scenario) -> Any:
@@ -214,10 +234,7 @@ def _diagram(key: str, scenario: Scenario) -> Any:
 
     The diagram is built once, because Python 3.11 never frees it.
     """
-    with _lock:
-        if key not in _diagrams:
-            _diagrams[key] = scenario_diagram(scenario)
-        return _diagrams[key]
+    return _diagrams.of(key, lambda: scenario_diagram(scenario))
 
 
 class _Custom(NamedTuple):

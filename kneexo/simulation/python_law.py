@@ -95,18 +95,19 @@ class PythonLaw:
             return float(system.GetOutputPort("motor_speed_command").Eval(context)[0])
 
 
-_announced: set[Law] = set()
+_announced: set[str] = set()
 
 
 def _announce(law: Law, reason: str) -> None:
     """Print once for each law that it runs as Python, unless this is a worker process."""
-    if law in _announced or multiprocessing.parent_process() is not None:
-        return
-    _announced.add(law)
-    sys.stderr.write(
+    line = (
         f"kneexo: law {law.short_name} runs as Python; a sample costs 0.1 ms and its time: "
         f"{reason}; docs/your_controller.md says how to get it compiled\n"
     )
+    if line in _announced or multiprocessing.parent_process() is not None:
+        return
+    _announced.add(line)
+    sys.stderr.write(line)
 
 
 _CALLS = 50  # enough for an integral to act

@@ -41,6 +41,7 @@ from kneexo.parameters import (
     SlidingModeParameters,
     TorqueParameters,
 )
+from kneexo.simulation.compiled import Recent
 from kneexo.studies.paper import IDEAL_SMC
 
 EQ_27_GAIN = (
@@ -87,19 +88,19 @@ def test_the_kink_of_eq_27_at_rest_leaves_no_trace(force, estimator):
 
 
 def test_one_diagram_serves_all_loops_of_a_structure(loops, monkeypatch):
-    monkeypatch.setattr(loop_equilibrium, "_built", {})
+    monkeypatch.setattr(loop_equilibrium, "_built", Recent())
     for name in ("smc", "other_plant", "weight", "exact", "pid", "pid_tuned", "can_2"):
         for scenario in (Scenario(plant=plant_parameters(LEAKY, load=WEIGHT)), SCENARIOS[name]):
             linear_loop = linearize_loop(scenario, knee_angle_deg=52.0)
-        monkeypatch.setattr(loop_equilibrium, "_built", {})
+        monkeypatch.setattr(loop_equilibrium, "_built", Recent())
         fresh = linearize_loop(SCENARIOS[name], knee_angle_deg=52.0)
-        monkeypatch.setattr(loop_equilibrium, "_built", {})
+        monkeypatch.setattr(loop_equilibrium, "_built", Recent())
         for matrix in ("a", "b", "c", "g_x", "g_z", "g_r", "c_u"):
             assert np.array_equal(getattr(linear_loop, matrix), getattr(fresh, matrix)), matrix
 
 
 def test_loops_that_differ_in_numbers_share_a_diagram(monkeypatch):
-    monkeypatch.setattr(loop_equilibrium, "_built", {})
+    monkeypatch.setattr(loop_equilibrium, "_built", Recent())
     for n in (PAPER, LEAKY, SOFT):
         linearize_loop(Scenario(plant=plant_parameters(n), nominal=PlantParameters()))
     assert len(loop_equilibrium._built) == 1

@@ -191,7 +191,7 @@ def test_small_steps_stand_in_for_single_runs_of_a_batch(monkeypatch):
 
 def test_a_bad_scenario_does_not_spoil_those_of_its_structure(monkeypatch):
     for name in ("_models", "_diagrams"):
-        monkeypatch.setattr(compiled, name, {})
+        monkeypatch.setattr(compiled, name, compiled.Recent())
     broken = SHORT.plant.linkage.model_copy(update={"a_2_m": 1.0})
     unknown = changed(SHORT, {"plant.linkage": broken})
     runs = together([unknown, SHORT], signals=("knee_angle",))

@@ -26,6 +26,8 @@ ANNOUNCED_AFTER_S = 1.0
 
 _lock = RLock()  # two threads may ask for the same code
 _libraries: dict[str, Library] = {}
+"""Code that was loaded last, by cache key. A function of a model keeps its own library."""
+_MOST_LIBRARIES = 128  # some 0.1 MiB each
 _announcement = Event()  # set when this process has said that it compiles
 _layouts: dict[str, Layout] = {}
 
@@ -97,6 +99,8 @@ class MachineCode:
                         code = compile_text(text())
                     entries.store(key, code)
                 _libraries[key] = Library(code)
+                if len(_libraries) > _MOST_LIBRARIES:
+                    del _libraries[next(iter(_libraries))]
             return _libraries[key]
 
     def _entry(self, part: str) -> str:
