@@ -68,7 +68,7 @@ SETTINGS = {
     "reference": {"kind": "sine", "amplitude_deg": 2.0, "frequency_hz": 2.0},
     "initial_offset_m": 2e-4,
 }
-FINE_BUS = {"bus.velocity_unit_rpm": 1e-6}
+FINE_BUS = {"bus.velocity_unit_rpm": 1e-5}  # a finer unit limits the command to 2³¹ units
 DRAKE = {
     "simulation.integrator": "runge_kutta3",
     "simulation.error_controlled": True,
@@ -178,7 +178,8 @@ def alone(scenario: Scenario, run: Run) -> Any:
                 for sample, time_s in enumerate(run.time_s[:-1])
             ]
         )
-    model = compile_diagram(FunctionLaw(law), inputs=inputs)
+    limited = law.model_copy(update={"command_limit_rad_s": scenario.command_limit_rad_s})
+    model = compile_diagram(FunctionLaw(limited), inputs=inputs)
     table = np.column_stack([values[name] for name in model.inputs])[:, :, None]
     middles = 0.5 * (run.time_s[1:] + run.time_s[:-1])
     parameters = model.parameters()

@@ -1,8 +1,8 @@
 """Control laws as source text from a grammar: a seed gives the same files on every machine.
 
-The seeds 2 k and 2 k + 1 give two laws with the same text, except for the line ``VALUES``. The text
-builds objects that hold these values: containers, closures, classes, an imported module. All laws
-are stable, because a proportional term dominates, and each jump of a command is at least 1 rad/s.
+The seeds 2 k and 2 k + 1 give two laws with the same text, except for one number in the line
+``VALUES``. The text builds objects that hold these values: containers, closures, classes, an
+imported module. All laws are stable, because a proportional term dominates, and each jump of a command is at least 1 rad/s.
 """
 
 from __future__ import annotations
@@ -314,7 +314,6 @@ class _Writer:
     def __init__(self, seed: int) -> None:
         self._seed = seed
         self._rng = random.Random(f"text {seed // 2}")  # a text: the same in every Python
-        self._numbers = random.Random(f"values {seed // 2}")
         self._values: list[float] = []
         self._names: list[str] = []
         self._made: list[str] = []
@@ -328,7 +327,7 @@ class _Writer:
         rng = self._rng
         inputs = rng.choice(list(INPUTS))
         body = [INPUTS[inputs], f"command = {rng.randrange(20, 50)}e3 * error"]
-        for factor in rng.sample(("2e3 * error", "4e3 * error", "3.0 * wanted"), 2):
+        for factor in rng.sample(("2e3 * error", "4e3 * error", "30.0 * wanted"), rng.randrange(1, 3)):
             body.append(f"command = command + {factor} * {self._held()}")
         groups = rng.choice(_GROUPS)
         for group in groups:
@@ -350,6 +349,8 @@ class _Writer:
         arguments = ", ".join([arguments, *self._gains])
         form = rng.choice(list(_FORMS))
         text, below = _FORMS[form](self, arguments, body)
+        changed = rng.randrange(len(self._values))
+        self._values[changed] += self._seed % 2
         values = f"VALUES = {tuple(self._values)}\n"
         made = "".join(f"HELD{n} = {make}\n" for n, make in enumerate(self._made))
         files = {"law.py": "\n".join((HEADER, values + made, text))}
@@ -365,10 +366,8 @@ class _Writer:
         return ", ".join(self._next)
 
     def _value(self) -> str:
-        """Return the text of a new value, between 1 and 10, whose whole part the twin lacks."""
-        odd = self._seed % 2
-        first, second = self._numbers.sample(range(1, 10), 2)
-        self._values.append((second if odd else first) + self._numbers.choice((0, 0.25, 0.5)))
+        """Return the text of a new value, from 1 to 9."""
+        self._values.append(self._rng.randrange(1, 9) + self._rng.choice((0, 0.25, 0.5)))
         return f"VALUES[{len(self._values) - 1}]"
 
     def _held(self) -> str:

@@ -1,0 +1,103 @@
+"""Generated control laws: kneexo's form of a law gives the commands of the plain function."""
+
+import importlib
+import subprocess
+import sys
+from itertools import count
+from pathlib import Path
+
+import numpy as np
+import pytest
+from generated_laws import HOLDERS, TERMS, generated_law
+
+from kneexo.diagrams.signals import SIGNALS
+from kneexo.parameters import SimulationParameters
+from kneexo.simulation.run import Run
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+
+
+@pytest.fixture
+def program(monkeypatch):
+    """The module ``benchmarks/validate_laws.py``."""
+    monkeypatch.syspath_prepend(BENCHMARKS)
+    return importlib.import_module("validate_laws")
+
+
+def law_with(feature):
+    """The first law with a feature, in whose command this feature is the only term if it is one."""
+    for law in map(generated_law, count()):
+        terms = [name for name in law.features if name.partition(": ")[0] in TERMS]
+        if feature in law.features and (feature not in terms or terms == [feature]):
+            return law
+
+
+def made_up_run(samples=30):
+    """A run whose signals cross zero, and are of usual size."""
+    time_s = 0.002 * np.arange(samples)
+    random = np.random.default_rng(0)
+    names = [name for columns in SIGNALS.values() for name in columns]
+    data = {name: 1e-3 * random.standard_normal(samples) for name in names}
+    return Run(time_s, data, SimulationParameters())
+
+
+def test_a_seed_gives_one_law_and_a_twin_with_another_value():
+    for seed in range(0, 40, 2):
+        law, twin = generated_law(seed), generated_law(seed + 1)
+        assert law == generated_law(seed)
+        assert law.features == twin.features
+        (changed,) = (name for name in law.files if law.files[name] != twin.files[name])
+        pairs = zip(*(one.files[changed].splitlines() for one in (law, twin)), strict=True)
+        ((line, other),) = (pair for pair in pairs if pair[0] != pair[1])
+        assert line.startswith("VALUES = ")
+        assert other.startswith("VALUES = ")
+
+
+def test_the_grammar_reaches_every_holder_and_term():
+    found = {feature for seed in range(0, 1000, 2) for feature in generated_law(seed).features}
+    terms = {f"{group}: {name}" for group, names in TERMS.items() for name in names}
+    assert found >= terms | {f"holder: {name}" for name in HOLDERS}
+
+
+@pytest.mark.parametrize(
+    "feature",
+    [
+        "truthiness: if",
+        "truthiness: or",
+        "truthiness: not",
+        "truthiness: while",
+        "truthiness: numpy.count_nonzero",
+        "equations: if_then_else",
+        "equations: bounded integral",
+        "Python: swallowed error",
+        "Python: two ways by type",
+        "Python: hysteresis",
+        "object with hidden state",
+        "imported modules",
+    ],
+)
+def test_a_law_alone_gives_the_commands_of_its_function(program, tmp_path, feature):
+    law, run = law_with(feature), made_up_run()
+    for name in ("law", "plain"):
+        (tmp_path / name).mkdir()
+    scenario = program.scenario_of(law, tmp_path / "law")
+    limit = scenario.command_limit_rad_s
+    plain = program.replayed(law, tmp_path / "plain", run)[:-1, 0]
+    assert np.ptp(plain) > 1.0
+    np.testing.assert_allclose(
+        program.alone(scenario, run) / limit,
+        np.clip(plain, -limit, limit) / limit,
+        rtol=0.0,
+        atol=program.LAW_TOLERANCE,
+    )
+
+
+@pytest.mark.slow
+def test_laws_in_a_session_and_by_drake():
+    """In processes of their own, which have run no law before."""
+    done = subprocess.run(
+        [sys.executable, str(BENCHMARKS / "validate_laws.py"), "--count", "30", "--processes", "1"],
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
