@@ -135,7 +135,8 @@ def replayed(law: GeneratedLaw, folder: Path, run: Run) -> Any:
     """
     function = law.function(folder)
     arguments = {
-        name: parameter.default for name, parameter in inspect.signature(function).parameters.items()
+        name: parameter.default
+        for name, parameter in inspect.signature(function).parameters.items()
     }
     state, rows = arguments.get("state"), []
     inputs = {name: signal_values(run, SIGNAL_OF[name]) for name in law.inputs.split(", ")}
@@ -302,7 +303,7 @@ def start_of_process() -> None:
         raise KneexoError(f"runs for {LIMIT_S} s")
 
     signal.signal(signal.SIGALRM, too_long)
-    sys.stderr = open(os.devnull, "w")
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
 
 
 def validate(seeds: Sequence[int], processes: int) -> list[Findings]:
@@ -337,7 +338,12 @@ def report(findings: Sequence[Findings]) -> None:
     print("---|---|---")
     rows: list[tuple[str, str, str, Sequence[str]]] = [
         ("runs", "0 errors", "", ("alone: ",)),
-        ("law alone", f"≤ {LAW_TOLERANCE:g}", f"{max(f.law for f in findings):.2g}", ("law alone",)),
+        (
+            "law alone",
+            f"≤ {LAW_TOLERANCE:g}",
+            f"{max(f.law for f in findings):.2g}",
+            ("law alone",),
+        ),
         (
             "law in the loop",
             f"≤ {LAW_TOLERANCE:g}",
@@ -359,7 +365,8 @@ def report(findings: Sequence[Findings]) -> None:
     for found in findings:
         if found.faults:
             law = generated_law(found.seed)
-            print(f"seed {found.seed} ({law.preset}; {', '.join(law.features)})")
+            way = "Python" if found.python else "compiled"
+            print(f"seed {found.seed} ({way}, {law.preset}; {', '.join(law.features)})")
             for fault in found.faults:
                 print(f"    {fault}")
     used: Counter[str] = Counter()

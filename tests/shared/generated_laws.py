@@ -2,7 +2,8 @@
 
 The seeds 2 k and 2 k + 1 give two laws with the same text, except for one number in the line
 ``VALUES``. The text builds objects that hold these values: containers, closures, classes, an
-imported module. All laws are stable, because a proportional term dominates, and each jump of a command is at least 1 rad/s.
+imported module. All laws are stable, because a proportional term dominates. Each jump of a command
+is at least 1 rad/s.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ _GROUPS = (
 MODULES = ("held", "held_below")
 """Names of the modules that some laws import from their folder."""
 
-HEADER = '''\
+HEADER = """\
 import math
 from array import array
 from collections import ChainMap, OrderedDict, UserDict, deque, namedtuple
@@ -105,7 +106,7 @@ def multiplied(factor):
 
 def recursive(number, depth):
     return number if depth == 0 else 0.5 * recursive(number, depth - 1)
-'''
+"""
 
 HOLDERS = {
     "float": ("{v}", "{h}"),
@@ -161,7 +162,7 @@ TERMS = {
         "numpy functions": "term = {a} * np.tanh(1e3 * error) + {b} * np.sqrt(1e-6 + error**2)",
         "comprehension": "term = sum(weight * {a} for weight in [x * error for x in (9, 90)])",
         "recursion": "term = {a} * recursive(1e3 * error, 3)",
-        "try without error": "try:\n    term = {a} * 1e3 * error\nexcept TypeError:\n    term = {b}",
+        "try without error": "try:\n    term = {a} * 9.0 * error\nexcept TypeError:\n    term = 9",
         "untaken division": "term = {a} * error if True else 1.0 / 0.0",
         "sine of time": "term = {a} * np.sin(50.0 * time_s)",
         "ramp": "term = {a} * drake_min(1.0, 30.0 * time_s)",
@@ -216,6 +217,7 @@ TERMS = {
         "dictionary": "term = {True: {a}, False: -{b}}[bool(error > {edge})]",
         "sorted": "term = 1e3 * sorted([error, {edge}, 0.0], key=abs)[1]",
         "text": "term = {a} if f'{float(error):+.4f}'.startswith('-') else -{b}",
+        "text of state": "term = {a} if str({old}) == '1.0' else -{b}\n{new} = 1.0 - {old}",
         "type": "term = {a} if isinstance(error, float) else -{b}",
         "attribute": "term = {a} if hasattr(error, 'Evaluate') else -{b}",
         "swallowed error": "try:\n    term = {a} if {old} > 12.0 else 0.0\nexcept Exception:\n"
@@ -327,7 +329,9 @@ class _Writer:
         rng = self._rng
         inputs = rng.choice(list(INPUTS))
         body = [INPUTS[inputs], f"command = {rng.randrange(20, 50)}e3 * error"]
-        for factor in rng.sample(("2e3 * error", "4e3 * error", "30.0 * wanted"), rng.randrange(1, 3)):
+        for factor in rng.sample(
+            ("2e3 * error", "4e3 * error", "30.0 * wanted"), rng.randrange(1, 3)
+        ):
             body.append(f"command = command + {factor} * {self._held()}")
         groups = rng.choice(_GROUPS)
         for group in groups:
@@ -343,7 +347,9 @@ class _Writer:
             arguments += ", time_s"
         if self._state:
             arguments += f", state={tuple(self._state)}"
-            body.append(f"return command, {rng.choice(('[{}]', '({},)')).format(self._next_text())}")
+            body.append(
+                f"return command, {rng.choice(('[{}]', '({},)')).format(self._next_text())}"
+            )
         else:
             body.append("return command")
         arguments = ", ".join([arguments, *self._gains])
@@ -356,7 +362,7 @@ class _Writer:
         files = {"law.py": "\n".join((HEADER, values + made, text))}
         if below:
             files = {
-                "held.py": f"import held_below\n\n\ndef held(n):\n    return held_below.HELD[n]\n",
+                "held.py": "import held_below\n\n\ndef held(n):\n    return held_below.HELD[n]\n",
                 "held_below.py": f"{HEADER}\n{values}{made}HELD = [{', '.join(self._names)}]\n",
                 "law.py": "\n".join((HEADER, text)),
             }
@@ -440,7 +446,10 @@ class _Writer:
         return f"def make({names}):\n{indent(inner, '    ')}\nlaw = make({names})\n", False
 
     def _decorated(self, arguments: str, body: list[str]) -> tuple[str, bool]:
-        return f"@multiplied(1.0 + 0.02 * {self._value()})\n{self._function(arguments, body)}", False
+        return (
+            f"@multiplied(1.0 + 0.02 * {self._value()})\n{self._function(arguments, body)}",
+            False,
+        )
 
     def _partial(self, arguments: str, body: list[str]) -> tuple[str, bool]:
         names = ", ".join(self._names)
@@ -448,15 +457,15 @@ class _Writer:
         return f"{function}\nlaw = partial(_law, {names})\n", False
 
     def _object(
-        self, arguments: str, body: list[str], *, method: str = "__call__", hidden: bool = False
+        self, arguments: str, body: list[str], *, method: str = "__call__", change: str = ""
     ) -> tuple[str, bool]:
-        first, parts = "", []
-        if hidden:
+        """Return a class; ``change`` are lines of the method that change ``self.calls``."""
+        first = ""
+        if change:
             first = "self.calls = 0\n"
-            parts = ["self.calls += 1", "hidden = 9.0 * (self.calls % 3)"]
-            body = [*body[:-1], "command = command + hidden", body[-1]]
-        lines = "\n".join([*parts, *body])
-        lines = re.sub(r"\b(HELD\d)\b", r"self.\1", lines)
+            hidden = [change, "command = command + 9.0 * (self.calls % 3)"]
+            body = [*body[:-1], *hidden, body[-1]]
+        lines = re.sub(r"\b(HELD\d)\b", r"self.\1", "\n".join(body))
         init = first + "\n".join(f"self.{name} = {name}" for name in self._names)
         names = ", ".join(self._names)
         text = self._function(f"self, {names}", [init], "__init__")
@@ -468,7 +477,11 @@ class _Writer:
         return self._object(arguments, body, method="command")
 
     def _hidden_state(self, arguments: str, body: list[str]) -> tuple[str, bool]:
-        return self._object(arguments, body, hidden=True)
+        return self._object(arguments, body, change="self.calls += 1")
+
+    def _late_state(self, arguments: str, body: list[str]) -> tuple[str, bool]:
+        change = "try:\n    self.calls += 0.0 < error < 3e-4\nexcept RuntimeError:\n    pass"
+        return self._object(arguments, body, change=change)
 
     def _class_attributes(self, arguments: str, body: list[str]) -> tuple[str, bool]:
         lines = re.sub(r"\b(HELD\d)\b", r"type(self).\1", "\n".join(body))  # no bound method
@@ -498,6 +511,7 @@ _FORMS = {
     "object": _Writer._object,
     "bound method": _Writer._method,
     "object with hidden state": _Writer._hidden_state,
+    "object with late hidden state": _Writer._late_state,
     "class attributes": _Writer._class_attributes,
     "static methods": _Writer._static_methods,
     "imported modules": _Writer._imported,
