@@ -13,7 +13,7 @@ import os
 import random
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -305,9 +305,12 @@ class GeneratedLaw:
 _seconds = count(1_000_000_000)
 
 
-def generated_law(seed: int) -> GeneratedLaw:
-    """Return the law of a seed."""
-    return _Writer(seed).law()
+def generated_law(seed: int, *, form: str | None = None, terms: Sequence[str] = ()) -> GeneratedLaw:
+    """Return the law of a seed. ``form`` and ``terms`` replace what the seed would choose.
+
+    A term is a group of `TERMS`, or a group and a name such as ``truthiness: if``.
+    """
+    return _Writer(seed).law(form, terms)
 
 
 class _Writer:
@@ -324,7 +327,7 @@ class _Writer:
         self._next: list[str] = []
         self._gains: list[str] = []
 
-    def law(self) -> GeneratedLaw:
+    def law(self, form: str | None, terms: Sequence[str]) -> GeneratedLaw:
         """Return the law: first the body of its function, then what surrounds the body."""
         rng = self._rng
         inputs = rng.choice(list(INPUTS))
@@ -333,11 +336,11 @@ class _Writer:
             ("2e3 * error", "4e3 * error", "30.0 * wanted"), rng.randrange(1, 3)
         ):
             body.append(f"command = command + {factor} * {self._held()}")
-        groups = rng.choice(_GROUPS)
-        for group in groups:
-            body += [self._term(group), "command = command + term"]
+        terms = terms or rng.choice(_GROUPS)
+        for term in terms:
+            body += [self._term(*term.split(": ")), "command = command + term"]
         limits = ["drake_min(drake_max(command, -{l}), {l})"]
-        if "Python" in groups and not any("if_then_else" in one for one in self._features):
+        if "Python" in terms and not any("if_then_else" in one for one in self._features):
             limits.append("min(max(command, -{l}), {l})")
         if rng.random() < 0.3:
             limit = rng.choice(limits).replace("{l}", f"{rng.randrange(60, 400)}.0")
@@ -353,7 +356,7 @@ class _Writer:
         else:
             body.append("return command")
         arguments = ", ".join([arguments, *self._gains])
-        form = rng.choice(list(_FORMS))
+        form = form or rng.choice(list(_FORMS))
         text, below = _FORMS[form](self, arguments, body)
         changed = rng.randrange(len(self._values))
         self._values[changed] += self._seed % 2
@@ -386,11 +389,12 @@ class _Writer:
         self._names.append(name)
         return read.replace("{h}", name)
 
-    def _term(self, group: str) -> str:
-        """Return the lines of a term."""
+    def _term(self, group: str, name: str = "") -> str:
+        """Return the lines of a term, by default of one that the rest of the state has room for."""
         rng = self._rng
-        fit = [n for n, text in TERMS[group].items() if "{old}" not in text or len(self._state) < 3]
-        name = rng.choice(fit)
+        room = len(self._state) < 3
+        fit = [n for n, text in TERMS[group].items() if room or "{old}" not in text]
+        name = name or rng.choice(fit)
         self._features.append(f"{group}: {name}")
         text = TERMS[group][name]
         if "{old}" in text:
@@ -480,7 +484,10 @@ class _Writer:
         return self._object(arguments, body, change="self.calls += 1")
 
     def _late_state(self, arguments: str, body: list[str]) -> tuple[str, bool]:
-        change = "try:\n    self.calls += 0.0 < error < 3e-4\nexcept RuntimeError:\n    pass"
+        change = (
+            "try:\n    if 0.0 < error < 3e-4:\n        self.calls += 1\n"
+            "except RuntimeError:\n    pass"
+        )
         return self._object(arguments, body, change=change)
 
     def _class_attributes(self, arguments: str, body: list[str]) -> tuple[str, bool]:
