@@ -37,11 +37,11 @@ def law_with(feature):
 
 
 def made_up_run(samples=30):
-    """A run whose signals cross zero, and are of usual size."""
+    """A run whose signals cross zero and meet the thresholds of the terms."""
     time_s = 0.002 * np.arange(samples)
     random = np.random.default_rng(0)
     names = [name for columns in SIGNALS.values() for name in columns]
-    data = {name: 1e-3 * random.standard_normal(samples) for name in names}
+    data = {name: 3e-4 * random.standard_normal(samples) for name in names}
     return Run(time_s, data, SimulationParameters())
 
 
