@@ -104,7 +104,7 @@ def scenario_of(law: GeneratedLaw, folder: Path) -> Scenario:
     base = Scenario.preset(law.preset).changed(SETTINGS)
     if base.bus.kind == "cia402":
         base = base.changed(FINE_BUS)
-    return base.with_law(f"{law.write(folder)}:law")
+    return base.with_law(f"{law.write(folder)}:law" if law.in_file else law.function(folder))
 
 
 def run_of(scenario: Scenario) -> Run:

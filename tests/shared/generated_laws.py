@@ -71,25 +71,6 @@ class Slotted:
         self.gain = gain
 
 
-def class_with(value):
-    class Held:
-        attribute = Fraction(value)
-
-        @staticmethod
-        def static():
-            return value
-
-        @classmethod
-        def of_class(cls):
-            return float(cls.attribute)
-
-        @property
-        def of_object(self):
-            return value
-
-    return Held
-
-
 def multiplied(factor):
     def by_factor(function):
         @wraps(function)
@@ -142,10 +123,19 @@ HOLDERS = {
     "np.float32": ("np.float32({v})", "{h}"),
     "np.int16": ("np.int16({v})", "{h}"),
     "polynomial": ("np.poly1d([{v}])", "float({h}(0.0))"),
-    "class attribute": ("class_with({v})", "float({h}.attribute)"),
-    "static method": ("class_with({v})", "{h}.static()"),
-    "class method": ("class_with({v})", "{h}.of_class()"),
-    "property": ("class_with({v})()", "{h}.of_object"),
+    "class attribute": ("type('Held', (), {'gain': [{v}]})", "{h}.gain[0]"),
+    "static method": (
+        "type('Held', (), {'gain': staticmethod(lambda value={v}: value)})",
+        "{h}.gain()",
+    ),
+    "class method": (
+        "type('Held', (), {'gain': classmethod(lambda cls, value={v}: value)})",
+        "{h}.gain()",
+    ),
+    "property": (
+        "type('Held', (), {'gain': property(lambda self, value={v}: value)})()",
+        "{h}.gain",
+    ),
 }
 """Kinds of objects that hold a number: how to make one from a value, and how to read the number."""
 
@@ -274,6 +264,11 @@ class GeneratedLaw:
     def preset(self) -> str:
         """Name of the preset with which the law runs."""
         return PRESETS[self.seed // 2 % len(PRESETS)]
+
+    @property
+    def in_file(self) -> bool:
+        """True if kneexo gets the name of the file, False if it gets the function itself."""
+        return self.seed // 6 % 2 == 0
 
     def write(self, folder: Path) -> Path:
         """Write the files into a folder, as a user who edits them; return the path of ``law.py``.
