@@ -38,7 +38,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydrake.symbolic import Variable
+from pydrake.symbolic import Expression, Variable
 from pydrake.systems.primitives import SymbolicVectorSystem
 
 from kneexo.compiler import InputTable, compile_diagram
@@ -147,13 +147,27 @@ def replayed(law: GeneratedLaw, folder: Path, run: Run) -> Any:
         if "time_s" in arguments:
             arguments["time_s"] = float(time_s)
         if state is None:
-            rows.append([number(function(**arguments))])
+            rows.append([number(called(function, arguments))])
         else:
             arguments["state"] = np.array(state, dtype=float)
-            command, state = function(**arguments)
+            command, state = called(function, arguments)
             state = [number(value) for value in state]
             rows.append([number(command), *state])
     return np.array(rows)
+
+
+def called(function: Any, arguments: dict[str, Any]) -> Any:
+    """Call a law with numbers. For Drake 1.58's if_then_else they are constant Expressions."""
+    try:
+        return function(**arguments)
+    except TypeError as error:
+        if "if_then_else()" not in str(error):
+            raise
+    constants = {
+        name: Expression(value) if np.ndim(value) == 0 else np.array(list(map(Expression, value)))
+        for name, value in arguments.items()
+    }
+    return function(**constants)
 
 
 def number(value: Any) -> float:

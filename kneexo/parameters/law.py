@@ -14,6 +14,7 @@ import math
 import sys
 import sysconfig
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from functools import cached_property, lru_cache
 from numbers import Real
 from pathlib import Path
@@ -152,6 +153,14 @@ class Law:
             return hashlib.sha256(repr(_Walk().parts(self.target)).encode()).hexdigest()
         except (_UnknownTypeError, RecursionError, OSError):
             return None
+
+    @cached_property
+    def names(self) -> frozenset[str]:
+        """Names of all globals and attributes that the code of the user reads."""
+        walk = _Walk()
+        with suppress(_UnknownTypeError, RecursionError, OSError):
+            walk.parts(self.target)
+        return frozenset(walk.names)
 
     def copy_of_target(self) -> Any:
         """Return a copy of an object that can be called, or else the function itself.
@@ -390,6 +399,8 @@ class _Walk:
     def __init__(self) -> None:
         # The values are kept, because Python uses the id of a freed value again.
         self._seen: dict[int, tuple[int, Any]] = {}
+        self.names: set[str] = set()
+        """Names of globals and attributes that the functions found so far read."""
 
     def parts(self, value: Any) -> Any:
         """Return nested tuples of texts and numbers that stand for ``value``."""
@@ -436,6 +447,7 @@ class _Walk:
             return function.__module__, function.__qualname__
         cells = (cell.cell_contents for cell in function.__closure__ or () if _filled(cell))
         names = _names(code)
+        self.names.update(names)
         found = {name: function.__globals__[name] for name in names if name in function.__globals__}
         return (
             *self._all((code, function.__defaults__, function.__kwdefaults__, vars(function))),

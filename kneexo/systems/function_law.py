@@ -45,7 +45,9 @@ def call_law(law: Law, function: Any, arguments: Mapping[str, Any]) -> list[Any]
     """
     kinds = {type(value) for values in arguments.values() for value in values}
     scalars = kinds & {AutoDiffXd, Expression}
-    with user_code(f"law {law.short_name}: the function fails"), _arithmetic(bool(scalars)):
+    # With numbers, pydrake's if_then_else returns constant Expressions.
+    has_scalars = bool(scalars) or "if_then_else" in law.names
+    with user_code(f"law {law.short_name}: the function fails"), _arithmetic(has_scalars):
         try:
             result = function(**_plain(arguments))
         except TypeError as error:
@@ -238,7 +240,11 @@ _TYPICAL = {  # largest magnitudes of the inputs at the points of comparison, in
     "knee_angle": (1.5,),
     "knee_reference": (1.5, 1.0, 1.0, 10.0),
 }
-_STATE_SCALES = (1.0, 0.0, 10.0, 1e3)  # largest states at the points: flags, counters, integrals
+_SCALES = ((1.0, 1.0, 30.0), (1e-3, 0.0, 0.0), (1.0, 10.0, 0.01), (1e-2, 1e3, 1.0))
+"""Scales of inputs and states and the largest time in s of each point of comparison.
+
+States can be flags, counters or integrals. Small inputs leave a command within its limits.
+"""
 _ZERO = Expression(0.0)
 _TOLERANCE = 1e-9  # sums in another order; conditioning of a law with gains up to 1e6
 
@@ -306,10 +312,8 @@ def _compared(
         return Trace(differ, expressions)
     random = np.random.default_rng(0)
     function = law.copy_of_target()
-    for scale in _STATE_SCALES:
-        point = _random_point(law, states, random)
-        if states:
-            point["state"] = scale * point["state"]
+    for scales in _SCALES:
+        point = _random_point(law, states, random, *scales)
         values = {
             variable: value
             for name, vs in variables.items()
@@ -340,7 +344,7 @@ def hides_state(law: Law, states: int) -> bool:
 def _hides_state(law: Law, states: int) -> bool:
     function = law.copy_of_target()
     is_object = function is not law.target
-    before = Law(function).fingerprint
+    before, of_original = Law(function).fingerprint, law.fingerprint
     random = np.random.default_rng(1)
     changed = False
     try:
@@ -352,7 +356,7 @@ def _hides_state(law: Law, states: int) -> bool:
         return False  # the run or the trace reports the cause
     after = Law(function).fingerprint
     changed |= before != after or (is_object and before is None)
-    if changed and (not is_object or law.fingerprint != before):
+    if changed and (not is_object or law.fingerprint != of_original):
         raise ParameterError(
             f"law {law.short_name}: hides state: it changes outer variables, or returns two "
             f"commands for equal arguments; must take the argument state and return "
@@ -373,18 +377,26 @@ def _sizes(law: Law, states: int) -> dict[str, int]:
     return sizes
 
 
-def _random_point(law: Law, states: int, random: np.random.Generator) -> dict[str, Any]:
+def _random_point(
+    law: Law,
+    states: int,
+    random: np.random.Generator,
+    scale: float = 1.0,
+    largest_state: float = 1.0,
+    largest_time_s: float = 30.0,
+) -> dict[str, Any]:
     """Return arguments of usual size, an array for each: default gains, random other values."""
     point: dict[str, Any] = {}
     for name, size in _sizes(law, states).items():
         if name in law.arguments.gains:
             point[name] = np.array([law.arguments.gains[name]])
         elif name == "time_s":
-            point[name] = random.uniform(0.0, 30.0, 1)
+            point[name] = random.uniform(0.0, largest_time_s, 1)
+        elif name == "state":
+            point[name] = random.uniform(-largest_state, largest_state, size)
         else:
-            point[name] = random.uniform(-1.0, 1.0, size) * np.array(_TYPICAL.get(name, 1.0))
-            if name != "state":
-                point[name][0] = abs(point[name][0])
+            point[name] = scale * random.uniform(-1.0, 1.0, size) * np.array(_TYPICAL[name])
+            point[name][0] = abs(point[name][0])
     return point
 
 

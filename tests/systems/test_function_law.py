@@ -230,6 +230,17 @@ def test_if_then_else_gives_numbers() -> None:
         assert command_of(simulator) == -500.0
 
 
+def test_a_branch_on_a_choice_follows_the_choice() -> None:
+    def two_choices(rod_extension):
+        return 5.0 if if_then_else(rod_extension > 0.2, 1.0, 0.0) else -5.0
+
+    system = FunctionLaw(LawParameters(function=two_choices))
+    simulator = started(system, rod_extension=[0.1])
+    simulator.AdvanceTo(0.001)
+    assert command_of(simulator) == -5.0
+    assert "branches on a value" in reason(two_choices)
+
+
 def test_equal_equations_have_one_key_and_others_another() -> None:
     def key(function):
         law = Law(function)

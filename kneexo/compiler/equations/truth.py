@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import RLock, get_ident
 from typing import Any
 
 from pydrake.autodiffutils import AutoDiffXd
-from pydrake.symbolic import Expression
+from pydrake.symbolic import Expression, ExpressionKind, Formula, FormulaKind
 
-_lock = RLock()
-_depth = 0
+_METHODS = ("__bool__", "__hash__", "__str__", "__repr__")
+"""Methods by which a code can branch on a value: its truth, a dictionary, or its text."""
+_CONSTANT = (ExpressionKind.Constant, FormulaKind.True_, FormulaKind.False_)
 _ABSENT = object()
+_lock = RLock()
 
 
 @contextmanager
@@ -21,43 +23,47 @@ def truth_of_scalars() -> Iterator[None]:
 
     Python takes an object without the method ``__bool__`` for true. So ``if x:``, ``x and y``,
     ``not x`` and ``while x`` would follow one branch in silence. In the body ``bool(x)`` says
-    whether the value of an AutoDiffXd differs from zero. For an Expression, which has no number,
-    ``bool(x)`` raises `TypeError`. So does ``hash(x)``, by which a dictionary looks up a number.
+    whether the value of an AutoDiffXd or of a constant Expression differs from zero. A symbolic
+    value has no number, so ``bool(x)`` raises `TypeError`. So do ``hash(x)``, by which a dictionary
+    looks up a value, and ``str(x)``. The error is raised at the end of a body that swallows it.
 
     pydrake's classes get these methods for the body only, and other threads do not notice them.
     """
-    global _depth
-    owner = get_ident()
-
-    def expression_raises(name: str) -> Callable[[Any], Any]:
-        def method(expression: Any) -> Any:
-            if get_ident() == owner:
-                raise TypeError(f"`{name}` of a symbolic variable, which has no number")
-            return True if name == "__bool__" else id(expression)
-
-        return method
-
-    def differs_from_zero(scalar: Any) -> bool:
-        return bool(scalar.value() != 0.0)
-
-    methods = (
-        (Expression, "__bool__", expression_raises("__bool__")),
-        (Expression, "__hash__", expression_raises("__hash__")),
-        (AutoDiffXd, "__bool__", differs_from_zero),
-    )
+    errors: list[TypeError] = []
+    methods: list[tuple[Any, str, Any]] = [(AutoDiffXd, "__bool__", _differs_from_zero)]
+    for kind in (Expression, Formula):
+        for name in _METHODS:
+            methods.append((kind, name, _method(name, getattr(kind, name, None), errors)))
     with _lock:  # one body at a time, because the classes belong to all threads
         originals = [vars(kind).get(name, _ABSENT) for kind, name, _ in methods]
-        _depth += 1
+        for kind, name, method in methods:
+            setattr(kind, name, method)
         try:
-            if _depth == 1:
-                for kind, name, method in methods:
-                    setattr(kind, name, method)
             yield
         finally:
-            _depth -= 1
-            if _depth == 0:
-                for (kind, name, _), original in zip(methods, originals, strict=True):
-                    if original is _ABSENT:
-                        delattr(kind, name)
-                    else:
-                        setattr(kind, name, original)
+            for (kind, name, _), original in zip(methods, originals, strict=True):
+                if original is _ABSENT:
+                    delattr(kind, name)
+                else:
+                    setattr(kind, name, original)
+    if errors:
+        raise errors[0]
+
+
+def _differs_from_zero(scalar: Any) -> bool:
+    return bool(scalar.value() != 0.0)
+
+
+def _method(name: str, original: Any, errors: list[TypeError]) -> Any:
+    """Return the method ``name`` of symbolic values for the thread that calls this function."""
+    owner = get_ident()
+
+    def method(value: Any) -> Any:
+        if get_ident() != owner:
+            return True if original is None else original(value)
+        if value.get_kind() in _CONSTANT:
+            return getattr(value.Evaluate(), name)()
+        errors.append(TypeError(f"`{name}` of a symbolic value, which has no number"))
+        raise errors[-1]
+
+    return method

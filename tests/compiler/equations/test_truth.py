@@ -22,11 +22,33 @@ X = Expression(Variable("x"))
         lambda: [n for n in (1,) if X],
         lambda: {0.0: 1}.get(X, 2),
         lambda: X in {1.0},
+        lambda: 1 if X > 0.0 else 2,
+        lambda: str(X) == "1.0",
+        lambda: f"{X}",
     ],
 )
 def test_a_branch_on_an_expression_raises(branch) -> None:
-    with truth_of_scalars(), pytest.raises(TypeError, match="of a symbolic variable"):
+    with pytest.raises(TypeError, match="of a symbolic value"), truth_of_scalars():
         branch()
+
+
+def test_the_error_is_raised_after_a_body_that_swallows_it() -> None:
+    with pytest.raises(TypeError, match="`__bool__` of a symbolic value"), truth_of_scalars():
+        try:
+            assert X
+        except TypeError:
+            pass
+
+
+def test_a_constant_expression_follows_its_number() -> None:
+    zero, two = Expression(0.0), Expression(2.0)
+    with truth_of_scalars():
+        assert not zero
+        assert two
+        assert two > 1.0
+        assert not two < 1.0
+        assert {2.0: "found"}.get(two) == "found"
+        assert str(two) == "2.0"
 
 
 def test_a_branch_on_an_autodiff_scalar_follows_its_value() -> None:
