@@ -1,4 +1,4 @@
-"""Reads columns of numbers from a CSV file."""
+"""Reads columns of numbers from a CSV file, or from a .mot or .sto file of OpenSim."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
 
-from kneexo.errors import shortened
+from kneexo.errors import close_names, shortened
 from kneexo.files.reading import MIB, file_error, read_text
 
 MOST_BYTES_OF_TABLE = 256 * MIB
@@ -20,19 +20,37 @@ NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 """Pattern of a decimal number in the digits 0-9. `float` also accepts ``1_0`` and ``nan``."""
 
 _LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
+_END_OF_OPENSIM_HEADER = re.compile(r"^[ \t]*endheader[ \t]*\r?$", re.IGNORECASE | re.MULTILINE)
+_COMMA_NUMBER = re.compile(r"[-+]?[0-9.]*,[0-9]+(?:[eE][-+]?[0-9]+)?")
+_IN_DEGREES = re.compile(r"^[ \t]*inDegrees[ \t]*=[ \t]*(yes|no)\b", re.IGNORECASE | re.MULTILINE)
 
 
 @dataclass(frozen=True)
 class Table:
-    """Columns of numbers of a CSV file.
+    """Columns of numbers of a file.
 
     ``lines`` has the line number at which each row starts. ``columns`` maps the name of a column to
-    its values, which are finite.
+    its values, which are finite. ``opensim_header`` is the text down to ``endheader`` in a file of
+    OpenSim, and empty for any other file.
     """
 
     path: str | os.PathLike[str]
     lines: list[int]
     columns: dict[str, list[float]]
+    opensim_header: str = ""
+
+    def degrees(self, name: str) -> list[float]:
+        """Return a column of angles in deg. OpenSim's angles are in rad if ``inDegrees=no``.
+
+        Raises `ScenarioError` if a file of OpenSim does not state the unit.
+        """
+        unit = _IN_DEGREES.search(self.opensim_header)
+        if self.opensim_header and unit is None:
+            message = "lacks the unit of angles; add inDegrees=yes or inDegrees=no above endheader"
+            raise file_error(self.path, None, message)
+        if unit is not None and unit[1].lower() == "no":
+            return [math.degrees(value) for value in self.columns[name]]
+        return self.columns[name]
 
     def require(self, name: str, low: float, high: float, unit: str) -> None:
         """Raise `ScenarioError` if a column has a value outside ``low`` … ``high``, in ``unit``."""
@@ -57,10 +75,15 @@ class Table:
 
 
 def read_table(path: str | os.PathLike[str], names: Sequence[str], remedy: str = "") -> Table:
-    """Read columns of a CSV file. The first record of the file has the names of the columns.
+    """Read columns of a CSV file, or of a .mot or .sto file of OpenSim.
 
-    Lines between records are ignored if they are empty or start with ``#``. If the first record has
-    no comma, semicolons or else tabs separate the values, and numbers can have a decimal comma.
+    The first record of the file has the names of the columns. In a file of OpenSim it stands below
+    the line ``endheader``, and ``time_s`` means the column ``time``. Lines between records are
+    ignored if they have no values or start with ``#``, ``%`` or ``sep=``.
+
+    Comma, semicolon, tab, bar or spaces separate the values, whichever separates most of ``names``
+    in the first record. If it is not the comma, and any number of the file has a comma, commas are
+    the decimal signs of the whole file, and numbers must not have points.
 
     Parameters
     ----------
@@ -79,50 +102,80 @@ def read_table(path: str | os.PathLike[str], names: Sequence[str], remedy: str =
     """
     try:
         text = read_text(path, MOST_BYTES_OF_TABLE)
-        separator = _separator(text)
-        records = _records(path, text, separator)
-        _, header = next(records, (0, None))
+        sought, start = names, 0
+        if end := _END_OF_OPENSIM_HEADER.search(text):
+            sought, start = ["time" if name == "time_s" else name for name in names], end.end()
+            text = text.replace("\t", " ")
+        separator = _separator(text, start, sought)
+        comma_number = ""
+        if separator != "," and text.find(",", start) >= 0:
+            comma_number = _comma_number(_records(path, text, start, separator))
+        records = _records(path, text, start, separator)
+        first, header = next(records, (0, None))
         if header is None:
             raise file_error(path, None, "is empty; must have a line with the names of columns")
         header = [name.strip() for name in header]
-        places = [_place(path, header, name, remedy) for name in names]
+        if all(NUMBER.fullmatch(name.replace(",", ".")) for name in header):
+            message = "has numbers; must have the names of the columns, without # or %"
+            raise file_error(path, first, message)
+        places = [_place(path, header, name, remedy) for name in sought]
         lines: list[int] = []
         values: list[list[float]] = [[] for _ in names]
         for line, row in records:
-            if any(field.strip() for field in row[len(header) :]):
+            # Between spaces no field is empty: a missing value would shift the others.
+            shifted = separator == " " and len(row) < len(header)
+            if shifted or any(field.strip() for field in row[len(header) :]):
                 message = f"has {len(row)} values; must have {len(header)}, one of each column"
+                if separator == ",":
+                    message += "; separate them by semicolons if commas are decimal signs"
                 raise file_error(path, line, message)
             lines.append(line)
-            if separator != ",":
-                row = [field.replace(",", ".") for field in row]
             for name, place, column in zip(names, places, values, strict=True):
-                column.append(_number(path, line, name, row[place] if place < len(row) else ""))
+                field = row[place] if place < len(row) else ""
+                column.append(_number(path, line, name, field, comma_number))
     except MemoryError:
         message = "cannot be read: has too many rows for the free memory"
         raise file_error(path, None, message) from None
-    return Table(path, lines, dict(zip(names, values, strict=True)))
+    return Table(path, lines, dict(zip(names, values, strict=True)), text[:start])
 
 
-def _separator(text: str) -> str:
-    """Return the first of comma, semicolon and tab that the first record has; else a comma."""
-    lines = (match[0] for match in _LINE.finditer(text))
+def _separator(text: str, start: int, names: Sequence[str]) -> str:
+    """Return what separates most of ``names`` in the first record below ``start``.
+
+    If none of the names is found, return what occurs most often. Spaces are the last choice.
+    """
+    lines = (match[0] for match in _LINE.finditer(text, start))
     header = next((line for line in lines if not _ignored(line)), "")
-    return next((separator for separator in ",;\t" if separator in header), ",")
+
+    def fit(separator: str) -> tuple[int, bool, int]:
+        found = {field.strip(' "\t\r\n') for field in header.split(separator)}
+        return len(found.intersection(names)), separator != " ", header.count(separator)
+
+    return max(",;\t| ", key=fit)
+
+
+def _comma_number(records: Iterator[tuple[int, list[str]]]) -> str:
+    """Return the first number with a decimal comma, or an empty text if there is none."""
+    fields = (field.strip() for _, row in records for field in row)
+    return next((field for field in fields if _COMMA_NUMBER.fullmatch(field)), "")
 
 
 def _ignored(line: str) -> bool:
-    return not line.strip() or line.startswith("#")
+    return not line.strip(" ,;|\t\r\n") or line.startswith(("#", "%", "sep=", '"sep='))
 
 
 def _records(
-    path: str | os.PathLike[str], text: str, separator: str
+    path: str | os.PathLike[str], text: str, start: int, separator: str
 ) -> Iterator[tuple[int, list[str]]]:
-    """Yield each record with the number of its first line. A quoted field may span lines."""
-    count = 0
+    """Yield each record below ``start`` with the number of its first line.
+
+    A quoted field may span lines.
+    """
+    count = sum(1 for _ in _LINE.finditer(text, 0, start))
 
     def next_lines() -> Iterator[str]:
         nonlocal count
-        for match in _LINE.finditer(text):
+        for match in _LINE.finditer(text, start):
             count += 1
             yield match[0]
 
@@ -130,12 +183,10 @@ def _records(
     for line in lines:
         if _ignored(line):
             continue
-        first, rest = count, chain([line], lines)
+        first, rest = count, chain([line.rstrip(" ") if False else line], lines)
         try:
-            yield (
-                first,
-                next(csv.reader(rest, delimiter=separator, skipinitialspace=True, strict=True)),
-            )
+            row = next(csv.reader(rest, delimiter=separator, skipinitialspace=True, strict=True))
+            yield first, [*filter(None, row)] if separator == " " else row
         except csv.Error as error:
             if "unexpected end" in str(error):
                 reason = "a quotation mark opens a field that does not end"
@@ -150,7 +201,7 @@ def _place(path: str | os.PathLike[str], header: list[str], name: str, remedy: s
     places = [place for place, other in enumerate(header) if other == name]
     quoted = repr(shortened(name))
     if not places:
-        listed = shortened(", ".join(header), 300)
+        listed = shortened(", ".join(dict.fromkeys([*close_names(name, header), *header])), 300)
         raise file_error(path, None, f"has no column {quoted}; it has {listed}{remedy}")
     if len(places) > 1:
         message = f"has {len(places)} columns {quoted}; must have one column of this name"
@@ -158,10 +209,22 @@ def _place(path: str | os.PathLike[str], header: list[str], name: str, remedy: s
     return places[0]
 
 
-def _number(path: str | os.PathLike[str], line: int, name: str, text: str) -> float:
+def _number(
+    path: str | os.PathLike[str], line: int, name: str, text: str, comma_number: str
+) -> float:
     text = text.strip(" \t")
-    if NUMBER.fullmatch(text) and math.isfinite(value := float(text)):
+    # In a file with decimal commas a point makes no number: it may be a decimal or for thousands.
+    number = text.translate({44: ".", 46: ","}) if comma_number else text
+    if NUMBER.fullmatch(number) and math.isfinite(value := float(number)):
         return value
+    if ":" in text:
+        remedy = "write a time in seconds"
+    elif not any(map(str.isdigit, text)):
+        remedy = "delete or fill the rows of units and of missing values"
+    elif comma_number and "." in text:
+        remedy = f"write no points in a file with decimal commas such as {shortened(comma_number)}"
+    else:
+        remedy = "write no unit and no sign for thousands"
     quoted = repr(shortened(text, 60)) if text else "no value"
-    message = f"{shortened(name)}: {quoted}; must be a finite number in the digits 0-9"
+    message = f"{shortened(name)}: {quoted}; must be a finite number in the digits 0-9; {remedy}"
     raise file_error(path, line, message)

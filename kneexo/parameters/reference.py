@@ -16,14 +16,18 @@ from kneexo.gait import gait_knee_flexion
 from kneexo.parameters.fields import Words
 from kneexo.parameters.quantity import Parameters, choice, quantity
 
+_LEAST_FLEXION_DEG = -2.0
+
 
 def _flexion(default: float, source: str) -> Any:
-    return quantity(default, "deg", source, ge=-2, le=91)
+    return quantity(default, "deg", source, ge=_LEAST_FLEXION_DEG, le=91)
 
 
 _SHORTEST_RAMP_S = 1e-3  # the jerk of the reference is divided by the third power of ``ramp_s``
 _SHORTEST_SAMPLE_S = 1e-6
 _MOTION_SAMPLES = 60  # of one rise; the spline between them is within 1e-4 deg of minimum jerk
+SHORTEST_RUN_S = 1e-3
+"""Duration of the shortest run in s."""
 LONGEST_TIME_S = 1e5
 """Largest absolute value of a sample's time in s. Times can be negative."""
 
@@ -141,6 +145,12 @@ class SampledReference(_KneeReference):
             raise ValueError("times_s must increase by at least 1e-6 s from sample to sample")
         if max(abs(self.times_s[0]), abs(self.times_s[-1])) > LONGEST_TIME_S:
             raise ValueError(f"times_s must lie within ±{LONGEST_TIME_S:g} s")
+        if self.times_s[-1] < SHORTEST_RUN_S:
+            raise ValueError(
+                f"times_s ends at {self.times_s[-1]:g} s: must end at >= {SHORTEST_RUN_S:g} s, "
+                f"because a run starts at 0 s; subtract the first time, {self.times_s[0]:g} s, "
+                f"from all times"
+            )
         return self
 
     @property
@@ -150,9 +160,9 @@ class SampledReference(_KneeReference):
 
 
 class CsvReference(Parameters):
-    """A CSV file with the samples of a reference. The file starts with a header line.
+    """A CSV file, or a .mot or .sto file of OpenSim, with the samples of a reference.
 
-    `samples` reads the file. A scenario made with a CSV file stores the samples, not the file name.
+    `samples` reads the file. A scenario made with a file stores the samples, not the file name.
     """
 
     kind: Literal["csv"] = "csv"
@@ -164,25 +174,55 @@ class CsvReference(Parameters):
             "directory",
         },
     )
-    time: str = choice("time_s", "name of the column of times in s")
-    angle: str = choice("knee_angle_deg", "name of the column of knee angles in deg")
+    time: str = choice("time_s", "name of the column of times in s; in OpenSim's files time")
+    angle: str = choice(
+        "knee_angle_deg", "name of the column of knee angles in deg; OpenSim's may be in rad"
+    )
+    flexion: Literal["positive", "negative"] = choice(
+        "positive", "sign of flexion in the file; negative in OpenSim's gait2392"
+    )
+    period_s: float | None = quantity(
+        None,
+        "s",
+        "left out: the column of times is in s; else it is in percent of a cycle of this duration",
+        ge=0.1,
+        le=1e3,
+    )
+    cycles: int = quantity(1, "1", "the file once; how often the samples are run", ge=1, le=1000)
     interpolation: Interpolation = choice("cubic", _INTERPOLATION)
 
     def samples(self, directory: str | os.PathLike[str] = ".") -> SampledReference:
         """Read the samples from the file. A relative file path starts at ``directory``.
 
-        Empty lines and lines that start with ``#`` are skipped. Raises `ScenarioError`, a subclass
-        of `ParameterError`, if the file cannot be read or lacks a column, or if an entry is
-        missing, is no number, or is out of range.
+        `read_table` says which files can be read. Raises `ScenarioError`, a subclass of
+        `ParameterError`, if the file cannot be read or lacks a column, or if an entry is missing,
+        is no number, or is out of range.
         """
         path = Path(directory, self.file)
         table = read_table(path, (self.time, self.angle), "; give its names as time: and angle:")
-        table.require(self.time, -LONGEST_TIME_S, LONGEST_TIME_S, "s")
-        table.require_increase(self.time, _SHORTEST_SAMPLE_S, "s")
+        times, angles = table.columns[self.time], table.degrees(self.angle)
+        unit, scale = ("s", 1.0) if self.period_s is None else ("%", self.period_s / 100.0)
+        table.require(self.time, -LONGEST_TIME_S / scale, LONGEST_TIME_S / scale, unit)
+        table.require_increase(self.time, _SHORTEST_SAMPLE_S / scale, unit)
+        if self.period_s is not None and times[:1] + times[-1:] != [0.0, 100.0]:
+            message = f"{self.time} must run from 0 to 100 %; without period_s it is in s"
+            raise file_error(path, None, message)
+        if self.flexion == "negative":
+            angles = [-angle for angle in angles]
+        low, high = min(angles, default=0.0), max(angles, default=0.0)
+        if 0.5 * (low + high) < _LEAST_FLEXION_DEG:
+            other = "negative" if self.flexion == "positive" else "positive"
+            message = (
+                f"{self.angle} has flexion from {low:.4g} to {high:.4g} deg; set flexion: {other}"
+            )
+            raise file_error(path, None, message)
+        # The first row of a further cycle is the last row of the cycle before.
+        lap = max(times, default=0.0) - min(times, default=0.0)
+        laps = range(self.cycles)
         try:
             return SampledReference(
-                times_s=tuple(table.columns[self.time]),
-                angles_deg=tuple(table.columns[self.angle]),
+                times_s=tuple(scale * (t + n * lap) for n in laps for t in times[n > 0 :]),
+                angles_deg=tuple(angle for n in laps for angle in angles[n > 0 :]),
                 interpolation=self.interpolation,
             )
         except ParameterError as error:
@@ -262,10 +302,11 @@ def sit_to_stand_reference(
 def read_reference(value: Any, directory: Any) -> Any:
     """Return the samples of a gait or CSV reference. Return any other reference unchanged.
 
-    ``value`` is a scenario's reference: an object, a mapping or the path of a CSV file. A relative
-    path starts at ``directory``. Raises `ParameterError` for a faulty file or value.
+    ``value`` is a scenario's reference: an object, a mapping, or the path of a file of
+    `CsvReference`. A relative path starts at ``directory``. Raises `ParameterError` for a faulty
+    file or value.
     """
-    if isinstance(value, str) and value.endswith(".csv"):
+    if isinstance(value, str) and value.endswith((".csv", ".mot", ".sto")):
         value = CsvReference(file=value)
     if isinstance(value, dict) and value.get("kind") in ("csv", "gait"):
         cls = CsvReference if value["kind"] == "csv" else GaitReference

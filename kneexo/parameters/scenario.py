@@ -26,6 +26,7 @@ from kneexo.parameters.plant import PlantParameters, RodPolynomialParameters
 from kneexo.parameters.presets import with_preset
 from kneexo.parameters.quantity import Parameters, choice, quantity
 from kneexo.parameters.reference import (
+    SHORTEST_RUN_S,
     Reference,
     SampledReference,
     SineReference,
@@ -37,8 +38,6 @@ from kneexo.parameters.wearer import LegParameters, NoWearer, Wearer
 DEFAULT_DURATION_S = 30.0
 """Duration of a run in s if neither the scenario nor a sampled reference has one: Fig. 12."""
 
-_SHORTEST_RUN_S = 1e-3
-
 
 class SimulationParameters(Parameters):
     """Settings of a simulation. ``integrator`` selects the compiled engine or Drake's Simulator."""
@@ -48,7 +47,7 @@ class SimulationParameters(Parameters):
         "s",
         f"left out: to the last sample of a sampled, CSV or gait reference, else "
         f"{DEFAULT_DURATION_S:g} s, three periods of 0.1 Hz as in Fig. 12",
-        ge=_SHORTEST_RUN_S,
+        ge=SHORTEST_RUN_S,
         le=1e5,
     )
     integrator: Literal[
@@ -200,13 +199,13 @@ class Scenario(Parameters):
     def duration_s(self) -> float:
         """Duration of the run in s: ``simulation.duration_s``, or a default if it is None.
 
-        By default a run ends at the last sample of a sampled reference. With another reference, or
-        if the last sample is earlier than 1 ms, the run lasts `DEFAULT_DURATION_S`.
+        By default a run ends at the last sample of a sampled reference. With another reference the
+        run lasts `DEFAULT_DURATION_S`.
         """
         if self.simulation.duration_s is not None:
             return self.simulation.duration_s
         reference = self.reference
-        if isinstance(reference, SampledReference) and reference.times_s[-1] >= _SHORTEST_RUN_S:
+        if isinstance(reference, SampledReference):
             return reference.times_s[-1]
         return DEFAULT_DURATION_S
 
