@@ -265,7 +265,7 @@ TABLES = {
     "": r"is empty; must have a line with the names of columns$",
     "time,angle\n0,1\n": r"has no column 'time_s'; it has time, angle",
     "degrees\n1\n2\n3\n": r"has no column 'time_s'; it has degrees",
-    f"{HEADER}0,1\n1,2\n": r"times_s has 2 values: must have at least 3$",
+    f"{HEADER}0,1\n1,2\n": r"has 2 rows; must have at least 3$",
     f"{HEADER}0,1\n1,2\n1,3\n": r"walk.csv:4: time_s = 1 s after 1 s: must increase",
     f"{HEADER}0,1\n1,x\n2,3\n": r"walk.csv:3: knee_angle_deg: 'x'; must be a finite number",
     f"{HEADER}0,1\n1,200\n2,3\n": r"leaves the range of motion 0 … 90 deg; reduce it$",

@@ -16,11 +16,16 @@ from kneexo.files.reading import MIB, file_error, read_text
 MOST_BYTES_OF_TABLE = 256 * MIB
 """Size in bytes of the largest CSV file that `read_table` accepts."""
 
+SUFFIXES = (".csv", ".mot", ".sto")
+"""Ends of the names of files that `read_table` reads."""
+
 NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 """Pattern of a decimal number in the digits 0-9. `float` also accepts ``1_0`` and ``nan``."""
 
 _LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
-_END_OF_OPENSIM_HEADER = re.compile(r"^[ \t]*endheader[ \t]*\r?$", re.IGNORECASE | re.MULTILINE)
+_END_OF_OPENSIM_HEADER = re.compile(
+    r"^[ \t]*endheader[ \t]*(?:\r?\n|\Z)", re.IGNORECASE | re.MULTILINE
+)
 _COMMA_NUMBER = re.compile(r"[-+]?[0-9.]*,[0-9]+(?:[eE][-+]?[0-9]+)?")
 _IN_DEGREES = re.compile(r"^[ \t]*inDegrees[ \t]*=[ \t]*(yes|no)\b", re.IGNORECASE | re.MULTILINE)
 
@@ -115,7 +120,7 @@ def read_table(path: str | os.PathLike[str], names: Sequence[str], remedy: str =
         if header is None:
             raise file_error(path, None, "is empty; must have a line with the names of columns")
         header = [name.strip() for name in header]
-        if all(NUMBER.fullmatch(name.replace(",", ".")) for name in header):
+        if all(NUMBER.fullmatch(word.replace(",", ".")) for word in " ".join(header).split()):
             message = "has numbers; must have the names of the columns, without # or %"
             raise file_error(path, first, message)
         places = [_place(path, header, name, remedy) for name in sought]
@@ -183,7 +188,7 @@ def _records(
     for line in lines:
         if _ignored(line):
             continue
-        first, rest = count, chain([line.rstrip(" ") if False else line], lines)
+        first, rest = count, chain([line], lines)
         try:
             row = next(csv.reader(rest, delimiter=separator, skipinitialspace=True, strict=True))
             yield first, [*filter(None, row)] if separator == " " else row

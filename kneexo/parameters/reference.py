@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from kneexo.errors import ParameterError
 from kneexo.files.reading import file_error
-from kneexo.files.table import read_table
+from kneexo.files.table import SUFFIXES, read_table
 from kneexo.gait import gait_knee_flexion
 from kneexo.parameters.fields import Words
 from kneexo.parameters.quantity import Parameters, choice, quantity
@@ -25,6 +25,8 @@ def _flexion(default: float, source: str) -> Any:
 
 _SHORTEST_RAMP_S = 1e-3  # the jerk of the reference is divided by the third power of ``ramp_s``
 _SHORTEST_SAMPLE_S = 1e-6
+_FEWEST_SAMPLES = 3
+_LARGEST_GAP_DEG = 2.0  # assumption: a measured stride that closes less well is no cycle
 _MOTION_SAMPLES = 60  # of one rise; the spline between them is within 1e-4 deg of minimum jerk
 SHORTEST_RUN_S = 1e-3
 """Duration of the shortest run in s."""
@@ -125,11 +127,11 @@ class SampledReference(_KneeReference):
 
     kind: Literal["samples"] = "samples"
     times_s: tuple[float, ...] = Field(
-        min_length=3,
+        min_length=_FEWEST_SAMPLES,
         json_schema_extra={"unit": "s", "source": "given by the user; strictly increasing"},
     )
     angles_deg: tuple[float, ...] = Field(
-        min_length=3, json_schema_extra={"unit": "deg", "source": "given by the user"}
+        min_length=_FEWEST_SAMPLES, json_schema_extra={"unit": "deg", "source": "given by the user"}
     )
     interpolation: Interpolation = choice("cubic", _INTERPOLATION)
 
@@ -201,28 +203,41 @@ class CsvReference(Parameters):
         path = Path(directory, self.file)
         table = read_table(path, (self.time, self.angle), "; give its names as time: and angle:")
         times, angles = table.columns[self.time], table.degrees(self.angle)
+        if len(times) < _FEWEST_SAMPLES:
+            message = f"has {len(times)} rows; must have at least {_FEWEST_SAMPLES}"
+            raise file_error(path, None, message)
         unit, scale = ("s", 1.0) if self.period_s is None else ("%", self.period_s / 100.0)
         table.require(self.time, -LONGEST_TIME_S / scale, LONGEST_TIME_S / scale, unit)
         table.require_increase(self.time, _SHORTEST_SAMPLE_S / scale, unit)
-        if self.period_s is not None and times[:1] + times[-1:] != [0.0, 100.0]:
-            message = f"{self.time} must run from 0 to 100 %; without period_s it is in s"
+        if self.period_s is not None and (times[0], times[-1]) != (0.0, 100.0):
+            message = (
+                f"{self.time} = {times[0]:g} … {times[-1]:g} %: must run from 0 to 100 %; leave "
+                f"period_s out if it is in s"
+            )
             raise file_error(path, None, message)
         if self.flexion == "negative":
             angles = [-angle for angle in angles]
-        low, high = min(angles, default=0.0), max(angles, default=0.0)
+        low, high = min(angles), max(angles)
         if 0.5 * (low + high) < _LEAST_FLEXION_DEG:
             other = "negative" if self.flexion == "positive" else "positive"
             message = (
-                f"{self.angle} has flexion from {low:.4g} to {high:.4g} deg; set flexion: {other}"
+                f"{self.angle} = {low:.4g} … {high:.4g} deg: flexion must be positive; set "
+                f"flexion: {other}"
+            )
+            raise file_error(path, None, message)
+        gap = abs(angles[-1] - angles[0])
+        if self.cycles > 1 and gap > _LARGEST_GAP_DEG:
+            message = (
+                f"{self.angle} ends {gap:.3g} deg from its first row: must be <= "
+                f"{_LARGEST_GAP_DEG:g} deg, or each cycle jumps; subtract a straight line"
             )
             raise file_error(path, None, message)
         # The first row of a further cycle is the last row of the cycle before.
-        lap = max(times, default=0.0) - min(times, default=0.0)
-        laps = range(self.cycles)
+        span, cycles = times[-1] - times[0], range(self.cycles)
         try:
             return SampledReference(
-                times_s=tuple(scale * (t + n * lap) for n in laps for t in times[n > 0 :]),
-                angles_deg=tuple(angle for n in laps for angle in angles[n > 0 :]),
+                times_s=tuple(scale * (t + n * span) for n in cycles for t in times[n > 0 :]),
+                angles_deg=tuple(angle for n in cycles for angle in angles[n > 0 :]),
                 interpolation=self.interpolation,
             )
         except ParameterError as error:
@@ -306,7 +321,7 @@ def read_reference(value: Any, directory: Any) -> Any:
     `CsvReference`. A relative path starts at ``directory``. Raises `ParameterError` for a faulty
     file or value.
     """
-    if isinstance(value, str) and value.endswith((".csv", ".mot", ".sto")):
+    if isinstance(value, str) and value.endswith(SUFFIXES):
         value = CsvReference(file=value)
     if isinstance(value, dict) and value.get("kind") in ("csv", "gait"):
         cls = CsvReference if value["kind"] == "csv" else GaitReference

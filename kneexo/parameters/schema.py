@@ -36,9 +36,8 @@ def json_schema() -> dict[str, Any]:
             _accept_words(classes[model.__name__]["properties"][name], field)
     scenario = classes.pop("Scenario")
     moment = classes["LegParameters"]["properties"]["moment"]
-    reference = scenario["properties"]["reference"]
-    reference["oneOf"].append({"type": "string", "pattern": r"\.(csv|mot|sto)$"})
-    moment["anyOf"].append({"type": "string", "pattern": r"\.csv$"})
+    for alternatives in (scenario["properties"]["reference"]["oneOf"], moment["anyOf"]):
+        alternatives.append({"type": "string", "pattern": r"\.(csv|mot|sto)$"})
     classes["GaitMoment"]["required"] = ["kind"]
     summaries = "; ".join(f"{name}: {preset.summary}" for name, preset in PRESETS.items())
     scenario["properties"]["preset"] = {"enum": list(PRESETS), "description": summaries}

@@ -10,7 +10,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from kneexo.errors import ParameterError
 from kneexo.files.reading import file_error
-from kneexo.files.table import read_table
+from kneexo.files.table import SUFFIXES, read_table
 from kneexo.gait import gait_moment_cycle, gait_start_percent
 from kneexo.parameters.fields import Words
 from kneexo.parameters.quantity import Parameters, choice, quantities, quantity
@@ -114,11 +114,11 @@ def leg_of_body(mass_kg: float, height_m: float) -> dict[str, float]:
 
 
 def read_moment(value: Any, directory: Any) -> Any:
-    """Return the table of a moment of walking or of a CSV file. Return other values unchanged.
+    """Return the table of a moment of walking or of a file. Return other values unchanged.
 
-    ``value`` is an object, a mapping or the path of a CSV file with the columns ``time_s`` and
-    ``knee_moment_nm``. A relative path starts at ``directory``. Raises `ParameterError` for a
-    faulty file or value.
+    ``value`` is an object, a mapping, or the path of a file that `read_table` reads, with the
+    columns ``time_s`` and ``knee_moment_nm``. A relative path starts at ``directory``. Raises
+    `ParameterError` for a faulty file or value.
     """
     if isinstance(value, dict) and value.get("kind") == "gait":
         try:
@@ -128,10 +128,10 @@ def read_moment(value: Any, directory: Any) -> Any:
     if isinstance(value, GaitMoment):
         mass_kg = value.body_mass_kg
         return gait_moment(value.frequency_hz, value.cycles, body_mass_kg=mass_kg)
-    if not (isinstance(value, str) and value.endswith(".csv")):
+    if not (isinstance(value, str) and value.endswith(SUFFIXES)):
         return value
     path = Path(directory, value)
-    table = read_table(path, ("time_s", "knee_moment_nm"), "")
+    table = read_table(path, ("time_s", "knee_moment_nm"), "; rename its columns")
     table.require("time_s", -LONGEST_TIME_S, LONGEST_TIME_S, "s")
     table.require("knee_moment_nm", -LARGEST_MOMENT_N_M, LARGEST_MOMENT_N_M, "N·m")
     try:

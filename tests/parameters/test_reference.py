@@ -42,7 +42,7 @@ def test_csv_reference_reads_two_columns(tmp_path: Path) -> None:
         ),
         ("t,knee\n0,1\n1,two\n", "gait.csv:3: knee: 'two'; must be a finite number"),
         ("t,knee\n0,1\n1\n", "gait.csv:3: knee: no value; must be a finite number"),
-        ("t,knee\n0,1\n1,2\n", "gait.csv: times_s has 2 values: must have at least 3"),
+        ("t,knee\n0,1\n1,2\n", "gait.csv: has 2 rows; must have at least 3"),
         (
             "t,knee\n0,1\n0,2\n1,2\n",
             "gait.csv:3: t = 0 s after 0 s: must increase by at least 1e-06 s",
