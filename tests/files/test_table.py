@@ -1,4 +1,9 @@
+import math
+import struct
+from pathlib import Path
+
 import pytest
+from hypothesis import given, settings, strategies as st
 
 from kneexo.files import table
 from kneexo.files.table import read_table
@@ -23,6 +28,13 @@ def test_lines_are_counted_after_a_quoted_newline(write, fault, end):
         ("", "table.csv: is empty"),
         ("# t\n\n", "table.csv: is empty"),
         ("a,b\n", "table.csv: has no column 't'; it has a, b"),
+        ("1,2\n", "table.csv:1: has numbers; must have the names of the columns"),
+        (
+            "t;a\n1,5;0\n2;1\n3.5;1\n",
+            "table.csv:4: t: '3.5'; must be a finite number in the "
+            "digits 0-9; write no points in a file with decimal commas such as 1,5",
+        ),
+        ("t a\n0 1\n\n 0 \n", "table.csv:4: has 1 values; must have 2, one of each column"),
         ("t,a,t\n0,1,2\n", "table.csv: has 2 columns 't'; must have one column of this name"),
         ("t,a\n0,1\n\n0,1,5\n", "table.csv:4: has 3 values; must have 2, one of each column"),
         ('t\n0\n"1\n2\n', "table.csv:3: a quotation mark opens a field that does not end"),
@@ -44,6 +56,56 @@ def test_the_error_of_a_damaged_table_is_one_short_line(write, fault, content, m
     assert len(line) < 500
 
 
+DIALECTS = {
+    "commas": (",", "."),
+    "semicolons": (";", "."),
+    "semicolons and decimal commas": (";", ","),
+    "tabs": ("\t", "."),
+    "tabs and decimal commas": ("\t", ","),
+    "bars": ("|", "."),
+    "bars and decimal commas": ("|", ","),
+    "spaces": (" ", "."),
+    "spaces and decimal commas": (" ", ","),
+}
+NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
+ROWS = st.lists(st.tuples(NUMBERS, NUMBERS), max_size=8)
+
+
+@pytest.mark.parametrize("dialect", DIALECTS)
+@settings(max_examples=15)
+@given(
+    rows=ROWS,
+    end=st.sampled_from(["\n", "\r\n", "\r"]),
+    quote=st.sampled_from(["", '"']),
+    head=st.sampled_from(["", "\ufeff", "# 1,5\n", "% 1.5\n\n", "sep=;\n"]),
+)
+def test_numbers_arrive_in_bits(tmp_path_factory, dialect, rows, end, quote, head):
+    separator, decimal = DIALECTS[dialect]
+    lines = [["a", "t"], *([repr(value).replace(".", decimal) for value in row] for row in rows)]
+    text = "".join(separator.join(f"{quote}{c}{quote}" for c in line) + end for line in lines)
+    assert read_back(tmp_path_factory, head + text, "t") == in_bits(rows)
+
+
+@settings(max_examples=15)
+@given(rows=ROWS, end=st.sampled_from(["\n", "\r\n"]), separator=st.sampled_from(["\t", "  "]))
+def test_numbers_of_opensim_arrive_in_bits(tmp_path_factory, rows, end, separator):
+    lines = [["a", "time"], *(map(repr, row) for row in rows)]
+    text = "".join(separator.join(line) + end for line in lines)
+    text = f"x, y{end}inDegrees=no{end}endheader{end}{text}"
+    assert read_back(tmp_path_factory, text, "time_s") == in_bits(rows)
+
+
+def read_back(tmp_path_factory, text, time):
+    path = Path(tmp_path_factory.getbasetemp(), "table.csv")
+    path.write_bytes(text.encode())
+    columns = read_table(path, (time, "a")).columns
+    return in_bits(zip(columns["a"], columns[time], strict=True))
+
+
+def in_bits(rows):
+    return [struct.pack("<dd", *row) for row in rows]
+
+
 @pytest.mark.parametrize(
     "content",
     [
@@ -56,6 +118,30 @@ def test_the_error_of_a_damaged_table_is_one_short_line(write, fault, content, m
 )
 def test_semicolons_or_tabs_separate_values_too(write, content):
     assert read_table(write(content), ("t", "a")).columns == {"t": [0.0, -1500.0], "a": [1.0, 2.0]}
+
+
+@pytest.mark.parametrize(
+    ("content", "columns"),
+    [
+        ('t;"a, b, c"\n1;2\n', {"t": [1.0], "a, b, c": [2.0]}),
+        ('"a;b|c",t\n2,1\n', {"t": [1.0], "a;b|c": [2.0]}),
+        ("t\ta, b, c\n1\t2\n", {"t": [1.0], "a, b, c": [2.0]}),
+        ("t|a;b\n1|2\n", {"t": [1.0], "a;b": [2.0]}),
+        ("x;t;note\n1.5;2;1,2 and more\n", {"t": [2.0], "x": [1.5]}),
+    ],
+)
+def test_the_columns_sought_tell_the_separator(write, content, columns):
+    assert read_table(write(content), tuple(columns)).columns == columns
+
+
+def test_angles_are_in_degrees(write, fault):
+    text = "{}\nendheader\ntime\ta\n0\t1\n"
+    for unit, degrees in (("inDegrees=no", math.degrees(1.0)), ("inDegrees=yes", 1.0)):
+        assert read_table(write(text.format(unit)), ("a",)).degrees("a") == [degrees]
+    assert read_table(write("a\n1\n"), ("a",)).degrees("a") == [1.0]
+    for unit in ("", "inDegrees=maybe", "# inDegrees=no"):
+        message = fault(read_table(write(text.format(unit)), ("a",)).degrees, "a")
+        assert message.startswith("table.csv: lacks the unit of angles; add inDegrees=yes or")
 
 
 def test_a_comma_between_digits_is_no_decimal_comma_if_commas_separate_values(write, fault):

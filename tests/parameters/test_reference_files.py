@@ -283,7 +283,7 @@ FILES |= {
     ),
     "OpenSim, percent": File(opensim(times=PERCENT), CYCLE, times=SECONDS, rounding=1e-14),
     "OpenSim, percent in radians": File(
-        opensim("inDegrees=no\n", times=PERCENT, cell="{!r}"), CYCLE, times=SECONDS
+        opensim("inDegrees=no\n", times=PERCENT, cell="{!r}"), CYCLE, times=SECONDS, rounding=1e-14
     ),
     "OpenSim, two cycles in percent": File(opensim(times=PERCENT), CYCLE | {"cycles": 2}, **TWICE),
     "OpenSim, two cycles in seconds": File(
