@@ -52,6 +52,8 @@ TESTS: dict[str, tuple[str, ...]] = {
         "analysis/test_sampled_loop",
         "analysis/test_sampled_loop_in_time",
     ),
+    "files/table": ("files/test_table", "parameters/test_reference_files"),
+    "parameters/reference": ("parameters/test_reference", "parameters/test_reference_files"),
     "compiler/model_base": ("compiler/test_model_base", "compiler/test_model"),
     "compiler/equations/contexts": ("compiler/equations/test_contexts", "compiler/test_model"),
     "compiler/equations/events": ("compiler/equations/test_events", "compiler/test_drake_zoo"),

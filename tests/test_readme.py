@@ -114,6 +114,9 @@ SCENARIO_FILES = (ROOT / "docs/scenario_files.md").read_text(encoding="utf-8")
 )
 def test_the_references_of_the_scenario_files_load(text, tmp_path):
     (tmp_path / "gait.csv").write_text("time_s,knee_angle_deg\n0,10\n1,20\n2,15\n")
+    angles = "knee_angle_r\n0\t10\n50\t20\n100\t11\n"
+    (tmp_path / "ik.mot").write_text(f"inDegrees=yes\nendheader\ntime\t{angles}")
+    (tmp_path / "stride.csv").write_text("percent,knee_angle_deg\n0,10\n50,20\n100,11\n")
     path = tmp_path / "scenario.yaml"
     path.write_text(f"reference: {text}", encoding="utf-8")
     kind = re.match(r"\{kind: (\w+)", text)[1]

@@ -72,6 +72,27 @@ def test_the_path_of_a_csv_file_is_a_reference(tmp_path, monkeypatch) -> None:
     assert load_scenario(file).reference == samples
 
 
+def test_the_path_of_a_file_of_opensim_is_a_reference(tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("ik.mot", "ik.sto"):
+        text = "inDegrees=yes\nendheader\ntime\tknee_angle_deg\n0\t10\n1\t20\n2\t15\n"
+        Path(name).write_text(text)
+        assert Scenario(reference=name).reference.angles_deg == (10.0, 20.0, 15.0)
+
+
+def test_samples_must_end_after_the_start_of_a_run() -> None:
+    angles = (10.0, 20.0, 15.0)
+    assert SampledReference(times_s=(-2.0, 0.0, 1e-3), angles_deg=angles).times_s[0] == -2.0
+    line = (
+        r"times_s ends at -2 s: must end at >= 0\.001 s, because a run starts at 0 s; subtract the "
+        r"first time, -6 s, from all times$"
+    )
+    with pytest.raises(ParameterError, match=line):
+        SampledReference(times_s=(-6.0, -4.0, -2.0), angles_deg=angles)
+    with pytest.raises(ParameterError, match="times_s ends at 0 s: must end at"):
+        SampledReference(times_s=(-6.0, -4.0, 0.0), angles_deg=angles)
+
+
 def test_a_missing_csv_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match=r"none\.csv: cannot be read: No such file"):
         CsvReference(file="none.csv").samples(tmp_path)

@@ -68,6 +68,8 @@ VALID = [
     "reference: {frequency_hz: 0.2}",
     "reference: gait",
     "reference: gait.csv",
+    "reference: {kind: csv, file: gait.csv, cycles: 2, flexion: positive}",
+    "reference: gait.mot",
     "reference: {kind: gait, cycles: 3}",
     "reference: {kind: samples, times_s: [0, 1, 2], angles_deg: [3, 4, 5], interpolation: pchip}",
     *(f"controller: {word}" for word in ("smc", "pid")),
@@ -92,6 +94,9 @@ def test_schema_accepts_what_loads(schema, text, tmp_path):
     path = tmp_path / "scenario.yaml"
     path.write_text(text, encoding="utf-8")
     (tmp_path / "gait.csv").write_text("time_s,knee_angle_deg\n0,1\n1,2\n2,3\n")
+    (tmp_path / "gait.mot").write_text(
+        "inDegrees=yes\nendheader\ntime knee_angle_deg\n0 1\n1 2\n3 2"
+    )
     (tmp_path / "moment.csv").write_text("time_s,knee_moment_nm\n0,1\n30,2\n")
     load_scenario(path)
     assert errors(schema, text) == []
@@ -116,6 +121,8 @@ def test_schema_accepts_what_loads(schema, text, tmp_path):
         "bus: CAN",
         "plant: {full_order: 1}",
         "reference: {kind: csv}",
+        "reference: {kind: csv, file: gait.csv, period_s: 0}",
+        "reference: {kind: csv, file: gait.csv, flexion: up}",
         "reference: {kind: samples, times_s: [0, 1], angles_deg: [3, 4]}",
         "plant: {load: knee}\nwearer: {kind: leg, moment: walk}",
         "plant: {load: knee}\nwearer: {kind: leg, moment: {kind: gait, body_mass_kg: 0}}",

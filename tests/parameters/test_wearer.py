@@ -116,6 +116,18 @@ def test_a_moment_can_be_a_csv_file(tmp_path) -> None:
     assert moment == MomentTable(times_s=(0.0, 0.5), moments_n_m=(-1.0, -60.5))
 
 
+def test_a_moment_can_be_a_file_of_opensim(tmp_path) -> None:
+    file = tmp_path / "id.sto"
+    text = "inDegrees=no\nendheader\ntime\tknee_moment_nm\n0\t-1\n0.5\t-60.5\n"
+    file.write_text(text, encoding="utf-8")
+    moment = LegParameters(moment=str(file)).moment
+    assert moment == MomentTable(times_s=(0.0, 0.5), moments_n_m=(-1.0, -60.5))
+    file.write_text(text.replace("knee_moment_nm", "knee_angle_r_moment"), encoding="utf-8")
+    line = r"has no column 'knee_moment_nm'; it has .*knee_angle_r_moment.*; rename its columns\Z"
+    with pytest.raises(ParameterError, match=line):
+        LegParameters(moment=str(file))
+
+
 def test_a_faulty_csv_file_is_named_with_its_line(tmp_path) -> None:
     file = tmp_path / "moment.csv"
     file.write_text("time_s,knee_moment_nm\n0,1\n1,2000\n", encoding="utf-8")
