@@ -53,7 +53,6 @@ TESTS: dict[str, tuple[str, ...]] = {
         "analysis/test_sampled_loop_in_time",
     ),
     "files/table": ("files/test_table", "parameters/test_reference_files"),
-    "parameters/reference": ("parameters/test_reference", "parameters/test_reference_files"),
     "compiler/model_base": ("compiler/test_model_base", "compiler/test_model"),
     "compiler/equations/contexts": ("compiler/equations/test_contexts", "compiler/test_model"),
     "compiler/equations/events": ("compiler/equations/test_events", "compiler/test_drake_zoo"),
@@ -131,6 +130,7 @@ TESTS: dict[str, tuple[str, ...]] = {
     "parameters/quantity": ("parameters/test_quantity", "parameters/test_scenario_file"),
     "parameters/reference": (
         "parameters/test_reference",
+        "parameters/test_reference_files",
         "parameters/test_quantity",
         "test_gait",
         "parameters/test_scenario_file",

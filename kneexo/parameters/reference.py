@@ -207,8 +207,8 @@ class CsvReference(Parameters):
             message = f"has {len(times)} rows; must have at least {_FEWEST_SAMPLES}"
             raise file_error(path, None, message)
         unit, scale = ("s", 1.0) if self.period_s is None else ("%", self.period_s / 100.0)
-        table.require(self.time, -LONGEST_TIME_S / scale, LONGEST_TIME_S / scale, unit)
-        table.require_increase(self.time, _SHORTEST_SAMPLE_S / scale, unit)
+        table.require(self.time, -LONGEST_TIME_S, LONGEST_TIME_S, unit)
+        table.require_increase(self.time, _SHORTEST_SAMPLE_S, unit)
         if self.period_s is not None and (times[0], times[-1]) != (0.0, 100.0):
             message = (
                 f"{self.time} = {times[0]:g} … {times[-1]:g} %: must run from 0 to 100 %; leave "

@@ -28,6 +28,7 @@ def test_lines_are_counted_after_a_quoted_newline(write, fault, end):
         ("", "table.csv: is empty"),
         ("# t\n\n", "table.csv: is empty"),
         ("a,b\n", "table.csv: has no column 't'; it has a, b"),
+        ("Time (s), a (deg)\n", "table.csv: has no column 't'; it has Time (s), a (deg)"),
         ("1,2\n", "table.csv:1: has numbers; must have the names of the columns"),
         (
             "t;a\n1,5;0\n2;1\n3.5;1\n",

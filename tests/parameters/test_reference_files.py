@@ -126,6 +126,11 @@ FILES |= {
         message=":2: knee_angle_deg: '12.500'; must be a finite number in the digits 0-9; write no "
         "points in a file with decimal commas such as 1,5",
     ),
+    "Excel de: whole numbers and a point for thousands in another column": File(
+        "time_s;knee_angle_deg;F\r\n0;12.500;-1.234,5\r\n1;12.501;2\r\n2;13;2\r\n",
+        message=":2: knee_angle_deg: '12.500'; must be a finite number in the digits 0-9; write no "
+        "points in a file with decimal commas such as -1.234,5",
+    ),
     "Excel de: points for decimals": File(excel(";", ".")),
     "Excel de: no decimals": File(
         "time_s;knee_angle_deg\r\n0;5\r\n1;60\r\n2;5\r\n", times=[0, 1, 2], angles=[5, 60, 5]
@@ -280,6 +285,9 @@ FILES |= {
         opensim("inDegrees=no\n", sign=-1.0, cell="{!r}"),
         COORDINATES | {"flexion": "negative"},
         rounding=1e-14,
+    ),
+    "OpenSim, some hyperextension": File(
+        opensim(angles=[-8.5, *ANGLES[1:]]), COORDINATES, angles=[-8.5, *ANGLES[1:]]
     ),
     "OpenSim, percent": File(opensim(times=PERCENT), CYCLE, times=SECONDS, rounding=1e-14),
     "OpenSim, percent in radians": File(
