@@ -95,7 +95,7 @@ def test_results_of_simulate_are_a_leg(tmp_path, capsys):
     for text, match in (
         (
             "time_s,knee_angle_rad\n0,1\n",
-            "signals.csv: has no column 'knee_reference_rad'; it has time_s, knee_angle_rad$",
+            "signals.csv: has no column 'knee_reference_rad'; it has knee_angle_rad, time_s$",
         ),
         (f"{head}0,1,1,x\n", "signals.csv:2: load_pressure_pa: 'x'; must be a finite number"),
         (head, "has no rows"),
