@@ -52,6 +52,8 @@ LAW_INPUTS = {
 in rad, and ``knee_reference`` is θ_d in rad and its derivatives to the third.
 """
 
+_RESERVED = ("_", "command_limit_rad_s", "initial_state_")
+"""Beginnings of names that no gain can have, because parameters of the law's system have them."""
 _DIGITS = 12  # hexadecimal digits of a digest in a text
 _NOT_OF_USERS = (
     str(Path(__file__).parents[1]),
@@ -246,6 +248,11 @@ class Law:
                     with user_code(f"law {self.short_name}: the default of state must be numbers"):
                         initial_state = tuple(map(float, np.atleast_1d(default)))
                     self._require_finite("state", *initial_state)
+            elif name.startswith(_RESERVED):
+                raise ParameterError(
+                    f"law {self.short_name}: the argument {name!r} has a name that kneexo uses; "
+                    f"rename the argument"
+                )
             elif isinstance(default, Real) and not isinstance(default, bool):
                 gains[name] = float(default)
                 self._require_finite(name, gains[name])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import multiprocessing
 import sys
 from collections.abc import Mapping
@@ -17,7 +16,7 @@ from kneexo.linkage import polynomial
 from kneexo.parameters import Law, LawParameters, Scenario
 from kneexo.result import Array
 from kneexo.rod_polynomial import controller_polynomial
-from kneexo.systems.function_law import call_law
+from kneexo.systems.function_law import call_law, require_finite_result
 from kneexo.systems.knee_reference import start_angle_rad
 from kneexo.user_code import user_code
 
@@ -65,8 +64,6 @@ class PythonLaw:
         if self._reason:  # after the first call, because an error says more
             _announce(self._law.function, self._reason)
             self._reason = ""
-        if not math.isfinite(command):
-            return command  # the run reports it
         return min(max(command, -self._limit), self._limit)
 
     def _function_command(self, time_s: float, values: dict[str, Array]) -> float:
@@ -77,7 +74,8 @@ class PythonLaw:
         if law.arguments.state:
             arguments["state"] = self._state
         command, *state = call_law(law, self._function, arguments)
-        self._state = np.array(state, dtype=float)
+        require_finite_result(law, time_s, [command, *state])
+        self._state = np.array(state)
         return float(command)
 
     def _system_command(self, time_s: float, values: dict[str, Array]) -> float:
@@ -92,7 +90,9 @@ class PythonLaw:
                 self._simulator.Initialize()
                 self._started = True
             self._simulator.AdvancePendingEvents()
-            return float(system.GetOutputPort("motor_speed_command").Eval(context)[0])
+            command = float(system.GetOutputPort("motor_speed_command").Eval(context)[0])
+        require_finite_result(self._law.function, time_s, [command])
+        return command
 
 
 _announced: set[str] = set()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import chain
 from numbers import Real
@@ -91,6 +91,20 @@ def _arithmetic(with_scalars: bool) -> Iterator[None]:
         yield
 
 
+def require_finite_result(law: Law, time_s: float, result: Sequence[float]) -> None:
+    """Raise `SimulationError` if the command or a next state of a law is not finite.
+
+    ``result`` is the result of `call_law` at the time ``time_s``.
+    """
+    if not all(map(math.isfinite, result)):
+        what = "command and next state" if len(result) > 1 else "command"
+        values = ", ".join(f"{value:g}" for value in result)
+        raise SimulationError(
+            f"t = {time_s:.6g} s: law {law.short_name} returns {shortened(values, 60)} as {what}; "
+            f"must be finite; correct that code"
+        )
+
+
 def _plain(arguments: Mapping[str, Any]) -> dict[str, Any]:
     """Return the arguments of a function: a scalar for an array of one element, but not `state`."""
     return {
@@ -168,11 +182,8 @@ class FunctionLaw(NamedLeaf):
             result = self._differentiated(arguments)
         else:
             result = call_law(self._law, self._function, arguments)
-        if self._scalar is float and not all(map(math.isfinite, result)):
-            raise SimulationError(
-                f"t = {context.get_time():.6g} s: law {self._law.short_name} returns "
-                f"{shortened(repr(result))}: must be finite"
-            )
+        if self._scalar is float:
+            require_finite_result(self._law, context.get_time(), result)
         limit = p.command_limit_rad_s
         return [clip(result[0], -limit, limit), *result[1:]]
 

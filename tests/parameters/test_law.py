@@ -172,6 +172,9 @@ def test_a_drake_system_or_its_class_is_a_law() -> None:
         ("no_such_module:law", "no module named 'no_such_module'"),
         (lambda rod_extention: 1.0, "did you mean rod_extension?"),
         (lambda rod_extension, gain="2": 1.0, "unknown argument 'gain'"),
+        (lambda rod_extension, _m=1.0: 1.0, "the argument '_m' has a name that kneexo uses"),
+        (lambda rod_extension, initial_state_0=1.0: 1.0, "rename the argument"),
+        (lambda rod_extension, command_limit_rad_s=1.0: 1.0, "rename the argument"),
         (lambda rod_extension, state: 1.0, "initial_state is missing, such as [0.0]"),
     ],
 )

@@ -286,11 +286,17 @@ def test_a_law_that_becomes_infinite_names_time_and_signal() -> None:
     def infinite(rod_extension, time_s):
         return math.inf if time_s > 0.1 else 0.0
 
-    with pytest.raises(SimulationError, match=r"t = 0.102 s: law_command is not finite"):
+    with pytest.raises(SimulationError, match=r"t = 0.102 s: law .* returns inf as command; must"):
         simulate(SHORT, law=infinite)
-    with pytest.raises(SimulationError, match=r"t = 0 s: law_command is not finite") as caught:
+    with pytest.raises(SimulationError, match=r"t = 0 s: law .* returns nan as command") as caught:
         simulate(SHORT, law=lambda rod_extension: math.nan * math.floor(rod_extension))
     assert "wrong sign" not in str(caught.value)
+
+    def infinite_state(rod_extension, time_s, state=(0.0,)):
+        return 0.0, [math.nan if time_s > 0.1 else 0.0]
+
+    with pytest.raises(SimulationError, match=r"t = 0.102 s: law .* returns 0, nan as command and"):
+        simulate(SHORT, law=infinite_state)
 
 
 @pytest.mark.parametrize("form", [law, law_with_branch, pi])
