@@ -20,6 +20,7 @@ from kneexo.parameters import Scenario, StepReference
 from kneexo.parameters.scenario_file import as_scenario
 from kneexo.plotting import BLUE, GOLD, axes_or_new, label_bode
 from kneexo.result import Array, Result, data_frame
+from kneexo.systems.knee_reference import run_middle_deg
 
 STEP_TIME_S = 0.1
 """Time in s at which the reference of `step` jumps; until then the knee rests."""
@@ -43,13 +44,13 @@ def linearize(
     scenario
         A scenario, or the path of a scenario file.
     knee_angle_deg
-        The knee angle in deg. None: the middle of the range of the scenario's reference.
+        The knee angle in deg. None: the middle of the reference within the run.
     law, initial_state
         A control law that replaces the law of the scenario: see `Scenario.with_law`.
     """
     scenario = as_scenario(scenario, law, initial_state)
     if knee_angle_deg is None:
-        knee_angle_deg = scenario.reference.middle_deg
+        knee_angle_deg = run_middle_deg(scenario)
     return linearize_loop(scenario, knee_angle_deg=knee_angle_deg)
 
 
@@ -153,7 +154,7 @@ def bode(
         Positive frequencies in Hz, (n,). None: from 0.02 Hz to the Nyquist frequency, dense around
         each resonance.
     knee_angle_deg
-        The knee angle in deg. None: the middle of the range of the scenario's reference.
+        The knee angle in deg. None: the middle of the reference within the run.
     law, initial_state
         A control law that replaces the law of the scenario: see `Scenario.with_law`.
 
@@ -192,8 +193,8 @@ def step(
     size_deg
         Height of the step in deg, negative for a step towards extension.
     start_deg
-        Knee angle before the step in deg. None: the middle of the range of the scenario's
-        reference.
+        Knee angle before the step in deg. None: the middle of the knee angles that the reference
+        reaches within a run of the scenario.
     duration_s
         Duration of the run in s. The step comes at 0.1 s (`STEP_TIME_S`).
     law, initial_state
@@ -208,7 +209,7 @@ def step(
     """
     scenario = as_scenario(scenario, law, initial_state)
     if start_deg is None:
-        start_deg = scenario.reference.middle_deg
+        start_deg = run_middle_deg(scenario)
     if size_deg == 0.0:
         raise ParameterError("size_deg = 0 deg: must not be 0")
     if duration_s <= STEP_TIME_S:

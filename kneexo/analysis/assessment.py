@@ -13,6 +13,7 @@ from kneexo.analysis.tracking import TRACKING_METRICS
 from kneexo.errors import KneexoError
 from kneexo.parameters import Scenario
 from kneexo.simulation import awaitable, needs_runs
+from kneexo.systems.knee_reference import run_middle_deg
 
 MARGIN_METRICS = ("phase_margin_deg", "delay_margin_s", "gain_margin", "disk_margin")
 """Names of the fields of `kneexo.analysis.Margins` that `assess` returns."""
@@ -48,7 +49,7 @@ async def assess(
         metrics |= dict.fromkeys(MARGIN_METRICS, math.nan)
         metrics |= {"stable": None, "margins_failure": ""}
         try:
-            loop = linearize_loop(scenario, knee_angle_deg=scenario.reference.middle_deg)
+            loop = linearize_loop(scenario, knee_angle_deg=run_middle_deg(scenario))
             metrics["stable"] = loop.stable
             if loop.stable:
                 values = loop.margins()

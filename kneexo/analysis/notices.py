@@ -15,14 +15,17 @@ from kneexo.parameters import (
     LINKAGES,
     CylinderParameters,
     PlantParameters,
+    RampReference,
     SampledReference,
     Scenario,
     SlidingModeParameters,
+    StepReference,
 )
 from kneexo.parameters.fields import unit_of
 from kneexo.parameters.labels import value_text
 from kneexo.parameters.quantity import Parameters
 from kneexo.rod_polynomial import controller_polynomial, largest_error_mm
+from kneexo.systems.knee_reference import run_middle_deg, run_range_deg
 
 LONGEST_HOLD = 0.1
 """Largest share of a run before the first or after the last sample without a notice.
@@ -92,9 +95,8 @@ def notices(scenario: Scenario) -> Iterator[str]:
     Besides the `model_notices`, a line says that no wearer moves the knee under torque control. If
     a virtual stiffness is unstable, a line has both ends of the stable interval. A line says at
     which end of the reference's range the torque control of a wearer is unstable. A line says when
-    missing readings of the load cell stop the motor. A line says that the run ends within the first
-    period of a sinusoidal reference, before it has settled. A line says that the run holds the
-    first or the last sample of its reference for more than `LONGEST_HOLD` of its duration.
+    missing readings of the load cell stop the motor. Further lines are those of
+    `_reference_notices`.
 
     Raises `LinkageError` when the linkage cannot be assembled.
     """
@@ -107,20 +109,41 @@ def notices(scenario: Scenario) -> Iterator[str]:
     yield from _stiffness_notice(scenario)
     yield from _torque_control_notice(scenario)
     yield from _load_cell_notice(scenario)
+    yield from _reference_notices(scenario)
+
+
+def _reference_notices(scenario: Scenario) -> Iterator[str]:
+    """Yield a line for each part of the reference that is not run as its user may expect.
+
+    A line says that the run ends within the first period of a sine, before it has settled, or
+    before the step or ramp. A line says that samples before 0 s are not run. A line says that the
+    run holds the first or the last sample for more than `LONGEST_HOLD` of its duration.
+    """
     reference, duration_s = scenario.reference, scenario.duration_s
     if (period := period_s(scenario)) >= duration_s:
         yield (
             f"the run of {duration_s:g} s ends within the first period of the reference, "
             f"{period:g} s; set simulation.duration_s to some periods"
         )
+    if isinstance(reference, StepReference | RampReference) and reference.time_s >= duration_s:
+        yield (
+            f"the {reference.kind} at {reference.time_s:g} s is not run, because the run ends at "
+            f"{duration_s:g} s; reduce reference.time_s, or set a longer simulation.duration_s"
+        )
     if isinstance(reference, SampledReference):
-        start_s, end_s = reference.times_s[0], max(0.0, reference.times_s[-1])
+        start_s, end_s = reference.times_s[0], reference.times_s[-1]
+        if start_s < 0.0:
+            result = "" if end_s > 0.0 else ", so the reference is constant"
+            yield (
+                f"the samples before 0 s, from {start_s:g} s on, are not run{result}; add "
+                f"{-start_s:g} s to all times"
+            )
         if start_s > LONGEST_HOLD * duration_s:
             yield (
                 f"the reference begins at {start_s:g} s, and the run holds its first sample until "
                 f"then; subtract {start_s:g} s from its times to begin at once"
             )
-        if duration_s - end_s > LONGEST_HOLD * duration_s:
+        if end_s > 0.0 and duration_s - end_s > LONGEST_HOLD * duration_s:
             yield (
                 f"the reference ends at {end_s:g} s, and the run holds its last sample until "
                 f"simulation.duration_s = {duration_s:g} s; leave simulation.duration_s out to "
@@ -130,7 +153,7 @@ def notices(scenario: Scenario) -> Iterator[str]:
 
 def _stiffness_notice(scenario: Scenario) -> Iterator[str]:
     """Yield a line with both ends of the interval if a virtual stiffness is unstable."""
-    law, angle = scenario.controller, scenario.reference.middle_deg
+    law, angle = scenario.controller, run_middle_deg(scenario)
     if not (law.kind == "torque" and law.mode in ("impedance", "assist_as_needed")):
         return
     path, given = "controller.stiffness_n_m_per_rad", law.stiffness_n_m_per_rad
@@ -162,7 +185,7 @@ def _torque_control_notice(scenario: Scenario) -> Iterator[str]:
     if scenario.controller.kind != "torque" or scenario.wearer.kind == "none":
         return
     growth = {}
-    for angle in set(scenario.reference.range_deg) - {scenario.reference.middle_deg}:
+    for angle in set(run_range_deg(scenario)) - {run_middle_deg(scenario)}:
         with contextlib.suppress(LinearizationError):
             growth[angle] = float(abs(coupled_loop(scenario, angle).eigenvalues[0]))
     if growth and growth[worst := max(growth, key=lambda angle: growth[angle])] >= 1.0:

@@ -32,6 +32,7 @@ from kneexo.parameters import Scenario
 from kneexo.parameters.paths import value_at
 from kneexo.parameters.quantity import Parameters
 from kneexo.result import Array, Result
+from kneexo.systems.knee_reference import run_middle_deg
 
 _DIFFERENTIABLE = (
     "plant.pump.",
@@ -212,7 +213,7 @@ def loop_sensitivities(scenario: Scenario, paths: Sequence[str]) -> Sensitivitie
     `linearize_loop`.
     """
     fixed = _fixed(scenario)
-    knee_angle_deg = scenario.reference.middle_deg
+    knee_angle_deg = run_middle_deg(scenario)
     equilibrium = find_equilibrium(fixed, knee_angle_deg=knee_angle_deg)
     n, size, count = equilibrium.continuous_states, equilibrium.point.size, len(paths)
     reference = equilibrium.reference

@@ -212,6 +212,8 @@ class StepMetrics(Result):
     """Largest excess over the end of the step in % of the step, at least 0."""
     settling_time_s: float
     """First sample after which the response stays within `SETTLING_BAND`; nan if it leaves last."""
+    final_error_deg: float
+    """End of the step minus knee angle, at the last sample."""
 
     @property
     def settles(self) -> bool:
@@ -225,7 +227,8 @@ class StepMetrics(Result):
         rise = "does not reach 90 %"
         if math.isfinite(self.rise_time_s):
             rise = f"rise time {self.rise_time_s:.3g} s"
-        rest = f"{rise}, overshoot {self.overshoot_percent:.2g} %."
+        rest = f"{rise}, overshoot {self.overshoot_percent:.2g} %, "
+        rest += f"final error {self.final_error_deg:.2g}°."
         if self.settles:
             return f"Tracks: {band} from {self.settling_time_s:.3g} s after it; {rest}"
         return f"Does not track: not {band} at the end; {rest}"
@@ -236,11 +239,11 @@ def step_metrics(
 ) -> StepMetrics | None:
     """Return the `StepMetrics` of a knee angle ``angle_deg`` (n,) at ``time_s`` (n,).
 
-    The reference jumps from ``start_deg`` to ``end_deg`` at ``step_s``. The result is None if it
-    does not jump, or if the samples end before ``step_s``.
+    The reference jumps from ``start_deg`` to ``end_deg`` just after ``step_s``. The result is None
+    if it does not jump, or if no sample follows ``step_s``.
     """
     first = int(np.searchsorted(time_s, step_s - 1e-9))
-    if start_deg == end_deg or first >= time_s.size:
+    if start_deg == end_deg or first >= time_s.size - 1:
         return None
     time = time_s[first:] - step_s
     response = (angle_deg[first:] - start_deg) / (end_deg - start_deg)
@@ -252,6 +255,7 @@ def step_metrics(
         rise_time_s=float(time[high[0]] - time[low[0]]) if high.size else math.nan,
         overshoot_percent=100.0 * max(0.0, float(np.max(response)) - 1.0),
         settling_time_s=float(time[settled]) if settled < time.size else math.nan,
+        final_error_deg=float(end_deg - angle_deg[-1]),
     )
 
 

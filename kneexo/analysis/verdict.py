@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass
 from html import escape
 from typing import Any
@@ -18,6 +18,7 @@ from kneexo.analysis.interaction import (
     torque_error,
     whole_periods,
 )
+from kneexo.analysis.limit_cycle import LimitCycle, limit_cycle
 from kneexo.analysis.margins import Margins
 from kneexo.analysis.notices import model_lines, notices, omissions, wrapped
 from kneexo.analysis.sampled_loop import SampledLoop, linearize_loop
@@ -29,12 +30,20 @@ from kneexo.parameters import Scenario
 from kneexo.parameters.plant import LOWEST_PRESSURE_PA
 from kneexo.result import Result
 from kneexo.simulation import Run
+from kneexo.systems.knee_reference import run_middle_deg, run_range_deg
 
 ERROR_SHARE = 2.0 / 30.0
 """A run tracks if its largest error is at most this share of the reference's amplitude.
 
 Section 5 of the paper: the error with the sliding-mode controller was less than 2° at an amplitude
 of 30°.
+"""
+
+LARGEST_COUNT_DEG = ERROR_SHARE * 30.0
+"""Largest error in deg of a run that tracks because of the encoder's counts.
+
+A count excuses the error of a small motion. With a coarser encoder the bound stays that of the
+paper at its amplitude of 30°.
 """
 
 _VALUES = ("tracks", "max_error_deg", "max_error_time_s", "error_bound_deg", "saturated_share",
@@ -74,8 +83,8 @@ class Stability(Result):
 
     @classmethod
     def of_scenario(cls, scenario: Scenario) -> Stability:
-        """Return the stability of a scenario's loop in the middle of its reference's range."""
-        angle = scenario.reference.middle_deg
+        """Return the stability of a scenario's loop in the middle of its `run_range_deg`."""
+        angle = run_middle_deg(scenario)
         try:
             return cls.of_loop(linearize_loop(scenario, knee_angle_deg=angle))
         except KneexoError as error:
@@ -142,10 +151,11 @@ class Verdict(Result):
 
     A run tracks if its largest error after the first period of a sinusoidal reference is at most
     ``error_bound_deg``. This bound is `ERROR_SHARE` of the amplitude, but at least the largest knee
-    angle of one count of the encoder. For another reference, and for a run that ends within the
-    first period, the error of the whole run counts, and the amplitude is half the range of the
-    reference. A run with a step tracks if its knee angle settles (`StepMetrics`). A torque
-    controller does not control the knee angle, so ``tracks`` is None.
+    angle of one count of the encoder, or `LARGEST_COUNT_DEG` if a count is larger. The amplitude is
+    half the range of the reference within the run (`run_range_deg`). For another reference, and for
+    a run that ends within the first period, the error of the whole run counts. A run with a step
+    tracks if its knee angle settles (`StepMetrics`). A torque controller does not control the knee
+    angle, so ``tracks`` is None.
 
     Shares are shares of all samples of the run.
     """
@@ -167,7 +177,7 @@ class Verdict(Result):
     omissions: tuple[str, ...]
     notices: tuple[str, ...]
     lines: tuple[str, ...]
-    """Lines on tracking, torques, saturation and the margins of the loop.
+    """Lines on tracking, a limit cycle, torques, saturation and the margins of the loop.
 
     A run without wearer and torque controller has no line on torques. A run with torque controller
     has no line on tracking.
@@ -182,6 +192,8 @@ class Verdict(Result):
     Its samples are those of the metrics of the interaction (`whole_periods`). It is nan without
     torque controller.
     """
+    limit_cycle: LimitCycle | None = None
+    """Oscillation of the knee while the reference rests at the end of the run, or None."""
 
     @property
     def text(self) -> str:
@@ -200,6 +212,7 @@ class Verdict(Result):
             **{name: getattr(margins, name, math.nan) for name in names},
             "margins_failure": stability.failure,
             "interaction": None if self.interaction is None else asdict(self.interaction),
+            "limit_cycle": None if self.limit_cycle is None else asdict(self.limit_cycle),
             "omissions": list(self.omissions),
             "notices": list(self.notices),
         }
@@ -224,10 +237,11 @@ def verdict_of(
     """
     tracking, tracking_lines = _tracking(scenario, run, step)
     torques, torque_lines = _torques(scenario, run)
-    limits = _limits(scenario, run)
+    cycle, limits = limit_cycle(run), _limits(scenario, run)
+    cycle_lines = [] if cycle is None else [cycle.line]
     if user_diagram:
         stability = Stability(
-            scenario.reference.middle_deg,
+            run_middle_deg(scenario),
             None,
             failure="the diagram of the run is the user's; "
             "linearize_loop(scenario, diagram=…) linearizes such a loop",
@@ -235,7 +249,7 @@ def verdict_of(
     else:
         stability = Stability.of_scenario(scenario)
     notes = (*notices(scenario), *_pressure_notices(scenario, run))
-    saturation = _saturation_line(limits.values())
+    saturation = _saturation_line(limits)
     return Verdict(
         **tracking,
         **torques,
@@ -246,8 +260,9 @@ def verdict_of(
         stability=stability,
         omissions=omissions(scenario),
         notices=notes,
-        lines=(*tracking_lines, *torque_lines, saturation, stability.line),
+        lines=(*tracking_lines, *cycle_lines, *torque_lines, saturation, stability.line),
         model_lines=tuple(model_lines(scenario, notes)),
+        limit_cycle=cycle,
     )
 
 
@@ -343,12 +358,14 @@ def _pressure_notices(scenario: Scenario, run: Run) -> Iterator[str]:
 
 def _error_bound(scenario: Scenario) -> tuple[float, str]:
     """Return the largest error in deg of a run that tracks, and the reason in words."""
-    low_deg, high_deg = scenario.reference.range_deg
+    low_deg, high_deg = run_range_deg(scenario)
     amplitude_deg = 0.5 * (high_deg - low_deg)
     angles = np.radians(np.linspace(low_deg, high_deg, 91))
     sensitivity = np.max(np.abs(pose(scenario.plant.linkage, angles).encoder_sensitivity))
     count_deg = 360.0 / scenario.encoder.counts_per_revolution * float(sensitivity)
-    if count_deg > ERROR_SHARE * amplitude_deg:
+    if min(count_deg, LARGEST_COUNT_DEG) > ERROR_SHARE * amplitude_deg:
+        if count_deg > LARGEST_COUNT_DEG:
+            return LARGEST_COUNT_DEG, f"one count of the encoder is {count_deg:.3g}°"
         return count_deg, "one count of the encoder"
     share = f"1/{1.0 / ERROR_SHARE:.3g}"
     return ERROR_SHARE * amplitude_deg, f"{share} of the amplitude of {amplitude_deg:.3g}°"
@@ -419,16 +436,19 @@ def _torque_limits(scenario: Scenario, run: Run) -> dict[str, _Limit]:
     }
 
 
-def _saturation_line(limits: Collection[_Limit]) -> str:
+def _saturation_line(limits: Mapping[str, _Limit]) -> str:
     """Return one line that says which limits the run reaches, and for which share of its time."""
     reached = [
         f"{limit.reached} for {_two_digits(100.0 * limit.share)} % of the run"
-        for limit in limits
+        for limit in limits.values()
         if limit.share > 0.0
     ]
+    if limits["command"].share > 0.5:
+        return f"Saturated most of the time, which the margins leave out: {', '.join(reached)}."
     if reached:
         return f"Saturates: {', '.join(reached)}."
-    return f"Nothing saturates: {', '.join(limit.largest for limit in limits if limit.largest)}."
+    largest = [limit.largest for limit in limits.values() if limit.largest]
+    return f"Nothing saturates: {', '.join(largest)}."
 
 
 def _two_digits(value: float) -> str:

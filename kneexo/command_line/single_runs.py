@@ -51,7 +51,7 @@ def add_single_runs(subparsers: Any) -> None:
         "--knee-angle",
         type=arguments.decimal,
         metavar="DEG",
-        help="posture, knee angle in deg; left out: the middle of the reference",
+        help="posture, knee angle in deg; left out: the middle of the reference within the run",
     )
     arguments.add_out(parser, "linearization.json; loop, nyquist and poles as PNG and PDF")
     arguments.add_html(parser)
@@ -119,18 +119,19 @@ def linearize(
 ) -> Outcome:
     """Linearize plant and sampled loop at a knee angle in deg; return poles, margins and plots.
 
-    ``knee_angle`` None: the middle of the range of the scenario's reference.
+    ``knee_angle`` None: the middle of the knee angles that the reference reaches within a run.
     """
     scenario = choice.load()
-    if knee_angle is None:
-        knee_angle = scenario.reference.middle_deg
     from kneexo.analysis import linearize_loop, linearize_plant
     from kneexo.analysis.notices import model_lines, model_notices, wrapped
     from kneexo.analysis.verdict import loop_lines
     from kneexo.command_line.output import to_json
+    from kneexo.systems.knee_reference import run_middle_deg
 
     if page is not None:
         page.require_replaceable()
+    if knee_angle is None:
+        knee_angle = run_middle_deg(scenario)
     scenario.plant.knee.require_posture(knee_angle, "--knee-angle")
     plant = linearize_plant(scenario.plant, knee_angle_deg=knee_angle)
     loop = linearize_loop(scenario, knee_angle_deg=knee_angle)

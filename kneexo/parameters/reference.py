@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -15,6 +17,7 @@ from kneexo.files.table import SUFFIXES, read_table
 from kneexo.gait import gait_knee_flexion
 from kneexo.parameters.fields import Words
 from kneexo.parameters.quantity import Parameters, choice, quantity
+from kneexo.result import Array
 
 _LEAST_FLEXION_DEG = -2.0
 
@@ -39,11 +42,6 @@ class _KneeReference(Parameters):
     def range_deg(self) -> tuple[float, float]:
         """Smallest and largest knee angle of the reference in deg."""
         raise NotImplementedError
-
-    @property
-    def middle_deg(self) -> float:
-        """Middle of the range in deg. Analyses linearize the loop at this knee angle."""
-        return 0.5 * sum(self.range_deg)
 
 
 class SineReference(_KneeReference):
@@ -253,6 +251,28 @@ class GaitReference(Parameters):
     cycles: int = quantity(30, "1", "assumption: 30 s at 1 Hz, a default run", ge=1, le=1000)
 
 
+def gait_stride_deg() -> Array:
+    """Return the knee flexion of a stride of `gait_reference` in deg, (n,), without its end."""
+    percent, mean, _ = gait_knee_flexion()
+    closed = mean - (mean[-1] - mean[0]) * percent / percent[-1]
+    return np.roll(closed[:-1], -int(np.argmin(mean)))
+
+
+def stride_frequency_hz(times_s: Sequence[float], values: Sequence[float], stride: Array) -> float:
+    """Return the frequency in Hz with which ``values`` (m,) repeat ``stride`` (n,), else nan.
+
+    A factor may scale all values. ``values`` must have at least one whole stride.
+    """
+    if len(values) <= stride.size:
+        return math.nan
+    repeated, given = np.resize(stride, len(values)), np.array(values)
+    factor = float(repeated @ given / (repeated @ repeated))
+    error = np.max(np.abs(given - factor * repeated))
+    if error > 1e-9 * np.max(np.abs(given)):
+        return math.nan
+    return 1.0 / (times_s[stride.size] - times_s[0])
+
+
 def gait_reference(frequency_hz: float = 1.0, cycles: int = 3) -> SampledReference:
     """Return the measured knee flexion of a stride, repeated ``cycles`` times, as a reference.
 
@@ -279,9 +299,7 @@ def gait_reference(frequency_hz: float = 1.0, cycles: int = 3) -> SampledReferen
         raise ParameterError(f"frequency_hz = {frequency_hz:g} Hz: must be > 0 and <= 10 Hz")
     if not 1 <= cycles <= 1000:
         raise ParameterError(f"cycles = {cycles}: must be >= 1 and <= 1000")
-    percent, mean, _ = gait_knee_flexion()
-    closed = mean - (mean[-1] - mean[0]) * percent / percent[-1]
-    stride = np.roll(closed[:-1], -int(np.argmin(mean)))
+    stride = gait_stride_deg()
     angles = np.append(np.tile(stride, cycles), stride[0])
     times = np.arange(angles.size) / (stride.size * frequency_hz)
     return SampledReference(times_s=tuple(times.tolist()), angles_deg=tuple(angles.tolist()))

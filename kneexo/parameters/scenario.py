@@ -30,10 +30,18 @@ from kneexo.parameters.reference import (
     Reference,
     SampledReference,
     SineReference,
+    gait_stride_deg,
     read_reference,
+    stride_frequency_hz,
 )
 from kneexo.parameters.torque import LoadCellParameters, TorqueParameters
-from kneexo.parameters.wearer import LegParameters, NoWearer, Wearer
+from kneexo.parameters.wearer import (
+    LegParameters,
+    MomentTable,
+    NoWearer,
+    Wearer,
+    gait_moment_stride_n_m,
+)
 
 DEFAULT_DURATION_S = 30.0
 """Duration of a run in s if neither the scenario nor a sampled reference has one: Fig. 12."""
@@ -302,4 +310,20 @@ class Scenario(Parameters):
                     f"wearer.moment covers {start_s:g} … {end_s:g} s, and the run lasts from 0 to "
                     f"{self.duration_s:g} s; must cover it; {', and '.join(remedies)}"
                 )
+            self._require_one_stride(leg.moment)
         return self
+
+    def _require_one_stride(self, moment: MomentTable) -> None:
+        """Raise `ValueError` if reference and moment are of walking at different frequencies."""
+        reference = self.reference
+        if not isinstance(reference, SampledReference):
+            return
+        knee_hz = stride_frequency_hz(reference.times_s, reference.angles_deg, gait_stride_deg())
+        moment_hz = stride_frequency_hz(
+            moment.times_s, moment.moments_n_m, gait_moment_stride_n_m()
+        )
+        if abs(moment_hz - knee_hz) > 1e-6 * knee_hz:  # False for nan
+            raise ValueError(
+                f"wearer.moment: gait has frequency_hz = {moment_hz:.6g} Hz, must be "
+                f"{knee_hz:.6g} Hz, the frequency of reference: gait"
+            )

@@ -15,6 +15,7 @@ from kneexo.gait import gait_moment_cycle, gait_start_percent
 from kneexo.parameters.fields import Words
 from kneexo.parameters.quantity import Parameters, choice, quantities, quantity
 from kneexo.parameters.reference import LONGEST_TIME_S, GaitReference, gait_reference
+from kneexo.result import Array
 
 MAXWELL_BANK = (
     (0.06, 1.3939),
@@ -85,6 +86,11 @@ class GaitMoment(GaitReference):
     )
 
 
+def gait_moment_stride_n_m() -> Array:
+    """Return the moment of a stride of `gait_moment` in N·m, (n,), without its end."""
+    return np.roll(gait_moment_cycle()[:-1], -round(gait_start_percent()))
+
+
 def gait_moment(
     frequency_hz: float = 1.0, cycles: int = 3, *, body_mass_kg: float = MOMENT_MASS_KG
 ) -> MomentTable:
@@ -94,8 +100,7 @@ def gait_moment(
     ``body_mass_kg``.
     """
     times = gait_reference(frequency_hz, cycles).times_s
-    stride = np.roll(gait_moment_cycle()[:-1], -round(gait_start_percent()))
-    moments = np.resize(stride, len(times)) * body_mass_kg / MOMENT_MASS_KG
+    moments = np.resize(gait_moment_stride_n_m(), len(times)) * body_mass_kg / MOMENT_MASS_KG
     return MomentTable(times_s=times, moments_n_m=tuple(moments.tolist()))
 
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypedDict
 
+from kneexo.errors import SimulationError
 from kneexo.sweeps.checkpoint import Checkpoint
 from kneexo.sweeps.parallel import Item, Result, parallel_map, process_pool
 
@@ -33,6 +34,8 @@ class Sweep:
     executor: Executor | None
     checkpoint: Checkpoint | None
     progress: bool
+    failures: list[str] = field(default_factory=list)
+    """Why each run has failed, or an empty text for a run that has not failed."""
 
     def map(
         self,
@@ -44,9 +47,10 @@ class Sweep:
     ) -> list[Result]:
         """Call `parallel_map` with the options of the sweep.
 
-        A progress bar is shown if the sweep has ``progress`` and ``description`` is not empty.
+        A progress bar is shown if the sweep has ``progress`` and ``description`` is not empty. A
+        mapping with the key ``tracking_failure`` or ``failure`` is the result of a run.
         """
-        return parallel_map(
+        results = parallel_map(
             function,
             items,
             executor=self.executor,
@@ -55,6 +59,15 @@ class Sweep:
             group=group,
             checkpoint=self.checkpoint,
         )
+        for result in results:
+            if isinstance(result, Mapping):
+                reasons = [result[name] for name in _FAILURES if name in result]
+                self.failures.extend(reasons[:1])
+        return results
+
+
+_FAILURES = ("tracking_failure", "failure")
+"""Keys of the reason why a run has failed. With both keys the first is that of the run."""
 
 
 @contextmanager
@@ -67,7 +80,13 @@ def open_sweep(
 ) -> Iterator[Sweep]:
     """Context manager: yield a `Sweep` with the given `SweepOptions`.
 
-    The worker processes end when the body of the ``with`` statement ends.
+    The worker processes end when the body of the ``with`` statement ends. Then the context manager
+    raises `SimulationError` if every run of the sweep has failed.
     """
     with process_pool(workers, executor) as pool:
-        yield Sweep(pool, checkpoint, progress)
+        sweep = Sweep(pool, checkpoint, progress)
+        yield sweep
+    if sweep.failures and all(sweep.failures):
+        raise SimulationError(
+            f"all {len(sweep.failures)} runs fail; the first: {sweep.failures[0]}"
+        )

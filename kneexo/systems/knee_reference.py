@@ -28,6 +28,7 @@ from kneexo.parameters import (
     RampReference,
     Reference,
     SampledReference,
+    Scenario,
     SineReference,
     StepReference,
 )
@@ -243,11 +244,16 @@ def sampled_spline(parameters: SampledReference) -> Any:
 @lru_cache(maxsize=64)
 def start_motion(parameters: Reference) -> tuple[float, float]:
     """Return θ_d in rad and dθ_d/dt in rad/s at t = 0."""
+    return _motion(parameters, 0.0)
+
+
+def _motion(parameters: Reference, time_s: float) -> tuple[float, float]:
+    """Return θ_d in rad and dθ_d/dt in rad/s at a time."""
     if isinstance(parameters, SampledReference):
         spline = sampled_spline(parameters)
-        return float(spline.value(0.0)[0, 0]), float(spline.EvalDerivative(0.0, 1)[0, 0])
+        return float(spline.value(time_s)[0, 0]), float(spline.EvalDerivative(time_s, 1)[0, 0])
     evaluate = {"sine": sine, "step": step, "ramp": ramp}[parameters.kind]
-    angle, rate, *_ = evaluate(0.0, SimpleNamespace(**context_values(parameters)))
+    angle, rate, *_ = evaluate(time_s, SimpleNamespace(**context_values(parameters)))
     return float(angle), float(rate)
 
 
@@ -273,6 +279,39 @@ def reference_range_deg(parameters: Reference) -> tuple[float, float]:
         times += [start + t.real for t in roots if t.imag == 0.0 and 0.0 < t.real < end - start]
     angles = np.degrees(spline.vector_values(times)[0])
     return float(angles.min()), float(angles.max())
+
+
+def run_range_deg(scenario: Scenario) -> tuple[float, float]:
+    """Return the smallest and the largest knee angle in deg of the reference within a run.
+
+    The run lasts from 0 to ``scenario.duration_s``. Steps, angles and samples that it does not
+    reach do not count. Of a sampled reference count the samples within the run, and the curve at
+    both ends of the run.
+    """
+    return _range_within(scenario.reference, scenario.duration_s)
+
+
+def run_middle_deg(scenario: Scenario) -> float:
+    """Return the middle in deg of `run_range_deg`. Analyses linearize the loop at this angle."""
+    return 0.5 * sum(run_range_deg(scenario))
+
+
+@lru_cache(maxsize=64)
+def _range_within(reference: Reference, duration_s: float) -> tuple[float, float]:
+    times, samples = [0.0, duration_s], np.empty(0)
+    if isinstance(reference, SineReference):  # its amplitude never falls, so the last period counts
+        period_s = 1.0 / reference.frequency_hz
+        turns = math.floor(2.0 * duration_s / period_s)
+        times += [0.5 * period_s * turn for turn in (turns - 1, turns) if turn >= 0]
+        if duration_s < reference.ramp_s + period_s:  # it turns later while the amplitude grows
+            times += np.linspace(max(0.0, duration_s - period_s), duration_s, 101).tolist()
+    if isinstance(reference, SampledReference):
+        samples_s = np.array(reference.times_s)
+        within = (samples_s >= 0.0) & (samples_s <= duration_s)
+        samples = np.array(reference.angles_deg)[within]
+    # The way through radians must not turn 70° into 69.99999999999999°.
+    ends = [round(math.degrees(_motion(reference, time)[0]), 9) for time in times]
+    return float(min(*ends, *samples)), float(max(*ends, *samples))
 
 
 def require_reference_in_range(parameters: Reference, knee: KneeParameters) -> None:

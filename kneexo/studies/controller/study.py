@@ -35,6 +35,7 @@ from kneexo.studies.controller.result import (
 )
 from kneexo.studies.controller.settings import ControllerSettings
 from kneexo.sweeps import SweepOptions, open_sweep
+from kneexo.systems.knee_reference import run_middle_deg, run_range_deg
 
 LIMIT_CYCLE_VARIANTS = ("as built", "exact encoder", "unlimited acceleration")
 """Names of the variants of a loop with a limit cycle, whose comparison shows the cycle's cause."""
@@ -104,7 +105,7 @@ def experiments(scenario: Scenario, settings: ControllerSettings) -> dict[str, S
 
     The references are a faster sine, a small step, a large step, and a hold at the upper end.
     """
-    high, middle = scenario.reference.range_deg[1], scenario.reference.middle_deg
+    high, middle = run_range_deg(scenario)[1], run_middle_deg(scenario)
 
     def step(start: float, end: float, duration: float) -> Scenario:
         reference = StepReference(start_deg=start, end_deg=end, time_s=0.0)

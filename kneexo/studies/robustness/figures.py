@@ -29,6 +29,7 @@ from kneexo.studies.robustness.study import (
     worst,
     worst_value,
 )
+from kneexo.systems.knee_reference import run_middle_deg
 
 _SHOWN = ("max_error_deg", "peak_torque_n_m", "bandwidth_hz", "disk_margin")
 
@@ -309,7 +310,7 @@ def _loop(result: RobustnessResult, assessment: Assessment) -> SampledLoop | Non
     """Linearize an assessed plant's loop at the posture of `assess`. Return None if this fails."""
     try:
         plant = realize(result.scenario, result.uncertainty, assessment.values)
-        return linearize_loop(plant, knee_angle_deg=plant.reference.middle_deg)
+        return linearize_loop(plant, knee_angle_deg=run_middle_deg(plant))
     except KneexoError:
         return None
 
