@@ -95,8 +95,8 @@ def web_model(scenario: Scenario) -> dict[str, Any]:
         The numbers that a user varies, with label, unit, range and source.
     ``references``
         ``sine``, ``step`` and ``ramp``, each with module, base, maps and quantities. A sampled
-        reference is ``samples`` with its ``range_deg``. Its angle is a piecewise polynomial with
-        ``breaks`` and ``powers``, both as base64 of doubles; see `InputTable`.
+        reference is ``samples``. Its angle is a piecewise polynomial with ``breaks`` and
+        ``powers``, both as base64 of doubles; see `InputTable`.
     ``limits``
         Bounds of the signals, each a number, None, or a formula.
     ``controller``, ``load``
@@ -329,8 +329,7 @@ def _references(scenario: Scenario) -> dict[str, Any]:
     kinds = REFERENCES if scenario.wearer.kind == "none" else ("sine",)  # see `loop_source`
     references: dict[str, Any] = {kind: _reference(kind, scenario) for kind in kinds}
     if isinstance(scenario.reference, SampledReference):
-        table = _table(reference_table(scenario.reference))
-        references["samples"] = table | {"range_deg": list(scenario.reference.range_deg)}
+        references["samples"] = _table(reference_table(scenario.reference))
     return references
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -251,6 +252,7 @@ class GaitReference(Parameters):
     cycles: int = quantity(30, "1", "assumption: 30 s at 1 Hz, a default run", ge=1, le=1000)
 
 
+@cache
 def gait_stride_deg() -> Array:
     """Return the knee flexion of a stride of `gait_reference` in deg, (n,), without its end."""
     percent, mean, _ = gait_knee_flexion()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -86,6 +87,7 @@ class GaitMoment(GaitReference):
     )
 
 
+@cache
 def gait_moment_stride_n_m() -> Array:
     """Return the moment of a stride of `gait_moment` in N·m, (n,), without its end."""
     return np.roll(gait_moment_cycle()[:-1], -round(gait_start_percent()))

@@ -156,7 +156,8 @@ def _importance(
             star = "*" if span.options else ""
             alone = " / ".join(map(shown, effects[path]))
             linear = result.linear_effect(merit, path)
-            row = [names[path], f"{correlation[path]:.2f}{star}", alone]
+            strength = f"{correlation[path]:.2f}{star}" if math.isfinite(correlation[path]) else "–"
+            row = [names[path], strength, alone]
             rows.append([*row, "" if math.isnan(linear) else f"{linear:+.3g}"][: len(head)])
             if not abs(correlation[path]) > chance(span, len(result.samples)):
                 idle.append(names[path])

@@ -19,6 +19,7 @@ import scipy
 
 from kneexo.analysis.assessment import assess
 from kneexo.analysis.sensitivity import differentiable, loop_sensitivities, tracking_sensitivities
+from kneexo.analysis.signals import period_s
 from kneexo.errors import KneexoError, ParameterError
 from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, Uncertainty, UncertaintySet
 from kneexo.parameters.paths import value_at
@@ -353,8 +354,9 @@ def robustness_study(
     follows a sine that moves. A torque controller does not follow the reference, so its tracking
     error has no derivatives. ``options``: see `kneexo.sweeps.SweepOptions`.
 
-    Raises `ParameterError` for an uncertain value that no scenario has or that is out of range, and
-    if the scenario has none of the values.
+    Raises `ParameterError` for an uncertain value that no scenario has or that is out of range, if
+    the scenario has none of the values, and if the run ends within the first period of the
+    reference, which the tracking metrics leave out. Raises `SimulationError` if every run fails.
     """
     with open_sweep(**options) as sweep:
         return _explore(scenario, uncertainty, settings, sweep)
@@ -364,6 +366,11 @@ def _explore(
     scenario: Scenario, uncertainty: UncertaintySet, settings: RobustnessSettings, sweep: Sweep
 ) -> RobustnessResult:
     kept, left_out = applicable(scenario, uncertainty)
+    if (period := period_s(scenario)) >= scenario.duration_s:
+        raise ParameterError(
+            f"simulation.duration_s = {scenario.duration_s:g} s: must be > {period:g} s, the first "
+            f"period of the reference, which the metrics leave out"
+        )
     reference = scenario.reference
     follows = scenario.controller.kind != "torque"
     moves = reference.kind == "sine" and reference.amplitude_deg > 0.0 and follows

@@ -410,7 +410,7 @@ const LinearLoop = (() => {
     const { reference, setup = 0 } = request;
     const model = Simulator.modelOf(request);
     const values = Simulator.valuesOf(model, reference, request.values);
-    const range = Simulator.rangeOf(model, reference, values);
+    const range = Simulator.rangeOf(model, reference, values, request.duration_s);
     const angle = 0.5 * (range[0] + range[1]);
     const { instance, map, start } = atRest(model, setup, values, angle);
     const none = (failure) => ({ knee_angle_deg: angle, stable: null, failure });

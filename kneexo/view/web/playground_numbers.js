@@ -9,12 +9,20 @@ const Numbers = (() => {
   // Each verdict is [words, class]. The classes are good, fair, bad and plain.
   function ofError(run) {
     const bound = run.metrics.error_bound_rad;
-    const settling = run.metrics.settling_time_s; // of a step only; null if the knee does not settle
     if (run.end) return ["the run ended early", "bad"];
-    if (settling === null) return ["does not settle", "bad"];
-    if (settling !== undefined) return [`settles within 2 % in ${shown(settling)} s`, "good"];
     if (run.metrics.tracks) return [`follows (bound ${shown(bound * DEG)}°)`, "good"];
     return [`does not follow (bound ${shown(bound * DEG)}°)`, "bad"];
+  }
+
+  function ofSettling(run) {
+    if (run.end) return ["the run ended early", "bad"];
+    return run.metrics.settling_time_s === null ? ["does not settle", "bad"] : ["to within 2 % of the step", "good"];
+  }
+
+  const hasStep = ({ run }) => run.metrics.settling_time_s !== undefined; // null if the knee does not settle
+
+  function ofCycle({ period_s: period, lowest_pressure_pa: low, highest_pressure_pa: high }) {
+    return [`hunts every ${shown(period)} s, load pressure ${shown(1e-5 * low, 2)} … ${shown(1e-5 * high, 2)} bar`, "fair"];
   }
 
   /** Share of the time at the limit, after the first period if the run is long enough. */
@@ -25,6 +33,7 @@ const Numbers = (() => {
   function ofShare(share) {
     if (!Number.isFinite(share)) return ["", "plain"];
     if (share === 0) return ["never", "good"];
+    if (share > 0.5) return ["saturated most of the time", "bad"];
     return share < 0.05 ? ["seldom", "fair"] : ["the motor limits the knee", "bad"];
   }
 
@@ -70,6 +79,7 @@ const Numbers = (() => {
   }
 
   // If a row has `wearer`, it is only for set-ups with a wearer (true) or without a wearer (false).
+  // If a row has `when`, it is only for results for which this function is true.
   const ROWS = [
     { name: "rms-torque", label: "Torque, rms", unit: "N·m", wearer: true,
       value: ({ run }) => shown(run.metrics.rms_torque_n_m), word: ({ run }) => ofPeriods(run) },
@@ -79,7 +89,18 @@ const Numbers = (() => {
       value: ({ run }) => shown(run.metrics.power_from_wearer_w), word: () => ["mean power", "plain"] },
     { name: "power-to-wearer", label: "Wearer gets", unit: "W", wearer: true,
       value: ({ run }) => shown(run.metrics.power_to_wearer_w), word: () => ["mean power", "plain"] },
-    { name: "error", wearer: false, label: "Largest error", unit: "deg",
+    { name: "settling", wearer: false, when: hasStep, label: "Settling time", unit: "s",
+      value: ({ run }) => shown(run.metrics.settling_time_s), word: ({ run }) => ofSettling(run) },
+    { name: "rise", wearer: false, when: hasStep, label: "Rise time", unit: "s",
+      value: ({ run }) => shown(run.metrics.rise_time_s), word: () => ["from 10 to 90 % of the step", "plain"] },
+    { name: "overshoot", wearer: false, when: hasStep, label: "Overshoot", unit: "%",
+      value: ({ run }) => shown(run.metrics.overshoot_percent, 2), word: () => ["of the step", "plain"] },
+    { name: "final-error", wearer: false, when: hasStep, label: "Final error", unit: "deg",
+      value: ({ run }) => shown(run.metrics.final_error_rad * DEG, 2), word: () => ["at the end of the run", "plain"] },
+    { name: "cycle", when: ({ run }) => Boolean(run.metrics.limit_cycle), label: "Motion at rest", unit: "deg",
+      value: ({ run }) => `±${shown(run.metrics.limit_cycle.amplitude_rad * DEG, 2)}`,
+      word: ({ run }) => ofCycle(run.metrics.limit_cycle) },
+    { name: "error", wearer: false, when: (result) => !hasStep(result), label: "Largest error", unit: "deg",
       value: ({ run }) => shown(run.metrics.largest_error_rad * DEG), word: ({ run }) => ofError(run) },
     { name: "saturated", label: "Time at the limit", unit: "%",
       value: ({ run }) => shown(100 * shareOf(run)), word: ({ run }) => ofShare(shareOf(run)) },
@@ -120,7 +141,8 @@ const Numbers = (() => {
     /** Show the results of the set-ups: objects with run, linear, sweep, frequency, sample_time_s. */
     show(results) {
       for (const { card, row, values } of this.cells) {
-        const has = (result) => Boolean(result?.run) && (row.wearer ?? result.hasWearer) === result.hasWearer;
+        const has = (result) => Boolean(result?.run) && (row.wearer ?? result.hasWearer) === result.hasWearer
+          && (row.when?.(result) ?? true);
         card.hidden = !results.some(has);
         values.forEach(({ line, word }, index) => {
           const result = results[index];
@@ -145,7 +167,10 @@ const Numbers = (() => {
       if (run.end) return `${name}the run ended at ${shown(run.end.time_s)} s: ${run.end.reason}.`;
       const hz = result.sweep?.minus_3_db_hz;
       if (result.hasWearer) return `${name}torque of the wearer ${shown(run.metrics.rms_torque_n_m)} newton metres rms.`;
-      return `${name}largest error ${shown(run.metrics.largest_error_rad * DEG)} degrees, `
+      const cycle = run.metrics.limit_cycle ? `hunts at rest by ${shown(run.metrics.limit_cycle.amplitude_rad * DEG, 2)} degrees, ` : "";
+      const error = hasStep(result) ? `${ofSettling(run)[0]}, settling time ${shown(run.metrics.settling_time_s)} seconds`
+        : `largest error ${shown(run.metrics.largest_error_rad * DEG)} degrees`;
+      return `${name}${error}, ${cycle}`
         + `motor at its limit ${shown(100 * shareOf(run))} percent of the time`
         + `${Number.isFinite(hz) ? `, bandwidth ${shown(hz)} hertz` : ""}.`;
     }).join(" ");

@@ -12,7 +12,11 @@ const Simulator = (() => {
     16: "a parameter is not finite",
   };
   const ERROR_SHARE = 2 / 30; // of the amplitude; see ERROR_SHARE in kneexo/analysis/verdict.py
+  const LARGEST_COUNT_DEG = ERROR_SHARE * 30; // as LARGEST_COUNT_DEG there
   const SETTLING_BAND = 0.02; // share of a step, as SETTLING_BAND in kneexo/analysis/tracking.py
+  const SMALLEST_CYCLE_DEG = 1e-3; // this and the next two as in kneexo/analysis/limit_cycle.py
+  const REST_RAD = 1e-6;
+  const SUSTAINED = 0.9;
 
   function bytesOf(base64) {
     const text = atob(base64);
@@ -366,16 +370,43 @@ const Simulator = (() => {
     return index < 0 ? time.length : index;
   }
 
-  // The smallest and the largest angle of a reference in degrees.
-  function rangeOf(model, reference, values) {
-    const value = (name) => values[`reference.${name}`];
-    if (reference === "sine") {
-      const [middle, amplitude] = [value("mean_deg"), value("amplitude_deg")];
-      return [middle - amplitude, middle + amplitude];
-    }
-    if (reference === "samples") return model.references.samples.range_deg;
-    const ends = [value("start_deg"), value("end_deg")];
-    return [Math.min(...ends), Math.max(...ends)];
+  // The angles in degrees of the reference at both ends of a run and where it turns between them,
+  // as run_range_deg in kneexo/systems/knee_reference.py.
+  const TURNS = {
+    sine(value, duration_s) {
+      const [period, ramp_s] = [1 / value("frequency_hz"), value("ramp_s")];
+      const grown = (time) => {
+        const u = ramp_s > 0 ? Math.min(time / ramp_s, 1) : 1;
+        return u ** 4 * (35 - 84 * u + 70 * u ** 2 - 20 * u ** 3);
+      };
+      const turns = Math.floor((2 * duration_s) / period);
+      const times = [0, duration_s, ...[turns - 1, turns].filter((n) => n >= 0).map((n) => (n * period) / 2)];
+      const from = Math.max(0, duration_s - period);
+      if (duration_s < ramp_s + period) {
+        for (let k = 0; k <= 100; k++) times.push(from + (k / 100) * (duration_s - from));
+      }
+      return times.map((time) => value("mean_deg")
+        - grown(time) * value("amplitude_deg") * Math.cos((2 * Math.PI * time) / period));
+    },
+    step: (value, duration_s) => [value("start_deg"), value(duration_s > value("time_s") ? "end_deg" : "start_deg")],
+    ramp(value, duration_s) {
+      const [start, end] = [value("start_deg"), value("end_deg")];
+      const way = Math.max(0, duration_s - value("time_s")) * value("rate_deg_s");
+      return [start, start + Math.sign(end - start) * Math.min(way, Math.abs(end - start))];
+    },
+    samples(value, duration_s, source) {
+      const angles = [];
+      const add = (segment, time) => { angles.push((segmentAt(source, segment, time)[0] * 180) / Math.PI); };
+      eachTick(source, 1, duration_s, (tick, segment) => add(segment, tick * duration_s));
+      source.decoded[0].forEach((time, k) => { if (time >= 0 && time <= duration_s) add(k + 1, time); });
+      return angles;
+    },
+  };
+
+  // The smallest and the largest angle in degrees of a reference within a run.
+  function rangeOf({ references }, reference, values, duration_s) {
+    const angles = TURNS[reference]((name) => values[`reference.${name}`], duration_s, references[reference]);
+    return [angles.reduce((a, b) => Math.min(a, b)), angles.reduce((a, b) => Math.max(a, b))];
   }
 
   // The largest error of a run that tracks: a share of the amplitude, or one count of the encoder.
@@ -392,7 +423,7 @@ const Simulator = (() => {
       return low + (place - index) * (high - low);
     };
     const angles = Array.from({ length: 91 }, (_, i) => range[0] + (i / 90) * (range[1] - range[0]));
-    return radians(Math.max(bound, ...angles.map(at)));
+    return radians(Math.max(bound, Math.min(LARGEST_COUNT_DEG, Math.max(...angles.map(at)))));
   }
 
   // Metrics of a run: for a sine after its first period, for another reference over the whole run.
@@ -419,10 +450,12 @@ const Simulator = (() => {
     const settled = reference === "sine" ? 1 / values["reference.frequency_hz"] : 0;
     const main = settledMetrics(signals, settled, limits.command_limit_rad_s);
     const step = reference === "step" ? stepMetrics(signals.time, signals.angle, values) : null;
-    const bound = errorBound(model, rangeOf(model, reference, values));
+    const { time } = signals;
+    const bound = errorBound(model, rangeOf(model, reference, values, time[time.length - 1]));
     return {
       ...main,
       ...(step ?? {}),
+      limit_cycle: limitCycle(signals),
       error_bound_rad: bound,
       tracks: signals.torque ? null : step ? step.settling_time_s !== null : main.largest_error_rad <= bound,
       largest_error_overall_rad: largest(signals.error),
@@ -476,12 +509,42 @@ const Simulator = (() => {
     };
   }
 
-  // Rise time, overshoot and settling time of a step. Null if the response does not reach the step.
+  // The oscillation of the knee at the end of a run whose reference rests, or null; see limit_cycle
+  // in kneexo/analysis/limit_cycle.py.
+  function limitCycle({ time, reference, angle, pressure }) {
+    const start = reference.findLastIndex((value) => Math.abs(value - reference[reference.length - 1]) > REST_RAD) + 1;
+    const half = (start + reference.length) >> 1;
+    const rest = angle.subarray(half);
+    if (rest.length < 4) return null;
+    const cut = Math.ceil(rest.length / 2);
+    const ends = (values) => values.reduce(([a, b], value) => [Math.min(a, value), Math.max(b, value)], [Infinity, -Infinity]);
+    const [all, before, after] = [rest, rest.subarray(0, cut), rest.subarray(cut)].map(ends);
+    const [amplitude, middle] = [(after[1] - after[0]) / 2, (all[0] + all[1]) / 2];
+    if (amplitude < Math.max(radians(SMALLEST_CYCLE_DEG), (SUSTAINED * (before[1] - before[0])) / 2)) return null;
+    const upwards = [];
+    let side = 0;
+    rest.forEach((value, k) => {
+      if (Math.abs(value - middle) <= amplitude / 2) return;
+      if (side < 0 && value > middle) upwards.push(k);
+      side = value - middle;
+    });
+    if (upwards.length < 3) return null;
+    const [low, high] = ends(pressure.subarray(half));
+    return {
+      start_s: time[start],
+      amplitude_rad: amplitude,
+      period_s: (time[half + upwards[upwards.length - 1]] - time[half + upwards[0]]) / (upwards.length - 1),
+      lowest_pressure_pa: low,
+      highest_pressure_pa: high,
+    };
+  }
+
+  // Rise time, overshoot, settling time and final error of a step. Null if the run does not reach the step.
   function stepMetrics(time, angle, values) {
     const [start, end] = ["start_deg", "end_deg"].map((name) => radians(values[`reference.${name}`]));
     const begin = values["reference.time_s"];
     const first = indexAt(time, begin);
-    if (start === end || first >= time.length) return null;
+    if (start === end || first >= time.length - 1) return null;
     const response = angle.subarray(first).map((value) => (value - start) / (end - start));
     const [low, high] = [0.1, 0.9].map((level) => response.findIndex((value) => value >= level));
     const settled = response.findLastIndex((value) => Math.abs(value - 1) >= SETTLING_BAND) + 1;
@@ -489,6 +552,7 @@ const Simulator = (() => {
       rise_time_s: high < 0 ? null : time[first + high] - time[first + low],
       overshoot_percent: 100 * Math.max(0, response.reduce((a, b) => Math.max(a, b)) - 1),
       settling_time_s: settled < response.length ? time[first + settled] - begin : null,
+      final_error_rad: end - angle[angle.length - 1],
     };
   }
 

@@ -140,12 +140,21 @@ def test_the_result_of_a_step_is_its_settling_time(browser, single):
     page = _Page(browser, single)
     page.click("reference-step")
     scenario = changed(Scenario(), {"reference": {"kind": "step"}})
-    settling_s = track(_steps(scenario, page)).step.settling_time_s
-    seconds = re.fullmatch(r"settles within 2 % in ([\d.]+) s", page.number("error")[1])[1]
-    assert _same(seconds, settling_s)
+    result = track(_steps(scenario, page))
+    step, cycle = result.step, result.verdict.limit_cycle
+    for name, value in (
+        ("settling", step.settling_time_s),
+        ("rise", step.rise_time_s),
+        ("overshoot", step.overshoot_percent),
+        ("final-error", step.final_error_deg),
+        ("cycle", cycle.amplitude_deg),
+    ):
+        assert _same(page.number(name)[0].removeprefix("±"), value), name
+    assert page.number("cycle")[1].startswith(f"hunts every {cycle.period_s:.3g} s")
+    assert page.evaluate('document.querySelector("[data-number=error]").hidden')
     page.type("reference.time_s", 9.9)
     page.type("simulation.duration_s", 10)
-    assert page.number("error")[1] == "does not settle"
+    assert page.number("settling")[1] == "does not settle"
 
 
 def test_the_numbers_on_the_page_are_those_of_kneexo(browser, single):

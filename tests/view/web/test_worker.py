@@ -15,6 +15,7 @@ from kneexo.export.web import web_model, web_modules
 from kneexo.parameters import Scenario, gait_reference
 from kneexo.parameters.paths import value_at
 from kneexo.parameters.presets import with_preset
+from kneexo.systems.knee_reference import run_middle_deg
 
 QUICK = {"reference.frequency_hz": 1.0, "reference.amplitude_deg": 5.0}
 """A sine of 1 Hz, which a short run repeats."""
@@ -77,6 +78,13 @@ def check_metrics(metrics, result):
     for name, value in pairs.items():
         assert metrics[name] == pytest.approx(value, rel=1e-6, abs=1e-12), name
     assert metrics["tracks"] == result.verdict.tracks
+    cycle, expected = metrics["limit_cycle"], result.verdict.limit_cycle
+    assert (cycle is None) == (expected is None)
+    if expected is not None:
+        assert math.degrees(cycle["amplitude_rad"]) == pytest.approx(expected.amplitude_deg)
+        assert cycle["highest_pressure_pa"] == pytest.approx(1e6 * expected.highest_pressure_mpa)
+        for name in ("start_s", "period_s"):
+            assert cycle[name] == pytest.approx(getattr(expected, name), rel=1e-9)
 
 
 def check_run(answer, result):
@@ -107,7 +115,7 @@ def dense_grid(loop):
 def check_margins(answer, scenario):
     """Compare margins; return whether the loop is stable."""
     try:
-        loop = linearize_loop(scenario, knee_angle_deg=scenario.reference.middle_deg)
+        loop = linearize_loop(scenario, knee_angle_deg=run_middle_deg(scenario))
     except LinearizationError:
         assert answer["stable"] is None
         assert answer["failure"]
@@ -140,7 +148,7 @@ def test_a_wrong_request_has_an_answer_in_words(worker):
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_each_quantity_has_the_effect_of_its_parameter(worker, name):
     """Curves and metrics of stable loops, and margins, at both ends of each slider."""
-    scenario = SCENARIOS[name].changed(QUICK)
+    scenario = SCENARIOS[name].changed(QUICK | {"simulation.duration_s": 2.5})
     model = loaded(worker, scenario)
     quantities = model["quantities"] + model["references"]["sine"]["quantities"]
     assert len(quantities) > 10
@@ -152,9 +160,9 @@ def test_each_quantity_has_the_effect_of_its_parameter(worker, name):
                 changed = scenario.changed(values)
             except KneexoError:  # such as a sine that leaves the range of motion
                 continue
-            request = {"model": "model", "reference": "sine", "values": values}
+            request = {"model": "model", "reference": "sine", "values": values, "duration_s": 2.5}
             margins = worker.ask(kind="linear", **request)
-            answer = worker.ask(kind="run", duration_s=2.5, **request)
+            answer = worker.ask(kind="run", **request)
             where = f"{quantity['name']} = {value}"
             assert answer.get("error") is margins.get("error") is None, (where, answer, margins)
             try:
@@ -244,9 +252,35 @@ def test_a_step_has_the_metrics_of_a_step(worker):
     assert metrics["rise_time_s"] == pytest.approx(step.rise_time_s)
     assert metrics["settling_time_s"] == pytest.approx(step.settling_time_s)
     assert metrics["overshoot_percent"] == pytest.approx(step.overshoot_percent, rel=1e-6)
+    final = math.degrees(metrics["final_error_rad"])
+    assert final == pytest.approx(step.final_error_deg, abs=1e-8)
     short = worker.ask(kind="run", model="model", reference="step", values={}, duration_s=0.51)
     assert short["metrics"]["rise_time_s"] is short["metrics"]["settling_time_s"] is None
     assert not short["metrics"]["tracks"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("reference", "cycles"),
+    [
+        ({"kind": "step"}, True),
+        ({"kind": "step", "time_s": 9.0}, True),  # not reached, so the knee holds 30°
+        ({"kind": "ramp", "time_s": 6.5}, False),  # run in part
+        ({"kind": "sine", "frequency_hz": 0.3, "ramp_s": 9.0}, False),
+        ({"kind": "sine", "amplitude_deg": 0.0, "frequency_hz": 0.5}, True),
+    ],
+)
+def test_a_page_judges_what_is_run(worker, reference, cycles):
+    scenario = Scenario.preset("bench").changed({"reference": reference})
+    model = loaded(worker, scenario)
+    request = {"model": "model", "reference": reference["kind"], "values": {}, "duration_s": 8.0}
+    result = in_kneexo(scenario, model, 8.0)
+    answer = worker.ask(kind="run", **request)
+    check_run(answer, result)
+    assert (answer["metrics"]["limit_cycle"] is not None) == cycles
+    margins = worker.ask(kind="linear", **request)
+    middle = run_middle_deg(result.scenario)
+    assert margins["knee_angle_deg"] == pytest.approx(middle, rel=1e-9)
 
 
 @pytest.mark.slow
@@ -265,8 +299,9 @@ def test_samples_are_a_reference_and_end_with_a_constant_angle(worker, interpola
     longer = answer
     assert longer["columns"]["reference"][-1] == pytest.approx(math.radians(45.0))
     assert longer["columns"]["angle"][-1] == pytest.approx(math.radians(45.0), abs=1e-3)
-    margins = worker.ask(**(request | {"kind": "linear"}))
-    assert margins["knee_angle_deg"] == 37.5
+    for duration_s, middle in ((0.5, 35.0), (1.0, 35.0), (1.5, 37.5)):
+        margins = worker.ask(**(request | {"kind": "linear", "duration_s": duration_s}))
+        assert margins["knee_angle_deg"] == pytest.approx(middle, rel=1e-12)
 
 
 @pytest.mark.slow
@@ -278,6 +313,7 @@ def test_a_run_shorter_than_a_period_has_the_error_of_the_whole_run(worker):
     assert metrics["settled"] is False
     assert metrics["saturated_share"] is metrics["mean_command_change_rad_s"] is None
     assert math.degrees(metrics["largest_error_rad"]) == pytest.approx(result.verdict.max_error_deg)
+    assert math.degrees(metrics["error_bound_rad"]) == pytest.approx(result.verdict.error_bound_deg)
 
 
 @pytest.mark.slow
@@ -293,7 +329,7 @@ def test_a_run_that_fails_ends_with_time_and_reason(worker):
     for column in answer["columns"].values():
         assert len(column) == len(answer["time"])
         assert np.isfinite(column).all()
-    margins = worker.ask(kind="linear", **request)
+    margins = worker.ask(kind="linear", duration_s=20.0, **request)
     assert margins["stable"] is False
     assert margins["largest_eigenvalue"] > 1.0
     sweep = worker.ask(kind="sweep", frequencies=[1.0], **request)
