@@ -41,7 +41,7 @@ class LimitCycle(Result):
         """One line with the numbers of the limit cycle."""
         return (
             f"Hunts at rest: the reference is constant from {self.start_s:.4g} s on, and the knee "
-            f"moves ±{self.amplitude_deg:.2g}° with a period of {self.period_s:.3g} s, the load "
+            f"moves ±{self.amplitude_deg:.3g}° with a period of {self.period_s:.3g} s, the load "
             f"pressure from {self.lowest_pressure_mpa:.2g} to {self.highest_pressure_mpa:.2g} MPa."
         )
 

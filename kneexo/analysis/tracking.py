@@ -228,7 +228,7 @@ class StepMetrics(Result):
         if math.isfinite(self.rise_time_s):
             rise = f"rise time {self.rise_time_s:.3g} s"
         rest = f"{rise}, overshoot {self.overshoot_percent:.2g} %, "
-        rest += f"final error {self.final_error_deg:.2g}°."
+        rest += f"final error {self.final_error_deg:.3g}°."
         if self.settles:
             return f"Tracks: {band} from {self.settling_time_s:.3g} s after it; {rest}"
         return f"Does not track: not {band} at the end; {rest}"

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kneexo.analysis.signals import to_rpm
+from kneexo.analysis.tracking import SETTLING_BAND
 from kneexo.parameters.criteria import SOUND_DISK_MARGIN
 from kneexo.studies.markdown import document, markdown_table, number
 
@@ -40,8 +41,13 @@ def _limits(result: TrackingResult) -> Iterator[Row]:
     scenario, metrics, verdict = result.scenario, result.metrics, result.verdict
     plant, run, step = scenario.plant, result.run, result.step
     if step is not None:
-        end = "settles" if step.settles else "does not settle"
-        yield ("response to the step", end, "settles", end)
+        band_deg = SETTLING_BAND * abs(step.step_deg)
+        yield (
+            "error after the step",
+            f"{number(step.final_error_deg)}° at the end",
+            f"{number(band_deg)}° ({100.0 * SETTLING_BAND:g} % of the step)",
+            "settles" if step.settles else "does not settle",
+        )
     elif verdict.tracks is not None:
         yield (
             "tracking error",
@@ -85,6 +91,12 @@ def _numbers(result: TrackingResult) -> Iterator[Row]:
         yield ("rise time, 10 … 90 %", _with_unit(step.rise_time_s, "s"))
         yield ("overshoot", _with_unit(step.overshoot_percent, "%"))
         yield ("settling time", _with_unit(step.settling_time_s, "s"))
+        yield ("final error", _with_unit(step.final_error_deg, "°"))
+    if (cycle := verdict.limit_cycle) is not None:
+        low, high = cycle.lowest_pressure_mpa, cycle.highest_pressure_mpa
+        yield ("limit cycle at rest, amplitude", f"{number(cycle.amplitude_deg)}° of the knee")
+        yield ("limit cycle at rest, period", _with_unit(cycle.period_s, "s"))
+        yield ("limit cycle at rest, load pressure", f"{number(low)} … {number(high)} MPa")
     first = " after the first period" if result.scenario.reference.kind == "sine" else ""
     if (torques := verdict.interaction) is not None:
         yield (f"interaction torque, root mean square{first}", _torque(torques.rms_torque_n_m))

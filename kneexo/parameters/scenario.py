@@ -288,8 +288,13 @@ class Scenario(Parameters):
                 "wearer.kind = leg needs plant.load.kind = knee, on which the cuff acts; add "
                 "plant: {load: knee}"
             )
-        low_deg, high_deg = self.reference.range_deg
-        if leg.motion == "prescribed" and self.reference.kind == "step" and low_deg < high_deg:
+        jump = self.reference
+        if (
+            leg.motion == "prescribed"
+            and jump.kind == "step"
+            and jump.start_deg != jump.end_deg
+            and jump.time_s < self.duration_s
+        ):
             raise ValueError(
                 "wearer.motion = prescribed: the leg cannot follow the jump of reference.kind = "
                 "step; choose reference: ramp, or wearer.motion: active"

@@ -48,7 +48,8 @@ def test_each_limit_has_its_value_and_verdict(leg):
     assert rows["pressure of a chamber"] == [f"{chamber:.3g} MPa", "3.5 MPa", "below the limit"]
     power = np.max(np.abs(leg["shaft_power_w"]))
     assert rows["motor power"] == [f"{power:.3g} W", "200 W", "below the limit"]
-    assert rows["response to the step"] == ["settles"] * 3
+    error = f"{40.0 - math.degrees(leg['knee_angle_rad'][-1]):.3g}° at the end"
+    assert rows["error after the step"] == [error, "0.2° (2 % of the step)", "settles"]
     assert rows["eigenvalue of the sampled loop at 35°"][1:] == ["1", "stable"]
 
 
@@ -57,6 +58,8 @@ def test_numbers_without_limit_have_units(leg):
     assert rows["rise time, 10 … 90 %"] == [f"{step.rise_time_s:.3g} s"]
     assert rows["overshoot"] == [f"{step.overshoot_percent:.3g} %"]
     assert rows["settling time"] == [f"{step.settling_time_s:.3g} s"]
+    assert rows["final error"] == [f"{step.final_error_deg:.3g}°"]
+    assert "limit cycle at rest, period" not in rows  # the rest is too short for one
     power, time = leg["shaft_power_w"], leg["time_s"]
     delivered, back = (np.trapezoid(np.maximum(sign * power, 0.0), time) for sign in (1, -1))
     assert rows["work of the motor on the pump"] == [f"{delivered:.3g} J"]
@@ -75,7 +78,9 @@ def test_a_run_shorter_than_its_period_has_dashes():
     assert rows["largest error of the whole run"] == [f"{error:.3g}°"]
     value, bound, verdict = rows["tracking error"]
     assert value.startswith(f"{error:.3g}° at ")
-    assert (bound, verdict) == ("2°", "tracks")
+    # 30°(1 − cos(0.1·2π·0.5))/2/15 = 0.049°, less than a count of the encoder
+    assert (bound, verdict) == (f"{result.verdict.error_bound_deg:.3g}°", "tracks")
+    assert 0.049 < result.verdict.error_bound_deg < 0.08
 
 
 def test_a_run_that_does_not_track_says_so():
