@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from os import PathLike
 from typing import TYPE_CHECKING, Any
@@ -13,6 +13,7 @@ import numpy as np
 from pydrake.systems.framework import Diagram
 
 from kneexo.analysis.interaction import INTERACTION_SIGNALS, TORQUE_SIGNALS
+from kneexo.analysis.limit_cycle import limit_cycle
 from kneexo.analysis.signals import period_s, rms, saturated_share, share_above, to_rpm
 from kneexo.analysis.verdict import Verdict, verdict_of
 from kneexo.diagrams import available_signals
@@ -288,20 +289,27 @@ class TrackingResult(Result):
 
     @property
     def step(self) -> StepMetrics | None:
-        """Rise time, overshoot and settling time of the response to a step.
+        """Rise time, overshoot, settling time and final error of the response to a step.
 
+        A response that leaves the settling band in a limit cycle does not settle.
         The value is None if the reference has no step, and with a torque controller.
         """
-        reference = self.scenario.reference
+        reference, time_s = self.scenario.reference, self.run.time_s
         if reference.kind != "step" or self.scenario.controller.kind == "torque":
             return None
-        return step_metrics(
-            self.run.time_s,
+        metrics = step_metrics(
+            time_s,
             np.degrees(self.run["knee_angle_rad"]),
             start_deg=reference.start_deg,
             end_deg=reference.end_deg,
             step_s=reference.time_s,
         )
+        if metrics is None or limit_cycle(self.run) is None:
+            return metrics
+        # A limit cycle that leaves the band goes on for ever, also if the run ends in the band.
+        if metrics.settling_time_s > 0.5 * (time_s[-1] - reference.time_s):
+            return replace(metrics, settling_time_s=math.nan)
+        return metrics
 
     def __str__(self) -> str:
         """Return the lines of the verdict."""

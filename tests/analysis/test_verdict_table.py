@@ -38,6 +38,8 @@ class Case:
     high_deg: float
     verdict: str
     rests: bool = False
+    leg: str = ""
+    """The verdict for the preset leg, if it is another one."""
 
 
 def sine(**values):
@@ -105,7 +107,8 @@ CASES = {
     "ramp down": Case(ramp(60, 20, 10, 1), 15, 20, 60, TRACKS, rests=True),
     "ramp in part": Case(ramp(20, 60, 15, 1), 3, 20, 50, TRACKS),
     "ramp down in part": Case(ramp(60, 20, 10, 1), 4, 30, 60, TRACKS),
-    "ramp after the run": Case(ramp(20, 60, 15, 13), 12, 20, 20, TRACKS, rests=True),
+    # at 20° a count is 0.063° only, and friction adds half of a count to the error
+    "ramp after the run": Case(ramp(20, 60, 15, 13), 12, 20, 20, TRACKS, rests=True, leg=LAGS),
     "fast ramp": Case(ramp(20, 60, 60, 0), 2, 20, 60, LAGS),
     "fast ramp in part": Case(ramp(20, 60, 100, 1), 1.2, 20, 40, LAGS),
     # samples
@@ -114,7 +117,7 @@ CASES = {
     "samples in part": Case(samples(*HILL), 3, 20, 50, TRACKS),
     "samples from before": Case(samples((-2, 20), (2, 60), (9, 60)), 2, 40, 60, TRACKS),
     "samples before and after": Case(
-        samples((-4, 80), (-2, 10), (0, 30), (2, 50), (4, 30), (9, 85)), 4, 30, 50, TRACKS
+        samples((-4, 80), (-2, 10), (0, 30), (4, 50), (9, 85)), 4, 30, 50, TRACKS
     ),
     "samples before": Case(samples((-6, 5), (-4, 80), (-2, 30)), 12, 30, 30, TRACKS, rests=True),
     "samples after": Case(samples((15, 30), (20, 80), (25, 30)), 12, 30, 30, TRACKS, rests=True),
@@ -160,13 +163,15 @@ def check(name, preset):
     case, scenario = CASES[name], scenario_of(name, preset)
     verdict = track(scenario).verdict
     middle = 0.5 * (case.low_deg + case.high_deg)
-    assert verdict.stability.knee_angle_deg == pytest.approx(middle, abs=0.04)
+    at_rest = 0.2 if preset == "wearer" else 0.04  # the cuff yields to the weight of the shank
+    assert verdict.stability.knee_angle_deg == pytest.approx(middle, abs=at_rest)
     if preset == "wearer":
         assert verdict.tracks is None
         assert not any(line.startswith((TRACKS, LAGS)) for line in verdict.lines)
         return verdict
-    assert verdict.lines[0].startswith(case.verdict), verdict.lines
-    assert verdict.tracks is (case.verdict in (TRACKS, SETTLES))
+    right = (preset == "leg" and case.leg) or case.verdict
+    assert verdict.lines[0].startswith(right), verdict.lines
+    assert verdict.tracks is (right in (TRACKS, SETTLES))
     assert isinstance(verdict.limit_cycle, LimitCycle) == case.rests, verdict.lines
     if case.rests:
         assert verdict.lines[1].startswith("Hunts at rest")

@@ -22,7 +22,7 @@ const Numbers = (() => {
   const hasStep = ({ run }) => run.metrics.settling_time_s !== undefined; // null if the knee does not settle
 
   function ofCycle({ period_s: period, lowest_pressure_pa: low, highest_pressure_pa: high }) {
-    return [`hunts every ${shown(period)} s, load pressure ${shown(1e-5 * low, 2)} … ${shown(1e-5 * high, 2)} bar`, "fair"];
+    return [`hunts every ${shown(period)} s, ${shown(1e-5 * low, 2)} … ${shown(1e-5 * high, 2)} bar`, "fair"];
   }
 
   /** Share of the time at the limit, after the first period if the run is long enough. */
@@ -96,9 +96,9 @@ const Numbers = (() => {
     { name: "overshoot", wearer: false, when: hasStep, label: "Overshoot", unit: "%",
       value: ({ run }) => shown(run.metrics.overshoot_percent), word: () => ["of the step", "plain"] },
     { name: "final-error", wearer: false, when: hasStep, label: "Final error", unit: "deg",
-      value: ({ run }) => shown(run.metrics.final_error_rad * DEG), word: () => ["at the end of the run", "plain"] },
+      value: ({ run }) => shown(run.metrics.final_error_rad * DEG, 2), word: () => ["at the end of the run", "plain"] },
     { name: "cycle", when: ({ run }) => Boolean(run.metrics.limit_cycle), label: "Motion at rest", unit: "deg",
-      value: ({ run }) => `±${shown(run.metrics.limit_cycle.amplitude_rad * DEG)}`,
+      value: ({ run }) => `±${shown(run.metrics.limit_cycle.amplitude_rad * DEG, 2)}`,
       word: ({ run }) => ofCycle(run.metrics.limit_cycle) },
     { name: "error", wearer: false, when: (result) => !hasStep(result), label: "Largest error", unit: "deg",
       value: ({ run }) => shown(run.metrics.largest_error_rad * DEG), word: ({ run }) => ofError(run) },
@@ -125,7 +125,7 @@ const Numbers = (() => {
   class Board {
     constructor(parent) {
       this.cells = ROWS.map((row) => {
-        const card = element("div", { class: "card", "data-number": row.name });
+        const card = element("div", { class: "card", "data-number": row.name, hidden: "" });
         const values = [0, 1].map((index) => {
           const line = element("p", { class: `value of-${"ab"[index]}` });
           const word = element("p", { class: "word" });

@@ -449,13 +449,14 @@ const Simulator = (() => {
   function metricsOf(model, reference, values, limits, signals) {
     const settled = reference === "sine" ? 1 / values["reference.frequency_hz"] : 0;
     const main = settledMetrics(signals, settled, limits.command_limit_rad_s);
-    const step = reference === "step" ? stepMetrics(signals.time, signals.angle, values) : null;
+    const cycle = limitCycle(signals);
+    const step = reference === "step" ? stepMetrics(signals.time, signals.angle, values, cycle) : null;
     const { time } = signals;
     const bound = errorBound(model, rangeOf(model, reference, values, time[time.length - 1]));
     return {
       ...main,
       ...(step ?? {}),
-      limit_cycle: limitCycle(signals),
+      limit_cycle: cycle,
       error_bound_rad: bound,
       tracks: signals.torque ? null : step ? step.settling_time_s !== null : main.largest_error_rad <= bound,
       largest_error_overall_rad: largest(signals.error),
@@ -540,7 +541,7 @@ const Simulator = (() => {
   }
 
   // Rise time, overshoot, settling time and final error of a step. Null if the run does not reach the step.
-  function stepMetrics(time, angle, values) {
+  function stepMetrics(time, angle, values, cycle) {
     const [start, end] = ["start_deg", "end_deg"].map((name) => radians(values[`reference.${name}`]));
     const begin = values["reference.time_s"];
     const first = indexAt(time, begin);
@@ -548,10 +549,13 @@ const Simulator = (() => {
     const response = angle.subarray(first).map((value) => (value - start) / (end - start));
     const [low, high] = [0.1, 0.9].map((level) => response.findIndex((value) => value >= level));
     const settled = response.findLastIndex((value) => Math.abs(value - 1) >= SETTLING_BAND) + 1;
+    const since = settled < response.length ? time[first + settled] - begin : Infinity;
+    // A limit cycle that leaves the band goes on for ever, also if the run ends in the band.
+    const latest = cycle ? (time[time.length - 1] - begin) / 2 : Number.MAX_VALUE;
     return {
       rise_time_s: high < 0 ? null : time[first + high] - time[first + low],
       overshoot_percent: 100 * Math.max(0, response.reduce((a, b) => Math.max(a, b)) - 1),
-      settling_time_s: settled < response.length ? time[first + settled] - begin : null,
+      settling_time_s: since <= latest ? since : null,
       final_error_rad: end - angle[angle.length - 1],
     };
   }

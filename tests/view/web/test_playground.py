@@ -146,8 +146,8 @@ def test_the_result_of_a_step_is_its_settling_time(browser, single):
         ("settling", step.settling_time_s),
         ("rise", step.rise_time_s),
         ("overshoot", step.overshoot_percent),
-        ("final-error", step.final_error_deg),
-        ("cycle", cycle.amplitude_deg),
+        ("final-error", float(f"{step.final_error_deg:.2g}")),
+        ("cycle", float(f"{cycle.amplitude_deg:.2g}")),
     ):
         assert _same(page.number(name)[0].removeprefix("±"), value), name
     assert page.number("cycle")[1].startswith(f"hunts every {cycle.period_s:.3g} s")
