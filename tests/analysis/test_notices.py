@@ -46,6 +46,35 @@ def test_a_late_begin_of_the_reference_is_a_notice():
     assert lines[0].startswith("the reference begins at 5 s, and the run holds its first sample")
 
 
+@pytest.mark.parametrize(
+    ("times_s", "text"),
+    [
+        (
+            (-2.0, 0.0, 2.0),
+            "the samples before 0 s, from -2 s on, are not run; add 2 s to all times",
+        ),
+        (
+            (-6.0, -4.0, -2.0),
+            "the samples before 0 s, from -6 s on, are not run, so the reference is constant; add "
+            "6 s to all times",
+        ),
+        ((-6.0, -4.0, 0.0), "the samples before 0 s, from -6 s on, are not run, so the ref"),
+    ],
+)
+def test_samples_before_the_run_are_one_notice(times_s, text):
+    reference = SampledReference(times_s=times_s, angles_deg=(20, 40, 30))
+    (line,) = notices(Scenario(reference=reference))
+    assert line.startswith(text)
+
+
+@pytest.mark.parametrize("kind", ["step", "ramp"])
+def test_a_motion_after_the_run_is_a_notice(kind):
+    reference = {"kind": kind, "time_s": 30.0}
+    (line,) = notices(Scenario(reference=reference))
+    assert line.startswith(f"the {kind} at 30 s is not run, because the run ends at 30 s")
+    assert not list(notices(Scenario(reference=reference | {"time_s": 29.9})))
+
+
 def test_torque_control_without_wearer_is_a_notice():
     (line,) = notices(Scenario(controller="torque"))
     assert line.endswith("add wearer: leg and plant: {load: knee}")

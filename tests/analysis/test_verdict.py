@@ -89,6 +89,37 @@ def test_no_run_must_track_better_than_the_encoder_counts():
     assert "(one count of the encoder)" in verdict.lines[0]
 
 
+@pytest.mark.parametrize(
+    ("counts", "amplitude_deg", "bound_deg"), [(2, 30, 2), (64, 30, 2), (2, 1, 2)]
+)
+def test_a_coarse_encoder_excuses_no_large_error(counts, amplitude_deg, bound_deg):
+    values = {"encoder.counts_per_revolution": counts, "reference.amplitude_deg": amplitude_deg}
+    verdict = result(changed(SINE, values), error_deg=bound_deg + 0.01).verdict
+    assert verdict.tracks is False
+    assert verdict.error_bound_deg == pytest.approx(bound_deg)
+    reason = "1/15 of the amplitude" if amplitude_deg == 30 else "one count of the encoder is "
+    assert f"({reason}" in verdict.lines[0]
+
+
+def test_a_limit_cycle_that_leaves_the_band_does_not_settle():
+    """A cycle of ±0.3°: outside of 2 % of 10°, inside of 2 % of 20°, also where the run ends."""
+    for end_deg, settles in ((40.0, False), (50.0, True)):
+        step = {"kind": "step", "start_deg": 30.0, "end_deg": end_deg, "time_s": 1.0}
+        angle = end_deg + 0.3 * np.sin(2.0 * math.pi * (TIME - TIME[-1]) / 0.5)
+        angle = np.where(TIME <= 1.0, 30.0, angle)
+        run = result(
+            changed(SINE, {"reference": step}),
+            error_deg=np.where(TIME <= 1.0, 30.0, end_deg),
+            knee_angle_rad=np.radians(angle),
+        )
+        assert abs(angle[-1] - end_deg) < 1e-9
+        assert run.step.settles is run.verdict.tracks is settles
+        assert run.verdict.lines[1].startswith(
+            "Hunts at rest: the reference is constant from 1.002"
+        )
+        assert run.verdict.results()["limit_cycle"]["amplitude_deg"] == pytest.approx(0.3, rel=1e-3)
+
+
 def test_a_step_tracks_if_it_settles():
     step = {"kind": "step", "start_deg": 30.0, "end_deg": 40.0, "time_s": 1.0}
     scenario = changed(SINE, {"reference": step})

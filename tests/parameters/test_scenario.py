@@ -4,6 +4,7 @@ import pickle
 
 import pytest
 
+from kneexo.errors import ParameterError
 from kneexo.parameters import (
     G2,
     CylinderParameters,
@@ -13,6 +14,7 @@ from kneexo.parameters import (
     SampledReference,
     Scenario,
     SimulationParameters,
+    gait_reference,
 )
 from kneexo.parameters.paths import changed
 from kneexo.parameters.scenario_file import dump_scenario, load_scenario
@@ -75,3 +77,25 @@ def test_a_change_keeps_the_duration_open(tmp_path) -> None:
         path = tmp_path / "case.yaml"
         path.write_text(dump_scenario(case), encoding="utf-8")
         assert load_scenario(path) == case
+
+
+def test_reference_and_moment_of_walking_have_one_frequency():
+    """A dumped scenario has tables, whose frequency is known too; a moment of a file has none."""
+    walking = {
+        **Scenario.preset("wearer").model_dump(exclude={"reference", "wearer"}),
+        "reference": {"kind": "gait", "frequency_hz": 0.5, "cycles": 3},
+    }
+
+    def with_moment(**values):
+        leg = {"kind": "leg", "moment": {"kind": "gait", "cycles": 6} | values}
+        return Scenario(**walking, wearer=leg)
+
+    scenario = with_moment(frequency_hz=0.5, body_mass_kg=60.0)
+    message = r"frequency_hz = 0.25 Hz, must be 0.5 Hz, the frequency of reference: gait$"
+    with pytest.raises(ParameterError, match=message):
+        with_moment(frequency_hz=0.25)
+    with pytest.raises(ParameterError, match=r"must be 0.8 Hz, the frequency of reference: gait$"):
+        scenario.changed({"reference": gait_reference(0.8, 3)})
+    times, moments = scenario.wearer.moment.times_s, scenario.wearer.moment.moments_n_m
+    other = {"times_s": times, "moments_n_m": (*moments[:-1], 0.9 * moments[-1] + 1.0)}
+    scenario.changed({"reference": gait_reference(0.8, 3), "wearer.moment": other})

@@ -5,6 +5,7 @@ import sys
 
 import pytest
 
+from kneexo.errors import SimulationError
 from kneexo.sweeps import open_sweep
 from kneexo.sweeps.checkpoint import Checkpoint
 
@@ -32,3 +33,19 @@ def test_a_sweep_shows_the_bars_that_have_a_description(capsys, monkeypatch, pro
 def test_a_sweep_has_no_other_options():
     with pytest.raises(TypeError, match="'worker'"), open_sweep(worker=2):
         pass
+
+
+@pytest.mark.parametrize("key", ["failure", "tracking_failure"])
+def test_a_sweep_in_which_every_run_fails_is_a_failure(key):
+    def study():
+        with open_sweep() as sweep:
+            sweep.map(lambda text: {key: text}, ["too fast"])
+            sweep.map(lambda text: {key: text}, ["too slow", "too hot"])
+            sweep.map(str, ["no run"])
+
+    with pytest.raises(SimulationError, match=r"^all 3 runs fail; the first: too fast$"):
+        study()
+    with open_sweep() as sweep:  # one run goes to its end, though its margins do not exist
+        sweep.map(lambda text: {key: text}, ["too fast", ""])
+    with open_sweep() as sweep:
+        sweep.map(lambda text: {"tracking_failure": "", "failure": text}, ["no margins"])

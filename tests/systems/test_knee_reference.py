@@ -9,9 +9,11 @@ from kneexo.parameters import (
     KneeParameters,
     RampReference,
     SampledReference,
+    Scenario,
     SineReference,
     StepReference,
 )
+from kneexo.parameters.paths import changed
 from kneexo.systems import (
     IntervalReference,
     RampKneeReference,
@@ -19,7 +21,12 @@ from kneexo.systems import (
     StepKneeReference,
     make_knee_reference,
 )
-from kneexo.systems.knee_reference import reference_range_deg, require_reference_in_range
+from kneexo.systems.knee_reference import (
+    reference_range_deg,
+    require_reference_in_range,
+    run_middle_deg,
+    run_range_deg,
+)
 
 TIMES = (0.0, 0.3, 0.5, 1.1, 1.4, 2.0)
 ANGLES = (5.0, 30.0, 62.0, 20.0, 18.0, 40.0)
@@ -364,3 +371,38 @@ def test_a_curve_may_pass_the_stops_by_the_overshoot():
     require_reference_in_range(small, KneeParameters())
     with pytest.raises(ParameterError, match="interpolation cubic"):
         require_reference_in_range(small, KneeParameters(overshoot_deg=0.0))
+
+
+@pytest.mark.parametrize("duration_s", [0.3, 2.0, 4.6, 9.0, 11.0, 23.0])
+@pytest.mark.parametrize(
+    "reference",
+    [
+        {"kind": "sine", "frequency_hz": 0.13, "ramp_s": 0.0},
+        {"kind": "sine", "frequency_hz": 0.13, "ramp_s": 12.0},
+        {"kind": "sine", "frequency_hz": 0.9, "ramp_s": 3.0},
+        {"kind": "ramp", "start_deg": 60.0, "end_deg": 20.0, "rate_deg_s": 7.0},
+        {"kind": "step", "time_s": 4.6},
+    ],
+)
+def test_the_range_of_a_run_is_that_of_its_reference_in_time(reference, duration_s):
+    scenario = Scenario(reference=reference, simulation={"duration_s": duration_s})
+    system = make_knee_reference(scenario.reference)
+    context = system.CreateDefaultContext()
+    angles = []
+    for time in np.linspace(0.0, duration_s, 1501):
+        context.SetTime(time)
+        angles.append(math.degrees(system.GetOutputPort("knee_reference").Eval(context)[0]))
+    low, high = run_range_deg(scenario)
+    assert (low, high) == pytest.approx((min(angles), max(angles)), abs=0.03)
+    assert run_middle_deg(scenario) == 0.5 * (low + high)
+    assert low <= min(angles) + 0.01
+    assert high >= max(angles) - 0.01
+
+
+def test_samples_and_ends_of_the_curve_are_the_range_of_a_run():
+    hill = {"kind": "samples", "times_s": (-1.0, 1.0, 3.0), "angles_deg": (10.0, 50.0, 10.0)}
+    for interpolation, ends in (("linear", 30.0), ("cubic", 40.0)):  # 50° − 10°(t − 1)²
+        scenario = Scenario(reference=hill | {"interpolation": interpolation})
+        at_two = changed(scenario, {"simulation.duration_s": 2.0})
+        assert run_range_deg(at_two) == pytest.approx((ends, 50.0))
+        assert run_range_deg(scenario) == pytest.approx((10.0, 50.0))
