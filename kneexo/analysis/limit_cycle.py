@@ -52,7 +52,7 @@ def limit_cycle(run: Run) -> LimitCycle | None:
     The reference rests after its last change. The first half of this rest is for transients. The
     knee has a limit cycle if its swing in the last quarter of the rest is at least 0.9 of the swing
     in the quarter before, if its amplitude is at least `SMALLEST_CYCLE_DEG`, and if it crosses the
-    middle of its swing upwards at least three times in these two quarters.
+    middle of its swing upwards at least twice in these two quarters.
     """
     reference = run["knee_reference_rad"]
     moving = np.flatnonzero(np.abs(reference - reference[-1]) > REST_RAD)
@@ -69,7 +69,7 @@ def limit_cycle(run: Run) -> LimitCycle | None:
     side = np.where(np.abs(angle - middle) > 0.5 * amplitude, np.sign(angle - middle), 0.0)
     turned = np.flatnonzero(side)
     upwards = turned[1:][np.diff(side[turned]) > 0.0]
-    if upwards.size < 3:
+    if upwards.size < 2:
         return None
     time, pressure = run.time_s[half:], 1e-6 * run["load_pressure_pa"][half:]
     return LimitCycle(

@@ -58,8 +58,8 @@ def test_ripples_about_the_middle_do_not_count():
         (40.0 + 0.01 * np.exp(0.1 * TIME) * np.sin(9.0 * TIME), True),  # grows
         (40.0 + 1.1e-3 * np.sin(9.0 * TIME), True),
         (40.0 + 0.9e-3 * np.sin(9.0 * TIME), False),
-        (40.0 + np.sin(2.0 * math.pi * TIME / 3.2), True),  # three periods in the second half
-        (40.0 + np.sin(2.0 * math.pi * TIME / 6.0), False),  # not even two
+        (40.0 + np.sin(2.0 * math.pi * TIME / 4.7), True),  # two periods in the second half
+        (40.0 + np.sin(2.0 * math.pi * TIME / 11.0), False),  # not even one
     ],
 )
 def test_an_oscillation_that_lasts_is_found(angle_deg, found):

@@ -529,7 +529,7 @@ const Simulator = (() => {
       if (side < 0 && value > middle) upwards.push(k);
       side = value - middle;
     });
-    if (upwards.length < 3) return null;
+    if (upwards.length < 2) return null;
     const [low, high] = ends(pressure.subarray(half));
     return {
       start_s: time[start],
