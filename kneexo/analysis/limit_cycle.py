@@ -31,7 +31,7 @@ class LimitCycle(Result):
     amplitude_deg: float
     """Half the swing of the knee angle from peak to peak."""
     period_s: float
-    """Mean time between two upward crossings of the middle angle."""
+    """Mean time between two crossings of the middle angle in the same direction."""
     lowest_pressure_mpa: float
     highest_pressure_mpa: float
     """Range of the load pressure in the limit cycle."""
@@ -52,7 +52,7 @@ def limit_cycle(run: Run) -> LimitCycle | None:
     The reference rests after its last change. The first half of this rest is for transients. The
     knee has a limit cycle if its swing in the last quarter of the rest is at least 0.9 of the swing
     in the quarter before, if its amplitude is at least `SMALLEST_CYCLE_DEG`, and if it crosses the
-    middle of its swing upwards at least twice in these two quarters.
+    middle of its swing at least three times in these two quarters.
     """
     reference = run["knee_reference_rad"]
     moving = np.flatnonzero(np.abs(reference - reference[-1]) > REST_RAD)
@@ -67,15 +67,15 @@ def limit_cycle(run: Run) -> LimitCycle | None:
         return None
     # Ripples about the middle do not count, because the knee must leave half of the swing.
     side = np.where(np.abs(angle - middle) > 0.5 * amplitude, np.sign(angle - middle), 0.0)
-    turned = np.flatnonzero(side)
-    upwards = turned[1:][np.diff(side[turned]) > 0.0]
-    if upwards.size < 2:
+    outside = np.flatnonzero(side)
+    crossings = outside[1:][np.diff(side[outside]) != 0.0]
+    if (periods := (crossings.size - 1) // 2) < 1:
         return None
     time, pressure = run.time_s[half:], 1e-6 * run["load_pressure_pa"][half:]
     return LimitCycle(
         start_s=float(run.time_s[start]),
         amplitude_deg=amplitude,
-        period_s=float(time[upwards[-1]] - time[upwards[0]]) / (upwards.size - 1),
+        period_s=float(time[crossings[2 * periods]] - time[crossings[0]]) / periods,
         lowest_pressure_mpa=float(np.min(pressure)),
         highest_pressure_mpa=float(np.max(pressure)),
     )

@@ -522,19 +522,20 @@ const Simulator = (() => {
     const [all, before, after] = [rest, rest.subarray(0, cut), rest.subarray(cut)].map(ends);
     const [amplitude, middle] = [(after[1] - after[0]) / 2, (all[0] + all[1]) / 2];
     if (amplitude < Math.max(radians(SMALLEST_CYCLE_DEG), (SUSTAINED * (before[1] - before[0])) / 2)) return null;
-    const upwards = [];
+    const crossings = [];
     let side = 0;
     rest.forEach((value, k) => {
       if (Math.abs(value - middle) <= amplitude / 2) return;
-      if (side < 0 && value > middle) upwards.push(k);
+      if (side * (value - middle) < 0) crossings.push(half + k);
       side = value - middle;
     });
-    if (upwards.length < 2) return null;
+    const periods = Math.floor((crossings.length - 1) / 2);
+    if (periods < 1) return null;
     const [low, high] = ends(pressure.subarray(half));
     return {
       start_s: time[start],
       amplitude_rad: amplitude,
-      period_s: (time[half + upwards[upwards.length - 1]] - time[half + upwards[0]]) / (upwards.length - 1),
+      period_s: (time[crossings[2 * periods]] - time[crossings[0]]) / periods,
       lowest_pressure_pa: low,
       highest_pressure_pa: high,
     };

@@ -27,7 +27,7 @@ from scipy.stats import spearmanr
 
 from kneexo.analysis.assessment import MARGIN_METRICS, assess
 from kneexo.command_line.output import to_json
-from kneexo.errors import ParameterError
+from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import (
     LINKAGES,
     UNCERTAIN_KNEE,
@@ -549,3 +549,21 @@ def test_with_torque_control_the_torque_of_the_wearer_is_ranked_and_the_angle_is
     assert f"| largest torque of the wearer (N·m) | {number(torque(1500.0, 0.01))} |" in text
     assert "- What matters most, by rank correlation: rms torque of the wearer (N·m):" in text
     assert "error (deg)" not in text
+
+
+@pytest.mark.slow
+def test_a_study_in_which_every_run_fails_is_a_failure_with_its_reason():
+    passing = {
+        "kind": "samples",
+        "times_s": (0.0, 0.2, 1.2, 1.4),
+        "angles_deg": (10, 89.9, 89.9, 10),
+    }
+    few = FEW.model_copy(update={"samples": 2, "corners_max": 1})
+    with pytest.raises(SimulationError, match=r"^all \d+ runs fail; the first: reference = "):
+        robustness_study(changed(Scenario(), {"reference": passing}), SMALL, few)
+
+
+def test_a_run_within_the_first_period_is_refused():
+    scenario = changed(Scenario(), {"simulation.duration_s": 10.0})
+    with pytest.raises(ParameterError, match=r"^simulation.duration_s = 10 s: must be > 10 s, the"):
+        robustness_study(scenario, SMALL, FEW)

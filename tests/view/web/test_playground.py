@@ -178,7 +178,7 @@ def test_the_numbers_on_the_page_are_those_of_kneexo(browser, single):
         assert float(share) == pytest.approx(
             100.0 * metrics.peak_pressure_mpa / rating_mpa, rel=0.06
         )
-    assert "limits the knee" in page.number("saturated")[1]
+    assert "saturated most of the time" in page.number("saturated")[1]
     assert "does not follow" in page.number("error")[1]
     assert _same(page.number("bandwidth")[0], large_signal_bandwidth_hz(Scenario()))
     assert page.number("bandwidth")[1] == "−3 dB, below the sine's 0.3 Hz"
