@@ -310,7 +310,7 @@ def test_a_response_that_does_not_settle_says_so():
     assert slow.overshoot_percent == 0.0
     assert slow.line == (
         "Does not track: not within 2 % of the step of 20° at the end; does not reach 90 %, "
-        "overshoot 0 %, final error 10°."
+        "overshoot 0 %, final error 10.1°."
     )
 
 
