@@ -270,7 +270,7 @@ def stride_frequency_hz(times_s: Sequence[float], values: Sequence[float], strid
     repeated, given = np.resize(stride, len(values)), np.array(values)
     factor = float(repeated @ given / (repeated @ repeated))
     error = np.max(np.abs(given - factor * repeated))
-    if error > 1e-9 * np.max(np.abs(given)):
+    if error >= 1e-9 * np.max(np.abs(given)):  # also if all values are zero
         return math.nan
     return 1.0 / (times_s[stride.size] - times_s[0])
 

@@ -1,5 +1,6 @@
 """References by name and from files, and one line for each fault of a file."""
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from kneexo.parameters import (
     gait_reference,
     sit_to_stand_reference,
 )
+from kneexo.parameters.reference import stride_frequency_hz
 from kneexo.parameters.scenario_file import load_scenario
 from kneexo.systems.knee_reference import make_knee_reference
 
@@ -156,3 +158,11 @@ def test_standing_up_has_minimum_jerk() -> None:
 def test_standing_up_needs_time_and_cycles(arguments: tuple[float, int], message: str) -> None:
     with pytest.raises(ParameterError, match=message):
         sit_to_stand_reference(*arguments)
+
+
+def test_the_frequency_of_a_stride_is_known_from_its_samples():
+    stride = np.array([1.0, 4.0, 2.0, 0.5])
+    times = 0.25 * np.arange(9)
+    assert stride_frequency_hz(times, np.resize(3.0 * stride, 9), stride) == 1.0
+    for other in (np.zeros(9), np.resize(stride, 9) + 1e-6, np.resize(stride[:3], 9), stride):
+        assert math.isnan(stride_frequency_hz(times[: other.size], other, stride))
