@@ -133,17 +133,16 @@ def _reference_notices(scenario: Scenario) -> Iterator[str]:
     if isinstance(reference, SampledReference):
         start_s, end_s = reference.times_s[0], reference.times_s[-1]
         if start_s < 0.0:
-            result = "" if end_s > 0.0 else ", so the reference is constant"
             yield (
-                f"the samples before 0 s, from {start_s:g} s on, are not run{result}; add "
-                f"{-start_s:g} s to all times"
+                f"the samples before 0 s, from {start_s:g} s on, are not run; add {-start_s:g} s "
+                f"to all times"
             )
         if start_s > LONGEST_HOLD * duration_s:
             yield (
                 f"the reference begins at {start_s:g} s, and the run holds its first sample until "
                 f"then; subtract {start_s:g} s from its times to begin at once"
             )
-        if end_s > 0.0 and duration_s - end_s > LONGEST_HOLD * duration_s:
+        if duration_s - end_s > LONGEST_HOLD * duration_s:
             yield (
                 f"the reference ends at {end_s:g} s, and the run holds its last sample until "
                 f"simulation.duration_s = {duration_s:g} s; leave simulation.duration_s out to "

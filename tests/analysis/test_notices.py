@@ -46,25 +46,10 @@ def test_a_late_begin_of_the_reference_is_a_notice():
     assert lines[0].startswith("the reference begins at 5 s, and the run holds its first sample")
 
 
-@pytest.mark.parametrize(
-    ("times_s", "text"),
-    [
-        (
-            (-2.0, 0.0, 2.0),
-            "the samples before 0 s, from -2 s on, are not run; add 2 s to all times",
-        ),
-        (
-            (-6.0, -4.0, -2.0),
-            "the samples before 0 s, from -6 s on, are not run, so the reference is constant; add "
-            "6 s to all times",
-        ),
-        ((-6.0, -4.0, 0.0), "the samples before 0 s, from -6 s on, are not run, so the ref"),
-    ],
-)
-def test_samples_before_the_run_are_one_notice(times_s, text):
-    reference = SampledReference(times_s=times_s, angles_deg=(20, 40, 30))
-    (line,) = notices(Scenario(reference=reference))
-    assert line.startswith(text)
+def test_samples_before_the_run_are_one_notice():
+    reference = SampledReference(times_s=(-2.0, 0.0, 2.0), angles_deg=(20, 40, 30))
+    lines = list(notices(Scenario(reference=reference)))
+    assert lines == ["the samples before 0 s, from -2 s on, are not run; add 2 s to all times"]
 
 
 @pytest.mark.parametrize("kind", ["step", "ramp"])

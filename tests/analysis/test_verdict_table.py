@@ -119,7 +119,7 @@ CASES = {
     "samples before and after": Case(
         samples((-4, 80), (-2, 10), (0, 30), (4, 50), (9, 85)), 4, 30, 50, TRACKS
     ),
-    "samples before": Case(samples((-6, 5), (-4, 80), (-2, 30)), 12, 30, 30, TRACKS, rests=True),
+    "samples before": Case(samples((-4, 30), (4, 30), (8, 30)), 6, 30, 30, TRACKS, rests=True),
     "samples after": Case(samples((15, 30), (20, 80), (25, 30)), 12, 30, 30, TRACKS, rests=True),
     "samples that end": Case(samples((0, 30), (1, 40), (2, 50)), 14, 30, 50, TRACKS, rests=True),
     "fast samples": Case(samples((0, 20), (0.5, 60), (1, 20)), 1, 20, 60, LAGS),
