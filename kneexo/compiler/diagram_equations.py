@@ -112,8 +112,8 @@ def require_system(diagram: Any) -> None:
 def expressions_key(expressions: Sequence[Any], variables: Sequence[Any]) -> str:
     """Return a hash (SHA-256) of the graph of symbolic expressions and the version of Drake.
 
-    ``variables`` are all variables of the expressions. The hash contains a variable by its place in
-    ``variables``, so that equal functions of other variables have the same hash.
+    ``variables`` are all variables of the expressions. The hash depends on their names and order,
+    so that equal functions of other variables with these names have the same hash.
     """
     graph = Graph()
     places = {variable.get_id(): place for place, variable in enumerate(variables)}
@@ -123,7 +123,7 @@ def expressions_key(expressions: Sequence[Any], variables: Sequence[Any]) -> str
         yield  # makes this function a generator, as `Conversion` requires
 
     nodes = completed(Conversion(graph, "expression", node_of_variable).nodes(expressions))
-    return _hash((nodes, graph.nodes))
+    return _hash(([variable.get_name() for variable in variables], nodes, graph.nodes))
 
 
 def equations_key(equations: Equations) -> str:

@@ -140,10 +140,8 @@ def structure_key(scenario: Scenario) -> str:
         # Its numbers may be constants of its equations, so the key contains the equations.
         fields["controller"] = law.sample_time_s, _custom(scenario).key
     elif isinstance(law, LawParameters):
-        # The names of arguments and states become names of the model.
-        arguments, size = law.function.arguments, len(law.initial_state)
-        names = arguments.inputs, tuple(arguments.gains), size, law.sample_time_s
-        fields["controller"] = names, trace(law.function, size).key
+        key = trace(law.function, len(law.initial_state)).key
+        fields["controller"] = law.sample_time_s, key
     return _key(tuple(fields.items()))
 
 

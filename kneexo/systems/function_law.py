@@ -268,7 +268,7 @@ class Trace(NamedTuple):
     expressions: tuple[Any, ...] = ()
     """Symbolic expressions of the command and then the next state."""
     key: str = ""
-    """Hash of the expressions, from which gains appear as variables."""
+    """Hash of the expressions and the names of the arguments; gains are variables."""
 
 
 def trace(law: Law, states: int) -> Trace:
@@ -281,7 +281,9 @@ def trace(law: Law, states: int) -> Trace:
     """
     if hides_state(law, states):
         return Trace("the object changes when it is called")
-    variables = law.memo.setdefault(("variables", states), _variables(law, states))
+    if ("variables", states) not in law.memo:
+        law.memo["variables", states] = _variables(law, states)
+    variables = law.memo["variables", states]
     try:
         expressions = _symbolic_call(law, variables)
         known = law.memo.get(("trace", states))

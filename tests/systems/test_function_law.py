@@ -254,6 +254,10 @@ def test_equal_equations_have_one_key_and_others_another() -> None:
     for other in (Fraction(2, 3), np.float32(0.1), 2.0000000000000004):
         assert key(scaled(other)) not in ("", key(scaled(2.0)))
     assert key(with_math) == ""
+    assert key(lambda rod_extension, k=1.0: k) != key(lambda rod_extension, c=1.0: c)
+    assert key(lambda rod_extension, state=(0.0,): (state[0], state)) != key(
+        lambda rod_extension, time_s, state=(0.0,): (time_s, [time_s])
+    )
 
 
 def test_a_law_is_traced_anew_when_its_values_change() -> None:
