@@ -128,6 +128,7 @@ class Law:
                     f"{subject}: importing the file loads this law again; put the lines that use "
                     f"the law below `if __name__ == '__main__':`"
                 )
+            _forget_changed_helpers()
             with user_code(f"{subject}: the file fails"):
                 module = _module(file, hashlib.sha256(source).hexdigest())
             if not hasattr(module, path):
@@ -368,6 +369,7 @@ def _module(file: Path, digest: str) -> ModuleType:
     if str(file.parent) not in sys.path:
         sys.path.append(str(file.parent))
     _importing.add(file)
+    before = set(sys.modules)
     try:
         spec.loader.exec_module(module)
     except BaseException:  # SystemExit of the user's file too
@@ -376,7 +378,24 @@ def _module(file: Path, digest: str) -> ModuleType:
     finally:
         _importing.discard(file)
     cloudpickle.register_pickle_by_value(module)
+    for other in sys.modules.keys() - before:
+        path = Path(getattr(sys.modules[other], "__file__", None) or "")
+        if path.is_relative_to(file.parent) and path.is_file():
+            _helpers[other] = path, path.read_bytes()
     return module
+
+
+_helpers: dict[str, tuple[Path, bytes]] = {}
+"""Files, with their contents, of the modules that files of laws import from their directories."""
+
+
+def _forget_changed_helpers() -> None:
+    """Let files of laws import their modules anew if one of these modules has changed since."""
+    if any(not p.is_file() or p.read_bytes() != content for p, content in _helpers.values()):
+        for name in _helpers:
+            sys.modules.pop(name, None)
+        _helpers.clear()
+        _module.cache_clear()
 
 
 def _name_of(target: Any) -> str:

@@ -107,6 +107,19 @@ def test_a_file_gives_the_law_and_later_changes_are_noticed(tmp_path: Path) -> N
     assert Law.from_text(loaded.name).target(2.0) == 10.0
 
 
+def test_a_changed_file_that_a_law_imports_is_imported_anew(tmp_path: Path) -> None:
+    file, below, lowest = (tmp_path / name for name in ("my.py", "held_one.py", "held_two.py"))
+    file.write_text("import held_one\ndef law(rod_extension):\n    return held_one.K\n")
+    below.write_text("from held_two import K\n")
+    lowest.write_text("K = 4.0\n")
+    first = Law.from_text(f"{file}:law")
+    assert Law.from_text(f"{file}:law").target is first.target
+    lowest.write_text("K = 12.5\n")
+    second = Law.from_text(f"{file}:law")
+    assert (first.target(0.0), second.target(0.0)) == (4.0, 12.5)
+    assert first.fingerprint != second.fingerprint
+
+
 def test_a_law_survives_pickle_and_a_scenario_file(tmp_path: Path) -> None:
     scenario = Scenario().with_law(f"{OWN_LAW}:law", values={"gain": 9e4})
     assert pickle.loads(pickle.dumps(scenario)) == scenario
