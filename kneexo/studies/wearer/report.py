@@ -7,6 +7,7 @@ from statistics import median_low
 
 from kneexo.analysis.margins import soundness
 from kneexo.parameters import BODIES, SEAL_FRICTION_N
+from kneexo.parameters.plant import LOWEST_PRESSURE_PA
 from kneexo.studies.markdown import number
 from kneexo.studies.template import filled
 from kneexo.studies.wearer.study import (
@@ -56,6 +57,8 @@ def report(result: WearerResult) -> str:
         ],
         motions=[row.motion for row in by_design[PAPER]],
         torques=[[name, *map(_torque, rows)] for name, rows in by_design.items()],
+        below_vacuum=any(map(_below_vacuum, result.transparency)),
+        vacuum_mpa=1e-6 * LOWEST_PRESSURE_PA,
         devices=DEVICES,
         bodies=BODIES,
         failures=[row for row in rows if row.failure],
@@ -66,8 +69,16 @@ def report(result: WearerResult) -> str:
 
 
 def _torque(row: WearerRow) -> str:
-    """Return rms, mean and peak torque of a row as text, or a dash if the run failed."""
+    """Return rms, mean and peak torque of a row as text, or a dash if the run failed.
+
+    A dagger marks a run in which the pressure of a chamber falls below vacuum.
+    """
     if math.isnan(row.rms_torque_n_m):
         return "–"
     mean, peak = number(row.mean_torque_n_m), number(row.peak_torque_n_m)
-    return f"{number(row.rms_torque_n_m)} ({mean}, {peak})"
+    mark = " †" if _below_vacuum(row) else ""
+    return f"{number(row.rms_torque_n_m)} ({mean}, {peak}){mark}"
+
+
+def _below_vacuum(row: WearerRow) -> bool:
+    return row.lowest_pressure_pa < LOWEST_PRESSURE_PA

@@ -20,6 +20,7 @@ from kneexo.analysis.coupling import coupled_stability, stiffness_interval
 from kneexo.analysis.hardware import DISPLACEMENT, scaled
 from kneexo.analysis.interaction import INTERACTION_SIGNALS, interaction_metrics
 from kneexo.analysis.signals import saturated_share
+from kneexo.diagrams import SIGNALS
 from kneexo.errors import KneexoError, LinearizationError, ParameterError
 from kneexo.parameters import (
     BODIES,
@@ -178,6 +179,8 @@ class WearerRow:
     deviation_deg: float = math.nan
     """Largest deviation of the leg from its path."""
     saturated_share: float = math.nan
+    lowest_pressure_pa: float = math.nan
+    """Lowest pressure of both chambers relative to the atmosphere. It is nan in reduced order."""
     failure: str = ""
     trace: WearerTrace = WearerTrace()
 
@@ -230,14 +233,12 @@ class WearerResult(Result):
 def with_flow(scenario: Scenario, factor: float, gain: float = 1.0) -> Scenario:
     """Return a scenario with ``factor`` times the pump's displacement and ``gain`` times the gains.
 
-    Valves grow in proportion to the displacement. The gains apply to the flow, so K_p and K_i in
-    (rad/s)/N shrink in inverse proportion to the displacement.
+    The gains apply to the flow, so K_p and K_i in (rad/s)/N shrink in inverse proportion to the
+    displacement. The valves stay as they are, because larger make-up valves pass slow motions of
+    the rod without load on a chamber, and so hide what the pump does.
     """
     gains = ("proportional_rad_s_per_n", "integral_rad_s2_per_n")
     scaling = {f"controller.{name}": gain / factor for name in gains}
-    if scenario.plant.full_order is not None:
-        valves = ("makeup_conductance_m3_per_s_pa", "relief_conductance_m3_per_s_pa")
-        scaling |= {f"plant.full_order.{name}": factor for name in valves}
     return changed(
         scaled(scenario, {DISPLACEMENT: factor}),
         {path: value_at(scenario, path) * number for path, number in scaling.items()},
@@ -338,7 +339,12 @@ def in_motion(
 async def measured(cycles: int, scenario: Scenario) -> dict[str, Any]:
     """Return the numbers of a `WearerRow` for the cycles after the first one."""
     moment = scenario.wearer.kind == "leg" and scenario.wearer.moment is not None
-    signals = (*_SIGNALS, *(("biological_moment",) if moment else ()))
+    full = scenario.plant.full_order is not None
+    signals = (
+        *_SIGNALS,
+        *(("biological_moment",) if moment else ()),
+        *(("chamber_pressures",) if full else ()),
+    )
     period = scenario.duration_s / cycles
     try:
         run = await awaitable(simulate, scenario, signals=signals)
@@ -348,9 +354,11 @@ async def measured(cycles: int, scenario: Scenario) -> dict[str, Any]:
     late = run.time_s >= metrics["start_s"] - 1e-9
     deviation = (run["wearer_angle_rad"] - run["knee_reference_rad"])[late]
     command = run["motor_speed_command_rad_s"][late]
+    pressures = [run[name][late] for name in SIGNALS["chamber_pressures"]] if full else [math.nan]
     return {name: metrics[name] for name in _METRICS} | {
         "deviation_deg": math.degrees(float(np.max(np.abs(deviation)))),
         "saturated_share": saturated_share(command, scenario.command_limit_rad_s),
+        "lowest_pressure_pa": float(np.min(pressures)),
         "trace": _trace(run, period),
     }
 

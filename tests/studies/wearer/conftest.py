@@ -56,6 +56,7 @@ def by_hand():
             rise_time_s=rise_time_s,
             **numbers,
             saturated_share=0.003 * n,
+            lowest_pressure_pa=-1e4 * n,
             trace=trace,
         )
 

@@ -28,7 +28,7 @@ def motion(row):
 def torques(row):
     numbers = row.rms_torque_n_m, row.mean_torque_n_m, row.peak_torque_n_m
     rms, mean, peak = (f"{value:.3g}" for value in numbers)
-    return f"{rms} ({mean}, {peak})"
+    return f"{rms} ({mean}, {peak})" + (" †" if row.lowest_pressure_pa < -1e5 else "")
 
 
 def test_every_cell_of_the_report_is_in_its_row(by_hand, tables, check_cells):
@@ -87,7 +87,7 @@ def test_the_screen_has_the_answers(by_hand, check_screen):
     alone = rms("paper's pump, higher gains")
     limitless = rms("motor without limits")
     assert (
-        f"a motor without limits and larger valves the torque falls to {limitless:.3g} N·m."
+        f"With the same control and a motor without limits the torque falls to {limitless:.3g} N·m."
     ) in text
     sized = rows[SIZED, "walking, 0.5 Hz"]
     assert (
@@ -116,6 +116,12 @@ def test_the_screen_has_the_answers(by_hand, check_screen):
         ):
             assert (shown in text) == (row.wearer == "average" and row.design == SIZED)
     assert "Failed runs: 1." in text
+
+
+def test_a_dagger_marks_the_runs_below_vacuum(by_hand):
+    assert "† The pressure of a chamber falls below -0.1 MPa" in report(by_hand)
+    rows = tuple(replace(row, lowest_pressure_pa=-0.99e5) for row in by_hand.transparency)
+    assert "†" not in report(replace(by_hand, transparency=rows))
 
 
 def test_the_assumptions_have_the_seal_friction(by_hand):
