@@ -13,7 +13,7 @@ from typing import Any
 from ..equations.equations import Section
 from ..errors import CompilationError, shown
 from .checks import distinct_names, require_type
-from .printer import Precision, literal
+from .printer import Precision, in_ascii, literal
 
 _KEYWORDS = frozenset(
     [
@@ -107,7 +107,7 @@ class Interface:
         Dictionary from the name of a port to the C names of its elements. A C name has letters,
         digits and _, and should end in the unit. A name that C or C++ reserves gets an underscore
         at its end. If the port ``x`` is missing in the dictionary, a single element is called
-        ``x``, and several elements are called ``x_0``, ``x_1`` …
+        ``x``, and several elements are called ``x_0``, ``x_1`` …  A port ``θ`` is called ``theta``.
     integers
         Input ports of type int32_t, such as encoder counts.
     ranges
@@ -188,7 +188,7 @@ class Interface:
                 )
             for name in map(c_name, names):
                 members.append(Field(port, name, port in self.integers, self.ranges.get(name)))
-        _require_unique([member.name for member in members])
+        _require_unique([field.name for field in members], [field.port for field in members])
         return tuple(members)
 
 
@@ -232,7 +232,7 @@ def parameter_members(parameters: Sequence[str], root: str) -> tuple[str, ...]:
         members.append(
             f"{leaf}.group_{group[1]}[{group[2]}]" if group else f"{leaf}.{c_name(parameter)}"
         )
-    _require_unique(members)
+    _require_unique(members, parameters)
     return tuple(members)
 
 
@@ -288,8 +288,11 @@ def require_model_name(name: str) -> None:
 
 
 def c_name(text: str) -> str:
-    """Return the text, changed to a C identifier that is no keyword and no common macro."""
-    name = re.sub(r"[^A-Za-z0-9_]", "_", text)
+    """Return the text, changed to a C identifier that is no keyword and no common macro.
+
+    Letters beyond ASCII become their names, so ``θ`` becomes ``theta``.
+    """
+    name = re.sub(r"[^A-Za-z0-9_]", "_", "".join(map(in_ascii, text)))
     if not name or name[0].isdigit():
         name = f"_{name}" if not name else f"n{name}"
     return f"{name}_" if name in _KEYWORDS or _MACRO.fullmatch(name) else name
@@ -311,7 +314,11 @@ def _short_names(paths: Collection[str]) -> dict[str, str]:
     return short
 
 
-def _require_unique(names: Sequence[str]) -> None:
+def _require_unique(names: Sequence[str], origins: Sequence[str]) -> None:
+    """Raise `CompilationError` if two ports or parameters, ``origins``, have one of the names."""
     for name, count in Counter(names).items():
         if count > 1:
-            raise CompilationError(f"{name}: {count} values have this name in C; rename a system")
+            same = [shown(repr(o)) for n, o in zip(names, origins, strict=True) if n == name]
+            raise CompilationError(
+                f"{name}: {' and '.join(same)} have this name in C; rename one of them"
+            )

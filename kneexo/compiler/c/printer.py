@@ -307,18 +307,22 @@ def comment_lines(text: str, indent: str = "") -> list[str]:
     )
 
 
+def in_ascii(character: str) -> str:
+    """Return a character in ASCII: theta for θ, Delta for Δ, e for é, and - for a dash or Chinese.
+
+    A control character becomes - too.
+    """
+    if character.isascii():
+        return character if character.isprintable() else "-"
+    first, *_ = base = unicodedata.normalize("NFKD", character)
+    _, letter, words = unicodedata.name(first, "").rpartition("LETTER ")
+    if (plain := base.encode("ascii", "ignore").decode()) or not letter:
+        return plain or "-"
+    name = words.partition(" ")[0].lower().replace("lamda", "lambda")  # Unicode spells it so
+    return name.capitalize() if first.isupper() else name
+
+
 def plain_line(text: str) -> str:
     """Return text as one line of ASCII without backslashes and control characters."""
-
-    def plain(character: str) -> str:
-        if character.isascii():
-            return character if character.isprintable() else "-"
-        name = unicodedata.name(character, "?")
-        if name.startswith("GREEK"):
-            letter = name.rpartition("LETTER ")[2].partition(" ")[0].lower()
-            return letter.replace("lamda", "lambda")  # Unicode spells it so
-        base = unicodedata.normalize("NFKD", character).encode("ascii", "ignore").decode()
-        return base or "-"
-
-    words = "".join(map(plain, " ".join(text.split()))).split()
+    words = "".join(map(in_ascii, " ".join(text.split()))).split()
     return " ".join(words).replace("\\", "/")  # no splice of lines

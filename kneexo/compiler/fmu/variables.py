@@ -117,10 +117,15 @@ class VariableTable:
             "every communication step is a whole multiple of it",
         )
         self.variables = [time, *inputs, *settable, *outputs, sample_time]
-        names = [variable.name for variable in self.variables]
-        for name in names:
-            if names.count(name) > 1:
-                raise CompilationError(f"{name}: two variables of the FMU have this name")
+        roles: dict[str, str] = {}
+        for variable in self.variables:
+            name, role = variable.name, variable.causality
+            if name in roles:
+                raise CompilationError(
+                    f"{name}: the {roles[name]} and the {role} of the FMU have this name; rename "
+                    f"one of them"
+                )
+            roles[name] = role
 
     def _require_members(self) -> None:
         for parameter in self.parameters:

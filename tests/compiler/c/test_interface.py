@@ -49,7 +49,9 @@ def test_whole_numbers_are_int32(built):
             ("inner/plant", "inner_plant"),
             ("3d", "n3d"),
             ("for", "for_"),
-            ("θ", "_"),
+            ("θ", "theta"),
+            ("Δλ_ä", "Deltalambda_a"),
+            ("x₁–漢", "x1__"),
         ),
         *(
             (word, f"{word}_")
@@ -117,7 +119,7 @@ def test_two_fields_of_one_name_are_refused():
     builder.ExportInput(integrator.get_input_port(), "u")
     builder.ExportOutput(integrator.get_output_port(), "a b")
     builder.ExportOutput(integrator.get_output_port(), "a-b")
-    with pytest.raises(CompilationError, match="a_b: 2 values have this name in C"):
+    with pytest.raises(CompilationError, match="a_b: 'a b' and 'a-b' have this name in C; rename"):
         source_of(read_diagram(builder.Build(), inputs=["u"]), "model", tick_s=0.1)
 
 

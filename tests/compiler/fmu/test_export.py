@@ -14,7 +14,7 @@ import pytest
 from pydrake.examples import PendulumPlant
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import Gain, Integrator
+from pydrake.systems.primitives import DiscreteTimeDelay, Gain, Integrator
 
 from kneexo.compiler import FmuParameter, Interface, export_fmu, write_fmu
 from kneexo.compiler.c import build, cross
@@ -37,6 +37,17 @@ def no_compiler(monkeypatch):
 def _pendulum(directory, **options):
     options = {"name": "pendulum", "inputs": ["tau"], "tick_s": TICK_S} | options
     return export_fmu(PendulumPlant(), directory, **options)
+
+
+def test_ports_named_by_greek_letters_have_the_names_of_the_letters(tmp_path, no_compiler):
+    builder = DiagramBuilder()
+    delay = builder.AddNamedSystem("delay", DiscreteTimeDelay(0.01, 1, 1))
+    builder.ExportInput(delay.get_input_port(), "θ")
+    builder.ExportOutput(delay.get_output_port(), "ω")
+    file = export_fmu(builder.Build(), tmp_path, name="m", inputs=["θ"])
+    assert (file.inputs, file.outputs) == (("theta",), ("omega",))
+    description = zipfile.ZipFile(file.path).read("modelDescription.xml").decode()
+    assert description.count('name="theta"') == description.count('name="omega"') == 1
 
 
 @pytest.mark.parametrize("version", [2, 3])

@@ -61,7 +61,7 @@ def test_the_unit_is_the_end_of_the_name(variable, unit):
         ([("p", "gain.k")], r"^lag: the parameter gain\.k in C is unknown$"),
         ([("p", "initial_x[1]")], r"initial_x\[1\] in C is unknown"),
         ([("p", "initial_x[0]"), ("q", "initial_x[0]")], "is set by two parameters"),
-        ([("x_m", "initial_x[0]")], "^x_m: two variables of the FMU have this name$"),
+        ([("x_m", "initial_x[0]")], "^x_m: the parameter and the output of the FMU have this name"),
     ],
 )
 def test_parameters_that_clash_are_refused(lag_source, names_and_members, message):
