@@ -314,12 +314,12 @@ def in_ascii(character: str) -> str:
     """
     if character.isascii():
         return character if character.isprintable() else "-"
-    first, *_ = base = unicodedata.normalize("NFKD", character)
-    _, letter, words = unicodedata.name(first, "").rpartition("LETTER ")
+    base = unicodedata.normalize("NFKD", character)
+    _, letter, words = unicodedata.name(base[0], "").rpartition("LETTER ")
     if (plain := base.encode("ascii", "ignore").decode()) or not letter:
         return plain or "-"
     name = words.partition(" ")[0].lower().replace("lamda", "lambda")  # Unicode spells it so
-    return name.capitalize() if first.isupper() else name
+    return name.capitalize() if base[0].isupper() else name
 
 
 def plain_line(text: str) -> str:

@@ -21,7 +21,8 @@ _POINTS = 4_000  # of a grid of frequencies, without the points around resonance
 _SLOWEST = 1e-12  # a frequency below this share of the fastest one is a rounding error
 _UNDAMPED = 1e-6  # half width, relative to its frequency, of a resonance without damping
 _REACH = 100.0  # factor by which a grid exceeds the slowest and the fastest frequency
-_LARGEST = 1e100  # of an element; products of three must not overflow
+LARGEST = 1e100
+"""Largest magnitude of an element. Products of three must not overflow."""
 _WIDTHS = np.geomspace(1e-2, 1e3, 41)  # distances from a resonance, in units of its half width
 _NO_NUMBERS = (
     "loop: has elements that are no real numbers; must be arrays of real numbers, and a period in "
@@ -64,9 +65,9 @@ class Transfer:
                 f"loop: A {a.shape}, B {b.shape} and C {c.shape} do not fit; must be (n, n), "
                 f"(n, 1) and (1, n)"
             )
-        if not all((np.abs(matrix) <= _LARGEST).all() for matrix in (a, b, c, d)):
+        if not all((np.abs(matrix) <= LARGEST).all() for matrix in (a, b, c, d)):
             raise ParameterError(
-                f"loop: a matrix has an element that is not finite or exceeds {_LARGEST:g} in "
+                f"loop: a matrix has an element that is not finite or exceeds {LARGEST:g} in "
                 f"magnitude; choose other units"
             )
         if period_s is not None and not 0.0 < period_s < math.inf:
@@ -116,6 +117,21 @@ class Transfer:
         except np.linalg.LinAlgError:
             return self.response_on_grid(frequencies_hz)
         return np.asarray((self.c @ states)[:, 0, 0] + self.d, dtype=complex)
+
+    def rounding_change(self, frequencies_hz: ArrayLike) -> Array:
+        """Return how much |L| changes at most, (n,), at frequencies in Hz, by rounding A, b and c.
+
+        Rounding changes each element by at most 2⁻⁵³ of it. The change at a pole is inf.
+        """
+        z = self.point(np.atleast_1d(frequencies_hz))
+        shifted = z[:, None, None] * np.eye(len(self.a)) - self.a
+        try:
+            states = np.abs(np.linalg.solve(shifted, self.b[None]))
+            row = np.abs(np.linalg.solve(shifted.swapaxes(1, 2), self.c.T[None])).swapaxes(1, 2)
+        except np.linalg.LinAlgError:
+            return np.full(z.shape, np.inf)
+        change = row @ (np.abs(self.a) @ states + np.abs(self.b)) + np.abs(self.c) @ states
+        return np.asarray(2.0**-53 * change[:, 0, 0])
 
     def slope(self, frequency_hz: float) -> complex:
         """Return the derivative dL/df of L at a frequency f in Hz, in 1/Hz."""

@@ -11,14 +11,17 @@ from typing import Any
 import numpy as np
 import scipy
 
+from ..errors import ParameterError
 from ..run_data import Array
-from .loops import Transfer, as_transfer
+from .loops import LARGEST, Transfer, as_transfer
 from .model import BOUNDARY_TOLERANCE, Complex, distance_inside
 from .periodic import PeriodicLoop
 
 _NO_FACTOR = 1e-6  # a smaller gain margin is the rounding error of a pole at zero frequency
 _AT_MINUS_ONE = 1e-6  # |1 + L| below this at a marginal closed eigenvalue shows that L moves it
 _ON_CIRCLE = 1e-12  # rounding of |L| at zero and the highest frequency
+_EXACT_POINTS = 100  # of the grid, at which rounding is examined
+_RUINED = 1e-3  # share of L or T that rounding may change
 _WHOLE_PLANE = 1.0 - 1e-12  # a disk of this size or more is a half plane
 
 
@@ -92,7 +95,8 @@ def margins(loop: Any) -> LoopMargins:
     Raises
     ------
     ParameterError
-        The argument is no such loop. Also if L = −1 at infinite frequency.
+        The argument is no such loop. Also if L = −1 at infinite frequency, or if rounding the
+        numbers of the loop changes its response by more than 0.1 %.
     """
     if isinstance(loop, PeriodicLoop):
         return _periodic_margins(loop)
@@ -111,7 +115,8 @@ def _transfer_margins(system: Transfer) -> LoopMargins:
     ends = [(f, _limit(system, f)) for f in (0.0, system.highest_hz)]
 
     def loop_at(frequency: float) -> complex:
-        return complex(system.response(frequency)[0])
+        at = system.response(frequency)[0]
+        return complex(at if np.abs(at) <= LARGEST else LARGEST)  # at a pole L is not finite
 
     real = [(f, loop_at(f)) for f in _crossings(lambda f: loop_at(f).imag, grid, values.imag)]
     real += [(f, complex(at.real)) for f, at in ends if cmath.isfinite(at)]
@@ -129,6 +134,7 @@ def _transfer_margins(system: Transfer) -> LoopMargins:
     if system.period_s is None and abs(system.d) >= 1.0:
         delay = (0.0, math.inf)  # the delayed loop has crossings at all high frequencies
     disk, frequency = _disk(system, grid, values, ends)
+    _require_exact(system, grid, [f for _, f in (upper, lower) if 0.0 < f < math.inf])
     return LoopMargins(
         stable=system.closed_is_stable(),
         gain_margin=upper[0],
@@ -142,6 +148,30 @@ def _transfer_margins(system: Transfer) -> LoopMargins:
         delay_margin_frequency_hz=delay[1],
         **_disk_values(0.5 * disk, frequency),
     )
+
+
+def _require_exact(system: Transfer, grid: Array, gain_frequencies: list[float]) -> None:
+    """Raise `ParameterError` if rounding the numbers of a loop changes its margins.
+
+    On the grid the change of T = L/(1 + L) counts, so that a large L, as near an integrator, need
+    not be exact. At the frequencies of the gain margins the change of L itself counts.
+    """
+    some = grid[:: max(grid.size // _EXACT_POINTS, 1)]
+    near = np.abs(1.0 + system.response(some))
+    with np.errstate(over="ignore", invalid="ignore"):
+        of_t = system.rounding_change(some) / near / np.maximum(near, 1.0)
+    of_gain = system.rounding_change(gain_frequencies) / np.abs(system.response(gain_frequencies))
+    share = np.concatenate([of_t, of_gain])
+    share[~np.isfinite(share)] = 0.0  # at a pole
+    worst = int(np.argmax(share))
+    if share[worst] > _RUINED:
+        at_hz = [*some, *gain_frequencies][worst]
+        raise ParameterError(
+            f"loop: rounding its numbers changes L at {at_hz:.3g} Hz by up to "
+            f"{100.0 * min(share[worst], 1.0):.3g} %, so it has no margins; a transfer function "
+            f"with poles close to each other loses its digits: make the loop from state spaces, "
+            f"such as control.c2d(control.ss(A, B, C, D), T)"
+        )
 
 
 def _marginal_frequency(system: Transfer) -> float | None:

@@ -304,3 +304,30 @@ def test_a_loop_of_magnitude_one_loses_stability_by_half_a_turn(period_s):
 def test_a_loop_of_minus_one_at_all_frequencies_is_refused():
     with pytest.raises(ParameterError, match="L = -1 at infinite frequency"):
         margins((*STATIC[:3], -1.0, 1e-2))
+
+
+@pytest.mark.parametrize("seed", [168, 200, 254, 1191])
+def test_a_pole_at_a_frequency_of_the_search_is_no_crossing(seed):
+    # The search for crossings meets the undamped resonance exactly, where L is not finite.
+    def resonance(radius):
+        rng = np.random.default_rng(seed)
+        angle = rng.uniform(0.0, np.pi)
+        cos, sin = np.cos(angle), np.sin(angle)
+        a = radius * np.array([[cos, -sin], [sin, cos]])
+        return a, rng.normal(size=(2, 1)), rng.normal(size=(1, 2)), [[0.0]], 1.0
+
+    undamped, damped = (margins(resonance(radius)) for radius in (1.0, 1.0 - 1e-9))
+    for name in ("gain_margin", "lower_gain_margin", "phase_margin_deg", "disk_margin"):
+        assert getattr(undamped, name) == pytest.approx(getattr(damped, name), rel=1e-6)
+
+
+@pytest.mark.filterwarnings("ignore:Badly conditioned")
+def test_a_transfer_function_whose_digits_are_lost_is_refused():
+    poles = np.arange(1.0, 6.0)
+    a = np.diag(-poles) + np.diag(poles[1:], -1)
+    states = control.ss(a, np.eye(5)[:, :1], 2.0 * np.eye(5)[-1:], 0)  # 2·5!/((s+1)…(s+5))
+    slow, fast = (control.c2d(states, period_s) for period_s in (0.1, 1e-3))
+    assert margins(control.ss2tf(slow)).gain_margin == pytest.approx(margins(slow).gain_margin)
+    assert margins(fast).gain_margin == pytest.approx(margins(states).gain_margin, rel=1e-2)
+    with pytest.raises(ParameterError, match=r"loop: rounding its numbers changes L at .* control"):
+        margins(control.ss2tf(fast))
