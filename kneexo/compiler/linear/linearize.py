@@ -8,8 +8,10 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
+from pydrake.systems.framework import PortDataType
 
 from ..arguments import names, positive
+from ..diagram_equations import require_system
 from ..equations.equations import Update
 from ..errors import LinearizationError, ParameterError
 from ..native.timing import timing
@@ -26,8 +28,8 @@ def linearize(
     diagram: Any,
     context: Any = None,
     *,
-    inputs: Iterable[str],
-    outputs: Iterable[str],
+    inputs: Iterable[str] | None = None,
+    outputs: Iterable[str] | None = None,
     bypass: Iterable[str] = (),
     period_s: float | None = None,
     equilibrium_tolerance: float = EQUILIBRIUM_TOLERANCE,
@@ -51,12 +53,13 @@ def linearize(
         ports come from the Context too. An input port in ``inputs`` without a value has the value
         zero.
     inputs
-        Names of input ports of the diagram. A name ``path/of/system:port`` stands for a port inside
+        Names of input ports of the diagram, by default of all its vector ports. A name ``path/of/system:port`` stands for a port inside
         the diagram. The input is then a perturbation that adds to the signal of this port, for all
         systems that read the signal through this port.
     outputs
-        Names of output ports of the diagram, or ``path/of/system:port`` for ports inside. The
-        signal of a port includes the perturbation of the same port.
+        Names of output ports of the diagram, by default of all its vector ports, or
+        ``path/of/system:port`` for ports inside. The signal of a port includes the perturbation of
+        the same port. Without ports the model is autonomous, with poles but no response.
     bypass
         Paths of systems without state, such as quantizers, that count as wires: the first input is
         the output. `advice` sees what lies behind a quantizer only if the quantizer is in
@@ -78,7 +81,7 @@ def linearize(
     LinearizationError
         The point is no equilibrium, or a derivative or the motion over the period is not finite.
     ParameterError
-        ``inputs`` or ``outputs`` has a name twice, ``outputs`` is empty, ``period_s`` is no
+        ``inputs`` or ``outputs`` has a name twice, ``period_s`` is no
         multiple of the sample periods or exceeds 1e9 time constants of the fastest mode. Also if
         the Context belongs to another diagram, or the tolerance is
         below zero.
@@ -91,8 +94,8 @@ def linearize_at(
     diagram: Any,
     contexts: Iterable[Any],
     *,
-    inputs: Iterable[str],
-    outputs: Iterable[str],
+    inputs: Iterable[str] | None = None,
+    outputs: Iterable[str] | None = None,
     bypass: Iterable[str] = (),
     period_s: float | None = None,
     equilibrium_tolerance: float = EQUILIBRIUM_TOLERANCE,
@@ -108,20 +111,28 @@ def linearize_at(
 def _models(
     diagram: Any,
     contexts: Iterable[Any],
-    inputs: Iterable[str],
-    outputs: Iterable[str],
+    inputs: Iterable[str] | None,
+    outputs: Iterable[str] | None,
     bypass: Iterable[str],
     period_s: float | None,
     equilibrium_tolerance: float,
 ) -> list[LinearModel]:
+    require_system(diagram)
+    if inputs is None:
+        inputs = _vector_ports(map(diagram.get_input_port, range(diagram.num_input_ports())))
+    if outputs is None:
+        outputs = _vector_ports(map(diagram.get_output_port, range(diagram.num_output_ports())))
     in_names, out_names = names("inputs", inputs), names("outputs", outputs)
-    if not out_names:
-        raise ParameterError("outputs: is empty; name at least one port")
     require_tolerance(equilibrium_tolerance)
     models = []  # no comprehension, which would be a stack frame for warnings on Python 3.11
     for point in read_points(diagram, contexts, in_names, out_names, bypass):
         models.append(_model(point, in_names, out_names, period_s, equilibrium_tolerance))
     return models
+
+
+def _vector_ports(ports: Iterable[Any]) -> tuple[str, ...]:
+    vector = PortDataType.kVectorValued
+    return tuple(port.get_name() for port in ports if port.get_data_type() == vector)
 
 
 def _model(

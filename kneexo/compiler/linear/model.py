@@ -117,7 +117,7 @@ class LinearModel:
         kind = "continuous" if self.period_s is None else f"period_s={self.period_s:g}"
         return (
             f"LinearModel({kind}, {len(self.state_names)} states, inputs: "
-            f"{', '.join(self.input_names) or 'none'}, outputs: {', '.join(self.output_names)})"
+            f"{', '.join(self.input_names) or 'none'}, outputs: {', '.join(self.output_names) or 'none'})"
         )
 
     @property
@@ -257,12 +257,15 @@ class LinearModel:
 
         Its ``dt`` is the period, or 0 for a continuous model. Dots in names of ports become
         underscores, because python-control refuses dots. Raises `LinearizationError` for a model
-        without inputs.
+        without inputs or outputs.
         """
         import control
 
-        if not self.input_names:
-            raise LinearizationError("inputs: is empty; python-control requires at least one input")
+        for what, ports in (("input", self.input_names), ("output", self.output_names)):
+            if not ports:
+                raise LinearizationError(
+                    f"{what}s: is empty; python-control requires at least one {what}"
+                )
         return control.ss(
             *(self.a, self.b, self.c, self.d, self.period_s or 0),
             inputs=[name.replace(".", "_") for name in self.input_names],

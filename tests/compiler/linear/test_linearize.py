@@ -9,6 +9,7 @@ from pydrake.symbolic import Variable, sin
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import (
     Adder,
+    ConstantVectorSource,
     DiscreteTimeDelay,
     Gain,
     Linearize,
@@ -248,13 +249,34 @@ def test_a_model_that_changes_with_the_time_warns():
     assert model(-2.0 * x + u + sin(t), 0.5).a == [[-2.0]]
 
 
+def test_the_default_ports_are_all_vector_ports_of_the_diagram():
+    model = linearize(PendulumPlant())
+    assert (model.input_names, model.output_names) == (("tau",), ("state[0]", "state[1]"))
+    assert model.a == pytest.approx(linearize(PendulumPlant(), inputs=[], outputs=["state"]).a)
+
+
+def test_a_diagram_without_ports_has_an_autonomous_model():
+    builder = DiagramBuilder()
+    pendulum = builder.AddNamedSystem("pendulum", PendulumPlant())
+    motor = builder.AddNamedSystem("motor", ConstantVectorSource([0.0]))
+    builder.Connect(motor.get_output_port(), pendulum.get_input_port())
+    model = linearize(builder.Build())
+    assert repr(model) == "LinearModel(continuous, 2 states, inputs: none, outputs: none)"
+    assert (model.b.shape, model.c.shape, model.d.shape) == ((2, 0), (0, 2), (0, 0))
+    # The default pendulum hangs at rest: m = 1 kg, l = 0.5 m, damping 0.1 N·m·s.
+    assert np.poly(model.poles()) == pytest.approx([1.0, 0.1 / 0.5**2, 9.81 / 0.5])
+    with pytest.raises(LinearizationError, match="inputs: is empty"):
+        model.to_control()
+    with pytest.raises(LinearizationError, match="outputs: is empty"):
+        linearize(PendulumPlant(), outputs=[]).to_control()
+
+
 @pytest.mark.parametrize(
     ("error", "match", "arguments"),
     [
         (CompilationError, "no input port 'x'; it has r", {"inputs": ["x"]}),
         (CompilationError, "did you mean hold:y or hold:u", {"outputs": ["hold:y0"]}),
         (ParameterError, r"\Ainputs: has 'r' twice; ", {"inputs": ["r", "r"]}),
-        (ParameterError, "outputs: is empty", {"outputs": []}),
         (ParameterError, "must be a multiple of 0.02 s", {"period_s": 0.01}),
         (ParameterError, "must be finite and > 0", {"period_s": -1.0}),
         (ParameterError, "inputs: has 3; must be names", {"inputs": [3]}),
