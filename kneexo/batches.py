@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields
 from itertools import product
 from os import PathLike
 from textwrap import indent
-from typing import Any, Literal
+from typing import Any, Literal, overload
 
 import numpy as np
 
@@ -76,12 +76,26 @@ class BatchResult(Result):
         """The rows of the runs that failed."""
         return tuple(row for row in self.rows if row.error)
 
-    def worst(self, metric: str = "max_error_deg") -> BatchRow:
+    @overload
+    def worst(self, metric: str = ..., count: None = None) -> BatchRow: ...
+
+    @overload
+    def worst(self, metric: str = ..., *, count: int) -> tuple[BatchRow, ...]: ...
+
+    @overload
+    def worst(self, metric: str, count: int) -> tuple[BatchRow, ...]: ...
+
+    def worst(
+        self, metric: str = "max_error_deg", count: int | None = None
+    ) -> BatchRow | tuple[BatchRow, ...]:
         """Return the row with the largest value of a metric among the runs that succeed.
 
-        ``metric`` is one of `METRICS`. Raises `ParameterError` for another name, and if no run has
-        a value of the metric.
+        ``metric`` is one of `METRICS`. With ``count`` return the ``count`` rows with the largest
+        values, the largest first, or all rows if fewer runs have a value. Raises `ParameterError`
+        for another metric, a ``count`` below 1, and if no run has a value of the metric.
         """
+        if count is not None and not (isinstance(count, int) and count >= 1):
+            raise ParameterError(f"count = {count!r}: must be a whole number >= 1")
         if metric not in METRICS:
             advice = question(close_names(metric, METRICS))
             known = f"must be one of {', '.join(METRICS)}{advice}"
@@ -96,7 +110,8 @@ class BatchResult(Result):
                 f"{metric}: no run lasts longer than the first period of its reference; increase "
                 f"simulation.duration_s"
             )
-        return max(finite, key=lambda row: _value(row, metric))
+        finite.sort(key=lambda row: _value(row, metric), reverse=True)
+        return finite[0] if count is None else tuple(finite[:count])
 
     def to_dataframe(self) -> Any:
         """Return a `pandas.DataFrame` with a row for each run.

@@ -136,6 +136,18 @@ def test_the_worst_run_is_that_with_the_largest_value(mixed):
     assert mixed.worst() is mixed.worst("max_error_deg")
 
 
+def test_the_worst_runs_begin_with_the_largest_value(mixed):
+    metric = "max_error_overall_deg"
+    first, second = mixed.worst(metric, 2)
+    assert first is mixed.worst(metric)
+    assert {first.error, second.error} == {""}
+    assert getattr(first.metrics, metric) > getattr(second.metrics, metric)
+    assert mixed.worst(count=9) == mixed.worst("max_error_deg", 2)  # the other three runs fail
+    for count in (0, 1.0):
+        with pytest.raises(ParameterError, match=rf"^count = {count}: must be a whole number >= 1"):
+            mixed.worst(metric, count)
+
+
 def test_a_summary_names_the_largest_error_and_the_first_failure(mixed):
     worst = mixed.worst()
     mass, offset = (f"{value:.6g}" for value in worst.values.values())
