@@ -53,9 +53,10 @@ def linearize(
         ports come from the Context too. An input port in ``inputs`` without a value has the value
         zero.
     inputs
-        Names of input ports of the diagram, by default of all its vector ports. A name ``path/of/system:port`` stands for a port inside
-        the diagram. The input is then a perturbation that adds to the signal of this port, for all
-        systems that read the signal through this port.
+        Names of input ports of the diagram, by default of all its vector ports. A name
+        ``path/of/system:port`` stands for a port inside the diagram. The input is then a
+        perturbation that adds to the signal of this port, for all systems that read the signal
+        through this port.
     outputs
         Names of output ports of the diagram, by default of all its vector ports, or
         ``path/of/system:port`` for ports inside. The signal of a port includes the perturbation of

@@ -115,9 +115,12 @@ class LinearModel:
     def __repr__(self) -> str:
         """Return a text with the kind of the model and the numbers of states, inputs, outputs."""
         kind = "continuous" if self.period_s is None else f"period_s={self.period_s:g}"
+        inputs, outputs = (
+            ", ".join(names) or "none" for names in (self.input_names, self.output_names)
+        )
         return (
-            f"LinearModel({kind}, {len(self.state_names)} states, inputs: "
-            f"{', '.join(self.input_names) or 'none'}, outputs: {', '.join(self.output_names) or 'none'})"
+            f"LinearModel({kind}, {len(self.state_names)} states, inputs: {inputs}, "
+            f"outputs: {outputs})"
         )
 
     @property
