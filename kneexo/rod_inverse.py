@@ -11,15 +11,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from decimal import Context, Decimal, localcontext
 from functools import lru_cache
-from itertools import zip_longest
+from itertools import product, zip_longest
 from types import SimpleNamespace
 
 import numpy as np
 
-from kneexo.errors import LinkageError
+from kneexo.errors import KneexoError, LinkageError
 from kneexo.linkage import (
+    FIT_RANGE_DEG,
     RodAndArm,
     encoder_angle,
+    eq6_sign,
     exact_rod_and_arm,
     invert_rod,
     polynomial,
@@ -28,7 +30,14 @@ from kneexo.linkage import (
     rod_table,
 )
 from kneexo.parameters import LinkageParameters, RodPolynomialParameters
+from kneexo.parameters.paths import changed
 from kneexo.result import Array
+
+_PLACES = (
+    *("rod_anchor_radius_m", "rod_pin_radius_m", "rod_anchor_angle_rad", "rod_pin_angle_rad"),
+    *("a_2_m", "a_3_m", "a_4_m", "o_a_x_m", "o_a_y_m", "o_b_x_m", "o_b_y_m"),
+)
+"""Names of the values of a linkage that place its joints and the pins of the rod."""
 
 FIT_DEGREE = 25
 """Degree of the polynomials of `RodInverse`.
@@ -74,8 +83,45 @@ def fit_rod_inverse(
     on every processor and with every numerical library.
 
     Raises `LinkageError` when the linkage cannot be assembled, the rod extension does not fall as
-    the knee flexes over −2…91°, or the error of the fit is above 1e-8 rad.
+    the knee flexes over −2…91°, or the error of the fit is above 1e-8 rad. The message names a
+    change of the linkage that helps.
     """
+    try:
+        return _fitted(link, table_1)
+    except LinkageError as error:
+        if table_1 is not None:
+            raise
+        raise LinkageError(f"{error}{_helping_change(link)}") from error
+
+
+@lru_cache(maxsize=64)
+def _helping_change(link: LinkageParameters) -> str:
+    """Return, as text, the smallest change of one value with which the rod can be inverted.
+
+    The change of an angle counts as the arc in m that the pin moves. The text is empty if no change
+    up to 0.3 m helps.
+    """
+    grid = np.radians(np.arange(*FIT_RANGE_DEG))
+    for change_m in np.geomspace(1e-3, 0.3, 15):
+        for name, sign in product(_PLACES, (1.0, -1.0)):
+            angle = name.endswith("_rad")
+            arm_m = getattr(link, name.replace("angle_rad", "radius_m")) if angle else 1.0
+            value = float(f"{getattr(link, name) + sign * change_m / arm_m:.4g}")
+            try:
+                other = changed(link, {name: value})
+                if np.any(np.diff(rod_extension(other, grid)) >= 0.0):
+                    continue  # before the fit, which takes much longer
+                eq6_sign(other)
+                _fitted(other, None)
+            except KneexoError:
+                continue
+            old, unit = getattr(link, name), "rad" if angle else "m"
+            return f"; for example, change {name} from {old:.4g} to {value:.4g} {unit}"
+    return ""
+
+
+def _fitted(link: LinkageParameters, table_1: RodPolynomialParameters | None) -> RodInverse:
+    """Return the value of `fit_rod_inverse`."""
     if table_1 is None:
 
         def rod_and_arm(angle: Array) -> tuple[Array, Array]:

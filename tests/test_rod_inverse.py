@@ -1,6 +1,7 @@
 """The fitted inverse of the rod against Newton's method and exact arithmetic."""
 
 import os
+import re
 import subprocess
 import sys
 
@@ -185,11 +186,32 @@ def test_fit_needs_no_dead_centre_nearby():
 @pytest.mark.parametrize(
     "anchor_deg",
     [
-        180.0,
-        150.0,
+        pytest.param(180.0, marks=pytest.mark.slow),
+        pytest.param(150.0, marks=pytest.mark.slow),
         60.0,
     ],
 )
 def test_fit_refuses_a_rod_with_a_dead_centre_inside_the_range(anchor_deg):
     with pytest.raises(LinkageError, match="the rod has a dead centre near"):
         fit_rod_inverse(changed(G1, rod_anchor_angle_rad=np.radians(anchor_deg)))
+
+
+@pytest.mark.parametrize(
+    ("base", "name", "factor", "reason"),
+    [
+        (G1, "a_2_m", 1.1, "cannot be assembled"),
+        (G3, "rod_anchor_angle_rad", 1.3, "has a dead centre near knee angle -2 deg"),
+        pytest.param(
+            *(G1, "rod_anchor_angle_rad", -1.5, "has a dead centre"), marks=pytest.mark.slow
+        ),
+    ],
+)
+def test_a_refused_linkage_is_accepted_after_the_change_that_its_message_names(
+    base, name, factor, reason
+):
+    link = changed(base, **{name: factor * getattr(base, name)})
+    with pytest.raises(LinkageError, match=reason) as error:
+        fit_rod_inverse(link)
+    named = re.search(r"; for example, change (\w+) from (\S+) to (\S+) (m|rad)$", str(error.value))
+    assert float(named[2]) == pytest.approx(getattr(link, named[1]), rel=1e-3)
+    fit_rod_inverse(changed(link, **{named[1]: float(named[3])}))
