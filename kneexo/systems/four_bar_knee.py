@@ -11,7 +11,7 @@ import pydrake.math as drake_math
 from pydrake.systems.framework import BasicVector_
 
 from kneexo.errors import SimulationError
-from kneexo.linkage import icr, polynomial, polynomial_derivative
+from kneexo.linkage import FIT_RANGE_DEG, icr, polynomial, polynomial_derivative
 from kneexo.parameters import KneeParameters, LinkageParameters, RodPolynomialParameters
 from kneexo.rod_inverse import RodInverse, fit_rod_inverse
 from kneexo.systems._leaf import NamedLeaf, leaf_template, values_of
@@ -23,10 +23,15 @@ def knee_kinematics(p: Any, polynomials: Iterable[Any], extension: Any) -> list[
     ``polynomials`` are the polynomials of a `RodInverse` for θ_p, θ_4 and r. ``p`` has the dead
     centre and the scaling of the `RodInverse` as attributes.
     """
+    t = _argument(p, extension)
+    return [polynomial(coefficients, t) for coefficients in polynomials]
+
+
+def _argument(p: Any, extension: Any) -> Any:
+    """Return the argument of the polynomials, −1 … 1 within `FIT_RANGE_DEG`, at an extension."""
     # No knee angle has an extension beyond the dead centre; the check of the system reports it.
     root = drake_math.sqrt(drake_math.max(p.dead_centre_m - extension, 0.0))
-    t = (root - p.centre) / p.half_width
-    return [polynomial(coefficients, t) for coefficients in polynomials]
+    return (root - p.centre) / p.half_width
 
 
 def moment_arm_slope(p: Any, coefficients: Any, extension: Any) -> Any:
@@ -138,10 +143,14 @@ class FourBarKnee(NamedLeaf):
     def _require_in_range(self, context: Any) -> None:
         if not self.margin(context) >= 0.0:
             p = self.parameters(context)
-            angle = self._pose(context)[0]
+            angle = f"= {math.degrees(self._pose(context)[0]):.6g}"
+            t = _argument(p, self._extension.Eval(context)[0])
+            if abs(t) > 1.0:  # outside their range the polynomials give no knee angle
+                low, high = FIT_RANGE_DEG
+                angle = f"> {high:g}" if t > 1.0 else f"< {low:g}"
             raise SimulationError(
-                f"t = {context.get_time():.6g} s: {self.get_name()}: knee_angle = "
-                f"{math.degrees(angle):.6g} deg left the range of motion "
+                f"t = {context.get_time():.6g} s: {self.get_name()}: knee_angle {angle} deg left "
+                f"the range of motion "
                 f"{math.degrees(p.flexion_min_rad):g} … {math.degrees(p.flexion_max_rad):g} "
                 f"deg; reduce the motion, the load or the step"
             )
