@@ -445,3 +445,21 @@ def test_wrong_scenario_is_one_line(make, message):
     with pytest.raises(ParameterError, match=message) as error:
         make()
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("latency", [0, 1, 2])
+def test_a_row_has_the_command_of_the_measurement_before_the_latency(latency):
+    def law(rod_extension, rod_reference, gain=1e4):
+        return gain * (rod_reference[0] - rod_extension)
+
+    changes = {"bus.latency_samples": latency, "simulation.duration_s": 0.2}
+    changes |= {"reference": {"kind": "sine", "frequency_hz": 1.0}}
+    signals = ("measured_rod_extension", "rod_reference", "motor_speed_command")
+    run = simulate(changed(Scenario(), changes).with_law(law), signals=signals)
+    computed = law(run["measured_rod_extension_m"], run["rod_reference_m"][None])
+    command = run["motor_speed_command_rad_s"]
+    rows = 1 + latency
+    assert np.ptp(command) > 1.0
+    np.testing.assert_array_equal(command[:rows], 0.0)
+    # 1e4 (rad/s)/m times a difference of lengths of 0.1 m, to some roundings
+    np.testing.assert_allclose(command[rows:], computed[:-rows], rtol=0.0, atol=1e-11)
