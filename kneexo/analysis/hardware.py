@@ -51,7 +51,7 @@ HARDWARE = {
 }
 """For each dotted path of a hardware value: name, displayed unit, factor from SI to this unit."""
 
-ONE_PERCENT_RATIO, ACCELERATION_ALONE_RATIO = 7.27, 0.73
+ONE_PERCENT_RATIO, ACCELERATION_ALONE_RATIO = 7.2666, 0.73
 """Two values of A a/R² for the speed limit R, acceleration limit A and amplitude a of the rod.
 
 At `ONE_PERCENT_RATIO` the acceleration limit reduces the bandwidth by 1 %. Below

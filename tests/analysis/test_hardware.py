@@ -89,7 +89,7 @@ def test_where_the_acceleration_limit_takes_over():
         )
 
     alone = limited_bandwidth_hz(speed_limit=speed, acceleration_limit=1e9, amplitude=amplitude)
-    assert bandwidth(ONE_PERCENT_RATIO) / alone == pytest.approx(0.99, abs=1e-5)
+    assert bandwidth(ONE_PERCENT_RATIO) / alone == pytest.approx(0.99, abs=1e-7)
     # Below the second mark twice the speed changes nothing; well above it does.
     low = 0.99 * ACCELERATION_ALONE_RATIO
     assert bandwidth(low, 2.0 * speed) == pytest.approx(bandwidth(low), rel=1e-9)

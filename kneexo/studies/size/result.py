@@ -276,6 +276,7 @@ def _design(design: WalkingDesign, scenario: Scenario) -> dict[str, Any]:
         "rated_force_of_that_piston_n": area * cylinder.pressure_rating_pa,
         "piston_factor": design.carrying.plant.cylinder.mean_area_m2 / cylinder.mean_area_m2,
         "bore_mm": 1e3 * design.carrying.plant.cylinder.bore_m,
+        "rod_mm": 1e3 * design.carrying.plant.cylinder.rod_diameter_m,
         "with_piston_cm3_per_rev": _shown(design.carrying, DISPLACEMENT, 1.0),
         "walking": dict(design.walking),
         "carried": dict(design.carried),

@@ -103,7 +103,7 @@ def test_maps_show_the_limits_and_the_sized_hardware(sized, drawn, curves):
     left, right = (curves(ax) for ax in drawn["sizing_maps"].axes[:2])
     motor, amplitude = 5000.0 * math.pi / 30.0, sized.results()["limits"]["rod_amplitude_mm"]
     for label, (speed, limit) in left.items():
-        ratio = 7.27 if "7.3" in label else 0.73
+        ratio = 7.2666 if "7.3" in label else 0.73
         assert limit == pytest.approx(ratio * motor * speed / amplitude, rel=1e-9)
     assert len(left) == 2
     (x,), (y,) = right["sized"]

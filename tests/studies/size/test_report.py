@@ -208,8 +208,8 @@ def test_the_words_have_the_numbers_of_the_results(sized):
         + " times the flow",
         "ratings are 3.5 MPa and 200 W",
         "The relief valves open at 3.5 MPa, and oil evaporates below -0.1 MPa.",
-        "A piston for 1.1 times the force of the share 1 of the moment has 1.210 times the area, "
-        "and a bore of 22.0 mm.",
+        "A piston for 1.1 times the force of the share 1 of the moment has 1.210 times the area. "
+        "Its bore is 22.0 mm, and the rod grows with it to 11.00 mm.",
         # 0.017 times 560 and 500
         "walks at 1 Hz within 9.52°, and without this piston within 8.50°.",
     ):
