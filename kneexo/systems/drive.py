@@ -30,8 +30,8 @@ def context_values(parameters: Cia402Parameters) -> dict[str, float]:
 class Cia402Drive(NamedLeaf):
     """Rounds the speed command to the integer target velocity of a CiA 402 drive.
 
-    n = clip(round(u/q), −2³¹ … 2³¹ − 1), u_d = q n, with the velocity unit q. Halves round away
-    from zero (`nearest_integer`).
+    n = clip(round(u/q_d), −2³¹ … 2³¹ − 1), u_d = q_d n, with the velocity unit q_d. Halves
+    round away from zero (`nearest_integer`).
 
     ===================  ====  =====  =====================================================
     input port           size  unit
@@ -43,7 +43,7 @@ class Cia402Drive(NamedLeaf):
     ===================  ====  =====  =====================================================
 
     Stateless. The latency of the bus is not part of this system: `make_closed_loop` adds Drake's
-    `DiscreteTimeDelay`. Context parameter by name: ``velocity_unit_rad_s`` (q). The derivative is
+    `DiscreteTimeDelay`. Context parameter by name: ``velocity_unit_rad_s`` (q_d). The derivative is
     zero, as with Drake's `RotaryEncoders`, so that linear analysis bypasses the system. Source:
     CiA 402 (IEC 61800-7-201), cyclic synchronous velocity mode; rounding to the nearest integer is
     an assumption.

@@ -11,7 +11,7 @@ from kneexo.systems.drive import nearest_integer
 class EncoderCount(NamedLeaf):
     """Computes the whole number of counts of an encoder from its reading.
 
-    n = round(θ/q), with the resolution q. The reading θ is a whole number of counts up to rounding
+    n = round(θ/q_θ), with the resolution q_θ. The reading θ is a whole number of counts up to rounding
     errors, so n is the count of the encoder.
 
     =================  ====  ====  ==================================

@@ -69,7 +69,7 @@ def context_values(parameters: LoadCellParameters) -> dict[str, float]:
 class LoadCell(NamedLeaf):
     """Load cell on the rod: low-pass, offset, noise, range, quantization and missing readings.
 
-    τ_F dz/dt = F − z,  y = q round(clip(z + F_0 + σ n_k, ±F_max)/q).
+    τ_F dz/dt = F − z,  y = q_F round(clip(z + F_off + σ n_k, ±F_max)/q_F).
     n_k is the random number of sample k (see `unit_noise`), or zero without ``seed``. The cell
     repeats its last reading for ``dropout_s``, from ``dropout_start_s`` on.
 

@@ -70,13 +70,13 @@ class WearerKnee(NamedLeaf):
     """Knee of the wearer, whose leg moves with the cuff.
 
     With ``prescribed`` motion θ_h = θ_ref and dθ_h/dt = dθ_ref/dt, without state. Otherwise
-    I d²θ_h/dt² = A + W(θ_h) − k_0 s − b ds/dt − h Σ κ_i (s − ξ_i) − τ_i,
-    dξ_i/dt = 2π f_i (s − ξ_i),  W(θ) = m g l sin(α − θ).
-    With ``passive`` motion the deflection is s = θ_h − θ_0 about the neutral angle, and A = 0.
+    I_h d²θ_h/dt² = A + W(θ_h) − k_0 s − b ds/dt − h Σ κ_i (s − ξ_i) − τ_i,
+    dξ_i/dt = 2π f_i (s − ξ_i),  W(θ) = m_h g l_h sin(α_thigh − θ).
+    With ``passive`` motion the deflection is s = θ_h − θ_n about the neutral angle, and A = 0.
     With ``active`` motion the deflection is s = θ_h − θ_ref about the reference, and
-    A = (e − 1) M + I d²θ_ref/dt² − W(θ_ref). Its muscles give the share e of the biological moment
-    M(t). An external torque −M + I d²θ_ref/dt² − W(θ_ref) balances the whole moment, as the ground
-    reaction does in walking.
+    A = (ε − 1) M + I_h d²θ_ref/dt² − W(θ_ref). Its muscles give the share ε of the biological
+    moment M(t). An external torque −M + I_h d²θ_ref/dt² − W(θ_ref) balances the whole moment, as
+    the ground reaction does in walking.
 
     ==================  ====  =============  ==================================================
     input port          size  unit
@@ -89,9 +89,10 @@ class WearerKnee(NamedLeaf):
     ==================  ====  =============  ==================================================
 
     State: θ_h in rad, dθ_h/dt in rad/s and ξ_i in rad. Context parameters by name: numbers of
-    `LegParameters`, with k_0 in place of k, and ``thigh_inclination_rad`` (α) and ``gravity_m_s2``
-    of the load. Raises `SimulationError` when the acceleration is not finite. Source: the Maxwell
-    elements approximate hysteretic damping (see `kneexo.parameters.wearer.MAXWELL_BANK`).
+    `LegParameters`, with k_0 in place of k, and ``thigh_inclination_rad`` (α_thigh) and
+    ``gravity_m_s2`` of the load. Raises `SimulationError` when the acceleration is not finite.
+    Source: the Maxwell elements approximate hysteretic damping (see
+    `kneexo.parameters.wearer.MAXWELL_BANK`).
     """
 
     def __init__(

@@ -70,7 +70,8 @@ def test_limits_are_those_of_pump_gear_and_piston(sized):
         1e-3 * SPEED_MM_S * limit / motor, rel=1e-9
     )
     ratio = motor * SPEED_MM_S / numbers["rod_amplitude_mm"]
-    assert numbers["acceleration_limit_one_percent_rad_s2"] == pytest.approx(7.2666 * ratio, rel=1e-9)
+    one_percent = numbers["acceleration_limit_one_percent_rad_s2"]
+    assert one_percent == pytest.approx(7.2666 * ratio, rel=1e-9)
     assert numbers["acceleration_limit_alone_rad_s2"] == pytest.approx(0.73 * ratio, rel=1e-9)
 
 
