@@ -11,8 +11,8 @@ from kneexo.systems.drive import nearest_integer
 class EncoderCount(NamedLeaf):
     """Computes the whole number of counts of an encoder from its reading.
 
-    n = round(θ/q_θ), with the resolution q_θ. The reading θ is a whole number of counts up to rounding
-    errors, so n is the count of the encoder.
+    n = round(θ/q_θ), with the resolution q_θ. The reading θ is a whole number of counts up to
+    rounding errors, so n is the count of the encoder.
 
     =================  ====  ====  ==================================
     input port         size  unit
