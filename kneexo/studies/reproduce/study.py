@@ -97,6 +97,7 @@ class ReproduceResult(Result):
                 | {"controller": tracked.scenario.controller.model_dump(exclude_defaults=True)}
                 for name, tracked in self.fig12.items()
             },
+            "fig12_start": start_errors(self.fig12["smc"]),
             "fig13": {
                 "frequencies_hz": response.frequencies_hz,
                 "gain": response.gain,
@@ -218,6 +219,17 @@ def reproduce_study(
 def rod_error_mm(run: Run) -> Array:
     """Return the rod's position error e = x − x_d in mm, (n,)."""
     return np.asarray(1e3 * (run["rod_extension_m"] - run["rod_reference_m"]))
+
+
+def start_errors(tracked: TrackingResult) -> dict[str, float]:
+    """Return the largest errors in deg in the first quarter period of the sine, and afterwards."""
+    run = tracked.run
+    error = np.abs(np.degrees(run["knee_angle_rad"] - run["knee_reference_rad"]))
+    first = run.time_s <= 0.25 / SineReference().frequency_hz
+    return {
+        "first_quarter_period_deg": float(error[first].max()),
+        "later_deg": float(error[~first].max()),
+    }
 
 
 def speed_demand() -> tuple[float, float]:

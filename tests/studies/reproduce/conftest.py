@@ -35,7 +35,7 @@ def tracked(scenario, factor):
     return TrackingResult(
         scenario,
         Run(
-            TIME,
+            2.0 * TIME,
             {"knee_reference_rad": factor * reference, "knee_angle_rad": factor * angle},
             scenario.simulation,
         ),

@@ -71,6 +71,8 @@ def test_every_number_of_the_results_is_the_one_that_its_name_says(known, flat, 
             name: {key: (n + 1) * value for key, value in METRICS.items()}
             for n, name in enumerate(("smc", "pid", "pid_tuned", "pid_feedforward"))
         },
+        # Errors of 0, 1, 2 and 3 deg at 0, 1, 2 and 3 s. A quarter period is 2.5 s.
+        "fig12_start": {"first_quarter_period_deg": 2.0, "later_deg": 3.0},
         "fig13": {
             "frequencies_hz": [0.1, 0.2, 0.4],
             "gain": [0.95, 0.75, 0.55],
