@@ -11,7 +11,7 @@ from pydrake.common.value import Value
 from pydrake.systems.framework import BasicVector, LeafSystem, ValueProducer
 
 from .model_base import ModelBase, not_finite
-from .native.arguments import OK, OUTPUT_NOT_FINITE
+from .native.arguments import OUTPUT_NOT_FINITE
 from .native.runner import STEP_S, TOLERANCE, Runner, element_name
 from .run_data import Array, InputTable, State
 
@@ -185,7 +185,8 @@ class _Running:
         self._x[:, 0], self._d[:, 0], self._last[0] = state[:size], state[size:], last
         status = self._runner.go(first, last, rows, [inputs])
         # An output that is not finite is an error only for a reader of its port.
-        if status[0, 0] not in (OK, OUTPUT_NOT_FINITE):
-            model, timing = self._system.model, self._runner.timing
+        if status[0, 0] != OUTPUT_NOT_FINITE:
             after = State(self._x[:, 0].copy(), self._d[:, 0].copy())
-            raise model.fault(status[0].tolist(), timing, self._parameters[0], after)
+            outcome, parameters = status[0].tolist(), self._parameters[0]
+            if error := self._system.model.fault(outcome, self._runner, parameters, after):
+                raise error

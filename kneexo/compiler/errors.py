@@ -52,6 +52,15 @@ class StiffnessError(SimulationError):
     """The derivatives jump too often for the integrator exact_hold to meet its tolerance."""
 
 
+class UnstableStepError(SimulationError):
+    """The steps of a Runge-Kutta integrator are too long for the fastest mode.
+
+    ``step_s`` is a step that works, in s.
+    """
+
+    step_s: float = math.nan
+
+
 class OutputError(Error, OSError):
     """A result cannot be written, or a cache entry cannot be deleted."""
 

@@ -83,18 +83,20 @@ def simulate_with_feedback(
     last = np.zeros(1, dtype=np.int64)
     row = np.empty((1, column, 1))
     rows_of_parameters = model.checked_parameters(np.asarray(parameters, dtype=float)[None])
-    runner.restart(rows_of_parameters)
-    runner.bind(x, d, last, row)
     every = runner.timing.record_every
     samples = int(duration_s / runner.timing.tick * (1.0 + 1e-12)) // every + 1
+    ends = (samples - 1) * every
+    runner.restart(rows_of_parameters, np.array([ends]))
+    runner.bind(x, d, last, row)
     record = np.empty((samples, column))
 
     def go(tick: int, end: int, rows: int) -> None:
         last[0] = end
         status = runner.go(tick, end, rows, [table])[0].tolist()
-        if status[0] != OK:
+        if status[0] != OK or end == ends:
             final = State(x[:, 0].copy(), d[:, 0].copy())
-            raise model.fault(status, runner.timing, rows_of_parameters[0], final)
+            if error := model.fault(status, runner, rows_of_parameters[0], final):
+                raise error
 
     for sample in range(samples):
         tick = sample * every

@@ -300,7 +300,7 @@ class CompiledModel(ModelBase):
         last = batch.ticks[lanes]
         every = runner.timing.record_every
         record = RECORDS.array((len(lanes), runner.columns.size, int(last.max()) // every + 1))
-        runner.restart(batch.parameters[lanes])
+        runner.restart(batch.parameters[lanes], last)
         runner.reducer.restart(batch.begins[lanes], batch.bounds[lanes])
         tables = [batch.inputs[i] for i in lanes]
         status = runner.run(x, d, 0, last, tables, record, cancelled=cancelled)
@@ -310,8 +310,9 @@ class CompiledModel(ModelBase):
         for lane, index in enumerate(indices):
             final = State(x[:, lane].copy(), d[:, lane].copy())
             outcome = _outcome(status[lane], int(last[lane]), final)
-            if outcome[0] != OK:
-                runs.append(self.fault(outcome, runner.timing, batch.parameters[index], final))
+            parameters = batch.parameters[index]
+            if error := self.fault(outcome, runner, parameters, final, lane):
+                runs.append(error)
                 continue
             rows = int(last[lane]) // every + 1
             outputs = self._outputs(runner, record[lane, :, :rows])
@@ -344,12 +345,12 @@ class CompiledModel(ModelBase):
         last = batch.ticks.copy()
         if ticks.size:
             last = np.maximum(last, ticks[-1] + 1)
-        runner.restart(batch.parameters)
+        runner.restart(batch.parameters, last)
         (status,) = runner.run(x, d, 0, last, batch.inputs, snapshots=snapshots)
         final = State(x[:, 0].copy(), d[:, 0].copy())
         outcome = _outcome(status, int(last[0]), final)
-        if outcome[0] != OK:
-            return self.fault(outcome, runner.timing, batch.parameters[0], final)
+        if error := self.fault(outcome, runner, batch.parameters[0], final):
+            return error
         table, numbers = batch.inputs[0], places.astype(np.int64)
         (record,) = runner.records_between(snapshots, table, times, numbers)
         finite = np.isfinite(record).all(axis=0)

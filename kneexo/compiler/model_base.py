@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -9,11 +10,11 @@ import numpy as np
 
 from .equations.contexts import set_state
 from .equations.tree import Node
-from .errors import ParameterError, SimulationError, StiffnessError
-from .native.arguments import NOT_FINITE, OUTPUT_NOT_FINITE, TOO_ROUGH
+from .errors import ParameterError, SimulationError, StiffnessError, UnstableStepError
+from .native.arguments import NOT_FINITE, OK, OUTPUT_NOT_FINITE, TOO_ROUGH
 from .native.machine_code import MachineCode
-from .native.runner import address, output_elements
-from .native.timing import Timing
+from .native.runner import Runner, address, output_elements
+from .native.stability import SAFETY, UnstableStep
 from .run_data import Array, InputTable, State
 
 ContextAt = Callable[[Array], tuple[Node, Any]]
@@ -106,25 +107,51 @@ class ModelBase:
     def fault(
         self,
         outcome: Sequence[int],
-        timing: Timing,
+        runner: Runner,
         parameters: Array,
         state: State,
-    ) -> SimulationError:
-        """Return the error of a failed run. The message says when and why the run failed.
+        lane: int = 0,
+    ) -> SimulationError | None:
+        """Return the error of a run in a lane of ``runner``; None if the run succeeded.
+
+        The message says when and why the run failed. An unstable step is the reason for everything
+        that follows it, also for a wrong run that reaches its end.
 
         Parameters
         ----------
         outcome
             Status of the run, its last tick, and the index of the limit that the run passed or of
             the output element that is not finite.
-        timing, parameters, state
-            Time grid and parameters of the run, and the state at its end.
+        parameters, state
+            Parameters of the run, and the state at its end.
         """
-        time_s = timing.times(outcome[1])
+        if step := runner.unstable_step(lane):
+            time_s, state = step.time_s, step.state
+            error = self._unstable(step, runner.integrator)
+        elif outcome[0] == OK:
+            return None
+        else:
+            time_s = float(runner.timing.times(outcome[1]))
+            error = self._reason(outcome, time_s, parameters, state)
         names = (*self.state_names, *self.discrete_names)
         values = np.concatenate((state.continuous, state.discrete))
-        error = self._reason(outcome, time_s, parameters, state)
-        error.time_s, error.state = float(time_s), dict(zip(names, values.tolist(), strict=True))
+        error.time_s, error.state = time_s, dict(zip(names, values.tolist(), strict=True))
+        return error
+
+    def _unstable(self, step: UnstableStep, integrator: str) -> SimulationError:
+        """Return the error of an unstable step, with the states that move in its mode."""
+        order = np.argsort(-step.shares, kind="stable")
+        names = [self.state_names[i] for i in order if step.shares[i] >= 0.5 * step.shares.max()]
+        value = step.eigenvalue
+        rate = f"{value.real:.3g}" + (f" ± {abs(value.imag):.3g}j" if value.imag else "")
+        digit = 10.0 ** math.floor(math.log10(SAFETY * step.stable_s) - 1.0)
+        error = UnstableStepError("")
+        error.step_s = digit * math.floor(SAFETY * step.stable_s / digit)
+        error.args = (
+            f"t = {step.time_s:.6g} s: {integrator} with steps of {step.step_s:.3g} s is unstable: "
+            f"{' and '.join(names[:3])} moves in a mode of {rate} 1/s, which requires steps of at "
+            f"most {step.stable_s:.3g} s; set step_s = {error.step_s:.2g} or use exact_hold",
+        )
         return error
 
     def _reason(

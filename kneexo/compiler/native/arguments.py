@@ -26,6 +26,7 @@ RUN = (
     *("step", "tolerance", "memory", "shared", "tags", "values", "status"),
     *("snapshots", "snapshot_count", "snapshot_x", "snapshot_d"),
     *("checked_count", "reductions", "reduction_ends", "unseen", "begins", "bounds", "reduced"),
+    *("windows", "suspects"),
 )
 """Arguments of the machine code's function ``run``, which makes one run in each lane.
 
@@ -54,20 +55,28 @@ Each argument has eight bytes: a number, or the address of an array.
 - ``reductions``, ``reduction_ends``, ``begins``, ``bounds``, ``reduced``: arrays of `Reducer`;
   ``unseen``: first row whose samples no earlier call has reduced, or a row that no run reaches if
   there are no reductions
+- ``suspects`` (lanes, `SUSPECTS`, 3 + states + discrete states + inputs): for each window of time
+  the step of a Runge-Kutta integrator that is most likely unstable, as ratio of its rates, start
+  and length in s, states and inputs; the ratio is zero if there is none. ``windows`` (lanes,):
+  length of a window in ticks
 """
 
 BETWEEN = (
     *("c", "inputs", "tick", "unit", "split", "requested", "columns", "column_count", "record"),
     *("rows", "step", "snapshots", "snapshot_x", "snapshot_d", "times", "places"),
+    *("windows", "suspects"),
 )
 """Arguments of the machine code's function ``between``, which makes records between two ticks.
 
-`RUN` explains all but the last two arguments. ``times`` (rows,) are the times of the records in s.
+`RUN` explains the other arguments. ``times`` (rows,) are the times of the records in s.
 ``places`` (rows,) has, for each record, the index of the snapshot from which integration starts.
 """
 
 DOUBLES = ("tick", "unit", "step", "tolerance")
 """Names of the arguments that are doubles; all other arguments are integers or addresses."""
+
+SUSPECTS = 32
+"""Number of windows of time, of equal length, into which a run is divided to log its steps."""
 
 INPUT = ("break_count", "breaks", "powers", "coefficients")
 """Names of the four items, of eight bytes each, that pass an `InputTable` to the machine code.

@@ -15,6 +15,33 @@ The open inputs have their values at the time t.
 """
 
 
+Report = Callable[[Value, Value, Value, Value], None]
+"""``report(lanes, ratio, t, h)`` emits code that logs a step which may be unstable.
+
+``lanes`` is the condition that holds in the lanes with such a step, and ``ratio`` is the ratio by
+which the steps of a lane are compared. The step begins at time t in s with the states ``x``
+of the `Tick`, and has the length h in s.
+"""
+
+_RATIO = 1.4**4
+"""Square of the ratio (h |λ|)² of two differences of the rates from which a step is suspected.
+
+RK4 is unstable from h |λ| = 2.6 … 2.83 on, depending on the argument of λ, and the third order from
+1.73 … 2.51 on. Where the rates have a corner, such as at a valve that opens, an unstable mode
+oscillates about the corner and makes a smaller ratio, but at least 2.
+"""
+
+_STRIDE = 13
+"""Number of steps from one check to the next. A check of every step would take 15 % of a run.
+
+An unstable mode lasts for many steps. An odd number meets both halves of an oscillation between two
+states.
+"""
+
+_SMALLEST_CHANGE = 1e-9
+"""Change of a scaled state in a step below which differences of rates are rounding errors."""
+
+
 @dataclass(frozen=True)
 class Tick:
     """The values that an integrator requires to emit one tick.
@@ -36,6 +63,7 @@ class Tick:
     rate: Rate
     step: Value
     """Largest step of the Runge-Kutta integrators in s."""
+    report: Report
 
     def vector(self) -> Array:
         """Return new local memory of the emitted code, with one element for each state."""
@@ -59,6 +87,58 @@ class Tick:
                 self.x[i] = self.function.select(self.running, new[i], self.x[i])
 
 
+class _Watch:
+    """Emits the search of a tick for steps that a mode λ makes unstable, and calls of `Report`.
+
+    The stages of a step are a short power iteration, with the rates f at its start and their
+    Jacobian J. Of two differences of the rates, the faster one contains two powers of h J more. So
+    the ratio of their norms grows with the largest (h |λ|)² among the modes that move. A single
+    power would not do, because states of different size make its ratio too large. A step is
+    reported if the square of the ratio exceeds `_RATIO` and those of earlier steps of the
+    tick. Explicit time and corners of the rates change the ratio too, so a report is a suspicion.
+    """
+
+    def __init__(self, tick: Tick) -> None:
+        """Emit the start of a tick."""
+        self.tick, f = tick, tick.function
+        self._largest = f.variable(f.constant(_RATIO, tick.type))
+        smallest = _SMALLEST_CHANGE / tick.step
+        self._noise = f.coerce(smallest * smallest, tick.type)
+
+    def step(
+        self,
+        number: Operand,
+        t: Value,
+        h: Value,
+        differences: Callable[[Operand], tuple[Value, Value]],
+    ) -> None:
+        """Emit the check of the step (t, h) before its result replaces the states.
+
+        ``number``: number of the step in its tick. ``differences(i)`` emits the slower and the
+        faster difference of the rates of state i.
+        """
+        f = self.tick.function
+        with f.when((f.coerce(number, INT) % _STRIDE).equals(0)):
+            self._check(t, h, differences)
+
+    def _check(
+        self, t: Value, h: Value, differences: Callable[[Operand], tuple[Value, Value]]
+    ) -> None:
+        tick, f = self.tick, self.tick.function
+        slow, fast = (f.variable(f.constant(0.0, tick.type)) for _ in range(2))
+        for i in f.each(tick.size):
+            scale = 1.0 / (f.absolute(tick.x[i]) + 1.0)
+            for total, difference in zip((slow, fast), differences(i), strict=True):
+                scaled = difference * scale
+                total.set(f.fma(scaled, scaled, total.get()))
+        bound = f.fma(slow.get(), self._largest.get(), self._noise)
+        lanes = (fast.get() > bound) & tick.running
+        with f.when(f.any_lane(lanes), rare=True):
+            ratio = fast.get() / slow.get()
+            self._largest.set(f.select(lanes, ratio, self._largest.get()))
+            tick.report(lanes, ratio, t, h)
+
+
 def before_end(tick: Tick, time: Value) -> Value:
     """Emit the earlier of ``time`` and the last double before the end of the tick.
 
@@ -79,6 +159,7 @@ def advance_rk4(tick: Tick) -> None:
     steps = f.maximum(f.ceil(span / tick.step - 1e-9), 1.0)
     h = span / steps
     z, k1, k2, k3, k4 = (tick.vector() for _ in range(5))
+    watch = _Watch(tick)
     for number in f.loop(f.to_int(steps)):
         t = f.fma(f.to_double(f.coerce(number, INT)), h, tick.start)
         tick.rate(t, tick.x, k1)
@@ -92,6 +173,10 @@ def advance_rk4(tick: Tick) -> None:
         for i in f.each(tick.size):
             middle = f.fma(k2[i] + k3[i], 2.0, k1[i] + k4[i])
             z[i] = f.fma(sixth, middle, tick.x[i])
+        # |k₁ + k₄ - 2 k₃| = (h |λ|)²/2 |k₂ - k₁| for a single mode
+        watch.step(
+            number, t, h, lambda i: ((k2[i] - k1[i]) * 0.5, f.fma(k3[i], -2.0, k1[i] + k4[i]))
+        )
         tick.accept(z)
 
 
@@ -103,7 +188,8 @@ def advance_runge_kutta3(tick: Tick) -> None:
     """
     f = tick.function
     z, k1, k2, k3 = (tick.vector() for _ in range(4))
-    time = f.variable(tick.start)
+    watch = _Watch(tick)
+    time, count = f.variable(tick.start), f.variable(f.constant(0, INT))
     with f.forever() as loop:
         t = time.get()
         loop.stop_if(t >= tick.end)
@@ -117,5 +203,9 @@ def advance_runge_kutta3(tick: Tick) -> None:
         sixth = f.coerce(h * (1.0 / 6.0), tick.type)
         for i in f.each(tick.size):
             z[i] = f.fma(sixth, f.fma(k2[i], 4.0, k1[i] + k3[i]), tick.x[i])
+        # |k₁ + k₃ - 2 k₂| = (h |λ|)² |k₁| for a single mode
+        number = count.get()
+        watch.step(number, t, h, lambda i: (k1[i], f.fma(k2[i], -2.0, k1[i] + k3[i])))
+        count.set(number + 1)
         tick.accept(z)
         time.set(f.select(last, tick.end, t + h))

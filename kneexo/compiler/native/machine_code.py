@@ -16,7 +16,7 @@ from ..equations.equations import Equations
 from ..equations.passes import Layout, Program
 from . import cache as entries
 from .llvm import Library, compile_text, processor
-from .time_loop import between_text, run_text, start_text
+from .time_loop import between_text, rates_text, run_text, start_text
 
 Source = Equations | Callable[[], Equations]
 """Equations, or a function that returns equations and is called only if the cache lacks code."""
@@ -88,6 +88,10 @@ class MachineCode:
         """Return the machine-code function ``between``. `BETWEEN` lists its arguments."""
         library = self._library("between", lambda: between_text(self.program))
         return library.function("between", 1)
+
+    def rates(self) -> Callable[..., None]:
+        """Return the machine-code function ``rates``. See `define_rates`."""
+        return self._library("rates", lambda: rates_text(self.program)).function("rates", 7)
 
     def _library(self, part: str, text: Callable[[], str]) -> Library:
         with _lock:

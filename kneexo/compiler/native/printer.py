@@ -354,6 +354,21 @@ def define_jacobian(module: Module, program: Program) -> Function:
     return f
 
 
+def define_rates(module: Module, program: Program) -> None:
+    """Define the emitted function ``rates(t, x, d, u, c, rates, jacobian)`` for a single lane.
+
+    The function writes dx/dt to ``rates``, and the Jacobian of dx/dt, column by column, to
+    ``jacobian``. ``t`` is the address of the time in s.
+    """
+    parts = define_derivatives(module, program, 1, "noinline"), define_jacobian(module, program)
+    shared = ("t", "x", "d", "u", "c")
+    names = (*shared, "rates", "jacobian")
+    f = module.function("rates", dict.fromkeys(names, POINTER), internal=False)
+    time, *rest = (f.arguments[name] for name in shared)
+    for part, out in zip(parts, names[-2:], strict=True):
+        f.call(part, Array(time, DOUBLE)[0], *rest, f.arguments[out])
+
+
 def _of_state(
     module: Module, program: Program, name: str, lanes: int, attributes: str
 ) -> tuple[Function, Load, Array]:

@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from ..reductions import Reduction
 from ..run_data import Array, InputTable, Integers
 from . import exact_hold, jacobian_slots
-from .arguments import BETWEEN, DOUBLES, INPUT, INTEGRATORS, MEMO_LINES, OK, RUN
+from .arguments import BETWEEN, DOUBLES, INPUT, INTEGRATORS, MEMO_LINES, OK, RUN, SUSPECTS
 from .machine_code import MachineCode
 from .reductions import Reducer
+from .stability import UnstableStep, unstable_step
 from .timing import timing
 
 STEP_S = 2e-4
@@ -129,7 +130,7 @@ class Runner:
                 raise ValueError(f"output {name!r} is unknown; known: {', '.join(sizes)}")
         self.names = tuple(sizes) if outputs is None else tuple(outputs)
         """Names of the output ports that are recorded."""
-        self.code, self.lanes = code, lanes
+        self.code, self.lanes, self.integrator = code, lanes, integrator
         longest = LONGEST_TICK_S if integrator == "exact_hold" else math.inf
         self.timing = timing(layout.periods, record_period_s, longest)
         elements = output_elements(sizes)
@@ -161,6 +162,9 @@ class Runner:
         self._values = np.empty(sum(layout.memos) * MEMO_LINES * lanes)
         self._status = np.zeros((lanes, 3), dtype=np.int64)
         self._inputs = np.zeros((lanes, len(INPUT)), dtype=np.int64)
+        self._windows = np.full(lanes, _NEVER, dtype=np.int64)
+        self._vectors = len(layout.states), len(layout.discrete)
+        self._suspects = np.zeros((lanes, SUSPECTS, 3 + sum(self._vectors) + layout.input_count))
         self._has_inputs = bool(layout.inputs)
         self._arguments = _arguments(
             RUN,
@@ -188,14 +192,20 @@ class Runner:
             status=self._status,
             step=step_s,
             tolerance=tolerance,
+            windows=self._windows,
+            suspects=self._suspects,
         )
         self._address = ctypes.addressof(self._arguments)
 
-    def restart(self, parameters: Array) -> Runner:
+    def restart(self, parameters: Array, last: Integers | None = None) -> Runner:
         """Set the parameters (lanes, parameters); return this runner.
 
-        The method also clears the Jacobians and look-up tables, which depend on the parameters.
+        The method also clears the Jacobians and look-up tables, which depend on the parameters, and
+        the log of suspected steps. ``last`` (lanes,): last ticks of the runs, by which the log is
+        divided; by default it has one window.
         """
+        self._windows[:] = _NEVER if last is None else last // SUSPECTS + 1
+        self._suspects[:, :, 0] = 0.0
         for lane, row in enumerate(np.ascontiguousarray(parameters, dtype=float)):
             self._constants(address(row), address(self._lane_c[lane]))
         self._c[:] = self._lane_c.T
@@ -308,6 +318,21 @@ class Runner:
         self._run(self._address)
         return self._status
 
+    def unstable_step(self, lane: int) -> UnstableStep | None:
+        """Return the first unstable step of the run in a lane since `restart`; None without one."""
+        suspects = self._suspects[lane, self._suspects[lane, :, 0] > 0.0]
+        if not suspects.size:
+            return None
+        function, size, c = self.code.rates(), self._vectors[0], self._lane_c[lane]
+
+        def rates(t: float, x: Array, d: Array, u: Array) -> tuple[Array, Array]:
+            out, jacobian = np.empty(size), np.empty((size, size))
+            arrays = np.array([t]), x, d, u, c, out, jacobian
+            function(*map(address, arrays))
+            return out, jacobian.T
+
+        return unstable_step(self.integrator, rates, suspects, self._vectors)
+
     def records_between(
         self, snapshots: Snapshots, inputs: InputTable, times: Array, places: Integers
     ) -> Array:
@@ -335,6 +360,8 @@ class Runner:
             snapshot_d=snapshots.d,
             times=times,
             places=places,
+            windows=self._windows,
+            suspects=self._suspects,
         )
         self.code.between()(ctypes.addressof(arguments))
         return record

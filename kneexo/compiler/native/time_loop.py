@@ -1,4 +1,5 @@
-"""Emits three IR texts of a model: to start a run, to advance a run, to record between two ticks.
+"""Emits four IR texts of a model: to start a run, to advance a run, to record between two ticks,
+and to judge a step that may be unstable.
 
 A text is compiled when a runner first calls one of its functions.
 
@@ -11,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from ..equations.passes import Group, Place, Program
 from . import exact_hold, jacobian_slots
@@ -23,6 +25,7 @@ from .arguments import (
     OUTPUT_NOT_FINITE,
     OUTSIDE,
     RUN,
+    SUSPECTS,
     TOO_ROUGH,
 )
 from .integrators import Tick, advance_rk4, advance_runge_kutta3
@@ -34,6 +37,7 @@ from .printer import (
     define_derivatives,
     define_initialize,
     define_jacobian,
+    define_rates,
     sources,
 )
 from .reductions import define_reduce
@@ -61,6 +65,13 @@ def run_text(program: Program, integrator: str, lanes: int) -> str:
     """
     module = Module()
     _Run(module, program, integrator, lanes).trace()
+    return module.text()
+
+
+def rates_text(program: Program) -> str:
+    """Return the IR text with the function of `define_rates`."""
+    module = Module()
+    define_rates(module, program)
     return module.text()
 
 
@@ -152,6 +163,10 @@ class _Model:
             ("snapshot_d", self.d, self.discrete_count),
         )
         """For ``x`` and for ``d``: name of the snapshots' argument, array, number of states."""
+        self._windows, self._suspects = arguments.array("windows"), arguments.array("suspects")
+        sizes = program.size, self.discrete_count, self.input_count
+        self._vectors = tuple(zip((self.x, self.d, self.u), sizes, strict=True))
+        self._log = _define_log(f.module, lanes, sizes)
 
     def inputs_of(self, lane: Operand, time: Value, u: Array) -> None:
         """Emit code that writes the open inputs of one lane at ``time`` to ``u``."""
@@ -176,11 +191,24 @@ class _Model:
         pointers = (array.pointer for array in (x, self.d, self.u, self.c, out))
         self.f.call(self.derivatives, self.f.coerce(time, self.type), *pointers)
 
-    def tick(self, start: Value, end: Value, step: Value, running: Value) -> Tick:
-        """Return the `Tick` from which an integrator emits one tick of this model."""
-        return Tick(
-            self.f, self.program.size, self.type, start, end, self.x, running, self.rate, step
-        )
+    def tick(self, number: Value, start: Value, end: Value, step: Value, running: Value) -> Tick:
+        """Return the `Tick` from which an integrator emits the tick ``number`` of this model."""
+        report = partial(self._report, number)
+        x, size = self.x, self.program.size
+        return Tick(self.f, size, self.type, start, end, x, running, self.rate, step, report)
+
+    def _report(self, number: Value, lanes: Value, ratio: Value, t: Value, h: Value) -> None:
+        """Emit a call of the function that `_define_log` defines, for a step of a tick."""
+        f = self.f
+        flags, ratios = f.array(1, INT.of(self.lanes)), f.array(1, self.type)
+        flags[0], ratios[0] = f.flags(lanes), ratio
+        copies = []  # LLVM keeps the states in registers if no call sees their memory
+        for values, count in self._vectors:
+            copies.append(f.array(count, self.type))
+            for i in f.each(count):
+                copies[-1][i] = values[i]
+        arrays = (self._windows, self._suspects, flags, ratios, *copies)
+        f.call(self._log, number, t, h, *(array.pointer for array in arrays))
 
     def instant(
         self,
@@ -208,6 +236,37 @@ class _Model:
             for lane in range(self.lanes):
                 place = (count * lane + column) * rows + row
                 record[place] = f.lane(value, lane)
+
+
+def _define_log(module: Module, lanes: int, sizes: Sequence[int]) -> Function:
+    """Define the emitted function ``log(number, t, h, windows, suspects, flags, ratios, x, d, u)``.
+
+    The function writes a step (t, h) in the tick ``number`` to ``suspects`` in each lane whose flag
+    is not zero, if the ratio of the lane exceeds the ratios of all earlier steps in its window.
+    ``windows``, ``suspects``: see `RUN`. ``sizes``: numbers of elements of x, d and u.
+    """
+    names = ("windows", "suspects", "flags", "ratios", "x", "d", "u")
+    numbers = {"number": INT, "t": DOUBLE, "h": DOUBLE}
+    arguments = numbers | dict.fromkeys(names, POINTER)
+    f = module.function("log", arguments, attributes="noinline cold")
+    number, t, h = (f.arguments[name] for name in numbers)
+    windows, flags = (Array(f.arguments[name], INT) for name in ("windows", "flags"))
+    suspects, ratios, *vectors = (
+        Array(f.arguments[name], DOUBLE) for name in ("suspects", "ratios", *names[-3:])
+    )
+    for lane in f.loop(lanes):
+        window = f.instruction(f"sdiv i64 {number.name}, {windows[lane].name}", INT)
+        window = f.select(window < SUSPECTS, window, SUSPECTS - 1)
+        place = f.coerce(lane, INT) * SUSPECTS + window
+        row = suspects.shifted(place * (3 + sum(sizes)))
+        with f.when(flags[lane].differs(0)), f.when(ratios[lane] > row[0]):
+            row[0], row[1], row[2] = ratios[lane], t, h
+            first = 3
+            for vector, count in zip(vectors, sizes, strict=True):
+                for i in f.loop(count):
+                    row[f.coerce(i, INT) + first] = vector[f.coerce(i, INT) * lanes + lane]
+                first += count
+    return f
 
 
 # ------------------------------------------------------------------------------------- run
@@ -430,7 +489,7 @@ class _Run:
 
     def _advance(self, now: _Now, end: Value) -> None:
         f, a, model = self.f, self.a, self.model
-        tick = model.tick(now.time, end, a["step"], now.running)
+        tick = model.tick(now.number, now.time, end, a["step"], now.running)
         rough = None
         if self.integrator == "exact_hold":
             with f.when(now.number.equals(a["first"])):
@@ -478,7 +537,8 @@ def _trace_between(module: Module, program: Program) -> None:
             time.set(_Clock(f, a, start).time())
         if program.size:
             with f.when(now > time.get()):
-                advance_rk4(model.tick(time.get(), now, a["step"], f.constant(1, BOOL)))
+                start, always = time.get(), f.constant(1, BOOL)
+                advance_rk4(model.tick(f.constant(0, INT), start, now, a["step"], always))
                 time.set(now)
         model.instant(now, groups, condition, store)
         record = a.array("record", DOUBLE)
