@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from .ir import Array, Function, Operand, Value
@@ -15,12 +15,12 @@ The open inputs have their values at the time t.
 """
 
 
-Report = Callable[[Value, Value, Value, Value], None]
-"""``report(lanes, ratio, t, h)`` emits code that logs a step which may be unstable.
+Report = Callable[[Value, Sequence[Array]], None]
+"""``report(lanes, (ratio, t, h, x))`` emits code that logs a step of a tick that may be unstable.
 
 ``lanes`` is the condition that holds in the lanes with such a step, and ``ratio`` is the ratio by
-which the steps of a lane are compared. The step begins at time t in s with the states ``x``
-of the `Tick`, and has the length h in s.
+which the steps of a lane are compared. The step begins at time t in s with the states x, and has
+the length h in s. The emitted arrays have one element, or one for each state.
 """
 
 _RATIO = 1.4**4
@@ -101,7 +101,8 @@ class _Watch:
     def __init__(self, tick: Tick) -> None:
         """Emit the start of a tick."""
         self.tick, f = tick, tick.function
-        self._largest = f.variable(f.constant(_RATIO, tick.type))
+        self._suspect = ratio, *_ = [f.array(1, tick.type) for _ in range(3)] + [tick.vector()]
+        ratio[0] = _RATIO
         smallest = _SMALLEST_CHANGE / tick.step
         self._noise = f.coerce(smallest * smallest, tick.type)
 
@@ -117,26 +118,29 @@ class _Watch:
         ``number``: number of the step in its tick. ``differences(i)`` emits the slower and the
         faster difference of the rates of state i.
         """
-        f = self.tick.function
-        with f.when((f.coerce(number, INT) % _STRIDE).equals(0)):
-            self._check(t, h, differences)
-
-    def _check(
-        self, t: Value, h: Value, differences: Callable[[Operand], tuple[Value, Value]]
-    ) -> None:
         tick, f = self.tick, self.tick.function
-        slow, fast = (f.variable(f.constant(0.0, tick.type)) for _ in range(2))
-        for i in f.each(tick.size):
-            scale = 1.0 / (f.absolute(tick.x[i]) + 1.0)
-            for total, difference in zip((slow, fast), differences(i), strict=True):
-                scaled = difference * scale
-                total.set(f.fma(scaled, scaled, total.get()))
-        bound = f.fma(slow.get(), self._largest.get(), self._noise)
-        lanes = (fast.get() > bound) & tick.running
-        with f.when(f.any_lane(lanes), rare=True):
-            ratio = fast.get() / slow.get()
-            self._largest.set(f.select(lanes, ratio, self._largest.get()))
-            tick.report(lanes, ratio, t, h)
+        with f.when((f.coerce(number, INT) % _STRIDE).equals(0)):
+            slow, fast = (f.variable(f.constant(0.0, tick.type)) for _ in range(2))
+            for i in f.each(tick.size):
+                scale = 1.0 / (f.absolute(tick.x[i]) + 1.0)
+                for total, difference in zip((slow, fast), differences(i), strict=True):
+                    scaled = difference * scale
+                    total.set(f.fma(scaled, scaled, total.get()))
+            largest = self._suspect[0][0]
+            lanes = (fast.get() > f.fma(slow.get(), largest, self._noise)) & tick.running
+            with f.when(f.any_lane(lanes), rare=True):
+                values = (fast.get() / slow.get(), f.coerce(t, tick.type), f.coerce(h, tick.type))
+                for kept, value in zip(self._suspect, values, strict=False):
+                    kept[0] = f.select(lanes, value, kept[0])
+                kept = self._suspect[-1]
+                for i in f.each(tick.size):
+                    kept[i] = f.select(lanes, tick.x[i], kept[i])
+
+    def report(self) -> None:
+        """Emit the end of a tick. A call among the steps would keep LLVM from rearranging them."""
+        lanes = self._suspect[0][0] > _RATIO
+        with self.tick.function.when(self.tick.function.any_lane(lanes), rare=True):
+            self.tick.report(lanes, self._suspect)
 
 
 def before_end(tick: Tick, time: Value) -> Value:
@@ -178,6 +182,7 @@ def advance_rk4(tick: Tick) -> None:
             number, t, h, lambda i: ((k2[i] - k1[i]) * 0.5, f.fma(k3[i], -2.0, k1[i] + k4[i]))
         )
         tick.accept(z)
+    watch.report()
 
 
 def advance_runge_kutta3(tick: Tick) -> None:
@@ -209,3 +214,4 @@ def advance_runge_kutta3(tick: Tick) -> None:
         count.set(number + 1)
         tick.accept(z)
         time.set(f.select(last, tick.end, t + h))
+    watch.report()

@@ -165,7 +165,6 @@ class _Model:
         """For ``x`` and for ``d``: name of the snapshots' argument, array, number of states."""
         self._windows, self._suspects = arguments.array("windows"), arguments.array("suspects")
         sizes = program.size, self.discrete_count, self.input_count
-        self._vectors = tuple(zip((self.x, self.d, self.u), sizes, strict=True))
         self._log = _define_log(f.module, lanes, sizes)
 
     def inputs_of(self, lane: Operand, time: Value, u: Array) -> None:
@@ -197,18 +196,18 @@ class _Model:
         x, size = self.x, self.program.size
         return Tick(self.f, size, self.type, start, end, x, running, self.rate, step, report)
 
-    def _report(self, number: Value, lanes: Value, ratio: Value, t: Value, h: Value) -> None:
-        """Emit a call of the function that `_define_log` defines, for a step of a tick."""
+    def _report(self, number: Value, lanes: Value, step: Sequence[Array]) -> None:
+        """Emit the log of a step in the tick ``number``, with the inputs at the end of the tick."""
         f = self.f
-        flags, ratios = f.array(1, INT.of(self.lanes)), f.array(1, self.type)
-        flags[0], ratios[0] = f.flags(lanes), ratio
-        copies = []  # LLVM keeps the states in registers if no call sees their memory
-        for values, count in self._vectors:
-            copies.append(f.array(count, self.type))
+        flags = f.array(1, INT.of(self.lanes))
+        flags[0] = f.flags(lanes)
+        arrays = [flags, *step]
+        for values, count in ((self.d, self.discrete_count), (self.u, self.input_count)):
+            arrays.append(f.array(count, self.type))  # LLVM keeps a state whose memory no call sees
             for i in f.each(count):
-                copies[-1][i] = values[i]
-        arrays = (self._windows, self._suspects, flags, ratios, *copies)
-        f.call(self._log, number, t, h, *(array.pointer for array in arrays))
+                arrays[-1][i] = values[i]
+        arrays += [self._windows, self._suspects]
+        f.call(self._log, number, *(array.pointer for array in arrays))
 
     def instant(
         self,
@@ -239,32 +238,29 @@ class _Model:
 
 
 def _define_log(module: Module, lanes: int, sizes: Sequence[int]) -> Function:
-    """Define the emitted function ``log(number, t, h, windows, suspects, flags, ratios, x, d, u)``.
+    """Define the emitted function ``log(number, flags, ratio, t, h, x, d, u, windows, suspects)``.
 
-    The function writes a step (t, h) in the tick ``number`` to ``suspects`` in each lane whose flag
-    is not zero, if the ratio of the lane exceeds the ratios of all earlier steps in its window.
+    The function writes a step in the tick ``number`` to ``suspects`` in each lane whose flag is not
+    zero, if the ratio of the lane exceeds the ratios of all earlier steps in its window.
     ``windows``, ``suspects``: see `RUN`. ``sizes``: numbers of elements of x, d and u.
     """
-    names = ("windows", "suspects", "flags", "ratios", "x", "d", "u")
-    numbers = {"number": INT, "t": DOUBLE, "h": DOUBLE}
-    arguments = numbers | dict.fromkeys(names, POINTER)
+    vectors = dict(zip(("ratio", "t", "h", "x", "d", "u"), (1, 1, 1, *sizes), strict=True))
+    names = ("flags", *vectors, "windows", "suspects")
+    arguments = {"number": INT} | dict.fromkeys(names, POINTER)
     f = module.function("log", arguments, attributes="noinline cold")
-    number, t, h = (f.arguments[name] for name in numbers)
+    number = f.arguments["number"]
     windows, flags = (Array(f.arguments[name], INT) for name in ("windows", "flags"))
-    suspects, ratios, *vectors = (
-        Array(f.arguments[name], DOUBLE) for name in ("suspects", "ratios", *names[-3:])
-    )
+    arrays = {name: Array(f.arguments[name], DOUBLE) for name in (*vectors, "suspects")}
     for lane in f.loop(lanes):
         window = f.instruction(f"sdiv i64 {number.name}, {windows[lane].name}", INT)
         window = f.select(window < SUSPECTS, window, SUSPECTS - 1)
         place = f.coerce(lane, INT) * SUSPECTS + window
-        row = suspects.shifted(place * (3 + sum(sizes)))
-        with f.when(flags[lane].differs(0)), f.when(ratios[lane] > row[0]):
-            row[0], row[1], row[2] = ratios[lane], t, h
-            first = 3
-            for vector, count in zip(vectors, sizes, strict=True):
+        row = arrays["suspects"].shifted(place * sum(vectors.values()))
+        with f.when(flags[lane].differs(0)), f.when(arrays["ratio"][lane] > row[0]):
+            first = 0
+            for name, count in vectors.items():
                 for i in f.loop(count):
-                    row[f.coerce(i, INT) + first] = vector[f.coerce(i, INT) * lanes + lane]
+                    row[f.coerce(i, INT) + first] = arrays[name][f.coerce(i, INT) * lanes + lane]
                 first += count
     return f
 
