@@ -17,6 +17,7 @@ from kneexo.compiler import (
     ResultError as ResultError,
     SimulationError as SimulationError,
     StiffnessError as StiffnessError,
+    UnstableStepError as UnstableStepError,
     escaped as escaped,
     shortened as shortened,
     shown as shown,

@@ -59,6 +59,7 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
         ResultError as ResultError,
         SimulationError as SimulationError,
         StiffnessError as StiffnessError,
+        UnstableStepError as UnstableStepError,
         escaped as escaped,
         shortened as shortened,
         shown as shown,
@@ -151,7 +152,8 @@ else:
         "equations.truth": ("truth_of_scalars",),
         "errors": (
             *("CompilationError", "Error", "LinearizationError", "OutputError", "ParameterError"),
-            *("ResultError", "SimulationError", "StiffnessError", "escaped", "shortened", "shown"),
+            *("ResultError", "SimulationError", "StiffnessError", "UnstableStepError"),
+            *("escaped", "shortened", "shown"),
         ),
         "feedback": ("simulate_with_feedback",),
         "fmu.description": ("generation_tool",),

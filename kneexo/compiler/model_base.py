@@ -14,7 +14,7 @@ from .errors import ParameterError, SimulationError, StiffnessError, UnstableSte
 from .native.arguments import NOT_FINITE, OK, OUTPUT_NOT_FINITE, TOO_ROUGH
 from .native.machine_code import MachineCode
 from .native.runner import Runner, address, output_elements
-from .native.stability import SAFETY, UnstableStep
+from .native.stability import UnstableStep
 from .run_data import Array, InputTable, State
 
 ContextAt = Callable[[Array], tuple[Node, Any]]
@@ -144,14 +144,13 @@ class ModelBase:
         names = [self.state_names[i] for i in order if step.shares[i] >= 0.5 * step.shares.max()]
         value = step.eigenvalue
         rate = f"{value.real:.3g}" + (f" ± {abs(value.imag):.3g}j" if value.imag else "")
-        digit = 10.0 ** math.floor(math.log10(SAFETY * step.stable_s) - 1.0)
-        error = UnstableStepError("")
-        error.step_s = digit * math.floor(SAFETY * step.stable_s / digit)
-        error.args = (
+        digit = 10.0 ** math.floor(math.log10(step.safe_s) - 1.0)
+        error = UnstableStepError(
             f"t = {step.time_s:.6g} s: {integrator} with steps of {step.step_s:.3g} s is unstable: "
-            f"{' and '.join(names[:3])} moves in a mode of {rate} 1/s, which requires steps of at "
-            f"most {step.stable_s:.3g} s; set step_s = {error.step_s:.2g} or use exact_hold",
+            f"{' and '.join(names[:3])} moves in a mode of {rate} 1/s, which it amplifies; set "
+            f"step_s = {digit * math.floor(step.safe_s / digit):.2g}, or use exact_hold"
         )
+        error.step_s = step.safe_s
         return error
 
     def _reason(

@@ -19,6 +19,7 @@ from kneexo.errors import (
     ParameterError,
     SimulationError,
     StiffnessError,
+    UnstableStepError,
 )
 from kneexo.parameters import Scenario
 from kneexo.result import Array
@@ -59,8 +60,9 @@ def serve_runs(requests: Mapping[int, RunRequest]) -> Iterator[tuple[int, Run | 
     """Yield the index of each request and its run or its error, as soon as the run ends.
 
     The compiled engine simulates scenarios that differ only in numbers in batches. If the
-    integrator ``exact_hold`` fails in a run, RK4 with steps of 20 µs repeats the run. The result of
-    a run does not depend on the other runs in its batch.
+    integrator ``exact_hold`` fails in a run, RK4 repeats the run with steps of 20 µs, or with the
+    steps that its fastest mode requires. The result of a run does not depend on the other runs in
+    its batch.
     """
     ways: dict[Any, list[int]] = {}
     for index, request in requests.items():
@@ -84,7 +86,11 @@ def serve_runs(requests: Mapping[int, RunRequest]) -> Iterator[tuple[int, Run | 
             else:
                 yield index, run
     for (signals, _), indices in rough.items():
-        yield from _compiled_runs(requests, indices, signals, ("rk4", ROUGH_STEP_S))
+        for index, run in _compiled_runs(requests, indices, signals, ("rk4", ROUGH_STEP_S)):
+            while isinstance(run, UnstableStepError):
+                repeated = _compiled_runs(requests, [index], signals, ("rk4", run.step_s))
+                ((_, run),) = repeated
+            yield index, run
 
 
 def _too_large(request: RunRequest) -> ParameterError | None:
@@ -235,8 +241,9 @@ async def simulate(
     """Run the closed loop of ``scenario`` and return the logged signals.
 
     ``scenario.simulation.integrator`` chooses between the compiled engine and Drake's Simulator.
-    If the integrator ``exact_hold`` fails because the valves make the equations too stiff, RK4 with
-    steps of 20 µs repeats the run. The ``settings`` of the returned run then name RK4.
+    If the integrator ``exact_hold`` fails because the valves make the equations too stiff, RK4
+    repeats the run with steps of 20 µs, or with the steps that its fastest mode requires. The
+    ``settings`` of the returned run then name RK4.
 
     Parameters
     ----------

@@ -63,7 +63,7 @@ class Tick:
     rate: Rate
     step: Value
     """Largest step of the Runge-Kutta integrators in s."""
-    report: Report
+    report: Report = lambda lanes, step: None
 
     def vector(self) -> Array:
         """Return new local memory of the emitted code, with one element for each state."""

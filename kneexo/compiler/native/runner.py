@@ -325,7 +325,7 @@ class Runner:
             return None
         function, size, c = self.code.rates(), self._vectors[0], self._lane_c[lane]
 
-        def rates(t: float, x: Array, d: Array, u: Array) -> tuple[Array, Array]:
+        def rates(t: float, d: Array, u: Array, x: Array) -> tuple[Array, Array]:
             out, jacobian = np.empty(size), np.empty((size, size))
             arrays = np.array([t]), x, d, u, c, out, jacobian
             function(*map(address, arrays))

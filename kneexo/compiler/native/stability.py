@@ -5,9 +5,10 @@ The machine code only suspects a step: see `integrators`. Here the Jacobian of t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
 from typing import Any
 
@@ -21,6 +22,12 @@ STABILITY = {
 }
 """Coefficients of each integrator's R(z): a step of length h multiplies the mode λ by R(h λ)."""
 
+_STAGES: dict[str, tuple[tuple[float, ...], ...]] = {
+    "rk4": ((0.5,), (0.0, 0.5), (0.0, 0.0, 1.0)),
+    "runge_kutta3": ((0.5,), (-1.0, 2.0)),
+}
+"""Weights by which a step multiplies the rates before each further stage (Butcher's table)."""
+
 SAFETY = 0.5
 """Ratio of the step that an error names and the longest stable step that was found.
 
@@ -32,7 +39,7 @@ _EVEN_GROWTH = 1.05
 """Largest ratio of |R(z)| and |exp(z)| of a step that is accurate for a growing mode."""
 
 Rates = Callable[[float, Array, Array, Array], tuple[Array, Array]]
-"""``rates(t, x, d, u)`` returns dx/dt (states,) and its Jacobian (states, states)."""
+"""``rates(t, d, u, x)`` returns dx/dt (states,) and its Jacobian (states, states)."""
 
 
 @dataclass(frozen=True)
@@ -41,16 +48,15 @@ class UnstableStep:
 
     ``time_s`` and ``state``: start of the step; ``step_s``: its length. ``eigenvalue``: the mode λ
     in 1/s that the step amplifies; ``shares`` (states,): participation factors of the states in
-    this mode, with the sum one. ``stable_s``: longest stable step at all unstable steps that were
-    logged, in s.
+    this mode. ``safe_s``: `SAFETY` times the longest step in s that is stable at all logged steps.
     """
 
     time_s: float
     step_s: float
     state: State
-    eigenvalue: complex
+    eigenvalue: Any
     shares: Array
-    stable_s: float
+    safe_s: float
 
 
 @cache
@@ -81,24 +87,21 @@ def unstable_step(
     continuous and of discrete states.
     """
     first: UnstableStep | None = None
-    stable_s = np.inf
-    for row in suspects:
-        t, h = row[1], row[2]
-        x, d, u = np.split(row[3:], np.cumsum(sizes))
-        jacobian = _steepest(integrator, lambda z, at=(t, d, u): rates(at[0], z, *at[1:]), x, h)
+    stable_s = math.inf
+    for _, t, h, *vectors in suspects:
+        x, d, u = np.split(np.array(vectors), np.cumsum(sizes))
+        with np.errstate(all="ignore"):  # a run that diverges overflows
+            jacobian = _steepest(integrator, partial(rates, t, d, u), x, h)
         if not np.isfinite(jacobian).all():
             continue
-        values, vectors = np.linalg.eig(jacobian)
+        values, modes = np.linalg.eig(jacobian)
         excesses = excess(integrator, h * values)
         worst = int(np.argmax(excesses))
-        if excesses[worst] <= 1.0:
-            continue
-        stable_s = min(stable_s, h / excesses[worst])
-        if first is None:
-            parts = np.abs(vectors[:, worst] * np.linalg.pinv(vectors)[worst])
-            shares = parts / parts.sum()
-            first = UnstableStep(t, h, State(x, d), complex(values[worst]), shares, stable_s)
-    return first and replace(first, stable_s=float(stable_s))
+        if excesses[worst] > 1.0:
+            stable_s = min(stable_s, h / excesses[worst])
+            parts = np.abs(modes[:, worst] * np.linalg.pinv(modes)[worst])
+            first = first or UnstableStep(t, h, State(x, d), values[worst], parts, stable_s)
+    return first and replace(first, safe_s=SAFETY * stable_s)
 
 
 def _steepest(
@@ -109,15 +112,15 @@ def _steepest(
     Between the stages may lie a short range with other derivatives, such as the band in which
     friction changes its sign. Bisection finds the steepest place.
     """
-    scale = 1.0 + np.abs(x)
-    points = [(x, *rates(x))]
-    for z in _stages(integrator, points, h):
+    points, scale = [(x, *rates(x))], 1.0 + np.abs(x)
+    for weights in _STAGES[integrator]:
+        z = x + h * sum(w * point[1] for w, point in zip(weights, points, strict=False))
         points.append((z, *rates(z)))
 
     def slope(ends: tuple[Any, Any]) -> float:
         (z, f, _), (other_z, other_f, _) = ends
-        change = np.linalg.norm((other_z - z) / scale)
-        return float(np.linalg.norm((other_f - f) / scale) / change) if change > 0.0 else 0.0
+        rise, run = (np.linalg.norm(v / scale) for v in (other_f - f, other_z - z))
+        return float(rise / run) if run > 0.0 else 0.0
 
     a, b = max(pairwise(points), key=slope)
     for _ in range(_HALVINGS):
@@ -125,14 +128,3 @@ def _steepest(
         middle = (z, *rates(z))
         a, b = max(((a, middle), (middle, b)), key=slope)
     return b[2]
-
-
-def _stages(integrator: str, points: list[Any], h: float) -> Iterator[Array]:
-    """Yield the states at the further stages; the caller appends each with its rates."""
-    x, k1, _ = points[0]
-    yield x + 0.5 * h * k1
-    if integrator == "rk4":
-        yield x + 0.5 * h * points[1][1]
-        yield x + h * points[2][1]
-    else:
-        yield x + h * (2.0 * points[1][1] - k1)
