@@ -140,6 +140,7 @@ def loop_source(scenario: Scenario, *, smooth: bool = False) -> CSource:
         interface=Interface({name: SIGNALS[name] for name in names} | inputs),
         step_s=_INTERVAL_S / (_SMOOTH_STEPS if smooth else _STEPS)[order],
         tick_s=scenario.controller.sample_time_s,
+        checks_steps=False,  # `require_slow_modes` has refused fast modes
     )
 
 

@@ -36,6 +36,13 @@ from .schedule import schedule_of
 from .tables import Table, tables_of
 from .template import rendered
 
+STABILITY = 1.8
+"""Product h |λ| from which the C code calls a step of RK4 unstable.
+
+RK4 is unstable from 2.6 … 2.83 on. Where the rates have a corner, such as at a valve that opens, an
+unstable mode oscillates about the corner, and the product that the code estimates is about 2.
+"""
+
 MARK = f"Made by {ROOT} from a Drake diagram."
 """Text in the first line of each exported file."""
 
@@ -71,6 +78,8 @@ class CSource:
         in C has no effect.
     subject
         Short description of the model, part of the first line of each file.
+    checks_steps
+        If True, a step of the model fails if the last step of RK4 in it seems to be unstable.
     origin
         Name and text of the file that the diagram was made from. The export has a copy. ``#``
         begins a comment in such a file.
@@ -94,6 +103,7 @@ class CSource:
     step_s: float | None = None
     look_up: bool = False
     subject: str = ""
+    checks_steps: bool = True
     origin: tuple[str, str] | None = None
 
     def __post_init__(self) -> None:
@@ -104,7 +114,8 @@ class CSource:
                 f"precision = {shown(f'{self.precision!r:.60}')}: must be one of "
                 f"{', '.join(PRECISIONS)}"
             )
-        require_type("look_up", self.look_up, bool, "True or False")
+        for option in ("look_up", "checks_steps"):
+            require_type(option, getattr(self, option), bool, "True or False")
         require_type("subject", self.subject, str, "a text")
         if self.origin is not None:
             words = "a pair of texts (file name, text)"
@@ -220,6 +231,9 @@ class CSource:
             "outputs": self.plan.outputs,
             "schedule": self.plan.schedule,
             "sums": len(self.plan.sums),
+            "checks_steps": self.checks_steps and bool(self.equations.states),
+            "stability": STABILITY,
+            "smallest_change": 1e-9 if self.precision == "double" else 1e-4,
         }
 
     def files(self) -> dict[str, str]:

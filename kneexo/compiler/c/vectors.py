@@ -19,10 +19,14 @@ from .source import CSource
 
 @dataclass(frozen=True)
 class Vectors:
-    """Test vectors: inputs (steps, input elements), expected outputs (steps, output elements)."""
+    """Test vectors: inputs (steps, input elements), expected outputs (steps, output elements).
+
+    ``fastest_per_s`` is the largest |λ| of the run: see `CompiledModel.fastest_per_s`.
+    """
 
     inputs: Array
     outputs: Array
+    fastest_per_s: float
 
 
 def recorded_vectors(diagram: System, source: CSource, inputs: Array) -> Vectors:
@@ -76,18 +80,15 @@ def recorded_vectors(diagram: System, source: CSource, inputs: Array) -> Vectors
     records: dict[str, Any] = {"record_times_s": ends_s - 1e-6 * tick_s}
     if equations.states:
         records = {"record_period_s": tick_s}
-    run = model.simulate(
-        source.parameters,
-        model.initialized(source.parameters, state, table),
-        steps * tick_s,
-        inputs=table,
-        integrator="rk4",
-        step_s=schedule.largest_step_s,
-        outputs=source.output_ports,
-        **records,
-    )
+    start = model.initialized(source.parameters, state, table)
+    how: dict[str, Any] = {"integrator": "rk4", "step_s": schedule.largest_step_s, "inputs": table}
+    arguments = source.parameters, start, steps * tick_s
+    run = model.simulate(*arguments, outputs=source.output_ports, **how, **records)
     outputs = np.hstack([run[name] for name in source.output_ports])
-    return Vectors(inputs, outputs[-steps:])
+    fastest_per_s = 0.0
+    if equations.states:
+        fastest_per_s = model.fastest_per_s(*arguments, record_period_s=tick_s, **how)
+    return Vectors(inputs, outputs[-steps:], fastest_per_s)
 
 
 def _with_holds(diagram: System, ports: Sequence[str], tick_s: float) -> System:

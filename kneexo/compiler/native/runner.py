@@ -19,7 +19,7 @@ from . import exact_hold, jacobian_slots
 from .arguments import BETWEEN, DOUBLES, INPUT, INTEGRATORS, MEMO_LINES, OK, RUN, SUSPECTS
 from .machine_code import MachineCode
 from .reductions import Reducer
-from .stability import UnstableStep, unstable_step
+from .stability import Rates, UnstableStep, unstable_step
 from .timing import timing
 
 STEP_S = 2e-4
@@ -323,6 +323,19 @@ class Runner:
         suspects = self._suspects[lane, self._suspects[lane, :, 0] > 0.0]
         if not suspects.size:
             return None
+        return unstable_step(self.integrator, self._rates(lane), suspects, self._vectors)
+
+    def fastest_per_s(self, snapshots: Snapshots, inputs: InputTable) -> float:
+        """Return the largest magnitude of a mode λ at the snapshots of a run in one lane."""
+        rates, largest = self._rates(0), 0.0
+        times = self.timing.times(np.maximum(snapshots.ticks, 0))
+        for t, d, x in zip(times, snapshots.d, snapshots.x, strict=True):
+            _, jacobian = rates(t, d, inputs.value(t), x)
+            largest = max(largest, float(np.abs(np.linalg.eigvals(jacobian)).max(initial=0.0)))
+        return largest
+
+    def _rates(self, lane: int) -> Rates:
+        """Return the rates of the states as a Python function, with the parameters of a lane."""
         function, size, c = self.code.rates(), self._vectors[0], self._lane_c[lane]
 
         def rates(t: float, d: Array, u: Array, x: Array) -> tuple[Array, Array]:
@@ -331,7 +344,7 @@ class Runner:
             function(*map(address, arrays))
             return out, jacobian.T
 
-        return unstable_step(self.integrator, rates, suspects, self._vectors)
+        return rates
 
     def records_between(
         self, snapshots: Snapshots, inputs: InputTable, times: Array, places: Integers

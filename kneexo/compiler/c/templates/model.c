@@ -165,10 +165,34 @@ static void {{ function.name }}(const instant *at{{ function.arguments }})
 {% set stage_parts = "{%s, %s, %s, %s}" | format(zero, half_step, half_step, step) %}
 {% set stage_weights = "{%s, %s, %s, %s}" | format(one, two, two, one) %}
 {% endif %}
+{% if checks_steps %}
+/* Return whether a Runge-Kutta step with these rates at its four stages is stable. For a mode l, the
+ * ratio of b and a is h |l| with the step h, and that of c and a is (h |l|)^2. The check is not exact:
+ * in smooth rates of a single mode it fails from h |l| = {{ stability }} on. */
+static bool is_stable(const real *x, const real rate[4][{{ states }}])
+{
+    real a_squared = {{ ((smallest_change / schedule.step_s) ** 2) | literal(real, "rounding errors") }};
+    real b_squared = {{ zero }};
+    real c_squared = {{ zero }};
+
+    for (uint16_t i = 0U; i < {{ states }}U; i++) {
+        const real scale = {{ one }} / ({{ one }} + ((x[i] < {{ zero }}) ? -x[i] : x[i]));
+        const real a = (rate[1][i] - rate[0][i]) * ({{ 0.5 | literal(real) }} * scale);
+        const real b = (rate[2][i] - rate[1][i]) * scale;
+        const real c = ((rate[0][i] - rate[2][i]) + (rate[3][i] - rate[2][i])) * scale;
+
+        a_squared += a * a;
+        b_squared += b * b;
+        c_squared += c * c;
+    }
+    return (b_squared <= ({{ (stability ** 2) | literal(real) }} * a_squared)) || (c_squared <= ({{ (stability ** 4) | literal(real) }} * a_squared));
+}
+
+{% endif %}
 {% if states and functions.is_large %}
 /* Integrate over a sample time by the classical Runge-Kutta method, in {{ schedule.steps }} equal steps.
  * Return whether all states are finite. */
-static bool integrate(const instant *start, real *x)
+static bool integrate(const instant *start, real *x{{ ", bool *stable" if checks_steps }})
 {
     static const real part[4] = {{ stage_parts }}; /* of the step, in s */
     static const real weight[4] = {{ stage_weights }};
@@ -176,6 +200,9 @@ static bool integrate(const instant *start, real *x)
     real rate[{{ states }}];
     real total[{{ states }}];
     real z[{{ states }}];
+{% if checks_steps %}
+    real last[4][{{ states }}]; /* rates at the stages of the last step */
+{% endif %}
 
     at.x = z;
     for (uint16_t step = 0U; step < {{ schedule.steps }}U; step++) {
@@ -194,18 +221,28 @@ static bool integrate(const instant *start, real *x)
             for (uint16_t i = 0U; i < {{ states }}U; i++) {
                 total[i] += weight[stage] * rate[i];
             }
+{% if checks_steps %}
+            if (step == {{ schedule.steps - 1 }}U) {
+                for (uint16_t i = 0U; i < {{ states }}U; i++) {
+                    last[stage][i] = rate[i];
+                }
+            }
+{% endif %}
         }
         for (uint16_t i = 0U; i < {{ states }}U; i++) {
             x[i] += {{ (schedule.step_s / 6.0) | literal(real, "sixth_step") }} * total[i];
         }
     }
+{% if checks_steps %}
+    *stable = is_stable(x, last);
+{% endif %}
     return are_finite(x, {{ states }}U);
 }
 
 {% elif states %}
 /* Integrate over a sample time by the classical Runge-Kutta method, in {{ schedule.steps }} equal steps.
  * Return whether all states are finite. If one is not, it and the states after it are not stored. */
-static bool integrate(const instant *at, real *x)
+static bool integrate(const instant *at, real *x{{ ", bool *stable" if checks_steps }})
 {
 {% if functions.stage_states or functions.rates.reads("t") %}
     static const real part[4] = {{ stage_parts }}; /* of the step, in s */
@@ -220,6 +257,9 @@ static bool integrate(const instant *at, real *x)
 {% for i in range(states) %}
     real x{{ i }} = x[{{ i }}];
 {% endfor %}
+{% if checks_steps %}
+    real last[4][{{ states }}]; /* rates at the stages of the last step */
+{% endif %}
 
 {% for statement in functions.tick_values.statements %}
 {{ statement }}
@@ -248,6 +288,13 @@ static bool integrate(const instant *at, real *x)
 {% for i in range(states) %}
             total{{ i }} += weight[stage] * rate{{ i }};
 {% endfor %}
+{% if checks_steps %}
+            if (step == {{ schedule.steps - 1 }}U) {
+{% for i in range(states) %}
+                last[stage][{{ i }}] = rate{{ i }};
+{% endfor %}
+            }
+{% endif %}
         }
 {% for i in range(states) %}
         x{{ i }} += {{ (schedule.step_s / 6.0) | literal(real, "sixth_step") }} * total{{ i }};
@@ -259,6 +306,9 @@ static bool integrate(const instant *at, real *x)
         x[{{ i }}] = x{{ i }};
     }
 {% endfor %}
+{% if checks_steps %}
+    *stable = is_stable(x, last);
+{% endif %}
     return finite;
 }
 
@@ -447,9 +497,19 @@ uint16_t {{ name }}_step(const {{ name }}_params_t *params, {{ name }}_state_t *
 {% endif %}
 {% if states %}
         if (status == {{ NAME }}_OK) {
+{% if checks_steps %}
+            bool stable = true;
+
+            if (!integrate(&at, x, &stable)) {
+                status = {{ NAME }}_BAD_RESULT;
+            } else if (!stable) {
+                status = {{ NAME }}_UNSTABLE;
+            }
+{% else %}
             if (!integrate(&at, x)) {
                 status = {{ NAME }}_BAD_RESULT;
             }
+{% endif %}
             at.x = x;
         }
 {% endif %}

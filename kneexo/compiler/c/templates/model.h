@@ -29,6 +29,9 @@ typedef {{ real.name }} {{ name }}_real_t;
 {% endif %}
 #define {{ NAME }}_NOT_STARTED 8U /* {{ name }}_init has not succeeded yet */
 #define {{ NAME }}_BAD_PARAMETER 16U /* a parameter or a start value is not finite */
+{% if checks_steps %}
+#define {{ NAME }}_UNSTABLE 32U /* a mode is too fast for the steps of the Runge-Kutta method */
+{% endif %}
 
 /* Context parameters of the leaf systems, in SI units, and the initial states. */
 typedef struct {

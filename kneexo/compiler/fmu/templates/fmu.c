@@ -139,6 +139,11 @@ static bool refuse_status({{ name }}_fmu_t *fmu, const char *what, double time, 
         append(text, {{ (": the state is outside the limits of %s" | format(limits | join(", "))) | quoted }});
     }
 {% endif %}
+{% if checks_steps %}
+    if ((status & {{ NAME }}_UNSTABLE) != 0U) {
+        append(text, ": a mode is too fast for the steps of RK4; export the FMU with a shorter step_s");
+    }
+{% endif %}
     if ((status & {{ NAME }}_NOT_STARTED) != 0U) {
         append(text, ": the model is not started; initialize the instance again");
     }

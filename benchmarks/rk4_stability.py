@@ -1,0 +1,144 @@
+"""RK4 on random full-order plants: which steps are right, which are refused, which are wrong.
+
+The pump and the valves of each plant are 0.1 to 100 times as large as the default. The oracle is
+the exact hold at a hundredth of its default tolerance. It gives the states at all ticks, hence the
+largest |λ| of the plant, and RK4 then runs with steps h of several h |λ|. A run is right if each
+signal agrees within 1e-3 of the signal's range.
+
+python benchmarks/rk4_stability.py [plants] [first seed]
+"""
+
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+
+from kneexo.compiler.native.runner import Runner, Snapshots
+from kneexo.errors import SimulationError, UnstableStepError
+from kneexo.parameters import Scenario
+from kneexo.parameters.presets import with_preset
+from kneexo.simulation.compiled import compile_scenario, scenario_run
+
+DURATION_S = 0.5
+SIGNALS = ("rod_extension", "rod_velocity", "load_pressure", "chamber_pressures", "rod_force")
+ANGLES = (0.2, 1.0, 1.6, 2.2, 4.0, 15.0, 60.0)
+"""Products of step and largest |λ| of a plant."""
+TOLERANCE = 1e-3
+
+
+def random_scenario(seed: int) -> Scenario:
+    """Return a walking leg in zero torque, or a leg without wearer, with a random plant."""
+    rng = np.random.default_rng(seed)
+    pump, makeup, relief = 10.0 ** rng.uniform(-1.0, 2.0, 3)
+    friction_n, air = rng.choice([0.0, 15.0]), rng.choice([0.0, 0.015])
+    name = rng.choice(["leg", "wearer"])
+    scenario = Scenario.model_validate(with_preset(str(name), {}))
+    order, displacement = scenario.plant.full_order, scenario.plant.pump.displacement_m3_per_rad
+    values = {
+        "plant.pump.displacement_m3_per_rad": displacement * pump,
+        "plant.full_order.makeup_conductance_m3_per_s_pa": (
+            order.makeup_conductance_m3_per_s_pa * makeup
+        ),
+        "plant.full_order.relief_conductance_m3_per_s_pa": (
+            order.relief_conductance_m3_per_s_pa * relief
+        ),
+        "plant.full_order.dead_volume_m3": order.dead_volume_m3 * 10.0 ** rng.uniform(-0.5, 0.5),
+        "plant.full_order.coulomb_friction_n": float(friction_n),
+        "plant.full_order.entrained_air": float(air),
+        "simulation.duration_s": DURATION_S,
+        "reference.frequency_hz": float(rng.uniform(0.3, 2.0)),
+    }
+    if name == "wearer":
+        law = scenario.controller
+        values |= {
+            "controller.mode": "zero_torque",
+            "wearer.motion": "prescribed",
+            "controller.proportional_rad_s_per_n": law.proportional_rad_s_per_n / pump,
+            "controller.integral_rad_s2_per_n": law.integral_rad_s2_per_n / pump,
+        }
+    return scenario.changed(values)
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A compiled scenario, its signals by the oracle, and its largest |λ| in 1/s."""
+
+    scenario: Scenario
+    signals: np.ndarray
+    fastest_per_s: float
+
+    def error(self, integrator: str = "rk4", **options: float) -> float:
+        """Return the largest error of a run, relative to the range of the signal."""
+        signals = run(self.scenario, integrator, **options)
+        spans = np.maximum(np.ptp(self.signals, axis=0), 1e-9 * np.abs(self.signals).max(axis=0))
+        return float((np.abs(signals - self.signals).max(axis=0) / spans).max())
+
+
+def run(scenario: Scenario, integrator: str, **options: float) -> np.ndarray:
+    """Return the signals of a run, (samples, elements)."""
+    model = compile_scenario(scenario)
+    parameters, state, inputs = scenario_run(scenario, model)
+    names = [name for name in SIGNALS if name in model.outputs]
+    records = model.simulate(
+        parameters,
+        state,
+        scenario.duration_s,
+        inputs=inputs,
+        outputs=names,
+        integrator=integrator,
+        **options,
+    )
+    return np.hstack([records[name] for name in names])
+
+
+def oracle(scenario: Scenario, tolerance: float = 1e-10) -> Plant:
+    """Return the signals and the largest |λ| of a scenario by the exact hold."""
+    signals = run(scenario, "exact_hold", tolerance=tolerance)
+    model = compile_scenario(scenario)
+    parameters, state, inputs = scenario_run(scenario, model)
+    runner = Runner(model.code, outputs=(), tolerance=tolerance).restart(parameters[None])
+    ticks = np.arange(round(scenario.duration_s / runner.timing.tick))
+    x, d = (values[:, None].copy() for values in (state.continuous, state.discrete))
+    snapshots = Snapshots(ticks, np.empty((ticks.size, len(x))), np.empty((ticks.size, len(d))))
+    runner.run(x, d, 0, ticks[-1:] + 1, [inputs], snapshots=snapshots)
+    return Plant(scenario, signals, runner.fastest_per_s(snapshots, inputs))
+
+
+def main(plants: int, first: int) -> None:
+    """Print the errors of each plant by h |λ|, then the counts."""
+    counts = {angle: dict.fromkeys(("right", "refused", "wrong", "refused later"), 0) for angle in ANGLES}
+    failed = 0
+    for seed in range(first, first + plants):
+        try:
+            plant = oracle(random_scenario(seed))
+        except SimulationError as error:
+            print(f"{seed}: {error}")
+            failed += 1
+            continue
+        texts = []
+        for angle in ANGLES:
+            step_s = angle / plant.fastest_per_s
+            try:
+                error = plant.error(step_s=step_s)
+                word = "right" if error <= TOLERANCE else "wrong"
+                texts.append(f"{error:.1e}" + "*" * (word == "wrong"))
+            except UnstableStepError as unstable:
+                word = "refused"
+                try:
+                    error = plant.error(step_s=unstable.step_s)
+                    texts.append(f"refused, then {error:.1e}")
+                except UnstableStepError as again:
+                    word = "refused later"
+                    texts.append(f"refused twice, {unstable.step_s:.1e} {again.step_s:.1e}")
+            except SimulationError as error:
+                word = "refused"
+                texts.append(str(error)[:30])
+            counts[angle][word] += 1
+        print(f"{seed}: |λ| = {plant.fastest_per_s:.3g} 1/s: {'; '.join(texts)}", flush=True)
+    for angle, words in counts.items():
+        print(f"h |λ| = {angle:g}: {words}")
+    print(f"{failed} plants leave their range or defeat the oracle")
+
+
+if __name__ == "__main__":
+    main(*map(int, (sys.argv[1:] + ["200", "0"][len(sys.argv) - 1 :])))
