@@ -146,8 +146,8 @@ class ModelBase:
         rate = f"{value.real:.3g}" + (f" ± {abs(value.imag):.3g}j" if value.imag else "")
         digit = 10.0 ** math.floor(math.log10(step.safe_s) - 1.0)
         error = UnstableStepError(
-            f"t = {step.time_s:.6g} s: {integrator} with steps of {step.step_s:.3g} s is unstable: "
-            f"{' and '.join(names[:3])} moves in a mode of {rate} 1/s, which it amplifies; set "
+            f"t = {step.time_s:.6g} s: {integrator} with steps of {step.step_s:.3g} s cannot follow "
+            f"{' and '.join(names[:3])}, which moves in a mode of {rate} 1/s; set "
             f"step_s = {digit * math.floor(step.safe_s / digit):.2g}, or use exact_hold"
         )
         error.step_s = step.safe_s

@@ -28,15 +28,19 @@ _STAGES: dict[str, tuple[tuple[float, ...], ...]] = {
 }
 """Weights by which a step multiplies the rates before each further stage (Butcher's table)."""
 
-SAFETY = 0.5
+SAFETY = 0.2
 """Ratio of the step that an error names and the longest stable step that was found.
 
 Only the suspected steps are judged, and a correct run meets other states than an unstable one.
 """
 
 _HALVINGS = 12
-_EVEN_GROWTH = 1.05
-"""Largest ratio of |R(z)| and |exp(z)| of a step that is accurate for a growing mode."""
+_LARGEST_ERROR = 0.05
+"""Largest error in a step of an oscillation, relative to its amplitude.
+
+RK4 reaches it at h |λ| = 1.4. Up to 2.83 RK4 is stable, but damps the oscillation like nothing in
+the plant does: load pressures were 29 % wrong.
+"""
 
 Rates = Callable[[float, Array, Array, Array], tuple[Array, Array]]
 """``rates(t, d, u, x)`` returns dx/dt (states,) and its Jacobian (states, states)."""
@@ -63,14 +67,16 @@ class UnstableStep:
 def _reach(integrator: str) -> tuple[Array, Array]:
     """Return angles in 0 … π, and the largest stable |z| of z at each angle; inf without a limit.
 
-    A step is unstable for a mode that decays if |R(z)| > 1. For a mode that grows it is unstable if
-    |R(z)| exceeds |exp(z)|, the growth in the exact solution, by 5 %. Below |z| = 1 it is stable.
+    A step fails for a mode that decays faster than it oscillates if |R(z)| > 1. For another mode it
+    fails if R(z) differs too much from exp(z), the exact solution: see `_LARGEST_ERROR`.
     """
     angles, radii = np.linspace(0.0, np.pi, 721), np.linspace(1.0, 4.0, 3001)[:, None]
     z = radii * np.exp(1j * angles)
-    growth = np.abs(np.polynomial.polynomial.polyval(z, STABILITY[integrator]))
-    unstable = growth > np.maximum(1.0, _EVEN_GROWTH * np.exp(z.real))
-    return angles, np.where(unstable.any(axis=0), radii[unstable.argmax(axis=0), 0], np.inf)
+    factor = np.polynomial.polynomial.polyval(z, STABILITY[integrator])
+    error = np.abs(factor - np.exp(z)) / np.maximum(1.0, np.exp(z.real))
+    decays = z.real < -np.abs(z.imag)
+    fails = np.where(decays, np.abs(factor) > 1.0, error > _LARGEST_ERROR)
+    return angles, np.where(fails.any(axis=0), radii[fails.argmax(axis=0), 0], np.inf)
 
 
 def excess(integrator: str, h_lambda: Array) -> Array:
@@ -92,8 +98,8 @@ def unstable_step(
         x, d, u = np.split(np.array(vectors), np.cumsum(sizes))
         with np.errstate(all="ignore"):  # a run that diverges overflows
             jacobian = _steepest(integrator, partial(rates, t, d, u), x, h)
-        if not np.isfinite(jacobian).all():
-            continue
+            if not np.isfinite(jacobian).all():
+                jacobian = rates(t, d, u, x)[1]
         values, modes = np.linalg.eig(jacobian)
         excesses = excess(integrator, h * values)
         worst = int(np.argmax(excesses))
