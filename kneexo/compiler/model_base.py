@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -142,13 +141,13 @@ class ModelBase:
         """Return the error of an unstable step, with the states that move in its mode."""
         order = np.argsort(-step.shares, kind="stable")
         names = [self.state_names[i] for i in order if step.shares[i] >= 0.5 * step.shares.max()]
-        value = step.eigenvalue
-        rate = f"{value.real:.3g}" + (f" ± {abs(value.imag):.3g}j" if value.imag else "")
-        digit = 10.0 ** math.floor(math.log10(step.safe_s) - 1.0)
+        mode = f"{step.eigenvalue.real:.3g}"
+        if step.eigenvalue.imag:
+            mode += f" ± {abs(step.eigenvalue.imag):.3g}j"
         error = UnstableStepError(
-            f"t = {step.time_s:.6g} s: {integrator} with steps of {step.step_s:.3g} s cannot follow "
-            f"{' and '.join(names[:3])}, which moves in a mode of {rate} 1/s; set "
-            f"step_s = {digit * math.floor(step.safe_s / digit):.2g}, or use exact_hold"
+            f"t = {step.time_s:.6g} s: {integrator} with steps of {step.step_s:.3g} s cannot "
+            f"follow {' and '.join(names[:3])}, which moves in a mode of {mode} 1/s; set "
+            f"step_s = {step.safe_s:.1e}, or use exact_hold"
         )
         error.step_s = step.safe_s
         return error

@@ -82,12 +82,12 @@ def recorded_vectors(diagram: System, source: CSource, inputs: Array) -> Vectors
         records = {"record_period_s": tick_s}
     start = model.initialized(source.parameters, state, table)
     how: dict[str, Any] = {"integrator": "rk4", "step_s": schedule.largest_step_s, "inputs": table}
-    arguments = source.parameters, start, steps * tick_s
-    run = model.simulate(*arguments, outputs=source.output_ports, **how, **records)
+    values, end_s = source.parameters, steps * tick_s
+    run = model.simulate(values, start, end_s, outputs=source.output_ports, **how, **records)
     outputs = np.hstack([run[name] for name in source.output_ports])
     fastest_per_s = 0.0
     if equations.states:
-        fastest_per_s = model.fastest_per_s(*arguments, record_period_s=tick_s, **how)
+        fastest_per_s = model.fastest_per_s(values, start, end_s, record_period_s=tick_s, **how)
     return Vectors(inputs, outputs[-steps:], fastest_per_s)
 
 

@@ -318,12 +318,16 @@ class Runner:
         self._run(self._address)
         return self._status
 
-    def unstable_step(self, lane: int) -> UnstableStep | None:
-        """Return the first unstable step of the run in a lane since `restart`; None without one."""
+    def unstable_step(self, lane: int, integrator: str | None = None) -> UnstableStep | None:
+        """Return the first unstable step of the run in a lane since `restart`; None without one.
+
+        The integrator is that of the runner by default.
+        """
         suspects = self._suspects[lane, self._suspects[lane, :, 0] > 0.0]
         if not suspects.size:
             return None
-        return unstable_step(self.integrator, self._rates(lane), suspects, self._vectors)
+        way = integrator or self.integrator
+        return unstable_step(way, self._rates(lane), suspects, self._vectors)
 
     def fastest_per_s(self, snapshots: Snapshots, inputs: InputTable) -> float:
         """Return the largest magnitude of a mode λ at the snapshots of a run in one lane."""
@@ -351,7 +355,8 @@ class Runner:
     ) -> Array:
         """Return the records (1, columns, rows) at ``times`` (rows,) of a run in one lane.
 
-        For each record RK4 integrates from the snapshot whose index is in ``places`` (rows,).
+        For each record RK4 integrates from the snapshot whose index is in ``places`` (rows,). If
+        the steps of 20 µs are too long for a mode, RK4 repeats the records with shorter steps.
         """
         record = np.empty((1, self.columns.size, times.size))
         table = np.array([_input_argument(inputs)], dtype=np.int64)
@@ -376,8 +381,12 @@ class Runner:
             windows=self._windows,
             suspects=self._suspects,
         )
-        self.code.between()(ctypes.addressof(arguments))
-        return record
+        while True:
+            self._suspects[0, :, 0] = 0.0
+            self.code.between()(ctypes.addressof(arguments))
+            if (unstable := self.unstable_step(0, "rk4")) is None:
+                return record
+            arguments.step = unstable.safe_s
 
 
 def _input_argument(table: InputTable) -> tuple[int, ...]:

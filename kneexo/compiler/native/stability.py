@@ -97,9 +97,8 @@ def unstable_step(
     for _, t, h, *vectors in suspects:
         x, d, u = np.split(np.array(vectors), np.cumsum(sizes))
         with np.errstate(all="ignore"):  # a run that diverges overflows
-            jacobian = _steepest(integrator, partial(rates, t, d, u), x, h)
-            if not np.isfinite(jacobian).all():
-                jacobian = rates(t, d, u, x)[1]
+            places = (_steepest(integrator, partial(rates, t, d, u), x, h), rates(t, d, u, x)[1])
+        jacobian = next((j for j in places if np.isfinite(j).all()), np.eye(len(x)))
         values, modes = np.linalg.eig(jacobian)
         excesses = excess(integrator, h * values)
         worst = int(np.argmax(excesses))
