@@ -28,8 +28,19 @@ from pydrake.systems.primitives import (
 from pydrake.systems.scalar_conversion import TemplateSystem
 from pydrake.trajectories import PiecewisePolynomial
 
-from kneexo.compiler import InputTable, State, compile_by_key, compile_diagram
-from kneexo.compiler.errors import CompilationError, ResultError, SimulationError
+from kneexo.compiler import (
+    InputTable,
+    State,
+    compile_by_key,
+    compile_diagram,
+    simulate_with_feedback,
+)
+from kneexo.compiler.errors import (
+    CompilationError,
+    ResultError,
+    SimulationError,
+    UnstableStepError,
+)
 
 # ------------------------------------------------------------------- diagrams of the user
 
@@ -569,3 +580,106 @@ def test_each_run_of_a_batch_has_its_own_outputs_that_are_not_finite(logarithm):
         else:
             assert str(run) == message(logarithm, a)
             assert str(run).startswith(f"t = {max(0.0, np.ceil(100.0 * a) / 100.0):g} s: pair[1] ")
+
+
+# ------------------------------------------------------------------------ unstable steps
+
+
+@pytest.fixture(scope="module")
+def chamber():
+    """A chamber that empties at 1 + u, and a check valve that fills it at λ (-p) where p < 0.
+
+    From p = 1 it empties in a second, then p rests at -1/λ.
+    """
+    p, per_s, u = Variable("p"), Variable("rate"), Variable("u")
+    rate = per_s * symbolic.max(0.0, -p) - 1.0 - u
+    leaf = SymbolicVectorSystem(
+        state=[p], parameter=[per_s], input=[u], dynamics=[rate], output=[p]
+    )
+    builder = DiagramBuilder()
+    builder.AddNamedSystem("chamber", leaf)
+    builder.ExportInput(leaf.get_input_port(), "u0")
+    builder.ExportOutput(leaf.get_output_port(), "y0")
+    return compile_diagram(builder.Build(), inputs=["u0"])
+
+
+def fill(chamber, per_s, **options):
+    """Run the chamber for 2 s; return the pressure at the end."""
+    start = State(np.ones(1), np.empty(0))
+    options = {"integrator": "rk4", "record_period_s": 0.01} | options
+    return chamber.simulate(np.array([per_s]), start, 2.0, **options).final.continuous[0]
+
+
+@pytest.mark.parametrize("integrator", ["rk4", "runge_kutta3"])
+@pytest.mark.parametrize("product", [3.0, 5.0, 30.0, 300.0])
+def test_a_valve_that_is_too_fast_for_the_steps_ends_the_run(chamber, integrator, product):
+    """The wrong run is bounded: the valve opens and closes for ever."""
+    per_s = product / 1e-3
+    with pytest.raises(UnstableStepError) as caught:
+        fill(chamber, per_s, integrator=integrator, step_s=1e-3)
+    error = caught.value
+    assert 0.99 < error.time_s < 1.1
+    assert abs(error.state["chamber.x[0]"]) < 0.2
+    assert f"{integrator} with steps of 0.001 s cannot follow chamber.x[0]" in str(error)
+    assert f"a mode of {-per_s:.3g} 1/s; set step_s = {error.step_s:.1e}, or use" in str(error)
+    assert error.step_s == pytest.approx(
+        0.2 * {"rk4": 2.785, "runge_kutta3": 2.513}[integrator] / per_s, rel=1e-3
+    )
+    if product < 100.0:  # the others take long
+        assert fill(chamber, per_s, step_s=error.step_s) == pytest.approx(-1.0 / per_s, rel=1e-9)
+
+
+@pytest.mark.parametrize("product", [0.2, 1.0, 2.5])
+def test_a_valve_that_opens_is_no_failure(chamber, product):
+    per_s = product / 1e-3
+    assert fill(chamber, per_s, step_s=1e-3) == pytest.approx(-1.0 / per_s, rel=1e-6)
+
+
+def test_each_lane_is_judged_alone(chamber):
+    start, options = (
+        State(np.ones(1), np.empty(0)),
+        {"record_period_s": 0.01, "integrator": "rk4", "step_s": 1e-3},
+    )
+    rates = np.array([[1e2], [5e3], [2e3], [3e4], [2e2], [4e3], [1e3], [1.5e3], [3e5]])
+    durations = np.linspace(1.2, 2.0, len(rates))
+    batch = chamber.simulate_batch(rates, start, durations, failures="return", **options)
+    for run, row, duration_s in zip(batch, rates, durations, strict=True):
+        (alone,) = chamber.simulate_batch([row], start, duration_s, failures="return", **options)
+        if isinstance(alone, UnstableStepError):
+            assert (str(run), run.state) == (str(alone), alone.state)
+        else:
+            np.testing.assert_array_equal(run["y0"], alone["y0"])
+    assert [isinstance(run, UnstableStepError) for run in batch] == (rates[:, 0] > 2.8e3).tolist()
+
+
+def test_runs_in_pieces_find_the_unstable_step_too(chamber):
+    parameters, start = np.array([1e4]), State(np.full(1, 1e-3), np.empty(0))
+    options = {"integrator": "rk4", "step_s": 1e-3}
+    system = chamber.as_system(parameters, start, tick_s=0.01, **options)
+    context = system.CreateDefaultContext()
+    system.get_input_port().FixValue(context, [0.0])
+    with pytest.raises(UnstableStepError, match="cannot follow chamber"):
+        Simulator(system, context).AdvanceTo(0.1)
+    with pytest.raises(UnstableStepError, match="cannot follow chamber"):
+        simulate_with_feedback(
+            *(chamber, parameters, start, 0.1, lambda t, outputs: 0.0),
+            feedback_input="u0",
+            feedback_outputs=["y0"],
+            sample_period_s=0.01,
+            **options,
+        )
+
+
+def test_records_between_two_ticks_take_the_steps_that_the_fastest_mode_requires(chamber):
+    times, start = np.linspace(1.0, 1.9, 7) + 1e-3, State(np.ones(1), np.empty(0))
+    run = chamber.simulate(np.array([1e6]), start, 2.0, record_times_s=times)
+    np.testing.assert_allclose(run["y0"], -1e-6, rtol=0, atol=1e-9)
+
+
+def test_the_fastest_mode_of_a_run(chamber):
+    start = State(np.ones(1), np.empty(0))
+    options = {"integrator": "rk4", "step_s": 1e-3, "record_period_s": 0.01}
+    for duration_s, expected in ((0.5, 0.0), (1.5, 300.0)):  # at first the valve is closed
+        assert chamber.fastest_per_s(np.array([300.0]), start, duration_s, **options) == expected
+    with pytest.raises(UnstableStepError):
+        chamber.fastest_per_s(np.array([3e4]), start, 1.5, **options)

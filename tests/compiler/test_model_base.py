@@ -7,7 +7,7 @@ import pytest
 
 from kneexo.compiler import InputTable, State
 from kneexo.compiler.errors import ParameterError, SimulationError, StiffnessError
-from kneexo.compiler.native.arguments import OUTPUT_NOT_FINITE, OUTSIDE, TOO_ROUGH
+from kneexo.compiler.native.arguments import OK, OUTPUT_NOT_FINITE, OUTSIDE, TOO_ROUGH
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
@@ -60,19 +60,21 @@ def test_initialization_runs_no_periodic_update_and_copies(servo):
 
 def test_each_outcome_has_its_error(servo):
     model, parameters, state = servo
-    timing = model_timing(2e-3)
-    text = str(model.fault((OUTPUT_NOT_FINITE, 5, 0), timing, parameters, state))
+    runner = stable_runner(2e-3)
+    text = str(model.fault((OUTPUT_NOT_FINITE, 5, 0), runner, parameters, state))
     assert text.startswith(f"t = 0.01 s: {next(iter(model.outputs))} is not finite")
     bad = State(state.continuous, np.array([np.nan]))
-    text = str(model.fault((OUTPUT_NOT_FINITE, 5, 0), timing, parameters, bad))
+    text = str(model.fault((OUTPUT_NOT_FINITE, 5, 0), runner, parameters, bad))
     assert text.startswith(f"t = 0.01 s: {model.discrete_names[0]} is not finite")
-    error = model.fault((TOO_ROUGH, 0, 0), timing, parameters, state)
+    error = model.fault((TOO_ROUGH, 0, 0), runner, parameters, state)
     assert isinstance(error, StiffnessError)
+    assert model.fault((OK, 5, 0), runner, parameters, state) is None
     # The leaf itself has nothing against this state.
-    error = model.fault((OUTSIDE, 1, 0), timing, parameters, state)
+    error = model.fault((OUTSIDE, 1, 0), runner, parameters, state)
     assert str(error) == "t = 0.002 s: arm left its limits"
 
 
-def model_timing(tick_s):
-    """Times of ticks of equal length."""
-    return SimpleNamespace(times=lambda tick: tick * tick_s)
+def stable_runner(tick_s):
+    """A runner without unstable steps, whose ticks have equal lengths."""
+    timing = SimpleNamespace(times=lambda tick: tick * tick_s)
+    return SimpleNamespace(timing=timing, unstable_step=lambda lane: None)

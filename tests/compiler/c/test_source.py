@@ -3,6 +3,7 @@
 import ctypes
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -219,6 +220,27 @@ def test_a_state_that_overflows_while_it_is_integrated_is_a_bad_result(built, se
     assert model.step([1e200]) == 2
     assert bytes(model.state) == before
     assert model.get() == pytest.approx([2.0])
+
+
+@pytest.mark.usefixtures("size")
+@pytest.mark.parametrize("precision", ["double", "float"])
+def test_a_mode_that_is_too_fast_for_rk4_has_its_status(built, precision):
+    """Dx/dt = λ (u - x), with another λ after the export, and four steps of RK4 in a tick."""
+
+    def graph_of(g):
+        x, per_s, u = g.source("state"), g.source("parameter"), g.source("input")
+        error = g.subtract(u, x)
+        return {"derivatives": [g.multiply(per_s, error)], "outputs": {"y": [x]}}
+
+    names = {"states": ["x"], "parameters": ["m.rate"], "inputs": {"u": 1}}
+    start, times = State(np.zeros(1), np.zeros(0)), {"tick_s": 4e-3, "step_s": 1e-3}
+    source = CSource(equations_of(graph_of, **names), "m", np.ones(1), start, precision, **times)
+    for product, status in ((0.2, 0), (1.7, 0), (1.9, 32), (5.0, 32)):
+        model = built(replace(source, parameters=np.array([product * 1e3])))
+        assert (model.init([0.0]), model.step([1.0])) == (0, status)
+        assert model.step([model.get()[0]]) == 0  # nothing moves
+    unchecked = built(replace(source, parameters=np.array([5e3]), checks_steps=False))
+    assert (unchecked.init([0.0]), unchecked.step([1.0])) == (0, 0)
 
 
 def test_a_start_with_bad_inputs_or_parameters_says_so(built):

@@ -6,7 +6,7 @@ import pytest
 from kneexo.compiler.native.integrators import Tick, advance_rk4, advance_runge_kutta3
 from kneexo.compiler.native.ir import Array, Module
 from kneexo.compiler.native.llvm import Library, compile_text
-from kneexo.compiler.native.types import BYTE, DOUBLE, POINTER
+from kneexo.compiler.native.types import BOOL, BYTE, DOUBLE, POINTER
 
 LANES = 2
 
@@ -83,3 +83,49 @@ def test_number_of_steps(method, step, rk4_steps, rk3_steps):
     order, advance = method
     _, rates = advance(STARTS, 0.0, 1.0, step)
     assert rates == (4 * rk4_steps if order == 4 else 3 * rk3_steps)
+
+
+@pytest.fixture(scope="module", params=[advance_rk4, advance_runge_kutta3], ids=["rk4", "rk3"])
+def suspects(request):
+    """``suspects(rate_per_s, step)``: lanes reported in a second, and their ratios, t, h and x.
+
+    The system is x₀' = w x₁, x₁' = -w x₀, with another w in each of two lanes.
+    """
+    module, type_ = Module(), DOUBLE.of(LANES)
+    f = module.function("tick", dict.fromkeys(("x", "w", "step", "log"), POINTER), internal=False)
+    x, w, log = (Array(f.arguments[name], type_) for name in ("x", "w", "log"))
+
+    def rate(t, x, out):
+        out[0], out[1] = w[0] * x[1], -(w[0] * x[0])
+
+    def report(lanes, step):
+        log[0] = f.to_double(f.flags(lanes))
+        for i, (array, n) in enumerate((array, n) for array in step for n in range(2)):
+            if i % 2 == 0 or i > 6:  # ratio, t and h have one element
+                log[i + 1] = array[n]
+
+    start, running = f.constant(0.0), f.constant(1, BOOL.of(LANES))
+    step = Array(f.arguments["step"], DOUBLE)[0]
+    request.param(Tick(f, 2, type_, start, f.constant(1.0), x, running, rate, step, report))
+    function = Library(compile_text(module.text())).function("tick", 4)
+
+    def run(per_s, step, x):
+        log = np.zeros((9, LANES))
+        arrays = np.array(x), np.array(per_s), np.array([step]), log
+        function(*(array.ctypes.data for array in arrays))
+        return log[[0, 1, 3, 5, 7, 8]]
+
+    return run
+
+
+def test_a_fast_mode_that_moves_is_reported_in_its_lane(suspects):
+    x = np.array([[1.0, 1.0], [0.5, 0.5]])
+    reported, ratio, t, h, *start = suspects([8.0, 30.0], 0.1, x)
+    assert reported.tolist() == [0.0, 1.0]
+    assert ratio[1] == pytest.approx((0.1 * 30.0) ** 4, rel=1e-9)  # the square of (h |λ|)²
+    assert (t[1], h[1]) == (0.0, pytest.approx(0.1))
+    np.testing.assert_array_equal(np.array(start)[:, 1], x[:, 1])
+    reported, *_ = suspects([8.0, 13.0], 0.1, x)
+    assert not reported.any()
+    reported, *_ = suspects([30.0, 30.0], 0.1, x * [1.0, 0.0])  # the second mode does not move
+    assert reported.tolist() == [1.0, 0.0]

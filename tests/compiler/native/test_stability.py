@@ -1,0 +1,88 @@
+"""The judge of suspected steps, against limits of stability from textbooks and known modes."""
+
+import numpy as np
+import pytest
+
+from kneexo.compiler.native.stability import SAFETY, excess, unstable_step
+
+RATIO = 9.0  # the judge ignores it
+
+
+def row(t, h, x):
+    return np.array([RATIO, t, h, *x])
+
+
+def linear(matrix):
+    """``rates`` of dx/dt = A x."""
+    a = np.array(matrix)
+    return lambda t, d, u, x: (a @ x, a)
+
+
+@pytest.mark.parametrize(
+    ("integrator", "real", "turning"),
+    [("rk4", 2.785293563405282, 1.437), ("runge_kutta3", 2.512745326618329, 1.051)],
+)
+def test_limits(integrator, real, turning):
+    """Real limits: zeros of |R(z)| - 1; on the imaginary axis 5 % of the amplitude."""
+    at_limit = np.array([-real, 1j * turning, -1j * turning])
+    np.testing.assert_allclose(excess(integrator, at_limit), 1.0, rtol=2e-3)
+    assert excess(integrator, np.array([-0.5, 0.5j, 0.5, 0.0])).max() < 0.5
+
+
+@pytest.mark.parametrize(("integrator", "reach"), [("rk4", 2.7853), ("runge_kutta3", 2.5127)])
+def test_the_first_unstable_step_is_told_with_its_mode_and_a_step_that_works(integrator, reach):
+    rates = linear([[-1000.0, 0.0], [5.0, -1.0]])
+    rows = np.array(
+        [row(0.1, 1e-3, [1.0, 2.0]), row(0.2, 4e-3, [3.0, 4.0]), row(0.3, 8e-3, [1, 1])]
+    )
+    step = unstable_step(integrator, rates, rows, (2, 0))
+    assert (step.time_s, step.step_s, step.eigenvalue) == (0.2, 4e-3, -1000.0)
+    np.testing.assert_array_equal(step.state.continuous, [3.0, 4.0])
+    np.testing.assert_allclose(step.shares, [1.0, 0.0], atol=1e-9)
+    assert step.safe_s == pytest.approx(SAFETY * reach / 1000.0, rel=1e-3)
+    assert unstable_step(integrator, rates, rows[:1], (2, 0)) is None
+
+
+def test_shares_do_not_depend_on_the_units_of_the_states():
+    shares = [
+        unstable_step(
+            "rk4",
+            linear([[0.0, 1e4 * unit], [-1e4 / unit, 0.0]]),
+            row(0, 1e-3, [1, 1])[None],
+            (2, 0),
+        ).shares
+        for unit in (1.0, 1e6)
+    ]
+    np.testing.assert_allclose(shares, 0.5, rtol=1e-6)
+
+
+@pytest.mark.parametrize("width", [0.1, 1e-3])
+def test_a_steep_band_between_the_stages_is_found(width):
+    """Friction -tanh(v/width): the stages lie on either side of the band, where it is flat."""
+
+    def rates(t, d, u, x):
+        slope = -1.0 / width / np.cosh(np.minimum(np.abs(x / width), 300.0)) ** 2
+        return -np.tanh(x / width), np.atleast_2d(slope)
+
+    step = unstable_step("rk4", rates, row(0.0, 2.0, [0.61])[None], (1, 0))
+    assert step.eigenvalue == pytest.approx(-1.0 / width, rel=0.5)
+    short = row(0.0, 0.5 * width, [0.61 * width])[None]
+    assert unstable_step("rk4", rates, short, (1, 0)) is None
+
+
+def test_stages_that_overflow_leave_the_mode_at_the_start():
+    def rates(t, d, u, x):
+        return -1e3 * x - 1e200 * x**3, np.atleast_2d(-1e3 - 3e200 * x**2)
+
+    step = unstable_step("rk4", rates, row(0.0, 0.01, [1e-90])[None], (1, 0))
+    assert step.eigenvalue < -1e3
+    nowhere = row(0.0, 0.01, [np.inf])[None]
+    assert unstable_step("rk4", rates, nowhere, (1, 0)) is None
+
+
+def test_inputs_and_discrete_states_reach_the_rates():
+    def rates(t, d, u, x):
+        assert (t, d.tolist(), u.tolist()) == (0.5, [7.0], [8.0, 9.0])
+        return -x, -np.eye(1)
+
+    assert unstable_step("rk4", rates, row(0.5, 0.1, [1.0, 7.0, 8.0, 9.0])[None], (1, 1)) is None
