@@ -8,9 +8,17 @@ from pydrake.systems.primitives import SymbolicVectorSystem
 
 from kneexo.analysis import simulate
 from kneexo.compiler import Reduction
-from kneexo.errors import KneexoError, LinkageError, ParameterError, SimulationError, StiffnessError
+from kneexo.errors import (
+    KneexoError,
+    LinkageError,
+    ParameterError,
+    SimulationError,
+    StiffnessError,
+    UnstableStepError,
+)
 from kneexo.parameters import Scenario, SimulationParameters
 from kneexo.parameters.paths import changed
+from kneexo.parameters.presets import with_preset
 from kneexo.simulation import compiled, engines
 from kneexo.simulation.engines import RunRequest, can_reduce, reduce_run, serve_runs
 
@@ -136,7 +144,7 @@ def alone(scenario, **options):
 def test_runs_do_not_depend_on_their_company(monkeypatch, largest):
     monkeypatch.setattr(engines, "LARGEST_BATCH", largest)
     scenarios = varied(9)
-    scenarios[2] = scenarios[2].with_steps(1e-3)
+    scenarios[2] = scenarios[2].with_steps(4e-4)
     scenarios[5] = scenarios[5].with_engine("drake")
     expected = [alone(scenario, signals=("knee_angle", "load_pressure")) for scenario in scenarios]
     assert isinstance(expected[4], ParameterError)
@@ -187,6 +195,41 @@ def test_small_steps_stand_in_for_single_runs_of_a_batch(monkeypatch):
     for run, run_alone in zip(runs[:3], expected[:3], strict=True):
         assert_same(run, run_alone)
     assert_same(runs[3], simulate(scenarios[3].with_steps(2e-5), signals=("knee_angle",)))
+
+
+def test_small_steps_that_are_too_long_are_repeated_with_those_of_the_error(monkeypatch):
+    original, steps = compiled.simulate_together, []
+
+    def refusing(scenarios, signals, integrator, *options, **named):
+        if integrator == "exact_hold":
+            return [StiffnessError("jumps") for _ in scenarios]
+        steps.append((len(scenarios), options[0]))
+        runs = original(scenarios, signals, integrator, *options, **named)
+        error = UnstableStepError("too long")
+        error.step_s = {2e-5: 1e-5, 1e-5: 8e-6}.get(options[0], 0.0)
+        heavy = [scenario.plant.cylinder.mass_kg > 1.52 for scenario in scenarios]
+        return [
+            error if refused and error.step_s else run
+            for run, refused in zip(runs, heavy, strict=True)
+        ]
+
+    monkeypatch.setattr(compiled, "simulate_together", refusing)
+    runs = together(varied(4), signals=("knee_angle",))
+    assert steps == [(2, 2e-5), (2, 2e-5), (1, 1e-5), (1, 8e-6)]
+    assert [run.settings.step_s for run in runs] == [2e-5, 2e-5, 2e-5, 8e-6]
+
+
+def test_steps_of_the_user_that_are_too_long_end_the_run():
+    """On the way, RK4 at 0.1 ms ended preset ``leg`` at 0.2085 rad, where 0.1747 rad is right."""
+    leg = Scenario.model_validate(with_preset("leg", {})).changed({"simulation.duration_s": 0.1})
+    with pytest.raises(
+        UnstableStepError, match=r"rk4 with steps of 0\.0002 s cannot follow plant/c"
+    ) as caught:
+        simulate(leg.with_steps(2e-4))
+    assert caught.value.time_s == 0.0  # a make-up valve is open at the start
+    expected = simulate(leg, signals=("knee_angle",))
+    run = simulate(leg.with_steps(caught.value.step_s), signals=("knee_angle",))
+    np.testing.assert_allclose(run["knee_angle_rad"], expected["knee_angle_rad"], rtol=0, atol=1e-6)
 
 
 def test_a_bad_scenario_does_not_spoil_those_of_its_structure(monkeypatch):

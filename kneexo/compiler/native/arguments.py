@@ -56,7 +56,7 @@ Each argument has eight bytes: a number, or the address of an array.
   ``unseen``: first row whose samples no earlier call has reduced, or a row that no run reaches if
   there are no reductions
 - ``suspects`` (lanes, `SUSPECTS`, 3 + states + discrete states + inputs): for each window of time
-  the step of a Runge-Kutta integrator that is most likely unstable, as ratio of its rates, start
+  a step of a Runge-Kutta integrator that may be unstable, as ratio of its rates, start
   and length in s, states and inputs; the ratio is zero if there is none. ``windows`` (lanes,):
   length of a window in ticks
 """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -29,6 +30,12 @@ _RATIO = 1.4**4
 RK4 is unstable from h |λ| = 2.6 … 2.83 on, depending on the argument of λ, and the third order from
 1.73 … 2.51 on. Where the rates have a corner, such as at a valve that opens, an unstable mode
 oscillates about the corner and makes a smaller ratio, but at least 2.
+"""
+
+_CLEAR = 2.0**4
+"""Ratio that counts as infinite, so that no later step replaces the step in the log.
+
+A run that diverges soon has states that no correct run has.
 """
 
 _STRIDE = 13
@@ -129,7 +136,9 @@ class _Watch:
             largest = self._suspect[0][0]
             lanes = (fast.get() > f.fma(slow.get(), largest, self._noise)) & tick.running
             with f.when(f.any_lane(lanes), rare=True):
-                values = (fast.get() / slow.get(), f.coerce(t, tick.type), f.coerce(h, tick.type))
+                ratio = fast.get() / slow.get()
+                ratio = f.select(ratio >= _CLEAR, math.inf, ratio)
+                values = (ratio, f.coerce(t, tick.type), f.coerce(h, tick.type))
                 for kept, value in zip(self._suspect, values, strict=False):
                     kept[0] = f.select(lanes, value, kept[0])
                 kept = self._suspect[-1]

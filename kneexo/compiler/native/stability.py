@@ -5,9 +5,8 @@ The machine code only suspects a step: see `integrators`. Here the Jacobian of t
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, partial
 from itertools import pairwise
 from typing import Any
@@ -29,9 +28,9 @@ _STAGES: dict[str, tuple[tuple[float, ...], ...]] = {
 """Weights by which a step multiplies the rates before each further stage (Butcher's table)."""
 
 SAFETY = 0.2
-"""Ratio of the step that an error names and the longest stable step that was found.
+"""Ratio of the step that an error names and the longest stable step in the state of the error.
 
-Only the suspected steps are judged, and a correct run meets other states than an unstable one.
+In other states of the run a mode may be faster, and accuracy requires a shorter step too.
 """
 
 _HALVINGS = 12
@@ -52,13 +51,13 @@ class UnstableStep:
 
     ``time_s`` and ``state``: start of the step; ``step_s``: its length. ``eigenvalue``: the mode λ
     in 1/s that the step amplifies; ``shares`` (states,): participation factors of the states in
-    this mode. ``safe_s``: `SAFETY` times the longest step in s that is stable at all logged steps.
+    this mode. ``safe_s``: `SAFETY` times the longest stable step in s.
     """
 
     time_s: float
     step_s: float
     state: State
-    eigenvalue: Any
+    eigenvalue: complex
     shares: Array
     safe_s: float
 
@@ -92,8 +91,6 @@ def unstable_step(
     ``suspects`` (n, 3 + states + discrete states + inputs): see `RUN`; ``sizes``: numbers of
     continuous and of discrete states.
     """
-    first: UnstableStep | None = None
-    stable_s = math.inf
     for _, t, h, *vectors in suspects:
         x, d, u = np.split(np.array(vectors), np.cumsum(sizes))
         with np.errstate(all="ignore"):  # a run that diverges overflows
@@ -103,10 +100,11 @@ def unstable_step(
         excesses = excess(integrator, h * values)
         worst = int(np.argmax(excesses))
         if excesses[worst] > 1.0:
-            stable_s = min(stable_s, h / excesses[worst])
-            parts = np.abs(modes[:, worst] * np.linalg.pinv(modes)[worst])
-            first = first or UnstableStep(t, h, State(x, d), values[worst], parts, stable_s)
-    return first and replace(first, safe_s=SAFETY * stable_s)
+            shares = np.abs(modes[:, worst] * np.linalg.pinv(modes)[worst])
+            safe_s = SAFETY * h / float(excesses[worst])
+            start = State(x, d)
+            return UnstableStep(float(t), h, start, complex(values[worst]), shares, safe_s)
+    return None
 
 
 def _steepest(

@@ -120,12 +120,16 @@ def suspects(request):
 
 def test_a_fast_mode_that_moves_is_reported_in_its_lane(suspects):
     x = np.array([[1.0, 1.0], [0.5, 0.5]])
-    reported, ratio, t, h, *start = suspects([8.0, 30.0], 0.1, x)
+    reported, ratio, t, h, *start = suspects([8.0, 18.0], 0.1, x)
     assert reported.tolist() == [0.0, 1.0]
-    assert ratio[1] == pytest.approx((0.1 * 30.0) ** 4, rel=1e-9)  # the square of (h |λ|)²
+    assert ratio[1] == pytest.approx((0.1 * 18.0) ** 4, rel=1e-9)  # the square of (h |λ|)²
     assert (t[1], h[1]) == (0.0, pytest.approx(0.1))
     np.testing.assert_array_equal(np.array(start)[:, 1], x[:, 1])
     reported, *_ = suspects([8.0, 13.0], 0.1, x)
     assert not reported.any()
+    _, ratio, t, *_ = suspects([8.0, 30.0], 0.05, x)
+    assert ratio[1] < np.inf
+    _, ratio, t, *_ = suspects([8.0, 30.0], 0.07, x)  # clear: the later steps do not count
+    assert (ratio[1], t[1]) == (np.inf, 0.0)
     reported, *_ = suspects([30.0, 30.0], 0.1, x * [1.0, 0.0])  # the second mode does not move
     assert reported.tolist() == [1.0, 0.0]
