@@ -20,7 +20,7 @@ from kneexo.parameters import Scenario
 from kneexo.parameters.presets import with_preset
 from kneexo.simulation.compiled import compile_scenario, scenario_run
 
-DURATION_S = 0.5
+DURATION_S = 0.35
 SIGNALS = ("rod_extension", "rod_velocity", "load_pressure", "chamber_pressures", "rod_force")
 ANGLES = (0.2, 0.5, 1.0, 2.2, 4.0, 15.0, 60.0)
 """Products of step and largest |λ| of a plant."""

@@ -26,7 +26,7 @@ class Vectors:
 
     inputs: Array
     outputs: Array
-    fastest_per_s: float
+    fastest_per_s: float = 0.0
 
 
 def recorded_vectors(diagram: System, source: CSource, inputs: Array) -> Vectors:
@@ -85,9 +85,9 @@ def recorded_vectors(diagram: System, source: CSource, inputs: Array) -> Vectors
     values, end_s = source.parameters, steps * tick_s
     run = model.simulate(values, start, end_s, outputs=source.output_ports, **how, **records)
     outputs = np.hstack([run[name] for name in source.output_ports])
-    fastest_per_s = 0.0
-    if equations.states:
-        fastest_per_s = model.fastest_per_s(values, start, end_s, record_period_s=tick_s, **how)
+    if not equations.states:
+        return Vectors(inputs, outputs[-steps:])
+    fastest_per_s = model.fastest_per_s(values, start, end_s, record_period_s=tick_s, **how)
     return Vectors(inputs, outputs[-steps:], fastest_per_s)
 
 

@@ -34,6 +34,8 @@ In other states of the run a mode may be faster, and accuracy requires a shorter
 """
 
 _HALVINGS = 12
+"""Number of bisections: a band of 1/4000 of the way between two stages is found."""
+
 _LARGEST_ERROR = 0.05
 """Largest error in a step of an oscillation, relative to its amplitude.
 
@@ -50,7 +52,7 @@ class UnstableStep:
     """The first unstable step of a run.
 
     ``time_s`` and ``state``: start of the step; ``step_s``: its length. ``eigenvalue``: the mode λ
-    in 1/s that the step amplifies; ``shares`` (states,): participation factors of the states in
+    in 1/s that the step does not follow; ``shares`` (states,): participation factors of the states in
     this mode. ``safe_s``: `SAFETY` times the longest stable step in s.
     """
 
@@ -64,10 +66,11 @@ class UnstableStep:
 
 @cache
 def _reach(integrator: str) -> tuple[Array, Array]:
-    """Return angles in 0 … π, and the largest stable |z| of z at each angle; inf without a limit.
+    """Return angles in 0 … π, and for each the largest |z| whose step does not fail.
 
-    A step fails for a mode that decays faster than it oscillates if |R(z)| > 1. For another mode it
-    fails if R(z) differs too much from exp(z), the exact solution: see `_LARGEST_ERROR`.
+    A step fails for a mode that decays faster than it oscillates if |R(z)| > 1. For an oscillation
+    it fails if R(z) differs too much from exp(z), the exact solution: see `_LARGEST_ERROR`. A mode
+    that grows faster than it oscillates has no limit, because the equations themselves diverge.
     """
     angles, radii = np.linspace(0.0, np.pi, 721), np.linspace(1.0, 4.0, 3001)[:, None]
     z = radii * np.exp(1j * angles)
@@ -75,7 +78,7 @@ def _reach(integrator: str) -> tuple[Array, Array]:
     error = np.abs(factor - np.exp(z)) / np.maximum(1.0, np.exp(z.real))
     decays = z.real < -np.abs(z.imag)
     fails = np.where(decays, np.abs(factor) > 1.0, error > _LARGEST_ERROR)
-    return angles, np.where(fails.any(axis=0), radii[fails.argmax(axis=0), 0], np.inf)
+    return angles, np.where(angles < 0.25 * np.pi, 1e300, radii[fails.argmax(axis=0), 0])
 
 
 def excess(integrator: str, h_lambda: Array) -> Array:

@@ -166,10 +166,11 @@ static void {{ function.name }}(const instant *at{{ function.arguments }})
 {% set stage_weights = "{%s, %s, %s, %s}" | format(one, two, two, one) %}
 {% endif %}
 {% if checks_steps %}
-/* Return whether a Runge-Kutta step with these rates at its four stages is stable. For a mode l, the
+/* Return whether a Runge-Kutta step with these rates, those of the first of its
+ * four stages first, is stable. For a mode l, the
  * ratio of b and a is h |l| with the step h, and that of c and a is (h |l|)^2. The check is not exact:
  * in smooth rates of a single mode it fails from h |l| = {{ stability }} on. */
-static bool is_stable(const real *x, const real rate[4][{{ states }}])
+static bool is_stable(const real *x, const real *rate)
 {
     real a_squared = {{ ((smallest_change / schedule.step_s) ** 2) | literal(real, "rounding errors") }};
     real b_squared = {{ zero }};
@@ -177,9 +178,9 @@ static bool is_stable(const real *x, const real rate[4][{{ states }}])
 
     for (uint16_t i = 0U; i < {{ states }}U; i++) {
         const real scale = {{ one }} / ({{ one }} + ((x[i] < {{ zero }}) ? -x[i] : x[i]));
-        const real a = (rate[1][i] - rate[0][i]) * ({{ 0.5 | literal(real) }} * scale);
-        const real b = (rate[2][i] - rate[1][i]) * scale;
-        const real c = ((rate[0][i] - rate[2][i]) + (rate[3][i] - rate[2][i])) * scale;
+        const real a = (rate[i + {{ states }}U] - rate[i]) * ({{ 0.5 | literal(real) }} * scale);
+        const real b = (rate[i + {{ 2 * states }}U] - rate[i + {{ states }}U]) * scale;
+        const real c = ((rate[i] - rate[i + {{ 2 * states }}U]) + (rate[i + {{ 3 * states }}U] - rate[i + {{ 2 * states }}U])) * scale;
 
         a_squared += a * a;
         b_squared += b * b;
@@ -201,7 +202,7 @@ static bool integrate(const instant *start, real *x{{ ", bool *stable" if checks
     real total[{{ states }}];
     real z[{{ states }}];
 {% if checks_steps %}
-    real last[4][{{ states }}]; /* rates at the stages of the last step */
+    real last[{{ 4 * states }}]; /* rates at the stages of the last step */
 {% endif %}
 
     at.x = z;
@@ -224,7 +225,7 @@ static bool integrate(const instant *start, real *x{{ ", bool *stable" if checks
 {% if checks_steps %}
             if (step == {{ schedule.steps - 1 }}U) {
                 for (uint16_t i = 0U; i < {{ states }}U; i++) {
-                    last[stage][i] = rate[i];
+                    last[(stage * {{ states }}U) + i] = rate[i];
                 }
             }
 {% endif %}
@@ -258,7 +259,7 @@ static bool integrate(const instant *at, real *x{{ ", bool *stable" if checks_st
     real x{{ i }} = x[{{ i }}];
 {% endfor %}
 {% if checks_steps %}
-    real last[4][{{ states }}]; /* rates at the stages of the last step */
+    real last[{{ 4 * states }}]; /* rates at the stages of the last step */
 {% endif %}
 
 {% for statement in functions.tick_values.statements %}
@@ -291,7 +292,7 @@ static bool integrate(const instant *at, real *x{{ ", bool *stable" if checks_st
 {% if checks_steps %}
             if (step == {{ schedule.steps - 1 }}U) {
 {% for i in range(states) %}
-                last[stage][{{ i }}] = rate{{ i }};
+                last[(stage * {{ states }}U) + {{ i }}U] = rate{{ i }};
 {% endfor %}
             }
 {% endif %}
