@@ -38,13 +38,6 @@ _CLEAR = 2.0**4
 A run that diverges soon has states that no correct run has.
 """
 
-_STRIDE = 13
-"""Number of steps from one check to the next. A check of every step would take 15 % of a run.
-
-An unstable mode lasts for many steps. An odd number meets both halves of an oscillation between two
-states.
-"""
-
 _SMALLEST_CHANGE = 1e-9
 """Change of a scaled state in a step below which differences of rates are rounding errors."""
 
@@ -94,62 +87,41 @@ class Tick:
                 self.x[i] = self.function.select(self.running, new[i], self.x[i])
 
 
-class _Watch:
-    """Emits the search of a tick for steps that a mode λ makes unstable, and calls of `Report`.
+def _watch(
+    tick: Tick, t: Value, h: Value, of_state: Callable[[Operand], tuple[Value, Value, Value]]
+) -> None:
+    """Emit the check of the last step (t, h) of a tick, and the call of its `Report`.
 
     The stages of a step are a short power iteration, with the rates f at its start and their
     Jacobian J. Of two differences of the rates, the faster one contains two powers of h J more. So
-    the ratio of their norms grows with the largest (h |λ|)² among the modes that move. A single
+    the ratio of their norms grows with the largest (h |λ|)² among the modes λ that move. A single
     power would not do, because states of different size make its ratio too large. A step is
-    reported if the square of the ratio exceeds `_RATIO` and those of earlier steps of the
-    tick. Explicit time and corners of the rates change the ratio too, so a report is a suspicion.
+    reported if the square of the ratio exceeds `_RATIO`. Explicit time and corners of the rates
+    change the ratio too, so a report is a suspicion only.
+
+    ``of_state(i)`` emits for the state i the slower and the faster difference, and the change in
+    the step. An unstable mode lasts for many steps, so a check of each step would only take time.
     """
-
-    def __init__(self, tick: Tick) -> None:
-        """Emit the start of a tick."""
-        self.tick, f = tick, tick.function
-        self._suspect = ratio, *_ = [f.array(1, tick.type) for _ in range(3)] + [tick.vector()]
-        ratio[0] = _RATIO
-        smallest = _SMALLEST_CHANGE / tick.step
-        self._noise = f.coerce(smallest * smallest, tick.type)
-
-    def step(
-        self,
-        number: Operand,
-        t: Value,
-        h: Value,
-        differences: Callable[[Operand], tuple[Value, Value]],
-    ) -> None:
-        """Emit the check of the step (t, h) before its result replaces the states.
-
-        ``number``: number of the step in its tick. ``differences(i)`` emits the slower and the
-        faster difference of the rates of state i.
-        """
-        tick, f = self.tick, self.tick.function
-        with f.when((f.coerce(number, INT) % _STRIDE).equals(0)):
-            slow, fast = (f.variable(f.constant(0.0, tick.type)) for _ in range(2))
-            for i in f.each(tick.size):
-                scale = 1.0 / (f.absolute(tick.x[i]) + 1.0)
-                for total, difference in zip((slow, fast), differences(i), strict=True):
-                    scaled = difference * scale
-                    total.set(f.fma(scaled, scaled, total.get()))
-            largest = self._suspect[0][0]
-            lanes = (fast.get() > f.fma(slow.get(), largest, self._noise)) & tick.running
-            with f.when(f.any_lane(lanes), rare=True):
-                ratio = fast.get() / slow.get()
-                ratio = f.select(ratio >= _CLEAR, math.inf, ratio)
-                values = (ratio, f.coerce(t, tick.type), f.coerce(h, tick.type))
-                for kept, value in zip(self._suspect, values, strict=False):
-                    kept[0] = f.select(lanes, value, kept[0])
-                kept = self._suspect[-1]
-                for i in f.each(tick.size):
-                    kept[i] = f.select(lanes, tick.x[i], kept[i])
-
-    def report(self) -> None:
-        """Emit the end of a tick. A call among the steps would keep LLVM from rearranging them."""
-        lanes = self._suspect[0][0] > _RATIO
-        with self.tick.function.when(self.tick.function.any_lane(lanes), rare=True):
-            self.tick.report(lanes, self._suspect)
+    f = tick.function
+    slow, fast = (f.variable(f.constant(0.0, tick.type)) for _ in range(2))
+    for i in f.each(tick.size):
+        scale = 1.0 / (f.absolute(tick.x[i]) + 1.0)
+        for total, difference in zip((slow, fast), of_state(i)[:2], strict=True):
+            scaled = difference * scale
+            total.set(f.fma(scaled, scaled, total.get()))
+    noise = _SMALLEST_CHANGE / h
+    bound = f.fma(slow.get(), _RATIO, f.coerce(noise * noise, tick.type))
+    lanes = (fast.get() > bound) & tick.running
+    with f.when(f.any_lane(lanes), rare=True):
+        ratio = fast.get() / slow.get()
+        step = [f.array(1, tick.type) for _ in range(3)] + [tick.vector()]
+        for array, value in zip(
+            step, (f.select(ratio >= _CLEAR, math.inf, ratio), t, h), strict=False
+        ):
+            array[0] = f.coerce(value, tick.type)
+        for i in f.each(tick.size):
+            step[-1][i] = tick.x[i] - of_state(i)[2]
+        tick.report(lanes, step)
 
 
 def before_end(tick: Tick, time: Value) -> Value:
@@ -172,7 +144,11 @@ def advance_rk4(tick: Tick) -> None:
     steps = f.maximum(f.ceil(span / tick.step - 1e-9), 1.0)
     h = span / steps
     z, k1, k2, k3, k4 = (tick.vector() for _ in range(5))
-    watch = _Watch(tick)
+    sixth = f.coerce(h * (1.0 / 6.0), tick.type)
+
+    def weighted(i: Operand) -> Value:
+        return f.fma(k2[i] + k3[i], 2.0, k1[i] + k4[i])
+
     for number in f.loop(f.to_int(steps)):
         t = f.fma(f.to_double(f.coerce(number, INT)), h, tick.start)
         tick.rate(t, tick.x, k1)
@@ -182,16 +158,18 @@ def advance_rk4(tick: Tick) -> None:
         tick.rate(t + 0.5 * h, z, k3)
         tick.along(z, (h, k3))
         tick.rate(t + h, z, k4)
-        sixth = f.coerce(h * (1.0 / 6.0), tick.type)
         for i in f.each(tick.size):
-            middle = f.fma(k2[i] + k3[i], 2.0, k1[i] + k4[i])
-            z[i] = f.fma(sixth, middle, tick.x[i])
-        # |k₁ + k₄ - 2 k₃| = (h |λ|)²/2 |k₂ - k₁| for a single mode
-        watch.step(
-            number, t, h, lambda i: ((k2[i] - k1[i]) * 0.5, f.fma(k3[i], -2.0, k1[i] + k4[i]))
-        )
+            z[i] = f.fma(sixth, weighted(i), tick.x[i])
         tick.accept(z)
-    watch.report()
+    # |k₁ + k₄ - 2 k₃| = (h |λ|)²/2 |k₂ - k₁| for a single mode
+    _watch(
+        *(tick, tick.end - h, h),
+        lambda i: (
+            (k2[i] - k1[i]) * 0.5,
+            f.fma(k3[i], -2.0, k1[i] + k4[i]),
+            sixth * weighted(i),
+        ),
+    )
 
 
 def advance_runge_kutta3(tick: Tick) -> None:
@@ -202,8 +180,11 @@ def advance_runge_kutta3(tick: Tick) -> None:
     """
     f = tick.function
     z, k1, k2, k3 = (tick.vector() for _ in range(4))
-    watch = _Watch(tick)
-    time, count = f.variable(tick.start), f.variable(f.constant(0, INT))
+    time, length = f.variable(tick.start), f.variable(tick.step)
+
+    def weighted(i: Operand) -> Value:
+        return f.fma(k2[i], 4.0, k1[i] + k3[i])
+
     with f.forever() as loop:
         t = time.get()
         loop.stop_if(t >= tick.end)
@@ -216,11 +197,14 @@ def advance_runge_kutta3(tick: Tick) -> None:
         tick.rate(t + h, z, k3)
         sixth = f.coerce(h * (1.0 / 6.0), tick.type)
         for i in f.each(tick.size):
-            z[i] = f.fma(sixth, f.fma(k2[i], 4.0, k1[i] + k3[i]), tick.x[i])
-        # |k₁ + k₃ - 2 k₂| = (h |λ|)² |k₁| for a single mode
-        number = count.get()
-        watch.step(number, t, h, lambda i: (k1[i], f.fma(k2[i], -2.0, k1[i] + k3[i])))
-        count.set(number + 1)
+            z[i] = f.fma(sixth, weighted(i), tick.x[i])
         tick.accept(z)
+        length.set(h)
         time.set(f.select(last, tick.end, t + h))
-    watch.report()
+    # |k₁ + k₃ - 2 k₂| = (h |λ|)² |k₁| for a single mode
+    h = length.get()
+    sixth = f.coerce(h * (1.0 / 6.0), tick.type)
+    _watch(
+        *(tick, tick.end - h, h),
+        lambda i: (k1[i], f.fma(k2[i], -2.0, k1[i] + k3[i]), sixth * weighted(i)),
+    )

@@ -52,8 +52,8 @@ class UnstableStep:
     """The first unstable step of a run.
 
     ``time_s`` and ``state``: start of the step; ``step_s``: its length. ``eigenvalue``: the mode λ
-    in 1/s that the step does not follow; ``shares`` (states,): participation factors of the states in
-    this mode. ``safe_s``: `SAFETY` times the longest stable step in s.
+    in 1/s that the step does not follow; ``shares`` (states,): participation factors of the states
+    in this mode. ``safe_s``: `SAFETY` times the longest stable step in s.
     """
 
     time_s: float

@@ -166,10 +166,9 @@ static void {{ function.name }}(const instant *at{{ function.arguments }})
 {% set stage_weights = "{%s, %s, %s, %s}" | format(one, two, two, one) %}
 {% endif %}
 {% if checks_steps %}
-/* Return whether a Runge-Kutta step with these rates, those of the first of its
- * four stages first, is stable. For a mode l, the
- * ratio of b and a is h |l| with the step h, and that of c and a is (h |l|)^2. The check is not exact:
- * in smooth rates of a single mode it fails from h |l| = {{ stability }} on. */
+/* Return whether a Runge-Kutta step is stable, by the rates of its four stages, one stage after the
+ * other. For a mode l, the ratio of b and a is h |l| with the step h, and that of c and a is
+ * (h |l|)^2. In smooth rates of a single mode the check fails from h |l| = {{ stability }} on. */
 static bool is_stable(const real *x, const real *rate)
 {
     real a_squared = {{ ((smallest_change / schedule.step_s) ** 2) | literal(real, "rounding errors") }};
