@@ -251,7 +251,7 @@ def test_a_wrong_tolerance_is_refused(tolerance):
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"inputs": None}, {"inputs": 3}, {"outputs": [3]}, {"bypass": None}, {"bypass": [3]}],
+    [{"inputs": 3}, {"outputs": [3]}, {"bypass": None}, {"bypass": [3]}],
 )
 def test_names_of_another_type_are_refused(wrong):
     diagram = feedback()
