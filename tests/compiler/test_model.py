@@ -611,7 +611,7 @@ def fill(chamber, per_s, **options):
 
 
 @pytest.mark.parametrize("integrator", ["rk4", "runge_kutta3"])
-@pytest.mark.parametrize("product", [3.0, 5.0, 30.0, 300.0])
+@pytest.mark.parametrize("product", [3.0, 5.0, 30.0])
 def test_a_valve_that_is_too_fast_for_the_steps_ends_the_run(chamber, integrator, product):
     """The wrong run is bounded: the valve opens and closes for ever."""
     per_s = product / 1e-3
@@ -625,8 +625,7 @@ def test_a_valve_that_is_too_fast_for_the_steps_ends_the_run(chamber, integrator
     assert error.step_s == pytest.approx(
         0.2 * {"rk4": 2.785, "runge_kutta3": 2.513}[integrator] / per_s, rel=1e-3
     )
-    if product < 100.0:  # the others take long
-        assert fill(chamber, per_s, step_s=error.step_s) == pytest.approx(-1.0 / per_s, rel=1e-9)
+    assert fill(chamber, per_s, step_s=error.step_s) == pytest.approx(-1.0 / per_s, rel=1e-9)
 
 
 @pytest.mark.parametrize("product", [0.2, 1.0, 2.5])
@@ -640,7 +639,7 @@ def test_each_lane_is_judged_alone(chamber):
         State(np.ones(1), np.empty(0)),
         {"record_period_s": 0.01, "integrator": "rk4", "step_s": 1e-3},
     )
-    rates = np.array([[1e2], [5e3], [2e3], [3e4], [2e2], [4e3], [1e3], [1.5e3], [3e5]])
+    rates = np.array([[1e2], [5e3], [2e3], [3e4], [2e2], [4e3], [1e3], [1.5e3], [2e4]])
     durations = np.linspace(1.2, 2.0, len(rates))
     batch = chamber.simulate_batch(rates, start, durations, failures="return", **options)
     for run, row, duration_s in zip(batch, rates, durations, strict=True):
@@ -653,7 +652,7 @@ def test_each_lane_is_judged_alone(chamber):
 
 
 def test_runs_in_pieces_find_the_unstable_step_too(chamber):
-    parameters, start = np.array([1e4]), State(np.full(1, 1e-3), np.empty(0))
+    parameters, start = np.array([4e3]), State(np.full(1, 1e-3), np.empty(0))
     options = {"integrator": "rk4", "step_s": 1e-3}
     system = chamber.as_system(parameters, start, tick_s=0.01, **options)
     context = system.CreateDefaultContext()

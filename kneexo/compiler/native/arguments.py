@@ -55,10 +55,10 @@ Each argument has eight bytes: a number, or the address of an array.
 - ``reductions``, ``reduction_ends``, ``begins``, ``bounds``, ``reduced``: arrays of `Reducer`;
   ``unseen``: first row whose samples no earlier call has reduced, or a row that no run reaches if
   there are no reductions
-- ``suspects`` (lanes, `SUSPECTS`, 3 + states + discrete states + inputs): for each window of time
-  a step of a Runge-Kutta integrator that may be unstable, as ratio of its rates, start
-  and length in s, states and inputs; the ratio is zero if there is none. ``windows`` (lanes,):
-  length of a window in ticks
+- ``suspects`` (lanes, `SUSPECTS`, 4 + states + discrete states + inputs): for each window of time
+  a tick in which a Runge-Kutta integrator may be unstable: ratio of its rates, start and end in s,
+  length of a step in s, states and inputs; the ratio is zero if there is none. ``windows``
+  (lanes,): length of a window in ticks
 """
 
 BETWEEN = (

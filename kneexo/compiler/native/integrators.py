@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from .ir import Array, Function, Operand, Value
-from .types import INT, Type
+from .types import BOOL, INT, Type
 
 Rate = Callable[[Operand, Array, Array], None]
 """``rate(t, x, out)`` emits code that writes dx/dt at time t in s and states x to ``out``.
@@ -17,14 +17,14 @@ The open inputs have their values at the time t.
 
 
 Report = Callable[[Value, Sequence[Array]], None]
-"""``report(lanes, (ratio, t, h, x))`` emits code that logs a step of a tick that may be unstable.
+"""``report(lanes, (ratio, start, end, h, x))`` emits code that logs a tick with an unstable step.
 
 ``lanes`` is the condition that holds in the lanes with such a step, and ``ratio`` is the ratio by
-which the steps of a lane are compared. The step begins at time t in s with the states x, and has
-the length h in s. The emitted arrays have one element, or one for each state.
+which the ticks of a lane are compared. The tick begins at the time ``start`` in s with the states
+x, and has steps of the length h. The emitted arrays have one element, or one for each state.
 """
 
-_RATIO = 1.4**4
+RATIO = 1.4**4
 """Square of the ratio (h |λ|)² of two differences of the rates from which a step is suspected.
 
 RK4 is unstable from h |λ| = 2.6 … 2.83 on, depending on the argument of λ, and the third order from
@@ -32,8 +32,8 @@ RK4 is unstable from h |λ| = 2.6 … 2.83 on, depending on the argument of λ, 
 oscillates about the corner and makes a smaller ratio, but at least 2.
 """
 
-_CLEAR = 2.0**4
-"""Ratio that counts as infinite, so that no later step replaces the step in the log.
+CLEAR = 2.0**4
+"""Ratio that counts as infinite, so that no later tick replaces the tick in the log.
 
 A run that diverges soon has states that no correct run has.
 """
@@ -64,6 +64,11 @@ class Tick:
     step: Value
     """Largest step of the Runge-Kutta integrators in s."""
     report: Report = lambda lanes, step: None
+    number: Value | None = None
+    """Number of the tick, which decides which step is checked.
+
+    Without a number each step is checked, which takes 15 % of a run.
+    """
 
     def vector(self) -> Array:
         """Return new local memory of the emitted code, with one element for each state."""
@@ -87,41 +92,68 @@ class Tick:
                 self.x[i] = self.function.select(self.running, new[i], self.x[i])
 
 
-def _watch(
-    tick: Tick, t: Value, h: Value, of_state: Callable[[Operand], tuple[Value, Value, Value]]
-) -> None:
-    """Emit the check of the last step (t, h) of a tick, and the call of its `Report`.
+class _Watch:
+    """Emits the search of a tick for steps that are too long for a mode λ.
 
     The stages of a step are a short power iteration, with the rates f at its start and their
     Jacobian J. Of two differences of the rates, the faster one contains two powers of h J more. So
-    the ratio of their norms grows with the largest (h |λ|)² among the modes λ that move. A single
-    power would not do, because states of different size make its ratio too large. A step is
-    reported if the square of the ratio exceeds `_RATIO`. Explicit time and corners of the rates
+    the ratio of their norms grows with the largest (h |λ|)² among the modes that move. A single
+    power would not do, because states of different size make its ratio too large. A tick is
+    reported if the square of the ratio exceeds `RATIO`. Explicit time and corners of the rates
     change the ratio too, so a report is a suspicion only.
-
-    ``of_state(i)`` emits for the state i the slower and the faster difference, and the change in
-    the step. An unstable mode lasts for many steps, so a check of each step would only take time.
     """
-    f = tick.function
-    slow, fast = (f.variable(f.constant(0.0, tick.type)) for _ in range(2))
-    for i in f.each(tick.size):
-        scale = 1.0 / (f.absolute(tick.x[i]) + 1.0)
-        for total, difference in zip((slow, fast), of_state(i)[:2], strict=True):
-            scaled = difference * scale
-            total.set(f.fma(scaled, scaled, total.get()))
-    noise = _SMALLEST_CHANGE / h
-    bound = f.fma(slow.get(), _RATIO, f.coerce(noise * noise, tick.type))
-    lanes = (fast.get() > bound) & tick.running
-    with f.when(f.any_lane(lanes), rare=True):
-        ratio = fast.get() / slow.get()
-        step = [f.array(1, tick.type) for _ in range(3)] + [tick.vector()]
-        for array, value in zip(
-            step, (f.select(ratio >= _CLEAR, math.inf, ratio), t, h), strict=False
-        ):
-            array[0] = f.coerce(value, tick.type)
+
+    def __init__(self, tick: Tick, steps: Value) -> None:
+        """Emit a copy of the states at the start of the tick, which has ``steps`` steps or more."""
+        self.tick, self._start = tick, tick.vector()
+        for i in tick.function.each(tick.size):
+            self._start[i] = tick.x[i]
+        self._kept = tick.vector(), tick.vector()
+        # The checked step changes from tick to tick, or it could keep step with an oscillation.
+        self._chosen = None if tick.number is None else tick.number % tick.function.to_int(steps)
+
+    def step(
+        self, number: Operand, h: Value, differences: Callable[[Operand], tuple[Value, Value]]
+    ) -> None:
+        """Emit code that keeps the differences of the rates of a step, if this step is checked.
+
+        ``number``: number of the step in its tick. ``differences(i)`` emits the slower and the
+        faster difference of the rates of state i.
+        """
+        f = self.tick.function
+        chosen = f.constant(1, BOOL)
+        if self._chosen is not None:
+            chosen = f.coerce(number, INT).equals(self._chosen)
+        with f.when(chosen):
+            for i in f.each(self.tick.size):
+                for kept, difference in zip(self._kept, differences(i), strict=True):
+                    kept[i] = difference
+            if self._chosen is None:
+                self._check(h)
+
+    def end(self, h: Value) -> None:
+        """Emit the check of the kept step of the tick. A step has the length h."""
+        if self._chosen is not None:
+            self._check(h)
+
+    def _check(self, h: Value) -> None:
+        tick, f = self.tick, self.tick.function
+        slow, fast = (f.variable(f.constant(0.0, tick.type)) for _ in range(2))
         for i in f.each(tick.size):
-            step[-1][i] = tick.x[i] - of_state(i)[2]
-        tick.report(lanes, step)
+            scale = 1.0 / (f.absolute(tick.x[i]) + 1.0)
+            for total, kept in zip((slow, fast), self._kept, strict=True):
+                scaled = kept[i] * scale
+                total.set(f.fma(scaled, scaled, total.get()))
+        noise = _SMALLEST_CHANGE / h
+        bound = f.fma(slow.get(), RATIO, f.coerce(noise * noise, tick.type))
+        lanes = ~(fast.get() <= bound) & tick.running  # also where a rate is not finite
+        with f.when(f.any_lane(lanes), rare=True):
+            ratio = fast.get() / slow.get()
+            values = (f.select(ratio < CLEAR, ratio, math.inf), tick.start, tick.end, h)
+            arrays = [f.array(1, tick.type) for _ in values]
+            for array, value in zip(arrays, values, strict=True):
+                array[0] = f.coerce(value, tick.type)
+            tick.report(lanes, [*arrays, self._start])
 
 
 def before_end(tick: Tick, time: Value) -> Value:
@@ -144,10 +176,11 @@ def advance_rk4(tick: Tick) -> None:
     steps = f.maximum(f.ceil(span / tick.step - 1e-9), 1.0)
     h = span / steps
     z, k1, k2, k3, k4 = (tick.vector() for _ in range(5))
-    sixth = f.coerce(h * (1.0 / 6.0), tick.type)
+    watch = _Watch(tick, steps)
 
-    def weighted(i: Operand) -> Value:
-        return f.fma(k2[i] + k3[i], 2.0, k1[i] + k4[i])
+    def differences(i: Operand) -> tuple[Value, Value]:
+        # |k₁ + k₄ - 2 k₃| = (h |λ|)²/2 |k₂ - k₁| for a single mode
+        return (k2[i] - k1[i]) * 0.5, f.fma(k3[i], -2.0, k1[i] + k4[i])
 
     for number in f.loop(f.to_int(steps)):
         t = f.fma(f.to_double(f.coerce(number, INT)), h, tick.start)
@@ -158,18 +191,13 @@ def advance_rk4(tick: Tick) -> None:
         tick.rate(t + 0.5 * h, z, k3)
         tick.along(z, (h, k3))
         tick.rate(t + h, z, k4)
+        sixth = f.coerce(h * (1.0 / 6.0), tick.type)
         for i in f.each(tick.size):
-            z[i] = f.fma(sixth, weighted(i), tick.x[i])
+            middle = f.fma(k2[i] + k3[i], 2.0, k1[i] + k4[i])
+            z[i] = f.fma(sixth, middle, tick.x[i])
         tick.accept(z)
-    # |k₁ + k₄ - 2 k₃| = (h |λ|)²/2 |k₂ - k₁| for a single mode
-    _watch(
-        *(tick, tick.end - h, h),
-        lambda i: (
-            (k2[i] - k1[i]) * 0.5,
-            f.fma(k3[i], -2.0, k1[i] + k4[i]),
-            sixth * weighted(i),
-        ),
-    )
+        watch.step(number, h, differences)
+    watch.end(h)
 
 
 def advance_runge_kutta3(tick: Tick) -> None:
@@ -180,11 +208,8 @@ def advance_runge_kutta3(tick: Tick) -> None:
     """
     f = tick.function
     z, k1, k2, k3 = (tick.vector() for _ in range(4))
-    time, length = f.variable(tick.start), f.variable(tick.step)
-
-    def weighted(i: Operand) -> Value:
-        return f.fma(k2[i], 4.0, k1[i] + k3[i])
-
+    watch = _Watch(tick, f.maximum(f.floor((tick.end - tick.start) / tick.step), 1.0))
+    time, count = f.variable(tick.start), f.variable(f.constant(0, INT))
     with f.forever() as loop:
         t = time.get()
         loop.stop_if(t >= tick.end)
@@ -197,14 +222,11 @@ def advance_runge_kutta3(tick: Tick) -> None:
         tick.rate(t + h, z, k3)
         sixth = f.coerce(h * (1.0 / 6.0), tick.type)
         for i in f.each(tick.size):
-            z[i] = f.fma(sixth, weighted(i), tick.x[i])
+            z[i] = f.fma(sixth, f.fma(k2[i], 4.0, k1[i] + k3[i]), tick.x[i])
         tick.accept(z)
-        length.set(h)
+        number = count.get()
+        # |k₁ + k₃ - 2 k₂| = (h |λ|)² |k₁| for a single mode
+        watch.step(number, h, lambda i: (k1[i], f.fma(k2[i], -2.0, k1[i] + k3[i])))
+        count.set(number + 1)
         time.set(f.select(last, tick.end, t + h))
-    # |k₁ + k₃ - 2 k₂| = (h |λ|)² |k₁| for a single mode
-    h = length.get()
-    sixth = f.coerce(h * (1.0 / 6.0), tick.type)
-    _watch(
-        *(tick, tick.end - h, h),
-        lambda i: (k1[i], f.fma(k2[i], -2.0, k1[i] + k3[i]), sixth * weighted(i)),
-    )
+    watch.end(tick.step)

@@ -164,7 +164,7 @@ class Runner:
         self._inputs = np.zeros((lanes, len(INPUT)), dtype=np.int64)
         self._windows = np.full(lanes, _NEVER, dtype=np.int64)
         self._vectors = len(layout.states), len(layout.discrete)
-        self._suspects = np.zeros((lanes, SUSPECTS, 3 + sum(self._vectors) + layout.input_count))
+        self._suspects = np.zeros((lanes, SUSPECTS, 4 + sum(self._vectors) + layout.input_count))
         self._has_inputs = bool(layout.inputs)
         self._arguments = _arguments(
             RUN,

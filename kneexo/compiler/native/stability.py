@@ -9,11 +9,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
 from ..run_data import Array, State
+from .integrators import CLEAR
 
 STABILITY = {
     "rk4": (1.0, 1.0, 1.0 / 2.0, 1.0 / 6.0, 1.0 / 24.0),
@@ -21,11 +21,17 @@ STABILITY = {
 }
 """Coefficients of each integrator's R(z): a step of length h multiplies the mode λ by R(h λ)."""
 
-_STAGES: dict[str, tuple[tuple[float, ...], ...]] = {
-    "rk4": ((0.5,), (0.0, 0.5), (0.0, 0.0, 1.0)),
-    "runge_kutta3": ((0.5,), (-1.0, 2.0)),
+_TABLEAU: dict[str, tuple[tuple[float, ...], ...]] = {
+    "rk4": ((0.5,), (0.0, 0.5), (0.0, 0.0, 1.0), (1 / 6, 1 / 3, 1 / 3, 1 / 6)),
+    "runge_kutta3": ((0.5,), (-1.0, 2.0), (1 / 6, 2 / 3, 1 / 6)),
 }
-"""Weights by which a step multiplies the rates before each further stage (Butcher's table)."""
+"""Weights by which a step multiplies the rates for each further stage and at last for its end."""
+
+_DIFFERENCES = {
+    "rk4": ((-0.5, 0.5, 0.0, 0.0), (1.0, 0.0, -2.0, 1.0)),
+    "runge_kutta3": ((1.0, 0.0, 0.0), (1.0, -2.0, 1.0)),
+}
+"""Weights of the rates at the stages in the slower and the faster difference: see `integrators`."""
 
 SAFETY = 0.2
 """Ratio of the step that an error names and the longest stable step in the state of the error.
@@ -45,6 +51,9 @@ the plant does: load pressures were 29 % wrong.
 
 Rates = Callable[[float, Array, Array, Array], tuple[Array, Array]]
 """``rates(t, d, u, x)`` returns dx/dt (states,) and its Jacobian (states, states)."""
+
+_StateRates = Callable[[Array], tuple[Array, Array]]
+_Point = tuple[Array, Array, Array]  # states at a stage, their rates and their Jacobian
 
 
 @dataclass(frozen=True)
@@ -89,41 +98,69 @@ def excess(integrator: str, h_lambda: Array) -> Array:
 def unstable_step(
     integrator: str, rates: Rates, suspects: Array, sizes: tuple[int, int]
 ) -> UnstableStep | None:
-    """Return the first unstable step among the logged steps of a run; None if all are stable.
+    """Return the first unstable step among the logged ticks of a run; None if all are stable.
 
-    ``suspects`` (n, 3 + states + discrete states + inputs): see `RUN`; ``sizes``: numbers of
+    ``suspects`` (n, 4 + states + discrete states + inputs): see `RUN`; ``sizes``: numbers of
     continuous and of discrete states.
     """
-    for _, t, h, *vectors in suspects:
+    for _, start, end, h, *vectors in suspects:
         x, d, u = np.split(np.array(vectors), np.cumsum(sizes))
+        at, steps = partial(rates, start, d, u), max(1, round((end - start) / h))
         with np.errstate(all="ignore"):  # a run that diverges overflows
-            places = (_steepest(integrator, partial(rates, t, d, u), x, h), rates(t, d, u, x)[1])
-        jacobian = next((j for j in places if np.isfinite(j).all()), np.eye(len(x)))
+            number, points = _suspected(integrator, at, x, h, steps)
+            jacobian = _steepest(at, points) if points else np.eye(len(x))
+        if not np.isfinite(jacobian).all():
+            jacobian = points[0][2]
         values, modes = np.linalg.eig(jacobian)
         excesses = excess(integrator, h * values)
         worst = int(np.argmax(excesses))
         if excesses[worst] > 1.0:
             shares = np.abs(modes[:, worst] * np.linalg.pinv(modes)[worst])
             safe_s = SAFETY * h / float(excesses[worst])
-            start = State(x, d)
-            return UnstableStep(float(t), h, start, complex(values[worst]), shares, safe_s)
+            time_s, state = float(start + number * h), State(points[0][0], d)
+            return UnstableStep(time_s, float(h), state, complex(values[worst]), shares, safe_s)
     return None
 
 
-def _steepest(
-    integrator: str, rates: Callable[[Array], tuple[Array, Array]], x: Array, h: float
-) -> Array:
+def _suspected(
+    integrator: str, rates: _StateRates, x: Array, h: float, steps: int
+) -> tuple[int, list[_Point]]:
+    """Return number and stages of the first step of a tick whose ratio of rates is `CLEAR`.
+
+    If there is none, it is the step with the largest ratio. x: states at the start of the tick.
+    There are no stages if the rates at the start are not finite.
+    """
+    largest, chosen = -1.0, (0, list[_Point]())
+    for number in range(steps):
+        points = [(x, *rates(x))]
+        if not all(np.isfinite(values).all() for values in points[0]):
+            break
+        for weights in _TABLEAU[integrator]:
+            z = x + h * sum(w * f for w, (_, f, _) in zip(weights, points, strict=False))
+            points.append((z, *rates(z)))
+        end, scale = points.pop()[0], 1.0 + np.abs(x)
+        slow, fast = (
+            np.linalg.norm(sum(w * f for w, (_, f, _) in zip(weights, points, strict=True)) / scale)
+            for weights in _DIFFERENCES[integrator]
+        )
+        ratio = float(np.square(fast / slow))
+        if not ratio <= largest:  # also where a stage has overflowed
+            largest, chosen = ratio, (number, points)
+        if not ratio < CLEAR:
+            break
+        x = end
+    return chosen
+
+
+def _steepest(rates: _StateRates, points: list[_Point]) -> Array:
     """Return the Jacobian where the rates change most between two stages of a step.
 
     Between the stages may lie a short range with other derivatives, such as the band in which
     friction changes its sign. Bisection finds the steepest place.
     """
-    points, scale = [(x, *rates(x))], 1.0 + np.abs(x)
-    for weights in _STAGES[integrator]:
-        z = x + h * sum(w * point[1] for w, point in zip(weights, points, strict=False))
-        points.append((z, *rates(z)))
+    scale = 1.0 + np.abs(points[0][0])
 
-    def slope(ends: tuple[Any, Any]) -> float:
+    def slope(ends: tuple[_Point, _Point]) -> float:
         (z, f, _), (other_z, other_f, _) = ends
         rise, run = (np.linalg.norm(v / scale) for v in (other_f - f, other_z - z))
         return float(rise / run) if run > 0.0 else 0.0

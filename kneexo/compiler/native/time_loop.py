@@ -11,7 +11,7 @@ call makes in lock-step.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 from ..equations.passes import Group, Place, Program
@@ -194,10 +194,11 @@ class _Model:
         """Return the `Tick` from which an integrator emits the tick ``number`` of this model."""
         report = partial(self._report, number)
         x, size = self.x, self.program.size
-        return Tick(self.f, size, self.type, start, end, x, running, self.rate, step, report)
+        tick = Tick(self.f, size, self.type, start, end, x, running, self.rate, step, report)
+        return replace(tick, number=number)
 
     def _report(self, number: Value, lanes: Value, step: Sequence[Array]) -> None:
-        """Emit the log of a step in the tick ``number``, with the inputs at the end of the tick."""
+        """Emit the log of the tick ``number``, with the inputs at the end of the tick."""
         f = self.f
         flags = f.array(1, INT.of(self.lanes))
         flags[0] = f.flags(lanes)
@@ -238,13 +239,15 @@ class _Model:
 
 
 def _define_log(module: Module, lanes: int, sizes: Sequence[int]) -> Function:
-    """Define the emitted function ``log(number, flags, ratio, t, h, x, d, u, windows, suspects)``.
+    """Define the emitted function ``log(number, flags, …, windows, suspects)``.
 
-    The function writes a step in the tick ``number`` to ``suspects`` in each lane whose flag is not
-    zero, if the ratio of the lane exceeds the ratios of all earlier steps in its window.
+    Between them are ratio, start, end, h, x (see `Report`), d and u. The function writes the tick
+    ``number`` to ``suspects`` in each lane whose flag is not
+    zero, if the ratio of the lane exceeds the ratios of all earlier ticks in its window.
     ``windows``, ``suspects``: see `RUN`. ``sizes``: numbers of elements of x, d and u.
     """
-    vectors = dict(zip(("ratio", "t", "h", "x", "d", "u"), (1, 1, 1, *sizes), strict=True))
+    step = ("ratio", "start", "end", "h", "x", "d", "u")
+    vectors = dict(zip(step, (1, 1, 1, 1, *sizes), strict=True))
     names = ("flags", *vectors, "windows", "suspects")
     arguments = {"number": INT} | dict.fromkeys(names, POINTER)
     f = module.function("log", arguments, attributes="noinline cold")
@@ -534,7 +537,8 @@ def _trace_between(module: Module, program: Program) -> None:
         if program.size:
             with f.when(now > time.get()):
                 start, always = time.get(), f.constant(1, BOOL)
-                advance_rk4(model.tick(f.constant(0, INT), start, now, a["step"], always))
+                tick = model.tick(f.constant(0, INT), start, now, a["step"], always)
+                advance_rk4(replace(tick, number=None))
                 time.set(now)
         model.instant(now, groups, condition, store)
         record = a.array("record", DOUBLE)

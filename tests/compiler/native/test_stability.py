@@ -9,7 +9,8 @@ RATIO = 9.0  # the judge ignores it
 
 
 def row(t, h, x):
-    return np.array([RATIO, t, h, *x])
+    """A tick of a single step."""
+    return np.array([RATIO, t, t + h, h, *x])
 
 
 def linear(matrix):
@@ -78,6 +79,21 @@ def test_stages_that_overflow_leave_the_mode_at_the_start():
     assert step.eigenvalue.real < -1e3
     nowhere = row(0.0, 0.01, [np.inf])[None]
     assert unstable_step("rk4", rates, nowhere, (1, 0)) is None
+
+
+@pytest.mark.parametrize("integrator", ["rk4", "runge_kutta3"])
+def test_the_tick_is_repeated_to_its_first_unstable_step(integrator):
+    """x₀ falls by 1 a second; from 0.35 on x₁ has a mode that is too fast. The run overflows."""
+
+    def rates(t, d, u, x):
+        per_s = 1e5 if x[0] < 0.35 else 1.0
+        return np.array([-1.0, -per_s * x[1]]), np.array([[0.0, 0.0], [0.0, -per_s]])
+
+    tick = np.array([np.inf, 3.0, 4.0, 0.01, 1.0, 1.0])[None]
+    step = unstable_step(integrator, rates, tick, (2, 0))
+    assert step.time_s == pytest.approx(3.65, abs=0.011)
+    assert step.state.continuous == pytest.approx([0.35, np.exp(-0.65)], abs=0.02)
+    assert step.eigenvalue == -1e5
 
 
 def test_inputs_and_discrete_states_reach_the_rates():
