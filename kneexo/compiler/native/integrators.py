@@ -99,8 +99,9 @@ class _Watch:
     Jacobian J. Of two differences of the rates, the faster one contains two powers of h J more. So
     the ratio of their norms grows with the largest (h |λ|)² among the modes that move. A single
     power would not do, because states of different size make its ratio too large. A tick is
-    reported if the square of the ratio exceeds `RATIO`. Explicit time and corners of the rates
-    change the ratio too, so a report is a suspicion only.
+    reported if the square of the ratio exceeds `RATIO`, or if the scaled states change by more than
+    1 in the tick. Explicit time and corners of the rates change the ratio too, so a report is a
+    suspicion only.
     """
 
     def __init__(self, tick: Tick, steps: Value) -> None:
@@ -138,20 +139,23 @@ class _Watch:
 
     def _check(self, h: Value) -> None:
         tick, f = self.tick, self.tick.function
-        slow, fast = (f.variable(f.constant(0.0, tick.type)) for _ in range(2))
+        slow, fast, moved = (f.variable(f.constant(0.0, tick.type)) for _ in range(3))
         for i in f.each(tick.size):
-            scale = 1.0 / (f.absolute(tick.x[i]) + 1.0)
-            for total, kept in zip((slow, fast), self._kept, strict=True):
-                scaled = kept[i] * scale
+            scale = 1.0 / (f.absolute(self._start[i]) + 1.0)
+            values = self._kept[0][i], self._kept[1][i], tick.x[i] - self._start[i]
+            for total, value in zip((slow, fast, moved), values, strict=True):
+                scaled = value * scale
                 total.set(f.fma(scaled, scaled, total.get()))
         noise = _SMALLEST_CHANGE / h
         bound = f.fma(slow.get(), RATIO, f.coerce(noise * noise, tick.type))
-        lanes = ~(fast.get() <= bound) & tick.running  # also where a rate is not finite
+        # A valve that was too fast in another step leaves a jump. No comparison holds with nan.
+        stays = (fast.get() <= bound) & (moved.get() <= 1.0)
+        lanes = ~stays & tick.running
         with f.when(f.any_lane(lanes), rare=True):
-            ratio = fast.get() / slow.get()
-            values = (f.select(ratio < CLEAR, ratio, math.inf), tick.start, tick.end, h)
-            arrays = [f.array(1, tick.type) for _ in values]
-            for array, value in zip(arrays, values, strict=True):
+            ratio = f.maximum(fast.get() / slow.get(), moved.get())
+            rank = f.select(ratio < CLEAR, ratio, math.inf)
+            arrays = [f.array(1, tick.type) for _ in range(4)]
+            for array, value in zip(arrays, (rank, tick.start, tick.end, h), strict=True):
                 array[0] = f.coerce(value, tick.type)
             tick.report(lanes, [*arrays, self._start])
 

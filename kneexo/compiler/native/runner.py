@@ -334,7 +334,7 @@ class Runner:
         rates, largest = self._rates(0), 0.0
         times = self.timing.times(np.maximum(snapshots.ticks, 0))
         for t, d, x in zip(times, snapshots.d, snapshots.x, strict=True):
-            _, jacobian = rates(t, d, inputs.value(t), x)
+            _, jacobian = rates(d, inputs.value(t), t, x)
             largest = max(largest, float(np.abs(np.linalg.eigvals(jacobian)).max(initial=0.0)))
         return largest
 
@@ -342,7 +342,7 @@ class Runner:
         """Return the rates of the states as a Python function, with the parameters of a lane."""
         function, size, c = self.code.rates(), self._vectors[0], self._lane_c[lane]
 
-        def rates(t: float, d: Array, u: Array, x: Array) -> tuple[Array, Array]:
+        def rates(d: Array, u: Array, t: float, x: Array) -> tuple[Array, Array]:
             out, jacobian = np.empty(size), np.empty((size, size))
             arrays = np.array([t]), x, d, u, c, out, jacobian
             function(*map(address, arrays))

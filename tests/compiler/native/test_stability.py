@@ -16,15 +16,15 @@ def row(t, h, x):
 def linear(matrix):
     """``rates`` of dx/dt = A x."""
     a = np.array(matrix)
-    return lambda t, d, u, x: (a @ x, a)
+    return lambda d, u, t, x: (a @ x, a)
 
 
 @pytest.mark.parametrize(
     ("integrator", "real", "turning"),
-    [("rk4", 2.785293563405282, 1.437), ("runge_kutta3", 2.512745326618329, 1.051)],
+    [("rk4", 2.785293563405282, 1.902), ("runge_kutta3", 2.512745326618329, 1.492)],
 )
 def test_limits(integrator, real, turning):
-    """Real limits: zeros of |R(z)| - 1; on the imaginary axis 5 % of the amplitude."""
+    """Real limits: zeros of |R(z)| - 1; on the imaginary axis 20 % of the amplitude."""
     at_limit = np.array([-real, 1j * turning, -1j * turning])
     np.testing.assert_allclose(excess(integrator, at_limit), 1.0, rtol=2e-3)
     assert excess(integrator, np.array([-0.5, 0.5j, 0.5, 0.0])).max() < 0.5
@@ -61,7 +61,7 @@ def test_shares_do_not_depend_on_the_units_of_the_states():
 def test_a_steep_band_between_the_stages_is_found(width):
     """Friction -tanh(v/width): the stages lie on either side of the band, where it is flat."""
 
-    def rates(t, d, u, x):
+    def rates(d, u, t, x):
         slope = -1.0 / width / np.cosh(np.minimum(np.abs(x / width), 300.0)) ** 2
         return -np.tanh(x / width), np.atleast_2d(slope)
 
@@ -72,7 +72,7 @@ def test_a_steep_band_between_the_stages_is_found(width):
 
 
 def test_stages_that_overflow_leave_the_mode_at_the_start():
-    def rates(t, d, u, x):
+    def rates(d, u, t, x):
         return -1e3 * x - 1e200 * x**3, np.atleast_2d(-1e3 - 3e200 * x**2)
 
     step = unstable_step("rk4", rates, row(0.0, 0.01, [1e-90])[None], (1, 0))
@@ -85,7 +85,7 @@ def test_stages_that_overflow_leave_the_mode_at_the_start():
 def test_the_tick_is_repeated_to_its_first_unstable_step(integrator):
     """x₀ falls by 1 a second; from 0.35 on x₁ has a mode that is too fast. The run overflows."""
 
-    def rates(t, d, u, x):
+    def rates(d, u, t, x):
         per_s = 1e5 if x[0] < 0.35 else 1.0
         return np.array([-1.0, -per_s * x[1]]), np.array([[0.0, 0.0], [0.0, -per_s]])
 
@@ -97,8 +97,12 @@ def test_the_tick_is_repeated_to_its_first_unstable_step(integrator):
 
 
 def test_inputs_and_discrete_states_reach_the_rates():
-    def rates(t, d, u, x):
-        assert (t, d.tolist(), u.tolist()) == (0.5, [7.0], [8.0, 9.0])
+    times = []
+
+    def rates(d, u, t, x):
+        assert (d.tolist(), u.tolist()) == ([7.0], [8.0, 9.0])
+        times.append(t)
         return -x, -np.eye(1)
 
     assert unstable_step("rk4", rates, row(0.5, 0.1, [1.0, 7.0, 8.0, 9.0])[None], (1, 1)) is None
+    assert times[:5] == pytest.approx([0.5, 0.55, 0.55, 0.6, 0.6])  # the last one begins a step
