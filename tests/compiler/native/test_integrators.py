@@ -119,7 +119,7 @@ def suspects(request):
 
 
 def test_a_fast_mode_that_moves_is_reported_in_its_lane(suspects):
-    x = np.array([[1.0, 1.0], [0.5, 0.5]])
+    x = np.array([[0.1, 0.1], [0.05, 0.05]])
     reported, ratio, start, end, h, *states = suspects([8.0, 18.0], 0.1, x)
     assert reported.tolist() == [0.0, 1.0]
     assert ratio[1] == pytest.approx((0.1 * 18.0) ** 4, rel=1e-9)  # the square of (h |λ|)²
@@ -131,5 +131,7 @@ def test_a_fast_mode_that_moves_is_reported_in_its_lane(suspects):
     assert ratio[1] == np.inf  # clear
     reported, ratio, *_ = suspects([8.0, 1e200], 0.1, x)  # overflows
     assert (reported[1], ratio[1]) == (1.0, np.inf)
+    reported, *_ = suspects([8.0, 8.0], 0.1, x * [1.0, 20.0])  # moves by more than 1
+    assert reported.tolist() == [0.0, 1.0]
     reported, *_ = suspects([18.0, 18.0], 0.1, x * [1.0, 0.0])  # the second mode does not move
     assert reported.tolist() == [1.0, 0.0]
