@@ -504,6 +504,8 @@ uint16_t {{ name }}_step(const {{ name }}_params_t *params, {{ name }}_state_t *
                 status = {{ NAME }}_BAD_RESULT;
             } else if (!stable) {
                 status = {{ NAME }}_UNSTABLE;
+            } else {
+                /* all rates are finite, and the step is stable */
             }
 {% else %}
             if (!integrate(&at, x)) {
