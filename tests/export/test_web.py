@@ -11,7 +11,7 @@ import pytest
 from scipy.interpolate import PPoly
 
 from kneexo import linkage
-from kneexo.errors import KneexoError
+from kneexo.errors import KneexoError, UnstableStepError
 from kneexo.export.web import (
     START,
     START_RATE,
@@ -390,13 +390,16 @@ def amplifies(scenario, changes):
     """Whether a relative change of 1e-12 of the cuff changes a curve by more than 2e-11.
 
     Where valves that open and close amplify nothing, the change is at most 1e-11. Ends that amplify
-    are low gains, much leak, no feedforward, no friction, a stiff cuff, 5 Hz and a slow motor.
+    are low gains, much leak, no feedforward, no friction and a slow motor. With a stiff cuff and at
+    5 Hz the steps of the page are unstable, and the engine refuses them.
     """
     first = scenario.changed(changes | {"simulation.duration_s": 2.0})
     stiffness = first.wearer.cuff.stiffness_n_m_per_rad * (1.0 + 1e-12)
     second = first.changed({"wearer.cuff.stiffness_n_m_per_rad": stiffness})
     signals = (*SIGNALS, "interaction_torque", "wearer_motion")
     run, other = simulate_together([first, second], signals, "rk4", 0.002 / 60)
+    if isinstance(run, UnstableStepError):  # a make-up valve is too fast for the page's steps
+        return True
     return any(
         np.abs(run[name] - other[name]).max() > 2e-11 * np.abs(run[name]).max()
         for name in (*CURVES, *WORN_CURVES)
