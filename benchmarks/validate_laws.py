@@ -294,7 +294,7 @@ def session(seeds: Sequence[int], folder: Path) -> dict[int, str]:
     for seed in seeds:
         try:
             results[seed] = digest(run_of(scenario_of(generated_law(seed), folder)))
-        except Exception as error:
+        except Exception as error:  # counted as a fault of the session
             results[seed] = f"{type(error).__name__}: {str(error)[:200]}"
     return results
 
