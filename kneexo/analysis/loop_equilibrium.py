@@ -90,7 +90,7 @@ A passive leg rests far from the reference. A first step of Newton's method may 
 motion, where the search gets stuck.
 """
 
-_built: Recent[tuple[Any, Any]] = Recent()
+_built = Recent()
 
 
 def _diagrams(scenario: Scenario) -> tuple[Any, Any]:

@@ -95,8 +95,8 @@ def notices(scenario: Scenario) -> Iterator[str]:
     Besides the `model_notices`, a line says that no wearer moves the knee under torque control. If
     a virtual stiffness is unstable, a line has both ends of the stable interval. A line says at
     which end of the reference's range the torque control of a wearer is unstable. A line says when
-    missing readings of the load cell stop the motor. Further lines are those of
-    `_reference_notices`.
+    missing readings of the load cell stop the motor. Further lines name each part of the reference
+    that is not run as its user may expect.
 
     Raises `LinkageError` when the linkage cannot be assembled.
     """

@@ -17,7 +17,7 @@ from functools import cache, lru_cache, partial
 from importlib.metadata import version
 from pathlib import Path
 from threading import RLock
-from typing import Any, NamedTuple, TypeVar, get_origin
+from typing import Any, NamedTuple, get_origin
 
 import numpy as np
 
@@ -205,13 +205,11 @@ def _model(key: str, scenario: Scenario) -> CompiledModel:
 MOST_STRUCTURES = 32
 """Largest number of structures whose models and diagrams a process keeps; each has some MiB."""
 
-V = TypeVar("V")
 
-
-class Recent(OrderedDict[str, V]):
+class Recent(OrderedDict[str, Any]):
     """The values of the last `MOST_STRUCTURES` structures that were asked for, by their keys."""
 
-    def of(self, key: str, make: Callable[[], V]) -> V:
+    def of(self, key: str, make: Callable[[], Any]) -> Any:
         """Return the value of a structure, which ``make()`` makes if it is not kept."""
         with _lock:
             if key not in self:
@@ -223,8 +221,8 @@ class Recent(OrderedDict[str, V]):
 
 
 _lock = RLock()  # threads may run scenarios of one structure
-_models: Recent[CompiledModel] = Recent()
-_diagrams: Recent[Any] = Recent()
+_models = Recent()
+_diagrams = Recent()
 
 
 def _diagram(key: str, scenario: Scenario) -> Any:
