@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from .ir import Array, Function, Operand, Value
+from .ir import Array, Function, Operand, Value, Variable
 from .types import BOOL, INT, Type
 
 Rate = Callable[[Operand, Array, Array], None]
@@ -37,6 +37,9 @@ CLEAR = 2.0**4
 
 A run that diverges soon has states that no correct run has.
 """
+
+MOST_STEPS = 100
+"""Number of steps of which one is checked. The tick of a 2 ms controller has 100 steps of 20 µs."""
 
 _SMALLEST_CHANGE = 1e-9
 """Change of a scaled state in a step below which differences of rates are rounding errors."""
@@ -98,66 +101,79 @@ class _Watch:
     The stages of a step are a short power iteration, with the rates f at its start and their
     Jacobian J. Of two differences of the rates, the faster one contains two powers of h J more. So
     the ratio of their norms grows with the largest (h |λ|)² among the modes that move. A single
-    power would not do, because states of different size make its ratio too large. A tick is
-    reported if the square of the ratio exceeds `RATIO`, or if the scaled states change by more than
-    1 in the tick. Explicit time and corners of the rates change the ratio too, so a report is a
-    suspicion only.
+    power would not do, because states of different size make its ratio too large. One of
+    `MOST_STEPS` steps is checked. A tick is reported if the square of the ratio exceeds `RATIO` in
+    such a step, or if the scaled states change in the tick by more than 1 for each `MOST_STEPS`
+    steps. Explicit time and corners of the rates change the ratio too, so a report is a suspicion
+    only.
     """
 
     def __init__(self, tick: Tick, steps: Value) -> None:
         """Emit a copy of the states at the start of the tick, which has ``steps`` steps or more."""
+        f = tick.function
         self.tick, self._start = tick, tick.vector()
-        for i in tick.function.each(tick.size):
+        self._rank = self._sum()
+        for i in f.each(tick.size):
             self._start[i] = tick.x[i]
-        self._kept = tick.vector(), tick.vector()
+        # A tick of 1 s may have thousands of steps, in which correct states change by more than 1.
+        self._most_moved = f.maximum(steps * (1.0 / MOST_STEPS), 1.0)
         # The checked step changes from tick to tick, or it could keep step with an oscillation.
-        self._chosen = None if tick.number is None else tick.number % tick.function.to_int(steps)
+        few = f.to_int(f.minimum(steps, float(MOST_STEPS)))
+        self._chosen = None if tick.number is None else tick.number % few
 
     def step(
         self, number: Operand, h: Value, differences: Callable[[Operand], tuple[Value, Value]]
     ) -> None:
-        """Emit code that keeps the differences of the rates of a step, if this step is checked.
+        """Emit code that compares the differences of the rates of a step, if this step is checked.
 
         ``number``: number of the step in its tick. ``differences(i)`` emits the slower and the
         faster difference of the rates of state i.
         """
-        f = self.tick.function
+        tick, f = self.tick, self.tick.function
         chosen = f.constant(1, BOOL)
         if self._chosen is not None:
-            chosen = f.coerce(number, INT).equals(self._chosen)
+            chosen = (f.coerce(number, INT) % MOST_STEPS).equals(self._chosen)
         with f.when(chosen):
-            for i in f.each(self.tick.size):
-                for kept, difference in zip(self._kept, differences(i), strict=True):
-                    kept[i] = difference
-            if self._chosen is None:
-                self._check(h)
+            slow, fast = self._sum(), self._sum()
+            for i in f.each(tick.size):
+                for total, difference in zip((slow, fast), differences(i), strict=True):
+                    self._add_square(total, i, difference)
+            noise = _SMALLEST_CHANGE / h
+            bound = f.fma(slow.get(), RATIO, f.coerce(noise * noise, tick.type))
+            # No comparison holds with nan.
+            rank = f.select(fast.get() <= bound, 0.0, self._ranked(fast.get() / slow.get()))
+            self._rank.set(f.maximum(self._rank.get(), rank))
 
     def end(self, h: Value) -> None:
-        """Emit the check of the kept step of the tick. A step has the length h."""
-        if self._chosen is not None:
-            self._check(h)
-
-    def _check(self, h: Value) -> None:
+        """Emit the report of the tick if one of its steps is suspected. A step has length h."""
         tick, f = self.tick, self.tick.function
-        slow, fast, moved = (f.variable(f.constant(0.0, tick.type)) for _ in range(3))
+        moved, limit = self._sum(), self._most_moved
         for i in f.each(tick.size):
-            scale = 1.0 / (f.absolute(self._start[i]) + 1.0)
-            values = self._kept[0][i], self._kept[1][i], tick.x[i] - self._start[i]
-            for total, value in zip((slow, fast, moved), values, strict=True):
-                scaled = value * scale
-                total.set(f.fma(scaled, scaled, total.get()))
-        noise = _SMALLEST_CHANGE / h
-        bound = f.fma(slow.get(), RATIO, f.coerce(noise * noise, tick.type))
-        # A valve that was too fast in another step leaves a jump. No comparison holds with nan.
-        stays = (fast.get() <= bound) & (moved.get() <= 1.0)
-        lanes = ~stays & tick.running
+            self._add_square(moved, i, tick.x[i] - self._start[i])
+        # A valve that was too fast in another step leaves a jump.
+        stays = moved.get() <= f.coerce(limit * limit, tick.type)
+        lanes = ~(stays & (self._rank.get() <= 0.0)) & tick.running
         with f.when(f.any_lane(lanes), rare=True):
-            ratio = f.maximum(fast.get() / slow.get(), moved.get())
-            rank = f.select(ratio < CLEAR, ratio, math.inf)
+            rank = f.maximum(self._rank.get(), self._ranked(moved.get()))
             arrays = [f.array(1, tick.type) for _ in range(4)]
             for array, value in zip(arrays, (rank, tick.start, tick.end, h), strict=True):
                 array[0] = f.coerce(value, tick.type)
             tick.report(lanes, [*arrays, self._start])
+
+    def _sum(self) -> Variable:
+        """Return a new variable of the emitted code, which is zero."""
+        f = self.tick.function
+        return f.variable(f.constant(0.0, self.tick.type))
+
+    def _add_square(self, total: Variable, i: Operand, value: Value) -> None:
+        """Emit ``total`` += (value / scale)². The scale is that of state i at the start."""
+        f = self.tick.function
+        scaled = value * (1.0 / (f.absolute(self._start[i]) + 1.0))
+        total.set(f.fma(scaled, scaled, total.get()))
+
+    def _ranked(self, ratio: Value) -> Value:
+        """Emit the ratio, or infinity from `CLEAR` on and for nan."""
+        return self.tick.function.select(ratio < CLEAR, ratio, math.inf)
 
 
 def before_end(tick: Tick, time: Value) -> Value:

@@ -133,5 +133,7 @@ def test_a_fast_mode_that_moves_is_reported_in_its_lane(suspects):
     assert (reported[1], ratio[1]) == (1.0, np.inf)
     reported, *_ = suspects([8.0, 8.0], 0.1, x * [1.0, 20.0])  # moves by more than 1
     assert reported.tolist() == [0.0, 1.0]
+    reported, *_ = suspects([8.0, 8.0], 1e-3, x * [1.0, 20.0])  # by less than 1 in 100 steps
+    assert not reported.any()
     reported, *_ = suspects([18.0, 18.0], 0.1, x * [1.0, 0.0])  # the second mode does not move
     assert reported.tolist() == [1.0, 0.0]
