@@ -83,15 +83,31 @@ def fit_rod_inverse(
     on every processor and with every numerical library.
 
     Raises `LinkageError` when the linkage cannot be assembled, the rod extension does not fall as
-    the knee flexes over −2…91°, or the error of the fit is above 1e-8 rad. The message names a
-    change of the linkage that helps.
+    the knee flexes over −2…91°, or the error of the fit is above 1e-8 rad. Without ``table_1`` the
+    error is a `RodInverseError`, whose text names a change of the linkage that helps.
     """
     try:
         return _fitted(link, table_1)
     except LinkageError as error:
         if table_1 is not None:
             raise
-        raise LinkageError(f"{error}{_helping_change(link)}") from error
+        inverse_error = RodInverseError(str(error))
+        inverse_error.link = link
+        raise inverse_error from error
+
+
+class RodInverseError(LinkageError):
+    """The rod of the linkage ``link`` cannot be inverted. The text names a change that helps.
+
+    The search for the change takes up to 1 s, and the first reader of the text waits for it. Most
+    errors of a search over linkages have no reader.
+    """
+
+    link: LinkageParameters | None = None
+
+    def __str__(self) -> str:
+        """Return the reason and, if the linkage is known, a change of the linkage that helps."""
+        return super().__str__() + (_helping_change(self.link) if self.link else "")
 
 
 @lru_cache(maxsize=64)

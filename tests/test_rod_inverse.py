@@ -1,6 +1,7 @@
 """The fitted inverse of the rod against Newton's method and exact arithmetic."""
 
 import os
+import pickle
 import re
 import subprocess
 import sys
@@ -215,3 +216,4 @@ def test_a_refused_linkage_is_accepted_after_the_change_that_its_message_names(
     named = re.search(r"; for example, change (\w+) from (\S+) to (\S+) (m|rad)$", str(error.value))
     assert float(named[2]) == pytest.approx(getattr(link, named[1]), rel=1e-3)
     fit_rod_inverse(changed(link, **{named[1]: float(named[3])}))
+    assert str(pickle.loads(pickle.dumps(error.value))) == str(error.value)  # from a worker
