@@ -9,6 +9,7 @@ import json
 import math
 import os
 import re
+import resource
 import select
 import shlex
 import shutil
@@ -28,6 +29,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported
 import hypothesis
 import msgpack
 import numpy as np
+import pydrake.common.cpp_template
 import pytest
 
 from kneexo.compiler.native.cache import cache_directory
@@ -43,6 +45,68 @@ hypothesis.settings.register_profile("kneexo", deadline=None)  # a loaded machin
 hypothesis.settings.load_profile("kneexo")
 
 
+def _module_of_caller(frame=2):
+    """Return the module whose code runs ``frame`` calls above, as `inspect.stack` would find it."""
+    return sys.modules[sys._getframe(frame).f_globals["__name__"]]
+
+
+# Drake asks at each first instantiation of a system; reading all files of the stack takes 20 ms.
+pydrake.common.cpp_template._get_module_from_stack = _module_of_caller
+
+
+def pytest_configure(config):
+    """Compile models of fast tests at LLVM's level 0, because most of them run once."""
+    level = "0" if config.option.markexpr == "not slow" else "3"
+    os.environ.setdefault("KNEEXO_LLVM_LEVEL", level)
+
+
+MOST_CPU_S = 0.2
+"""Largest processor time in s of a fast test, with the processes that the test starts."""
+
+
+def _cpu_s():
+    """Return the processor time in s of this process and of its ended child processes."""
+    times = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(time.ru_utime + time.ru_stime for time in times)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item):
+    """Measure the processor time of a fast test; fail if it exceeds ``--cpu-limit``."""
+    start_s, limit_s = _cpu_s(), item.config.option.cpu_limit
+    result = yield
+    if not item.get_closest_marker("slow"):
+        time_s = _cpu_s() - start_s
+        item.user_properties.append(("cpu_s", time_s))
+        if time_s > limit_s:
+            pytest.fail(f"takes {time_s:.2f} s of processor time, more than {limit_s:g} s")
+    return result
+
+
+def pytest_addoption(parser):
+    """Add the option that holds the rule of CONTRIBUTING on the time of fast tests."""
+    parser.addoption(
+        "--cpu-limit",
+        type=float,
+        default=math.inf,
+        metavar="S",
+        help="fail if a fast test takes more than S seconds of processor time",
+    )
+
+
+def pytest_terminal_summary(terminalreporter, config):
+    """List the fast tests that take more than `MOST_CPU_S`, the slowest one first."""
+    times_s = {
+        report.nodeid: dict(report.user_properties).get("cpu_s", 0.0)
+        for report in terminalreporter.getreports("passed")
+    }
+    slow = sorted((t for t in times_s.items() if t[1] > MOST_CPU_S), key=lambda t: -t[1])
+    if slow:
+        terminalreporter.section(f"{len(slow)} fast tests take more than {MOST_CPU_S} s CPU")
+    for name, time_s in slow[:10]:
+        terminalreporter.line(f"{time_s:5.2f} s  {name}")
+
+
 def pytest_collection_modifyitems(items):
     """Give slow tests, which `timeout` in pyproject.toml would stop, an hour each."""
     for item in items:
@@ -51,8 +115,12 @@ def pytest_collection_modifyitems(items):
 
 
 def pytest_collection_finish():
-    """Leave modules and tests, which stay to the end, out of the searches for garbage."""
+    """Leave modules and tests, which stay to the end, out of the searches for garbage.
+
+    The searches are rarer than by default, because they would take a tenth of the time.
+    """
     gc.freeze()
+    gc.set_threshold(100_000, 50, 100)
 
 
 @pytest.fixture(scope="session", autouse=True)

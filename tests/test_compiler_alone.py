@@ -47,6 +47,7 @@ def run(copy, *arguments):
     command = [sys.executable, "-m", "pytest", "-q", "--import-mode=importlib", *arguments]
     environment = {"PATH": "/usr/local/bin:/usr/bin:/bin", "HOME": str(copy)}
     environment |= {"PYTHONPATH": str(copy), "OPENBLAS_NUM_THREADS": "1"}
+    environment |= {f"{NAME.upper()}_LLVM_LEVEL": "0"}
     return subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True)
 
 

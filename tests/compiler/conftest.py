@@ -244,7 +244,7 @@ def remembered(make, *arguments):
     The key holds the files that compile, so that a change of them counts.
     """
     makers = b"".join(Path(file).read_bytes() for file in (__file__, native_code.__file__))
-    parts = (make.__name__, arguments, llvm.llvm_version_info, hashlib.sha256(makers).hexdigest())
+    parts = (make.__name__, arguments, processor().key, hashlib.sha256(makers).hexdigest())
     key = repr(parts)
     code = cache.load(key)
     if code is None:
@@ -345,11 +345,13 @@ def object_code(text, cpu=None, features="", triple=None):
     if cpu is None:
         cpu, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
     target = llvm.Target.from_triple(triple or llvm.get_process_triple())
-    machine = target.create_target_machine(cpu, features, opt=3, reloc="pic", codemodel="small")
+    machine = target.create_target_machine(
+        cpu, features, opt=processor().level, reloc="pic", codemodel="small"
+    )
     module = llvm.parse_assembly(text)
     module.triple, module.data_layout = machine.triple, str(machine.target_data)
     module.verify()
-    options = llvm.create_pipeline_tuning_options(speed_level=3)
+    options = llvm.create_pipeline_tuning_options(speed_level=processor().level)
     options.slp_vectorization = False
     builder = llvm.create_pass_builder(machine, options)
     builder.getModulePassManager().run(module, builder)

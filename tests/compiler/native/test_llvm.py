@@ -2,6 +2,7 @@
 
 import ctypes
 import gc
+import itertools
 import re
 import warnings
 
@@ -63,13 +64,16 @@ def test_a_processor_without_fused_multiply_add_is_announced():
 
 def test_an_environment_variable_names_the_processor(monkeypatch):
     monkeypatch.delenv(variable("CPU"), raising=False)
+    monkeypatch.delenv(variable("LLVM_LEVEL"), raising=False)
     here = llvm.processor.__wrapped__()
     assert here.name == llvm.llvm.get_host_cpu_name()
     monkeypatch.setenv(variable("CPU"), "x86-64-v3")
     assert llvm.processor.__wrapped__() == Processor("x86-64-v3", "")
+    monkeypatch.setenv(variable("LLVM_LEVEL"), "0")
+    assert llvm.processor.__wrapped__() == Processor("x86-64-v3", "", 0)
 
 
 def test_processors_with_other_code_have_other_keys():
-    keys = {Processor(name, features).key for name in ("a", "b") for features in ("", "+fma")}
-    assert len(keys) == 4
+    keys = {Processor(*named).key for named in itertools.product(("a", "b"), ("", "+fma"), (0, 3))}
+    assert len(keys) == 8
     assert all(llvm.llvm.get_process_triple() in key for key in keys)
