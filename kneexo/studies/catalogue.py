@@ -186,7 +186,7 @@ STUDIES = {
                 Stage("one at a time", 6.0),
                 Stage("samples", 165.0),
                 Stage("corners", 170.0, repeats=True),
-                Stage("sensitivities", 37.0),
+                Stage("sensitivities", 1.0),
                 Stage(FIGURES, 0.5),
                 Stage(FILES, 2.0),
             ),

@@ -48,8 +48,8 @@ class RobustnessSettings(Parameters):
     sensitivity_duration_s: float = quantity(
         20.0,
         "s",
-        "assumption: two periods of 0.1 Hz, of which the second counts; 0 leaves AutoDiff through "
-        "the run out",
+        "assumption: two periods of 0.1 Hz, of which the second counts; 0 leaves the tracking "
+        "error out of the sensitivities",
         ge=0,
         le=1e5,
     )
