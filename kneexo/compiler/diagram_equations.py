@@ -33,6 +33,8 @@ class DiagramEquations:
         self.parameter_names: tuple[str, ...] = tuple(equations.parameters)
         self.state_names: tuple[str, ...] = tuple(equations.states)
         self.discrete_names: tuple[str, ...] = tuple(equations.discrete)
+        self.derivatives: dict[tuple[int, ...], Any] = {}
+        """Machine code of the derivatives of nodes, by these nodes: see `linear.point.Point`."""
 
     @cached_property
     def key(self) -> str:

@@ -13,8 +13,7 @@ from ..equations.equations import Section
 from ..equations.operations import OPERATIONS, Role
 from ..equations.ports import can_bypass
 from ..run_data import Array
-from .jacobian import values_and_jacobian
-from .point import EQUILIBRIUM_TOLERANCE, VARIABLES, Point, Slopes, read_point, require_tolerance
+from .point import EQUILIBRIUM_TOLERANCE, Point, Slopes, read_point, require_tolerance
 
 _AT_CORNER = 1e-9  # relative distance of two numbers that counts as equal
 _CORNERS = {"where": "a switch", "abs": "an absolute value", "min": "a minimum", "max": "a maximum"}
@@ -97,8 +96,8 @@ class _Survey:
         self.point = point
         self.graph = point.read.equations.graph
         self.roots = point.roots(outputs)
-        self.nodes = self.graph.reachable(self.roots)
-        self.place = {node: place for place, node in enumerate(self.nodes)}
+        self.derivatives = point.derivatives(outputs)
+        self.nodes, self.place = self.derivatives.nodes, self.derivatives.place
         names = {node: str(self.graph.nodes[node][0]) for node in self.nodes}
         self.roles = {n: OPERATIONS[name].role for n, name in names.items() if name in OPERATIONS}
         self.values, self.rows = self._derivatives(())
@@ -152,8 +151,7 @@ class _Survey:
 
     def _derivatives(self, rounding: Iterable[int]) -> tuple[Array, Array]:
         """Return values and derivatives of all nodes, with the derivative 1 of some quantizers."""
-        slopes = dict.fromkeys(rounding, 1.0)
-        return values_and_jacobian(self.graph, self.nodes, self.point.sources, VARIABLES, slopes)
+        return self.derivatives.at(self.point.sources, rounding)
 
     def _rounding(self, nodes: Iterable[int]) -> list[int]:
         return [node for node in nodes if self.roles.get(node) is Role.ROUNDING]
@@ -166,8 +164,7 @@ class _Survey:
     def _fault(self, node: int, ends: list[int]) -> tuple[str, str] | None:
         """Return reason and remedy if a node of the section that computes ``ends`` is at fault."""
         name = str(self.graph.nodes[node][0])
-        before = [self.row(argument) for argument in self.taken(node)]
-        if not np.isfinite(self.row(node)).all() and np.isfinite(before).all():
+        if not self._is_finite(node) and all(map(self._is_finite, self.taken(node))):
             return f"the derivative of {name} is not finite", "choose another operating point"
         if self.roles.get(node) is not Role.CORNER:
             return None
@@ -183,6 +180,10 @@ class _Survey:
                 "choose an operating point inside the limits",
             )
         return None
+
+    def _is_finite(self, node: int) -> bool:
+        """Return whether all derivatives of a node are finite."""
+        return bool(np.isfinite(self.row(node)).all())
 
     def _blocks(self, node: int, end: int) -> bool:
         """Return whether a result has no derivative and depends on a node."""

@@ -16,7 +16,7 @@ from ..diagram_equations import DiagramEquations, read_diagram, require_system
 from ..errors import CompilationError, LinearizationError, ParameterError, shown
 from ..native.runner import element_name
 from ..run_data import Array
-from .jacobian import time_varying, values_and_jacobian
+from .jacobian import Derivatives
 
 EQUILIBRIUM_TOLERANCE = 1e-6
 """Default of the largest rate or change of a state at an equilibrium, as in Drake."""
@@ -74,15 +74,26 @@ class Point:
 
     def slopes(self, outputs: Sequence[str] = ()) -> Slopes:
         """Return the values and derivatives at this point, also those of the ports ``outputs``."""
-        values, jacobian = values_and_jacobian(
-            self.read.equations.graph, self.roots(outputs), self.sources, VARIABLES
-        )
+        derivatives = self.derivatives(outputs)
+        of_nodes, rows = derivatives.at(self.sources)
+        values, jacobian = of_nodes[derivatives.roots], rows[derivatives.roots]
         size = self.state.size
         return Slopes(values[:size], jacobian[:size], values[size:], jacobian[size:])
 
+    def derivatives(self, outputs: Iterable[str] = ()) -> Derivatives:
+        """Return the machine code for rates, updates and the ports ``outputs``.
+
+        All points of a diagram share the code.
+        """
+        roots = tuple(self.roots(outputs))
+        known = self.read.derivatives
+        if roots not in known:
+            known[roots] = Derivatives(self.read.equations.graph, roots, VARIABLES)
+        return known[roots]
+
     def time_varying(self, outputs: Sequence[str] = ()) -> list[str]:
         """Return the names of rates, updates and outputs whose derivatives depend on the time."""
-        varies = time_varying(self.read.equations.graph, self.roots(outputs), VARIABLES)
+        varies = self.derivatives(outputs).time_varying
         names = (*self.rate_names, *self.element_names(outputs))
         return [name for name, does in zip(names, varies, strict=True) if does]
 

@@ -7,6 +7,7 @@ import json
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import cache
 from multiprocessing import parent_process
 from pathlib import Path
@@ -15,7 +16,7 @@ from threading import Event, RLock, Timer
 from ..equations.equations import Equations
 from ..equations.passes import Layout, Program
 from . import cache as entries
-from .llvm import Library, compile_text, processor
+from .llvm import Library, Processor, compile_text, processor
 from .time_loop import between_text, rates_text, run_text, start_text
 
 Source = Equations | Callable[[], Equations]
@@ -50,7 +51,7 @@ class MachineCode:
     def layout(self) -> Layout:
         """Names and sizes of the model, loaded from the cache or else taken from `program`."""
         with _lock:
-            key = self._entry("layout")
+            key = _entry(self.key, "layout")
             if key not in _layouts:
                 content = entries.load(key)
                 if content is None:
@@ -94,25 +95,36 @@ class MachineCode:
         return self._library("rates", lambda: rates_text(self.program)).function("rates", 7)
 
     def _library(self, part: str, text: Callable[[], str]) -> Library:
-        with _lock:
-            key = self._entry(part)
-            if key not in _libraries:
-                code = entries.load(key)
-                if code is None:
-                    with _announced():
-                        code = compile_text(text())
-                    entries.store(key, code)
-                _libraries[key] = Library(code)
-                if len(_libraries) > _MOST_LIBRARIES:
-                    del _libraries[next(iter(_libraries))]
-            return _libraries[key]
+        return library(self.key, part, text)
 
-    def _entry(self, part: str) -> str:
-        """Return the cache key of a part of the code: a text that names all causes of the code.
 
-        The causes are the model, the compiler's source, the processor, and the part.
-        """
-        return "\n".join((self.key, _sources(), processor().key, part))
+def library(key: str, part: str, text: Callable[[], str], level: int | None = None) -> Library:
+    """Return code that is loaded, else from the cache, else compiled from the IR text ``text()``.
+
+    ``key`` must differ between codes of the same ``part``. ``level``: LLVM's optimization level, by
+    default the level of `processor`.
+    """
+    target = processor() if level is None else replace(processor(), level=level)
+    with _lock:
+        key = _entry(key, part, target)
+        if key not in _libraries:
+            code = entries.load(key)
+            if code is None:
+                with _announced():
+                    code = compile_text(text(), target)
+                entries.store(key, code)
+            _libraries[key] = Library(code)
+            if len(_libraries) > _MOST_LIBRARIES:
+                del _libraries[next(iter(_libraries))]
+        return _libraries[key]
+
+
+def _entry(key: str, part: str, target: Processor | None = None) -> str:
+    """Return the cache key of a part of the code: a text that names all causes of the code.
+
+    The causes are the model, the compiler's source, the processor, and the part.
+    """
+    return "\n".join((key, _sources(), (target or processor()).key, part))
 
 
 @contextmanager

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from functools import partial, reduce
 from typing import Any
 
-from ..equations.graph import SOURCES
+from ..equations.graph import SOURCES, Graph
 from ..equations.operations import OPERATIONS
 from ..equations.passes import ALWAYS, Group, Memo, Place, Program
 from . import elementary
@@ -37,13 +38,24 @@ dot, and the emitted arguments of the operation.
 """
 
 
+@dataclass(frozen=True)
+class Nodes:
+    """Nodes of a graph that a `Printer` emits as they are: no value is loaded from a table."""
+
+    graph: Graph
+    deciding: set[int]
+    """Nodes that keep Drake's last bits: see `Program`."""
+    hoisted: dict[int, int] = field(default_factory=dict)
+    memos: tuple[Memo, ...] = ()
+
+
 class Printer:
-    """Emits code that computes nodes of a `Program`, as instructions of one emitted function."""
+    """Emits code that computes nodes of a graph, as instructions of one emitted function."""
 
     def __init__(
         self,
         function: Function,
-        program: Program,
+        program: Program | Nodes,
         load: Load,
         *,
         hoisted: Mapping[int, int] | None = None,

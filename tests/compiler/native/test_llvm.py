@@ -5,11 +5,12 @@ import gc
 import itertools
 import re
 import warnings
+from dataclasses import replace
 
 import pytest
 
 from kneexo.compiler.native import llvm
-from kneexo.compiler.native.llvm import Library, Processor, compile_text
+from kneexo.compiler.native.llvm import Library, Processor, compile_text, processor
 from kneexo.compiler.root import variable
 
 ADD_TEXT = """
@@ -45,6 +46,14 @@ def test_a_function_of_a_library_is_loaded_once():
     assert library.function("add", 3) is library.function("add", 3)
     with pytest.raises(AssertionError, match="subtract"):
         library.function("subtract", 3)
+
+
+def test_code_without_optimization_gives_the_same_number():
+    plain, code = (compile_text(ADD_TEXT, replace(processor(), level=level)) for level in (0, 3))
+    assert plain != code
+    numbers = [ctypes.c_double(value) for value in (0.1, 0.2, 0.0)]
+    Library(plain).function("add", 3)(*map(ctypes.addressof, numbers))
+    assert numbers[2].value == 0.1 + 0.2
 
 
 def test_text_that_is_no_ir_is_refused():

@@ -1,0 +1,67 @@
+"""Emits the values of nodes of a graph, and the chain rule that makes derivatives of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from ..equations.graph import SOURCES, Graph
+from ..equations.passes import Place, deciding_nodes
+from .ir import Array, Module, Operand, Value
+from .printer import Nodes, Printer, sources
+from .types import BOOL, DOUBLE, INT, POINTER
+
+VALUES = (*(kind for kind in SOURCES if kind != "constant"), "values", "partials")
+"""Arguments of the emitted function ``values``."""
+CHAIN = ("sizes", "edges", "partials", "rows")
+"""Arguments of the emitted function ``chain``."""
+
+
+def node_values_text(graph: Graph, targets: Iterable[tuple[Place, int]]) -> str:
+    """Return the IR text of the functions ``values`` and ``chain``, which serve one lane.
+
+    ``values`` computes nodes from the sources of the graph. ``targets`` has for each node the array
+    ``values`` or ``partials`` and the index at which to store the value. A truth value becomes 1
+    or 0.
+
+    ``chain`` applies the chain rule to the rows of a matrix. Each of ``sizes[0]`` edges has three
+    numbers in ``edges``: a row, another row that comes before, and the index of the partial
+    derivative in ``partials``. The partial derivative times the other row is added to the row. The
+    matrix ``rows`` has ``sizes[1]`` columns. Zero times any number, also times infinity, is zero.
+    """
+    targets = list(targets)
+    module = Module()
+    _define_values(module, graph, targets)
+    _define_chain(module)
+    return module.text()
+
+
+def _define_values(module: Module, graph: Graph, targets: list[tuple[Place, int]]) -> None:
+    f = module.function("values", dict.fromkeys(VALUES, POINTER), internal=False)
+    arrays = {name: Array(f.arguments[name], DOUBLE) for name in VALUES}
+
+    def store(place: Place, value: Operand) -> None:
+        name, index = place
+        if isinstance(value, Value) and value.type == BOOL:
+            value = f.select(value, 1.0, 0.0)
+        arrays[name][index] = value
+
+    roots = [node for _, node in targets]
+    nodes = Nodes(graph, deciding_nodes(graph, graph.reachable(roots)))
+    kinds = {kind: arrays[kind] for kind in VALUES[:-2] if kind != "time"}
+    Printer(f, nodes, sources(arrays["time"][0], **kinds)).always(targets, store)
+
+
+def _define_chain(module: Module) -> None:
+    f = module.function("chain", dict.fromkeys(CHAIN, POINTER), internal=False)
+    sizes, edges = (Array(f.arguments[name], INT) for name in ("sizes", "edges"))
+    partials, rows = (Array(f.arguments[name], DOUBLE) for name in ("partials", "rows"))
+    columns = sizes[1]
+    for number in f.loop(sizes[0]):
+        edge = edges.shifted(f.coerce(number, INT) * 3)
+        row, below = rows.shifted(edge[0] * columns), rows.shifted(edge[1] * columns)
+        partial = partials[edge[2]]
+        with f.when(partial.differs(0.0)):
+            for column in f.loop(columns):
+                slope = below[column]
+                with f.when(slope.differs(0.0)):
+                    row[column] = row[column] + partial * slope
