@@ -26,7 +26,6 @@ BESIDE_PACKAGES = {
     "kneexo.responses": ("BodeResponse",),
     "kneexo.rod_polynomial": ("controller_polynomial", "fitted_polynomial"),
     "kneexo.studies.paper": ("FIG_12", "IDEAL_SMC", "EQ_27_EXACT_STATES", "EQ_27_DIFFERENCES"),
-    "kneexo.sweeps.failure": ("Failure", "read_failure", "record_failure"),
     "kneexo.view.drawing": ("mechanism_svg",),
     "kneexo.view.meshcat_view": ("add_meshcat_view",),
     "kneexo.view.play": ("Playground",),

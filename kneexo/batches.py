@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from itertools import product
 from os import PathLike
+from pathlib import Path
 from textwrap import indent
 from typing import Any, Literal, overload
 
@@ -15,13 +16,13 @@ import numpy as np
 from kneexo.analysis.reduced_tracking import track_metrics
 from kneexo.analysis.tracking import TrackingMetrics
 from kneexo.errors import KneexoError, ParameterError, close_names, question, shortened
-from kneexo.parameters import Scenario
+from kneexo.files.writing import write_file
+from kneexo.parameters import LawParameters, Scenario
 from kneexo.parameters.paths import has_path
-from kneexo.parameters.scenario_file import as_scenario
+from kneexo.parameters.scenario_file import as_scenario, dump_scenario
 from kneexo.result import Result, data_frame
 from kneexo.simulation import awaitable, needs_runs
 from kneexo.sweeps import parallel_map
-from kneexo.sweeps.failure import record_failure
 
 METRICS = tuple(field.name for field in fields(TrackingMetrics))
 """Names of the metrics of each run, the fields of `TrackingMetrics`."""
@@ -47,18 +48,20 @@ class BatchRow(Result):
     error: str
 
     def write_failure(self, path: str | PathLike[str]) -> None:
-        """Repeat the failed run, and write its scenario and its end to a file.
+        """Write the scenario of the failed run to a file, such as ``failure_1.yaml``.
 
-        ``kneexo replay`` repeats the run of the file, and can write a test of the run. Raises
-        `ParameterError` if the run has not failed, if the scenario refuses the values, or if the
-        control law has no name in a file, such as a lambda. Raises `OutputError` if the file cannot
-        be written, and `ResultError` if the repeated run does not fail with this error.
+        ``kneexo simulate failure_1.yaml --out DIR`` repeats the run, which ends with the same
+        error. Raises `ParameterError` if the run has not failed, if the scenario refuses the
+        values, or if the control law has no name by which it is found again, such as a lambda.
+        Raises `OutputError` if the file cannot be written.
         """
         if not self.error:
             raise ParameterError("the run of this row has not failed")
         if self.scenario is None:
             raise ParameterError(f"there is no run: the scenario refuses the values: {self.error}")
-        record_failure(self.scenario, error=self.error).write(path)
+        if isinstance(controller := self.scenario.controller, LawParameters):
+            controller.function.require_name()
+        write_file(Path(path), dump_scenario(self.scenario).encode())
 
     def __str__(self) -> str:
         """Return the changed values as text, a line for each."""

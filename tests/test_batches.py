@@ -2,6 +2,7 @@
 
 import dataclasses
 import io
+import re
 import sys
 
 import numpy as np
@@ -9,14 +10,24 @@ import pytest
 
 from kneexo.analysis import track
 from kneexo.batches import METRICS, BatchResult, BatchRow, batch
-from kneexo.errors import PackageError, ParameterError, ResultError
+from kneexo.command_line.main import main
+from kneexo.errors import PackageError, ParameterError, SimulationError
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
-from kneexo.sweeps.failure import read_failure
+from kneexo.parameters.scenario_file import load_scenario
 
 MASS, FREQUENCY, OFFSET = "plant.cylinder.mass_kg", "reference.frequency_hz", "initial_offset_m"
 SHORT = changed(Scenario(), {FREQUENCY: 4.0, "reference.amplitude_deg": 0.5})
 SHORT = changed(SHORT, {"simulation.duration_s": 0.5})
+OVERSHOOTING = changed(
+    Scenario(),
+    {
+        "reference": {"kind": "sine", "mean_deg": 3.0, "amplitude_deg": 2.9, "frequency_hz": 1.0},
+        "controller": {"kind": "pid"},
+        "simulation.duration_s": 0.2,
+    },
+)
+"""With a large gain the rod passes the end of the range of motion after some tenths of a second."""
 
 
 @pytest.fixture(scope="module")
@@ -97,21 +108,52 @@ def test_a_failed_run_has_its_reason_and_stops_no_other(mixed):
     assert all(row.metrics is None and "\n" not in row.error for row in mixed.failures)
 
 
-def test_a_failed_row_becomes_a_file_that_repeats_its_run(mixed, tmp_path):
-    path = tmp_path / "failure.json"
-    left, light, _ = mixed.failures
-    left.write_failure(path)
-    failure = read_failure(path)
-    assert (failure.scenario, failure.end.message) == (left.scenario, left.error)
-    assert failure.replay().same
-    path.unlink()
+def test_the_file_of_a_failed_row_repeats_its_run_with_the_same_error(tmp_path, capsys):
+    """The gain 1e5 leaves the range of motion during the run, beside a run that succeeds."""
+    gain = "controller.integral_per_s2"
+    result = batch(OVERSHOOTING, {gain: [10.0, 1e5, 0.9e5]})
+    assert [bool(row.error) for row in result.rows] == [False, True, True]
+    assert len({row.error for row in result.failures}) == 2
+    for row in result.failures:
+        path = tmp_path / "failure 1.yaml"
+        row.write_failure(path)
+        assert load_scenario(path) == row.scenario
+        assert main(["simulate", str(path), "--out", str(tmp_path / "out")]) == 2
+        assert capsys.readouterr().err == f"kneexo: {path}: {row.error}\n"
+        assert re.match(r"t = 0\.[01]\d+ s: ", row.error)
+
+
+def test_the_file_of_a_failed_row_finds_the_law_from_another_folder(tmp_path, monkeypatch):
+    (tmp_path / "my laws.py").write_text(
+        "def law(rod_extension, rod_reference, gain=1.0):\n"
+        "    return gain * (rod_extension - rod_reference[0])\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    gain = "controller.values.gain"
+    (row,) = batch(OVERSHOOTING, {gain: [1e5]}, law="my laws.py:law").rows
+    row.write_failure("failure_1.yaml")
+    (tmp_path / "away").mkdir()
+    monkeypatch.chdir(tmp_path / "away")
+    with pytest.raises(SimulationError) as caught:
+        track(load_scenario("../failure_1.yaml"))
+    assert str(caught.value) == row.error
+
+
+def test_only_a_run_that_failed_with_a_law_that_has_a_name_becomes_a_file(mixed, tmp_path):
+    path = tmp_path / "failure.yaml"
     with pytest.raises(ParameterError, match=r"^the run of this row has not failed$"):
         mixed.rows[0].write_failure(path)
+    _, light, _ = mixed.failures
     refused = rf"^there is no run: the scenario refuses the values: {MASS} = -1 kg is out"
     with pytest.raises(ParameterError, match=refused):
         light.write_failure(path)
-    with pytest.raises(ResultError, match=r"^the run alone fails in another way: the rod starts"):
-        dataclasses.replace(left, error="another").write_failure(path)
+
+    def inner(rod_extension):
+        return 1e5 * rod_extension
+
+    (row,) = batch(SHORT, {OFFSET: [0.15]}, law=inner).rows
+    with pytest.raises(ParameterError, match=r"inner': existed only in the Python session that"):
+        row.write_failure(path)
     assert not path.exists()
 
 

@@ -12,7 +12,6 @@ from kneexo.command_line.export import add_exports
 from kneexo.command_line.new import add_new
 from kneexo.command_line.outcome import Outcome, Request
 from kneexo.command_line.play import add_play
-from kneexo.command_line.replay import add_replay
 from kneexo.command_line.single_runs import add_single_runs
 from kneexo.command_line.studies import add_studies
 from kneexo.command_line.utilities import add_utilities
@@ -127,7 +126,6 @@ def _parser() -> argparse.ArgumentParser:
     add_new(subparsers)
     add_single_runs(subparsers)
     add_studies(subparsers, studies)
-    add_replay(subparsers)
     add_play(subparsers)
     add_view(subparsers)
     add_exports(subparsers)

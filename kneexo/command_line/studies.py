@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
 from pathlib import Path
@@ -14,14 +14,13 @@ from kneexo.command_line.arguments import ScenarioChoice
 from kneexo.command_line.html_page import ReportPage
 from kneexo.command_line.outcome import Outcome, files_line
 from kneexo.command_line.plain_text import head_of, plain_text
-from kneexo.errors import KneexoError, ParameterError
+from kneexo.errors import ParameterError
 from kneexo.progress import progress_bar, whole_bar
 from kneexo.studies.catalogue import FIGURES, Study, failure_file
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from kneexo.parameters import Scenario
     from kneexo.sweeps.checkpoint import Checkpoint
 
 
@@ -117,9 +116,9 @@ def run_study(
     scenario = choice.load(study.scenario)
     changed = arguments.with_values(study.settings(), settings)
     compute = study.compute
-    if uncertainty is not None:
-        from kneexo.parameters.scenario_file import load_uncertainty
+    from kneexo.parameters.scenario_file import dump_scenario, load_uncertainty
 
+    if uncertainty is not None:
         compute = partial(compute, uncertainty=load_uncertainty(uncertainty, scenario))
     import matplotlib.pyplot  # noqa: F401  (if this fails, it fails before the work)
 
@@ -145,26 +144,10 @@ def run_study(
         figures = study.figures(result)
     if page is not None:
         files |= page.file(report, figures, origin, study.motions(result))
-    failures, notices = _failures(study.failed_runs(result), out)
-    files |= failures
+    for number, failed in enumerate(study.failed_runs(result).values(), start=1):
+        files[failure_file(number)] = dump_scenario(failed)
     text = f"{plain_text(head_of(report))}\n{files_line(out, files, figures)}"
-    return Outcome(text, document, notices, files=files, figures=figures)
-
-
-def _failures(runs: Mapping[str, Scenario], out: Path) -> tuple[dict[str, str], list[str]]:
-    """Return the files for ``kneexo replay`` of failed runs, and lines about runs without a file.
-
-    ``runs`` maps the error of a run to its scenario. ``out`` is the directory of the files.
-    """
-    from kneexo.sweeps.failure import record_failure
-
-    files, notices = {}, []
-    for number, (error, scenario) in enumerate(runs.items()):
-        try:
-            files[failure_file(number)] = record_failure(scenario, error=error).text(out)
-        except KneexoError as fault:  # it must not cost the results of the study
-            notices.append(f"kneexo: {failure_file(number)} is not written: {fault}")
-    return files, notices
+    return Outcome(text, document, files=files, figures=figures)
 
 
 def _executor(workers: int | None, dask: str | None) -> AbstractContextManager[Executor | None]:

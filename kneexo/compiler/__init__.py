@@ -78,11 +78,6 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
         initial_states as initial_states,
     )
     from .fmu.variables import FmuParameter as FmuParameter
-    from .json_files import (
-        document_text as document_text,
-        read_document as read_document,
-        write_document as write_document,
-    )
     from .linear.advice import Obstacle as Obstacle, advice as advice
     from .linear.equilibrium import find_equilibrium as find_equilibrium
     from .linear.linearize import linearize as linearize, linearize_at as linearize_at
@@ -121,19 +116,8 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
         STEP_S as STEP_S,
         TOLERANCE as TOLERANCE,
     )
-    from .recorded_run import (
-        RecordedRun as RecordedRun,
-        read_run as read_run,
-        record_run as record_run,
-    )
     from .reductions import REDUCTIONS as REDUCTIONS, Reduction as Reduction
     from .run_data import Array as Array, InputTable as InputTable, State as State
-    from .run_end import (
-        Replay as Replay,
-        RunEnd as RunEnd,
-        run_versions as run_versions,
-        version_changes as version_changes,
-    )
     from .trajectories import input_table as input_table, stack_tables as stack_tables
 else:
     _NAMES = {
@@ -161,7 +145,6 @@ else:
         "fmu.fmu": ("FMI_VERSIONS", "Fmu"),
         "fmu.parameters": ("context_parameters", "initial_states"),
         "fmu.variables": ("FmuParameter",),
-        "json_files": ("document_text", "read_document", "write_document"),
         "linear.advice": ("Obstacle", "advice"),
         "linear.equilibrium": ("find_equilibrium",),
         "linear.linearize": ("linearize", "linearize_at"),
@@ -178,10 +161,8 @@ else:
         "native.cache": (*("cache_directory", "cache_entries", "cache_size_limit", "clear_cache"),),
         "native.cores": ("available_cores",),
         "native.runner": ("ROUGH_STEP_S", "STEP_S", "TOLERANCE"),
-        "recorded_run": ("RecordedRun", "read_run", "record_run"),
         "reductions": ("REDUCTIONS", "Reduction"),
         "run_data": ("Array", "InputTable", "State"),
-        "run_end": ("Replay", "RunEnd", "run_versions", "version_changes"),
         "trajectories": ("input_table", "stack_tables"),
     }
     _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}

@@ -109,7 +109,7 @@ class Law:
         name, _, digest = text.partition("#")
         place, _, path = name.rpartition(":")
         subject = f"law {shortened(name)!r}"
-        if "<" in name:
+        if "<" in name or place == "__main__":
             raise ParameterError(
                 f"{subject}: existed only in the Python session that made it; must be a function "
                 f"in a file, FILE.py:NAME"
@@ -144,6 +144,17 @@ class Law:
                 f"'#{digest}' to use the code of today"
             )
         return law
+
+    def require_name(self) -> None:
+        """Raise `ParameterError` unless the name of the law leads to this law in a file or module.
+
+        A lambda has no such name, and the name of an object is that of its class.
+        """
+        if type(self).from_text(self.name) != self:
+            raise ParameterError(
+                f"law {self.short_name}: this name leads to other code or values; give the law as "
+                f"text, FILE.py:NAME"
+            )
 
     @property
     def fingerprint(self) -> str | None:

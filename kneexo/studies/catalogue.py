@@ -54,7 +54,7 @@ class Study:
     moving: bool = False
     """True if the module ``figures`` has a function ``motions``. The 3D view can show its runs."""
     failing: bool = False
-    """True if the module ``report`` has a function ``failed_runs``. Its runs become files."""
+    """True if the module ``report`` has a function ``failed_runs``. Its scenarios become files."""
     files: tuple[str, str] = ("", "")
     """File names of results and report. An empty name stands for NAME.json or NAME.md."""
     stages: tuple[Stage, ...] = ()
@@ -129,13 +129,16 @@ class Study:
 
 
 def failure_file(number: int) -> str:
-    """Return the name of the file of failed run ``number`` of a study, counted from 0."""
-    return f"failure_{number + 1}.json"
+    """Return the name of the file of failed run ``number`` of a study, counted from 1."""
+    return f"failure_{number}.yaml"
 
 
-def replay_commands(errors: Iterable[str]) -> dict[str, str]:
+def repeating_commands(errors: Iterable[str]) -> dict[str, str]:
     """Return for each error of `Study.failed_runs` the command that repeats the run, as code."""
-    return {error: f"`kneexo replay {failure_file(number)}`" for number, error in enumerate(errors)}
+    return {
+        error: f"`kneexo simulate {failure_file(number)} --out failure_{number}`"
+        for number, error in enumerate(errors, start=1)
+    }
 
 
 STUDIES = {

@@ -7,10 +7,10 @@ from kneexo.analysis.frequency_response import SinestreamSettings
 from kneexo.command_line.main import main
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
+from kneexo.parameters.scenario_file import load_scenario
 from kneexo.rod_polynomial import completed
 from kneexo.studies.bandwidth import study as bandwidth
-from kneexo.studies.catalogue import STUDIES, Study
-from kneexo.sweeps.failure import record_failure
+from kneexo.studies.catalogue import STUDIES, Study, repeating_commands
 
 
 def test_bandwidth_measures_writes_and_leaves_no_checkpoint(capsys, tmp_path, small_map):
@@ -182,23 +182,21 @@ def test_bad_settings_of_fig_13_are_one_line(capsys, tmp_path, text, message):
     assert not (tmp_path / "out").exists()
 
 
-def test_failed_runs_become_files_beside_the_report(tmp_path, capsys, monkeypatch, replace_study):
+def test_failed_runs_become_scenarios_beside_the_report(
+    tmp_path, capsys, monkeypatch, replace_study
+):
     replace_study("robustness", lambda scenario=Scenario(), **_: None)
-    failing = changed(Scenario(), {"initial_offset_m": 0.15})
-    error = record_failure(failing).end.message
     (tmp_path / "my.py").write_text("def law(rod_extension):\n    return rod_extension\n")
-    custom = failing.with_law(f"{tmp_path / 'my.py'}:law")
-    runs = {error: custom, "another error": failing, "no error": Scenario()}
+    failing = changed(Scenario(), {"initial_offset_m": 0.15})
+    runs = {"first": failing, "second": failing.with_law(f"{tmp_path / 'my.py'}:law")}
     monkeypatch.setattr(Study, "failed_runs", lambda study, result: runs)
     out = tmp_path / "out"
     assert main(["study", "robustness", "--out", str(out)]) == 0
-    printed = capsys.readouterr()
-    assert "failure_1.json" in printed.out
-    other, none = printed.err.splitlines()
-    assert other.startswith("kneexo: failure_2.json is not written: the run alone fails in another")
-    assert none.startswith("kneexo: failure_3.json is not written: the run does not fail")
-    assert sorted(file.name for file in out.glob("failure*")) == ["failure_1.json"]
-    scenario = json.loads((out / "failure_1.json").read_text(encoding="utf-8"))["scenario"]
-    assert scenario["controller"]["function"].startswith("../my.py:law#")
-    assert main(["replay", str(out / "failure_1.json")]) == 0
-    assert capsys.readouterr().out == f"{error}\nsame end\n"
+    assert "failure_1.yaml, failure_2.yaml" in capsys.readouterr().out
+    assert len(list(out.glob("failure*"))) == 2
+    monkeypatch.chdir(out)
+    for command, scenario in zip(repeating_commands(runs).values(), runs.values(), strict=True):
+        program, *words = command.strip("`").split()
+        assert (program, words[0], load_scenario(words[1])) == ("kneexo", "simulate", scenario)
+        assert main(words) == 2
+        assert capsys.readouterr().err.startswith(f"kneexo: {words[1]}: the rod starts at 0.2890")

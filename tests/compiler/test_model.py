@@ -566,9 +566,10 @@ def test_a_record_at_a_chosen_time_that_is_not_finite_ends_the_run(logarithm):
 
 def test_each_run_of_a_batch_has_its_own_outputs_that_are_not_finite(logarithm):
     latest = np.array([0.2, 0.055, 0.2, 0.3, -1.0, 0.3, 0.3, 0.035, 0.095, 0.2])
+    start = State(np.ones(1), np.zeros(2))
     runs = logarithm.simulate_batch(
         latest[:, None],
-        State(np.ones(1), np.zeros(2)),
+        start,
         0.1,
         record_period_s=0.01,
         failures="return",
@@ -578,7 +579,10 @@ def test_each_run_of_a_batch_has_its_own_outputs_that_are_not_finite(logarithm):
         if a > 0.1:
             np.testing.assert_allclose(run["pair"][:, 1], np.log(a - run.time_s), rtol=1e-12)
         else:
-            assert str(run) == message(logarithm, a)
+            with pytest.raises(SimulationError) as alone:
+                logarithm.simulate(np.array([a]), start, 0.1, record_period_s=0.01)
+            assert (str(run), run.time_s) == (str(alone.value), alone.value.time_s)
+            assert repr(run.state) == repr(alone.value.state)  # every bit
             assert str(run).startswith(f"t = {max(0.0, np.ceil(100.0 * a) / 100.0):g} s: pair[1] ")
 
 

@@ -132,6 +132,19 @@ def test_a_law_survives_pickle_and_a_scenario_file(tmp_path: Path) -> None:
     assert again.controller.function.target(2.0) == 6.0
 
 
+def test_the_name_of_a_law_leads_to_the_law_or_is_refused() -> None:
+    Law.from_text(f"{OWN_LAW}:law").require_name()
+    Law(law).require_name()
+    half = partial(law, gain=0.5)  # its name is that of the class partial
+    with pytest.raises(ParameterError, match=r"^law functools:partial: this name leads to other"):
+        Law(half).require_name()
+    with pytest.raises(ParameterError, match=r"existed only in the Python session that made it"):
+        Law(with_factor(3.0)).require_name()
+    typed = Law(law, "__main__:law")
+    with pytest.raises(ParameterError, match=r"existed only in the Python session that made it"):
+        typed.require_name()
+
+
 def test_a_relative_file_starts_at_the_scenario_file(tmp_path: Path) -> None:
     (tmp_path / "my.py").write_text("def law(rod_extension):\n    return 0.0\n")
     path = tmp_path / "my.yaml"

@@ -8,7 +8,7 @@ from kneexo.parameters import Scenario, Uncertainty
 from kneexo.parameters.labels import labels
 from kneexo.parameters.paths import changed
 from kneexo.parameters.uncertainty import realize
-from kneexo.studies.catalogue import replay_commands
+from kneexo.studies.catalogue import repeating_commands
 from kneexo.studies.contest.study import COLUMNS, ContestResult, Tuning
 from kneexo.studies.markdown import number
 from kneexo.studies.template import filled
@@ -45,7 +45,7 @@ def report(result: ContestResult) -> str:
             {"first": first, "second": second, "share": result.better_share(first, second)}
             for first, second in combinations(tuned, 2)
         ],
-        commands=replay_commands(failed_runs(result)),
+        commands=repeating_commands(failed_runs(result)),
         objective=_objective,
         converged=lambda tuning: "yes" if tuning.converged else "**no**",
         gains=gains,

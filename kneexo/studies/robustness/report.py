@@ -13,7 +13,7 @@ from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario
 from kneexo.parameters.labels import labels, value_text
 from kneexo.parameters.uncertainty import realize
-from kneexo.studies.catalogue import replay_commands
+from kneexo.studies.catalogue import repeating_commands
 from kneexo.studies.markdown import number
 from kneexo.studies.robustness.study import (
     CONFIDENCE,
@@ -63,7 +63,7 @@ def report(result: RobustnessResult) -> str:
         corner_labels=[MERITS[merit].label for merit in merits],
         corners=list(_corners(result, merits, names)),
         beyond=[MERITS[merit].label for merit in result.merits if _sample_is_worst(result, merit)],
-        commands=replay_commands(failed_runs(result)),
+        commands=repeating_commands(failed_runs(result)),
         importance=list(_importance(result, [_MEANS.get(m, m) for m in merits], names)),
     )
 

@@ -130,7 +130,7 @@ def test_the_first_failed_run_of_each_controller_is_repeated_by_a_command():
     well = [metrics | {"tracking_failure": ""} for metrics in next(iter(contest.tested.values()))]
     tested = dict.fromkeys(contest.entrants, well)
     assert failed_runs(dataclasses.replace(contest, tested=tested)) == {}
-    assert "kneexo replay" not in report(dataclasses.replace(contest, tested=tested))
+    assert "kneexo simulate" not in report(dataclasses.replace(contest, tested=tested))
     for name, failing in (("PID", (1, 2)), ("SMC", (2,))):
         tested[name] = [
             metrics | {"tracking_failure": f"{name} on {n}" if n in failing else ""}
@@ -149,5 +149,5 @@ def test_the_first_failed_run_of_each_controller_is_repeated_by_a_command():
     assert list(failed_runs(contest).items()) == list(expected.items())
     text = report(contest)
     assert text.count("Failed runs, the first of each controller:\n") == 1
-    assert "- SMC on 2 (`kneexo replay failure_1.json`)\n" in text
-    assert "- PID on 1 (`kneexo replay failure_2.json`)\n" in text
+    assert "- SMC on 2 (repeat: `kneexo simulate failure_1.yaml --out failure_1`)\n" in text
+    assert "- PID on 1 (repeat: `kneexo simulate failure_2.yaml --out failure_2`)\n" in text

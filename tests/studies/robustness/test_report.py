@@ -146,7 +146,8 @@ def test_a_failed_run_is_named_with_the_command_that_repeats_it(by_hand):
         "bus.latency_samples": 2,
     }
     assert run == (error, changed(by_hand.scenario, values))
-    assert f"- 1 times: {error} (`kneexo replay failure_1.json`)\n" in report(by_hand)
+    command = "kneexo simulate failure_1.yaml --out failure_1"
+    assert f"- 1 times: {error} (repeat: `{command}`)\n" in report(by_hand)
 
 
 def test_only_tracking_runs_of_plants_that_exist_are_repeated(by_hand):
@@ -163,5 +164,5 @@ def test_only_tracking_runs_of_plants_that_exist_are_repeated(by_hand):
     text = report(result)
     assert "- 1 times: no bandwidth\n" in text
     assert "- 1 times: mass_kg = -1.5 kg\n" in text
-    assert "- 1 times: t = 2 s: out (`kneexo replay failure_1.json`)\n" in text
-    assert "- 2 times: t = 3 s: out (`kneexo replay failure_2.json`)\n" in text
+    assert "- 1 times: t = 2 s: out (repeat: `kneexo simulate failure_1.yaml --out f" in text
+    assert "- 2 times: t = 3 s: out (repeat: `kneexo simulate failure_2.yaml --out f" in text
