@@ -121,7 +121,7 @@ def _request(
         changes += [f"--set={text}" for text in (*texts, *values.get("settings", ()))]
         words = program.split()
         name = f"{words[-1]}.html"
-        page = ReportPage([*words, *([path] if path else []), *changes], options.out, name)
+        page = ReportPage([*words, *([path] if path else []), *changes], name)
     values = values | {"choice": choice, "page": page}
     names = inspect.signature(command).parameters.keys() & values.keys()
     computed = {
@@ -217,7 +217,7 @@ def add_page(parser: argparse.ArgumentParser) -> None:
         metavar="FILE.html",
         type=place,
         required=True,
-        help="file of the page; an earlier page of this command is replaced",
+        help="file of the page; an earlier file is replaced",
     )
     parser.add_argument(
         "--open", dest="browser", action="store_true", help="show the page in this system's browser"

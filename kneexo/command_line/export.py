@@ -95,7 +95,7 @@ def add_exports(subparsers: Any) -> None:
         type=arguments.place,
         required=True,
         help="file, or directory for knee_controller.fmu, knee_plant.fmu or knee_loop.fmu; an "
-        "FMU that kneexo made is replaced",
+        "earlier file is replaced",
     )
 
 

@@ -10,10 +10,7 @@ import html
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
-
-from kneexo.files.writing import require_mark
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -62,14 +59,8 @@ class ReportPage:
 
     words: Sequence[str]
     """The command and the arguments that change its result: the title of the page."""
-    directory: Path
-    """Directory that the files of the command are written to."""
     name: str
-    """Name of the HTML file in ``directory``."""
-
-    def require_replaceable(self) -> None:
-        """Raise `OutputError` if the HTML file exists and was not written by kneexo."""
-        require_mark(self.directory / self.name, "<title>kneexo ", "page of kneexo")
+    """Name of the HTML file."""
 
     def file(
         self,

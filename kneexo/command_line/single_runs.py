@@ -67,8 +67,6 @@ def simulate(choice: ScenarioChoice, out: Path, page: ReportPage | None = None) 
     from kneexo.rod_polynomial import completed
     from kneexo.studies.markdown import number
 
-    if page is not None:
-        page.require_replaceable()
     if scenario.simulation.compiled:
         result = track(scenario, all_signals=True)
     else:
@@ -128,8 +126,6 @@ def linearize(
     from kneexo.command_line.output import to_json
     from kneexo.systems.knee_reference import run_middle_deg
 
-    if page is not None:
-        page.require_replaceable()
     if knee_angle is None:
         knee_angle = run_middle_deg(scenario)
     scenario.plant.knee.require_posture(knee_angle, "--knee-angle")

@@ -124,8 +124,6 @@ def run_study(
 
     from kneexo.command_line.output import to_json
 
-    if page is not None:
-        page.require_replaceable()
     if checkpoint is not None:
         compute = partial(compute, checkpoint=checkpoint)
     with _executor(workers, dask) as executor:

@@ -55,9 +55,10 @@ def view(
     from kneexo.command_line.output import to_json
     from kneexo.parameters.scenario_file import load_scenario
     from kneexo.view.legs import leg_of_results, leg_of_scenario
-    from kneexo.view.page import MOST_LEGS, require_page, shown_s, view_page
+    from kneexo.view.page import MOST_LEGS, shown_s, view_page
+    from kneexo.view.web_page import require_page_name
 
-    require_page(out)
+    require_page_name(out)
     if len(runs) > MOST_LEGS:
         raise ParameterError(f"{len(runs)} runs: a page shows {MOST_LEGS} at most")
     if (values or preset) and (results := [run for run in runs if Path(run).is_dir()]):

@@ -65,11 +65,9 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
         shown as shown,
     )
     from .feedback import simulate_with_feedback as simulate_with_feedback
-    from .fmu.description import generation_tool as generation_tool
     from .fmu.export import (
         FmuFile as FmuFile,
         export_fmu as export_fmu,
-        require_fmu_place as require_fmu_place,
         write_fmu as write_fmu,
     )
     from .fmu.fmu import FMI_VERSIONS as FMI_VERSIONS, Fmu as Fmu
@@ -140,8 +138,7 @@ else:
             *("escaped", "shortened", "shown"),
         ),
         "feedback": ("simulate_with_feedback",),
-        "fmu.description": ("generation_tool",),
-        "fmu.export": ("FmuFile", "export_fmu", "require_fmu_place", "write_fmu"),
+        "fmu.export": ("FmuFile", "export_fmu", "write_fmu"),
         "fmu.fmu": ("FMI_VERSIONS", "Fmu"),
         "fmu.parameters": ("context_parameters", "initial_states"),
         "fmu.variables": ("FmuParameter",),

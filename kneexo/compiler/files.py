@@ -11,7 +11,7 @@ import re
 import shutil
 import tempfile
 import time
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -20,6 +20,7 @@ from .errors import OutputError, shown
 from .root import ROOT
 
 _STALE_S = 3600.0
+_UNFINISHED = f".{ROOT}_"  # first letters of a temporary folder of `write_folder`
 
 
 class FileStatus(NamedTuple):
@@ -110,43 +111,36 @@ def temporary_folder(files: Mapping[str, str]) -> Iterator[Path]:
         yield Path(folder)
 
 
-def require_marked(
-    folder: Path, mark: str, kind: str, build: str, folders: Collection[str] = ()
-) -> None:
-    """Raise `OutputError` if a folder contains a file without the text ``mark`` in its first line.
-
-    The error message calls marked files ``kind``. The function skips the subfolders with the names
-    ``build`` and ``folders``, and subfolders that a killed `write_folder` left. A missing folder is
-    no error.
-    """
-    for file in sorted(folder.iterdir()) if folder.is_dir() else ():
-        is_skipped = file.name == build or (file.name in folders and file.is_dir())
-        if not (is_skipped or _is_unfinished(file, build) or _is_marked(file, mark)):
-            raise OutputError(
-                f"directory {shown(folder)}: {shown(file.name)} is not of {kind}; choose another "
-                f"directory"
-            )
+def require_empty(folder: Path) -> None:
+    """Raise `OutputError` if a folder has files. A missing folder is no error."""
+    try:
+        names = os.listdir(folder)
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        reason = f"cannot be read ({error.strerror})"
+    else:
+        reason = "has other files and no export"
+        if all(name.startswith(_UNFINISHED) for name in names):
+            return
+    raise OutputError(f"directory {shown(folder)}: {reason}; choose another directory")
 
 
-def write_folder(folder: Path, files: Mapping[str, str], *, keep: str) -> None:
-    """Write files into a folder, and delete all other files in the folder.
+def write_folder(folder: Path, files: Mapping[str, str]) -> None:
+    """Write files into a folder. Other files in the folder stay.
 
-    ``files`` maps the name of a file to its text. A missing folder is created. Subfolders stay, for
-    example the folder ``keep`` for builds. Only temporary folders of killed calls are deleted. No
-    earlier file is replaced before all new files are written. Raises `OutputError` if writing
-    fails.
+    ``files`` maps the name of a file to its text. A missing folder is created. No earlier file is
+    replaced before all new files are written. Temporary folders of killed calls are deleted. Raises
+    `OutputError` if writing fails.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=folder, prefix=f"{keep}-") as new:
+        for left in folder.glob(f"{_UNFINISHED}*"):
+            shutil.rmtree(left)
+        with tempfile.TemporaryDirectory(dir=folder, prefix=_UNFINISHED) as new:
             _write_texts(Path(new), files)
             for name in files:
                 os.replace(Path(new, name), folder / name)
-        for file in folder.iterdir():
-            if _is_unfinished(file, keep):
-                shutil.rmtree(file)
-            elif file.is_file() and file.name not in files:
-                file.unlink()
     except OSError as error:
         reason = error.strerror or error
         raise OutputError(
@@ -157,15 +151,3 @@ def write_folder(folder: Path, files: Mapping[str, str], *, keep: str) -> None:
 def _write_texts(folder: Path, files: Mapping[str, str]) -> None:
     for name, text in files.items():
         Path(folder, name).write_text(text, encoding="utf-8")
-
-
-def _is_unfinished(file: Path, build: str) -> bool:
-    """Return whether a killed `write_folder` left this folder."""
-    return file.is_dir() and file.name.startswith(f"{build}-")
-
-
-def _is_marked(file: Path, mark: str) -> bool:
-    if not file.is_file():
-        return False
-    with file.open(encoding="utf-8", errors="replace") as stream:
-        return mark in stream.readline(200)

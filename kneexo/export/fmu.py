@@ -18,7 +18,6 @@ from kneexo.compiler import (
     FmuParameter,
     context_parameters,
     read_diagram,
-    require_fmu_place,
     require_platforms,
     source_of,
     write_fmu,
@@ -35,9 +34,6 @@ from kneexo.rod_polynomial import completed
 from kneexo.simulation.compiled import scenario_start, scenario_values, structure_key
 from kneexo.systems import knee_reference
 from kneexo.version import __version__
-
-TOOL = "kneexo"
-"""First word of the tool's name in an FMU, by which `require_fmu_place` recognizes it."""
 
 _FACTORS = (0.1, 0.5, 0.99, 1.01, 2.0, 10.0)
 """Factors by which `parameter_effects` multiplies a number, to see which parameters change."""
@@ -66,19 +62,17 @@ def export_fmu(
 ) -> KneeFmuFile:
     """Write the FMU of `make_fmu` with its C sources and binaries.
 
-    ``path`` is the file or its directory. A path that does not exist is a directory if it does not
-    end in ``.fmu``. The file in a directory is called ``knee_plant.fmu`` for the plant.
+    ``path`` is the file, whose name ends in ``.fmu``, or its directory. The file in a directory is
+    called ``knee_plant.fmu`` for the plant.
     ``platforms`` names the platforms of the binaries as in `kneexo.compiler.export_fmu`; by default
     there is a binary for this machine if it has a C compiler. Raises the errors of `make_fmu`.
-    Raises `OutputError` if the file cannot be written, or exists and is no FMU of kneexo.
+    Raises `OutputError` if the file cannot be written.
     """
     file = Path(path)
     if platforms is not None:
         platforms = require_platforms(platforms)
-    if not file.is_dir():
-        require_fmu_place(file)  # before the FMU is made, which may take long
     fmu = make_fmu(scenario, what, fmi=fmi, step_s=step_s)
-    if file.is_dir() or (file.suffix != ".fmu" and not file.exists()):
+    if file.is_dir() or file.suffix != ".fmu":
         file /= f"{fmu.name}.fmu"
     written = write_fmu(file, fmu, platforms)
     names = tuple(name for name in written.parameters if value_at(scenario, name) is not None)
@@ -136,7 +130,7 @@ def make_fmu(
         source,
         [*_tunable(scenario, target, source), *_initial(scenario, source)],
         fmi,
-        f"{TOOL} {__version__}",
+        f"kneexo {__version__}",
         f"{_DESCRIPTIONS[target.what]} of a polycentric knee exoskeleton",
         _starts(scenario, target, source),
         scenario.duration_s,

@@ -1,4 +1,4 @@
-"""Writes all files of a result or none, and refuses to replace files of other programs.
+"""Writes all files of a result or none. A regular file of the same name is replaced.
 
 New files are written to a temporary directory ``.kneexo-…`` in the target directory and moved at
 the end. A process holds a lock in its temporary directory. A temporary directory without a lock was
@@ -7,7 +7,6 @@ left by a killed process, and a later process deletes it.
 
 from __future__ import annotations
 
-import errno
 import fcntl
 import os
 import shutil
@@ -18,29 +17,10 @@ from pathlib import Path
 
 from kneexo.errors import OutputError, shown
 from kneexo.files.locking import lock
-from kneexo.files.reading import MIB, read_bytes
 from kneexo.interruption import interrupt_later
 
-_MOST_BYTES = 256 * MIB  # no page of kneexo is larger
 _PREFIX = ".kneexo-"
 _LOCK = "kneexo.lock"
-
-
-def require_mark(path: Path, mark: str, kind: str) -> None:
-    """Raise `OutputError` if the file ``path`` exists and does not contain the text ``mark``.
-
-    ``kind`` is the name of marked files in the message, such as "page of kneexo".
-    """
-    try:
-        marked = mark.encode() in read_bytes(path, _MOST_BYTES)
-    except (FileNotFoundError, NotADirectoryError):
-        return
-    except OSError as error:
-        if error.errno == errno.ENAMETOOLONG:
-            return  # no such file exists; writing it raises the error
-        marked = False
-    if not marked:
-        raise OutputError(f"{shown(path)} exists and is no {kind}; choose another --out")
 
 
 def write_file(path: Path, content: bytes) -> None:
@@ -182,9 +162,9 @@ def _replace(target: Path, workspace: Path) -> None:
     files = sorted((workspace / "new").iterdir())
     for file in files:
         destination = target / file.name
-        if destination.is_dir():
+        if destination.exists() and not destination.is_file():
             raise OutputError(
-                f"--out {shown(target)}: {file.name} is a directory there; move it away or "
+                f"--out {shown(target)}: {file.name} is no regular file there; move it away or "
                 f"choose another directory"
             )
         if os.path.lexists(destination):

@@ -19,7 +19,6 @@ from kneexo.files.reading import MIB
 from kneexo.parameters import LawParameters, Scenario
 from kneexo.version import __version__
 
-_HEADER = b'{"kneexo checkpoint": 1}'  # increase the number when the format changes
 _MOST_BYTES = 4096 * MIB
 
 
@@ -42,8 +41,7 @@ class Checkpoint:
     Raises
     ------
     OutputError
-        The file cannot be read or written, another process has locked it, or it is no checkpoint.
-        A file that is no checkpoint is never changed.
+        The file is no regular file or cannot be read or written, or another process has locked it.
     """
 
     def __init__(self, path: Path | None = None, *, resume: bool = True) -> None:
@@ -55,8 +53,6 @@ class Checkpoint:
         if path is None:
             return
         try:
-            if path.exists() and not path.is_file():
-                raise _foreign(path)
             self._file = LockedFile(path)
             self._read(path, self._file)
             if not resume:
@@ -69,10 +65,7 @@ class Checkpoint:
     def _read(self, path: Path, file: LockedFile) -> None:
         """Read the undamaged lines of the file into ``_results``; warn of damaged lines."""
         data = file.read(_MOST_BYTES)
-        if _HEADER.startswith(data):  # empty, or the first write was cut short
-            file.clear()
-            return
-        self._torn = not data.endswith(b"\n")
+        self._torn = not data.endswith(b"\n") and bool(data)
         damaged = 0
         for line in data.splitlines():
             payload = line[_PAYLOAD:-1]
@@ -82,9 +75,7 @@ class Checkpoint:
                 key, result = json.loads(payload)
                 self._results[key] = result
             except (ValueError, TypeError, RecursionError):
-                damaged += line != _HEADER
-        if not (self._results or data.startswith(_HEADER)):
-            raise _foreign(path)
+                damaged += 1
         if damaged:
             warnings.warn(
                 f"checkpoint {shown(path)}: {damaged} damaged "
@@ -119,7 +110,7 @@ class Checkpoint:
         return self[key]
 
     def _write(self, file: LockedFile, line: bytes) -> None:
-        start = _HEADER + b"\n" if file.is_empty else b"\n" if self._torn else b""
+        start = b"\n" if self._torn else b""
         self._torn = True
         file.append(start + line + b"\n")
         self._torn = False
@@ -201,8 +192,6 @@ _ENCODER = json.JSONEncoder(sort_keys=True, default=_plain)
 
 def _output_error(path: Path, error: OSError) -> OutputError:
     """Return the `OutputError` for an `OSError` in opening, reading or writing a checkpoint."""
-    if isinstance(error, OutputError):
-        return error
     if isinstance(error, BlockingIOError):
         return OutputError(
             f"checkpoint {shown(path)}: another process is at work on it; wait until it has ended, "
@@ -210,10 +199,3 @@ def _output_error(path: Path, error: OSError) -> OutputError:
         )
     reason = error.strerror or str(error)
     return OutputError(f"checkpoint {shown(path)}: {reason}; the pieces that it holds are kept")
-
-
-def _foreign(path: Path) -> OutputError:
-    return OutputError(
-        f"checkpoint {shown(path)}: this is not a checkpoint of kneexo; move it away or choose "
-        f"another directory"
-    )

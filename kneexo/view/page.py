@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from kneexo.errors import OutputError, shown
-from kneexo.files.writing import require_mark
 from kneexo.version import __version__
 from kneexo.view.legs import Leg
 from kneexo.view.stage import STAGE_SCRIPTS, STAGE_STYLES, pack, stage_leg
@@ -28,9 +25,6 @@ MOST_LEGS = 30
 """Largest number of legs of a page, one leg for each run. The page has at most 8 MB."""
 
 _BEYOND_RAD = 0.1  # the linkage can be assembled this far beyond the range of motion
-
-MARK = "<!-- made by kneexo view -->"
-"""A comment in each page. No command replaces a file without this comment."""
 
 
 def shown_s(legs: Sequence[Leg], most_frames: int = MOST_FRAMES) -> float:
@@ -60,7 +54,7 @@ def view_page(legs: Sequence[Leg]) -> str:
     content = stage_content(legs)
     return self_contained_page(
         f"kneexo: {', '.join(leg.name for leg in legs)}",
-        f"{MARK}\n<main>\n<h1>The knee in motion</h1>\n{content.body_html}\n</main>",
+        f"<main>\n<h1>The knee in motion</h1>\n{content.body_html}\n</main>",
         [*content.styles, web_text("view.css")],
         content.scripts,
         content.data,
@@ -89,13 +83,6 @@ linkage. Limbs, brace, pump and motor are illustrative. kneexo {__version__}</p>
         [*map(web_text, STAGE_SCRIPTS), web_text("view.js")],
         {"legs": [_stage_leg(leg) for leg in legs], "runs": [_run(leg, end_s) for leg in legs]},
     )
-
-
-def require_page(path: Path) -> None:
-    """Raise `OutputError` if a file exists without `MARK`, or if the name lacks .html."""
-    require_mark(path, MARK, "page of kneexo view")
-    if path.suffix not in (".html", ".htm"):
-        raise OutputError(f"{shown(path)}: the name of a page must end in .html")
 
 
 def _stage_leg(leg: Leg) -> dict[str, Any]:

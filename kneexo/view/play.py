@@ -16,7 +16,8 @@ from kneexo.files.writing import write_file
 from kneexo.parameters import Scenario
 from kneexo.parameters.presets import PRESETS
 from kneexo.parameters.scenario_file import as_scenario
-from kneexo.view.playground import playground_page, require_page
+from kneexo.view.playground import playground_page
+from kneexo.view.web_page import require_page_name
 
 
 @dataclass(frozen=True)
@@ -39,13 +40,12 @@ class Playground:
         )
 
     def write(self, path: str | PathLike[str]) -> Path:
-        """Write the page to a file, replace an earlier page of kneexo, and return the path.
+        """Write the page to a file, replace an earlier file, and return the path.
 
-        Raises `OutputError` if the name does not end in .html, if the file is no page of kneexo, or
-        if the file cannot be written.
+        Raises `OutputError` if the name does not end in .html, or if the file cannot be written.
         """
         path = Path(path)
-        require_page(path)
+        require_page_name(path)
         write_file(path, self.html.encode())
         return path
 

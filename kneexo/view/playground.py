@@ -5,14 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 from kneexo.diagrams.wearer import moment_of
-from kneexo.errors import KneexoError, OutputError, ParameterError, shown
+from kneexo.errors import KneexoError, ParameterError
 from kneexo.export.web import web_model, web_modules, with_structure
 from kneexo.export.web_code import TORQUE_MODES
-from kneexo.files.writing import require_mark
 from kneexo.parameters import Scenario
 from kneexo.parameters.criteria import MARGINS
 from kneexo.parameters.fields import kind_of
@@ -22,9 +20,6 @@ from kneexo.parameters.quantity import Parameters
 from kneexo.version import __version__
 from kneexo.view.stage import STAGE_SCRIPTS, STAGE_STYLES, stage_leg
 from kneexo.view.web_page import self_contained_page, web_text
-
-MARK = "<!-- made by kneexo play -->"
-"""A comment in each page. No command replaces a file without this comment."""
 
 MOST_SCENARIOS = 8
 """Largest number of scenarios of a page. A page of eight structures has about 4 MB."""
@@ -129,7 +124,7 @@ def playground_page(scenarios: Sequence[Scenario], names: Sequence[str]) -> str:
     scripts = (*STAGE_SCRIPTS, *_SCRIPTS)
     return self_contained_page(
         f"kneexo: {', '.join(names)}",
-        f"{MARK}\n{web_text('playground.html')}",
+        web_text("playground.html"),
         [web_text(name) for name in styles],
         [web_text(name) for name in scripts],
         {"playground": data},
@@ -144,13 +139,6 @@ def require_count(count: int) -> None:
         raise ParameterError(
             f"{count} scenarios: a page has at least 1 and at most {MOST_SCENARIOS}"
         )
-
-
-def require_page(path: Path) -> None:
-    """Raise `OutputError` if a file exists without `MARK`, or if the name lacks .html."""
-    require_mark(path, MARK, "page of kneexo play")
-    if path.suffix not in (".html", ".htm"):
-        raise OutputError(f"{shown(path)}: the name of a page must end in .html")
 
 
 def playground_data(scenarios: Sequence[Scenario], names: Sequence[str]) -> dict[str, Any]:

@@ -8,7 +8,10 @@ import html
 import json
 from collections.abc import Mapping, Sequence
 from importlib import resources
+from pathlib import Path
 from typing import Any
+
+from kneexo.errors import OutputError, shown
 
 _LICENCES = {
     "vendor/three.min.js": "vendor/three.LICENSE.txt",
@@ -24,6 +27,12 @@ def web_text(name: str) -> str:
         licence = (folder / _LICENCES[name]).read_text(encoding="utf-8")
         text = f"/*!\n{licence.strip()}\n*/\n{text}"
     return text
+
+
+def require_page_name(path: Path) -> None:
+    """Raise `OutputError` unless the name of a page ends in .html; other files are not replaced."""
+    if path.suffix not in (".html", ".htm"):
+        raise OutputError(f"{shown(path)}: the name of a page must end in .html")
 
 
 def self_contained_page(

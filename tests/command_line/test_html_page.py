@@ -195,17 +195,6 @@ def test_a_page_allows_only_its_scripts_and_styles(figure):
         assert "unsafe" not in policy
 
 
-@pytest.mark.parametrize("command", [["simulate"], ["linearize"], ["study", "bandwidth"]])
-def test_html_writes_over_no_file_of_others(command, tmp_path, capsys):
-    page = tmp_path / f"{command[-1]}.html"
-    page.write_text("<title>mine</title>", encoding="utf-8")
-    assert main([*command, "--out", str(tmp_path), "--html"]) == 2
-    message = f"kneexo: {page} exists and is no page of kneexo; choose another --out\n"
-    assert capsys.readouterr().err == message
-    assert page.read_text(encoding="utf-8") == "<title>mine</title>"
-    assert list(tmp_path.iterdir()) == [page]
-
-
 # -------------------------------------------------------------------------------- browser
 
 

@@ -114,20 +114,6 @@ def test_finished_pieces_go_only_when_asked(capsys, tmp_path, stand_in):
     assert pieces_at_start == [1, 1, 0]
 
 
-@pytest.mark.parametrize("option", [[], ["--restart"]])
-def test_a_file_that_is_no_checkpoint_is_refused(capsys, tmp_path, option, stand_in):
-    stand_in(lambda checkpoint: pytest.fail("the study began"))
-    path = tmp_path / "bandwidth.checkpoint.jsonl"
-    path.write_text("my notes\n")
-    assert main(["study", "bandwidth", "--out", str(tmp_path), *option]) == 2
-    assert capsys.readouterr().err == (
-        f"kneexo: checkpoint {path}: this is not a checkpoint of kneexo; move it away or choose "
-        f"another directory\n"
-    )
-    assert path.read_text() == "my notes\n"
-    assert [file.name for file in tmp_path.iterdir()] == [path.name]
-
-
 def test_a_second_process_is_refused(capsys, tmp_path, stand_in):
     stand_in(lambda checkpoint: pytest.fail("the study began"))
     path = tmp_path / "bandwidth.checkpoint.jsonl"
@@ -150,7 +136,7 @@ def test_damaged_lines_are_one_line_on_stderr(capsys, tmp_path, monkeypatch, sta
     stand_in(fail)
     monkeypatch.setattr(warnings, "showwarning", show)  # as Python does; pytest collects them
     path = tmp_path / "bandwidth.checkpoint.jsonl"
-    path.write_text('{"kneexo checkpoint": 1}\ndamaged\ndamaged\n')
+    path.write_text("damaged\ndamaged\n")
     assert main(["study", "bandwidth", "--out", str(tmp_path)]) == 2
     assert capsys.readouterr().err.splitlines() == [
         f"kneexo: checkpoint {path}: 2 damaged lines are skipped",

@@ -4,7 +4,6 @@ import pytest
 
 from kneexo.command_line.main import main
 from kneexo.view import playground
-from kneexo.view.playground import MARK
 
 
 @pytest.fixture
@@ -14,7 +13,7 @@ def calls(monkeypatch):
 
     def page(scenarios, names):
         calls.append((scenarios, names))
-        return MARK
+        return "a page"
 
     monkeypatch.setattr(playground, "playground_page", page)
     return calls
@@ -24,7 +23,7 @@ def test_the_command_writes_a_page_of_the_paper_by_default(tmp_path, capsys, cal
     page = tmp_path / "knee.html"
     assert main(["play", "--out", str(page), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["scenarios"] == ["the paper's setup"]
-    assert page.read_text() == MARK
+    assert page.read_text() == "a page"
     assert main(["play", "--out", str(page)]) == 0  # its own page may be replaced
     assert "open it in a browser" in capsys.readouterr().out
 
@@ -71,12 +70,12 @@ def test_a_fault_is_one_line_and_leaves_no_file(tmp_path, capsys, calls, argumen
     assert list(tmp_path.iterdir()) == []
 
 
-def test_other_files_stay(tmp_path, capsys, calls):
-    other = tmp_path / "other.html"
-    other.write_text("mine")
-    assert main(["play", "--out", str(other)]) == 2
-    assert "is no page of kneexo play" in capsys.readouterr().err
-    assert other.read_text() == "mine"
+def test_only_a_page_is_replaced(tmp_path, capsys, calls):
+    code = tmp_path / "my.py"
+    code.write_text("mine")
+    assert main(["play", "--out", str(code)]) == 2
+    assert "my.py: the name of a page must end in .html" in capsys.readouterr().err
+    assert code.read_text() == "mine"
     assert calls == []
 
 

@@ -5,7 +5,6 @@ import stat
 import pytest
 
 from kneexo.command_line.main import main
-from kneexo.view.page import MARK
 
 
 def test_a_file_name_may_have_bytes_that_are_no_text(tmp_path, capsys):
@@ -16,7 +15,7 @@ def test_a_file_name_may_have_bytes_that_are_no_text(tmp_path, capsys):
     assert "<title>kneexo: knee?</title>" in page.read_text()
 
 
-def test_the_command_writes_a_page_and_keeps_other_files(tmp_path, capsys):
+def test_the_command_writes_a_page_and_replaces_only_pages(tmp_path, capsys):
     page = tmp_path / "knee.html"
     short = ["--set", "simulation.duration_s=0.5"]
     assert main(["view", "--out", str(page), *short, "--json"]) == 0
@@ -26,17 +25,20 @@ def test_the_command_writes_a_page_and_keeps_other_files(tmp_path, capsys):
     assert main(["view", "--out", str(page), *short, "--preset", "bench", "--json"]) == 0
     printed = capsys.readouterr()
     assert json.loads(printed.out)["runs"] == ["preset bench, simulation.duration_s=0.5"]
-    assert MARK in page.read_text()
-    assert main(["view", "--out", str(page), *short]) == 0  # its own page may be replaced
-    other = tmp_path / "other.html"
+    assert "The knee in motion" in page.read_text()
+    assert main(["view", "--out", str(page), *short]) == 0  # an earlier page is replaced
+    other = tmp_path / "my.yaml"
     other.write_text("mine")
     endless = tmp_path / "socket.html"
     os.mknod(endless, stat.S_IFSOCK | 0o600)
-    for path in (other, tmp_path, endless):
+    for path, message in (
+        (other, "my.yaml: the name of a page must end in .html"),
+        (endless, "socket.html is no regular file there"),
+    ):
         assert main(["view", "--out", str(path), *short]) == 2
-        assert "is no page of kneexo view" in capsys.readouterr().err
+        assert message in capsys.readouterr().err
     assert other.read_text() == "mine"
-    assert {file.name for file in tmp_path.iterdir()} == {"knee.html", "other.html", "socket.html"}
+    assert {file.name for file in tmp_path.iterdir()} == {"knee.html", "my.yaml", "socket.html"}
 
 
 def test_a_page_opens_where_there_is_a_browser(tmp_path, monkeypatch, capsys):

@@ -9,7 +9,7 @@ from kneexo.compiler.errors import OutputError
 from kneexo.compiler.files import (
     delete_stale,
     files_in,
-    require_marked,
+    require_empty,
     temporary_folder,
     write_folder,
     write_whole,
@@ -55,25 +55,25 @@ def test_files_are_listed_by_their_whole_name(tmp_path):
     assert files_in(tmp_path / "none", re.compile(".*")) == []
 
 
-def test_a_folder_gets_the_files_and_loses_the_others_but_its_build(tmp_path):
+def test_a_folder_gets_the_files_and_keeps_the_others(tmp_path):
     folder = tmp_path / "new" / "out"
-    write_folder(folder, {"a": "1", "b": "2"}, keep="build")
-    (folder / "build").mkdir()
-    (folder / "build-x").mkdir()  # of a killed process
-    write_folder(folder, {"b": "3"}, keep="build")
-    assert sorted(path.name for path in folder.iterdir()) == ["b", "build"]
-    assert (folder / "b").read_text() == "3"
+    write_folder(folder, {"a": "1", "b": "2"})
+    (folder / ".kneexo_x").mkdir()  # of a killed process
+    write_folder(folder, {"b": "3"})
+    assert sorted(path.name for path in folder.iterdir()) == ["a", "b"]
+    assert [(folder / name).read_text() for name in "ab"] == ["1", "3"]
 
 
-def test_a_folder_with_a_file_without_the_mark_is_refused(tmp_path):
-    require_marked(tmp_path / "none", "mark", "us", "build")
-    (tmp_path / "a").write_text("// mark\n")
-    (tmp_path / "build").mkdir()
-    require_marked(tmp_path, "mark", "us", "build")
-    (tmp_path / "b").write_text("first\nmark\n")
-    line = rf"^directory {tmp_path}: b is not of us; choose another directory$"
+def test_only_an_empty_folder_is_empty(tmp_path):
+    require_empty(tmp_path / "none")
+    (tmp_path / ".kneexo_x").mkdir()  # of a killed process
+    require_empty(tmp_path)
+    (tmp_path / "a").touch()
+    line = rf"^directory {tmp_path}: has other files and no export; choose another directory$"
     with pytest.raises(OutputError, match=line):
-        require_marked(tmp_path, "mark", "us", "build")
+        require_empty(tmp_path)
+    with pytest.raises(OutputError, match=r"a: cannot be read \(Not a directory\); choose another"):
+        require_empty(tmp_path / "a")
 
 
 def test_a_temporary_folder_holds_the_files_and_ends_with_the_body():
@@ -86,5 +86,5 @@ def test_a_file_in_the_place_of_the_folder_is_one_line(tmp_path):
     path = tmp_path / "out"
     path.write_text("")
     with pytest.raises(OutputError, match="cannot write there") as error:
-        write_folder(path, {"a.c": ""}, keep="build")
+        write_folder(path, {"a.c": ""})
     assert "\n" not in str(error.value)

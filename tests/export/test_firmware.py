@@ -479,7 +479,7 @@ def test_the_documented_command_exports_the_users_controller_of_its_directory(tm
 def test_a_folder_with_other_files_is_left_alone(tmp_path, short, capsys):
     (tmp_path / "notes.txt").write_text("mine")
     assert main(["export", "c", short, "--out", str(tmp_path)]) == 2
-    assert "is not of an export; choose another directory" in capsys.readouterr().err
+    assert "has other files and no export; choose another directory" in capsys.readouterr().err
     assert (tmp_path / "notes.txt").read_text() == "mine"
     assert not (tmp_path / "controller.c").exists()
 

@@ -10,7 +10,6 @@ import kneexo as kx
 from kneexo.errors import OutputError, ParameterError
 from kneexo.parameters.scenario_file import dump_scenario
 from kneexo.view import play as module
-from kneexo.view.playground import MARK
 
 
 @pytest.fixture
@@ -20,7 +19,7 @@ def made(monkeypatch):
 
     def page(scenarios, names):
         calls.append((list(scenarios), tuple(names)))
-        return f'{MARK}<p title="a">&amp; "{names[0]}"</p>'
+        return f'<p title="a">&amp; "{names[0]}"</p>'
 
     monkeypatch.setattr(module, "playground_page", page)
     return calls
@@ -56,17 +55,13 @@ def test_a_cell_has_the_page_in_a_frame(made):
     assert "<p" not in repr(page)
 
 
-def test_a_page_is_written_and_replaced_but_nothing_else(made, tmp_path):
+def test_a_page_is_written_and_replaced_and_has_its_suffix(made, tmp_path):
     page = kx.play()
     path = page.write(tmp_path / "new" / "knee.html")
     assert path.read_text("utf-8") == page.html
     assert page.write(str(path)) == path
-    other = tmp_path / "other.html"
-    other.write_text("<p>mine</p>")
-    for place, message in ((other, "is no page of kneexo play"), (tmp_path / "a.txt", "in .html")):
-        with pytest.raises(OutputError, match=message):
-            page.write(place)
-    assert other.read_text() == "<p>mine</p>"
+    with pytest.raises(OutputError, match=r"must end in \.html"):
+        page.write(tmp_path / "a.txt")
     assert not (tmp_path / "a.txt").exists()
 
 

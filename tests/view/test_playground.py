@@ -6,7 +6,7 @@ import re
 import pytest
 import yaml
 
-from kneexo.errors import OutputError, ParameterError
+from kneexo.errors import ParameterError
 from kneexo.export.web import controller_of
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
@@ -14,7 +14,7 @@ from kneexo.parameters.presets import PRESETS
 from kneexo.parameters.scenario_file import load_scenario
 from kneexo.studies.paper import FIG_12, IDEAL_SMC
 from kneexo.view import playground
-from kneexo.view.playground import MARK, playground_data, playground_page, require_page
+from kneexo.view.playground import playground_data, playground_page
 
 
 @pytest.fixture(autouse=True)
@@ -133,7 +133,6 @@ def test_models_share_the_samples_of_a_minute_at_most():
 def test_a_page_escapes_names_and_is_marked():
     name = "</script><script>alert(1)</script><b>&"
     page = playground_page([Scenario()], [name])
-    assert MARK in page
     assert "alert(1)</script>" not in page
     assert "<title>kneexo: &lt;/script&gt;" in page
     policy = re.search(r'Content-Security-Policy" content="([^"]*)"', page)[1]
@@ -147,14 +146,3 @@ def test_a_page_has_one_to_eight_scenarios():
     for count in (0, 9):
         with pytest.raises(ParameterError, match=f"{count} scenarios: .* at least 1 and at most 8"):
             playground_page([Scenario()] * count, ["x"] * count)
-
-
-def test_only_a_page_of_this_command_may_be_replaced(tmp_path):
-    require_page(tmp_path / "new.html")
-    (tmp_path / "page.html").write_text(f"<p>{MARK}")
-    require_page(tmp_path / "page.html")
-    (tmp_path / "other.html").write_text("mine")
-    with pytest.raises(OutputError, match="is no page of kneexo play"):
-        require_page(tmp_path / "other.html")
-    with pytest.raises(OutputError, match=r"must end in \.html"):
-        require_page(tmp_path / "page.txt")

@@ -32,10 +32,6 @@ USUAL_FLAGS = ("-O2", "-Wall", "-Wextra", "-Wconversion", "-Wpedantic")
 """Further flags of the exported build files. The Makefile replaces them by the user's CFLAGS."""
 
 
-BUILD = "build"
-"""Name of the folder that the exported Makefile writes to, beside the sources."""
-
-
 class BuildError(CompilationError):
     """A compiler is missing or fails, so the code cannot be measured."""
 

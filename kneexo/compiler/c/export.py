@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Collection, Iterable, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,10 +14,9 @@ from pydrake.systems.framework import System
 
 from ..diagram_equations import read_diagram
 from ..errors import CompilationError, OutputError, shown
-from ..files import require_marked, write_folder
+from ..files import require_empty, write_folder
 from ..run_data import Array
 from .build import (
-    BUILD,
     REQUIRED_FLAGS,
     USUAL_FLAGS,
     BuildError,
@@ -31,7 +29,7 @@ from .checks import distinct_names, require_type
 from .interface import INT32, Field, Interface, require_model_name
 from .manifest import FILE as MANIFEST, exported_name, manifest
 from .printer import literal
-from .source import MARK, CSource, source_of
+from .source import CSource, source_of
 from .template import rendered
 from .traceability import FILE as TRACEABILITY, Trace
 from .vectors import Vectors, recorded_vectors
@@ -108,8 +106,8 @@ def export_c(
     CompilationError
         The diagram cannot be compiled to C, or an argument is wrong.
     OutputError
-        The folder has files that no export wrote, or an export of a model with another name. Or
-        the folder cannot be written.
+        The folder has files but no export, or an export of a model with another name. Or the
+        folder cannot be written.
     SimulationError
         The compiled diagram runs to make the test vectors, and this run fails.
     """
@@ -156,29 +154,17 @@ def _rows(samples: Any, steps: int, inputs: Sequence[Field]) -> Array:
     return rows
 
 
-def require_export_folder(
-    directory: str | os.PathLike[str], name: str, *, folders: Collection[str] = ()
-) -> None:
-    """Raise `OutputError` if an export of the model ``name`` would replace anything else.
+def require_export_folder(directory: str | os.PathLike[str], name: str) -> None:
+    """Raise `OutputError` unless a directory is missing or empty, or has an export of ``name``.
 
-    The directory must have no file that was not written by an export, and no export of a model with
-    another name. The subfolders ``folders`` are not checked.
+    So an export is never mixed with the sources of a user or with the export of another model.
     """
     require_type("directory", directory, (str, os.PathLike), "a path")
     folder = Path(directory)
-    try:
-        with suppress(FileNotFoundError, NotADirectoryError):
-            folder.stat()
-        require_marked(folder, MARK, "an export", BUILD, folders)
-    except OutputError:
-        raise
-    except (OSError, ValueError) as error:  # a ValueError's words change with the version of Python
-        reason = error.strerror if isinstance(error, OSError) else "a null byte in its name"
-        raise OutputError(
-            f"directory {shown(folder)}: cannot be read ({reason}); choose another directory"
-        ) from None
     earlier = exported_name(folder)
-    if earlier not in (None, name):
+    if earlier is None:
+        require_empty(folder)
+    elif earlier != name:
         raise OutputError(
             f"directory {shown(folder)}: has the export of {shown(earlier)!r}; choose another "
             f"directory for {name!r}"
@@ -188,13 +174,13 @@ def require_export_folder(
 def write_c(directory: str | os.PathLike[str], source: CSource, vectors: Vectors) -> Measurement:
     """Build, run and measure a model in C, and write its folder.
 
-    Files of an earlier export in the directory are replaced or deleted. Raises `OutputError` as
-    `require_export_folder` does, or if a file cannot be written. After an error all earlier files
-    are still there.
+    Files of an earlier export in the directory are replaced, and other files stay. Raises
+    `OutputError` as `require_export_folder` does, or if a file cannot be written. After an error
+    all earlier files are still there.
     """
     files, measurement = exported(source, vectors)
     require_export_folder(directory, source.name)
-    write_folder(Path(directory), files, keep=BUILD)
+    write_folder(Path(directory), files)
     return measurement
 
 

@@ -72,12 +72,14 @@ def manifest(made_by: str, content: Mapping[str, Any], files: Mapping[str, str])
 
 
 def exported_name(directory: Path) -> str | None:
-    """Return the name of the model in an exported folder, or None without a readable manifest."""
+    """Return the name of the model in an exported folder, or None without a manifest."""
     try:
-        name = json.loads((directory / FILE).read_text(encoding="utf-8"))["name"]
-    except (OSError, ValueError, LookupError, TypeError):
+        document = json.loads((directory / FILE).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
         return None
-    return name if isinstance(name, str) else None
+    if not isinstance(document, dict) or "made_by" not in document:  # of another program
+        return None
+    return str(document["name"])
 
 
 def _sha256(content: bytes) -> str:

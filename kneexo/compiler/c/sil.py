@@ -9,8 +9,9 @@ from pathlib import Path
 
 from ..errors import CompilationError
 from ..files import write_folder
-from .build import BUILD, REQUIRED_FLAGS, USUAL_FLAGS, BuildError, Replay, replay
+from .build import REQUIRED_FLAGS, USUAL_FLAGS, BuildError, Replay, replay
 from .export import REPLAY_TOLERANCES, Measurement, exported, require_export_folder
+from .manifest import FILE as MANIFEST, manifest
 from .printer import DOUBLE, literal
 from .source import CSource
 from .template import rendered
@@ -90,12 +91,13 @@ class Sil:
         return [field.name for field in plant.plan.inputs if field.name in commands]
 
     def files(self) -> dict[str, str]:
-        """Return a dictionary from file name to text, for the program and its Makefile."""
+        """Return a dictionary from file name to text: program, Makefile and manifest."""
         sources = self.controller[0], self.plant[0]
         names = [source.name for source in sources]
         precision = "float" if any(s.precision == "float" for s in sources) else "double"
+        first_line = f"{sources[0].first_line}, with {sources[1].name}"
         data = {
-            "first_line": f"{sources[0].first_line}, with {sources[1].name}",
+            "first_line": first_line,
             "controller": sources[0],
             "plant": sources[1],
             "outputs": [(s.name, field) for s in sources for field in s.plan.outputs],
@@ -109,15 +111,16 @@ class Sil:
             ],
         }
         files = {f"{_SIL}.c": f"{_SIL}.c", "Makefile": f"{_SIL}.mk"}
-        return {file: rendered(__package__, template, **data) for file, template in files.items()}
+        texts = {file: rendered(__package__, template, **data) for file, template in files.items()}
+        return texts | {MANIFEST: manifest(first_line, {"name": _SIL}, texts)}
 
 
 def require_sil_folder(directory: str | os.PathLike[str], *names: str) -> None:
     """Raise `OutputError` if an export of a loop of models ``names`` would replace anything else.
 
-    See `require_export_folder`, which also checks the subfolders ``names``.
+    See `require_export_folder`. Each model has a subfolder.
     """
-    require_export_folder(directory, _SIL, folders=names)
+    require_export_folder(directory, _SIL)
     for name in names:
         require_export_folder(Path(directory, name), name)
 
@@ -142,7 +145,7 @@ def write_sil(directory: str | os.PathLike[str], sil: Sil) -> SilMeasurement:
     except BuildError:  # which both measurements report
         closed_loop = None
     require_sil_folder(folder, *(source.name for source in sources))
+    write_folder(folder, program)  # first its manifest, with which a killed call can be repeated
     for source, (files, _) in zip(sources, exports, strict=True):
-        write_folder(folder / source.name, files, keep=BUILD)
-    write_folder(folder, program, keep=BUILD)
+        write_folder(folder / source.name, files)
     return SilMeasurement(exports[0][1], exports[1][1], closed_loop)

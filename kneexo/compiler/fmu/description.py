@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import io
-import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree
@@ -15,7 +13,6 @@ from .units import BASE_UNITS
 from .variables import Variable, VariableTable
 
 _STANDARDS = {2: "2.0", 3: "3.0"}
-_LONGEST_DESCRIPTION = 2**26
 
 
 @dataclass(frozen=True)
@@ -80,23 +77,6 @@ def build_description(header: Header) -> str:
     for file in header.files:
         SubElement(files, "SourceFile", name=file)
     return _text(root)
-
-
-def generation_tool(archive: bytes) -> str | None:
-    """Return the name of the tool that made an FMU.
-
-    Returns an empty text if the FMU names no tool, and None if the file is no FMU.
-    """
-    try:
-        with (
-            zipfile.ZipFile(io.BytesIO(archive)) as files,
-            files.open("modelDescription.xml") as file,
-        ):
-            # A short archive may unpack to a long text.
-            root = ElementTree.fromstring(file.read(_LONGEST_DESCRIPTION))
-    except Exception:  # a damaged or encrypted archive may raise any error
-        return None
-    return root.get("generationTool", "") if root.tag == "fmiModelDescription" else None
 
 
 def _add_units(parent: Element, variables: Sequence[Variable]) -> None:

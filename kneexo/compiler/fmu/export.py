@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import stat
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -21,12 +20,9 @@ from ..diagram_equations import read_diagram
 from ..errors import OutputError, shown
 from ..files import write_whole
 from ..root import ROOT
-from .description import generation_tool
 from .fmu import Fmu, require_fmi
 from .parameters import chosen_parameters
 from .variables import FmuParameter
-
-_MOST_BYTES = 2**28  # no FMU of this package is larger
 
 
 @dataclass(frozen=True)
@@ -103,8 +99,7 @@ def export_fmu(
         The diagram cannot be compiled to C, or an argument is wrong. Its subclass ``BuildError``
         says that Zig is not installed, or that a compiler fails.
     OutputError
-        The file exists and no export wrote it, or it cannot be written. No file is written after an
-        error.
+        The file cannot be written. No file is written after an error.
     """
     require_model_name(name)
     require_fmi("version", version)
@@ -113,7 +108,6 @@ def export_fmu(
     if platforms is not None:
         platforms = require_platforms(platforms)
     file = Path(directory) / f"{name}.fmu"
-    require_fmu_place(file)
     read = read_diagram(diagram, inputs=distinct_names("inputs", inputs))
     source = source_of(read, name, context, tick_s=tick_s, **options)
     chosen = chosen_parameters(source, parameters)
@@ -127,22 +121,27 @@ def write_fmu(
     """Compile the binaries of an FMU and write its file, whole or not at all.
 
     ``platforms`` are those of `export_fmu`. Missing directories are created. Raises
-    `CompilationError` if a platform is unknown or a compiler fails. Raises `OutputError` as
-    `require_fmu_place` does, or if the file cannot be written.
+    `CompilationError` if a platform is unknown or a compiler fails. Raises `OutputError` if the
+    file cannot be written.
     """
     path = Path(file)
     libraries = shared_libraries(fmu.name, fmu.sources, platforms)
     archive = fmu.archive(libraries)
-    require_fmu_place(path)
-    created = [folder for folder in path.parents if not folder.exists()]
+    created: list[Path] = []
     try:
+        if path.exists() and not path.is_file():
+            raise OSError("is no regular file")
+        created = [folder for folder in path.parents if not folder.exists()]
         path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, archive)
     except OSError as error:
         for folder in created:
             with suppress(OSError):  # not empty, or never created
                 folder.rmdir()
-        raise _refusal(path, f"cannot be written ({error.strerror or error})") from None
+        reason = error.strerror or error
+        raise OutputError(
+            f"file {shown(path)}: cannot be written ({reason}); choose another file"
+        ) from None
     plan = fmu.source.plan
     return FmuFile(
         str(path),
@@ -152,29 +151,3 @@ def write_fmu(
         tuple(parameter.name for parameter in fmu.table.parameters),
         tuple(libraries),
     )
-
-
-def require_fmu_place(file: str | os.PathLike[str]) -> None:
-    """Raise `OutputError` if ``file`` exists, unless it is an FMU that this package wrote."""
-    path = Path(file)
-    try:
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode):
-            raise _refusal(path, "is no regular file")
-        # Files of the kernel have no size, and reading them may wait for ever.
-        is_readable = 0 < status.st_size <= _MOST_BYTES
-        tool = generation_tool(path.read_bytes()) if is_readable else None
-    except (FileNotFoundError, NotADirectoryError):
-        return
-    except OutputError:
-        raise
-    except OSError as error:
-        raise _refusal(path, error.strerror or str(error)) from None
-    except ValueError:  # its message changes with the version of Python
-        raise _refusal(path, "a null byte in its name") from None
-    if not (tool or "").startswith(ROOT):
-        raise _refusal(path, "is no FMU" if tool is None else f"is an FMU of {tool or 'no tool'}")
-
-
-def _refusal(path: Path, reason: str) -> OutputError:
-    return OutputError(f"file {shown(path)}: {shown(reason)}; choose another file")

@@ -105,7 +105,7 @@ def test_a_tool_without_version_has_zeros(monkeypatch):
     assert manifest_in_c({}) == {"version": ["0U", "0U", "0U"]}
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", "3", '{"name": 5}', "\xff"])
+@pytest.mark.parametrize("text", ["", "{", "[]", "3", '{"name": "My web page"}', "\xff"])
 def test_a_folder_without_a_readable_manifest_has_no_name(tmp_path, text):
     assert exported_name(tmp_path) is None
     (tmp_path / "manifest.json").write_text(text, encoding="latin-1")

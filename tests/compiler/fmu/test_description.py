@@ -1,7 +1,5 @@
 """The XML files of an FMU: read by FMPy, and by a plain reader of XML."""
 
-import io
-import zipfile
 from xml.etree import ElementTree
 
 import pytest
@@ -9,7 +7,6 @@ import pytest
 from kneexo.compiler.fmu.description import (
     Header,
     build_description,
-    generation_tool,
     model_description,
 )
 from kneexo.compiler.fmu.variables import VariableTable
@@ -54,11 +51,6 @@ def test_variables_and_dependencies(fmu, path):
     assert (units["m/s"].m, units["m/s"].s, units["m/s"].kg) == (1, -1, 0)
 
 
-@pytest.mark.parametrize("data", [b"", b"text", b"PK\x05\x06" + bytes(18)])
-def test_what_is_no_fmu_has_no_tool(data):
-    assert generation_tool(data) is None
-
-
 HEADER = Header(3, "lag", "token", "a <tool>", 'a "lag" & more', 5.0, 0.1, ["lag.c", "b.c"])
 
 
@@ -74,19 +66,3 @@ def test_texts_that_are_no_xml_are_escaped(lag_source, lag_parameters):
 def test_a_build_description_lists_the_source_files():
     root = ElementTree.fromstring(build_description(HEADER).encode())
     assert [file.get("name") for file in root.iter("SourceFile")] == ["lag.c", "b.c"]
-
-
-@pytest.mark.parametrize(
-    ("text", "tool"),
-    [
-        ('<fmiModelDescription generationTool="a tool"/>', "a tool"),
-        ("<fmiModelDescription/>", ""),
-        ('<other generationTool="a tool"/>', None),
-        ("<fmiModelDescription", None),
-    ],
-)
-def test_the_tool_is_that_of_the_description(text, tool):
-    file = io.BytesIO()
-    with zipfile.ZipFile(file, "w") as archive:
-        archive.writestr("modelDescription.xml", text)
-    assert generation_tool(file.getvalue()) == tool
