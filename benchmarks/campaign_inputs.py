@@ -360,7 +360,7 @@ SPECIAL: dict[str, Callable[[Path, random.Random], Any]] = {
         name: _link(name)
         for name in (
             *("/dev/zero", "/dev/full", "/dev/null", "/dev/random", "/dev/tty", "/dev/stdin"),
-            *("/proc/self/mem", "/proc/kmsg", "/proc/kcore", "/proc/self/environ", "/proc/version"),
+            *("/proc/self/mem", "/proc/kcore", "/proc/self/environ", "/proc/version"),
             *("/proc/self/fd/0", "/proc/self/maps", "/proc/self/cmdline", "/proc", "/proc/1/mem"),
             *("/sys/kernel/profiling", "/proc/self/clear_refs", "/nowhere"),
         )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import codecs
 import os
 import stat
 
@@ -11,36 +10,20 @@ from kneexo.errors import ScenarioError, close_names, question, shortened, shown
 MIB = 2**20
 """Number of bytes in one MiB."""
 
-_CHUNK = MIB
-_UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE, codecs.BOM_UTF32_BE)
-
 
 def read_bytes(path: str | os.PathLike[str], most_bytes: int) -> bytes:
     """Read a regular file of at most ``most_bytes`` bytes.
 
     Raises `OSError` for every other file, because reading a pipe or a device may never end.
     """
-    try:
-        mode = os.stat(path).st_mode
-        if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
-            raise OSError("is not a regular file")
-        # A file of the kernel may wait for data, and a pipe may have replaced the file.
-        with open(path, "rb", buffering=0, opener=_open_without_waiting) as file:
-            size = os.fstat(file.fileno()).st_size
-            chunks: list[bytes] = []
-            while size <= most_bytes:
-                chunk = file.read(_CHUNK)
-                if chunk is None:
-                    raise OSError("has no data now; must be an ordinary file")
-                if not chunk:
-                    return b"".join(chunks)
-                chunks.append(chunk)
-                size = max(size, sum(map(len, chunks)))
-    except MemoryError:
-        raise OSError("is too large for the free memory") from None
-    except ValueError:  # its message changes with the version of Python
-        raise OSError("a null byte in its name") from None
-    raise OSError(f"is too large, must have at most {most_bytes} bytes")
+    status = os.stat(path)
+    regular = stat.S_ISREG(status.st_mode)
+    if not regular and not stat.S_ISDIR(status.st_mode):  # open refuses a directory
+        raise OSError("is not a regular file")
+    if regular and status.st_size > most_bytes:
+        raise OSError(f"is too large, must have at most {most_bytes} bytes")
+    with open(path, "rb") as file:
+        return file.read()
 
 
 def read_text(path: str | os.PathLike[str], most_bytes: int) -> str:
@@ -49,13 +32,7 @@ def read_text(path: str | os.PathLike[str], most_bytes: int) -> str:
     Raises `ScenarioError` with the file and the reason.
     """
     try:
-        data = read_bytes(path, most_bytes)
-        if data.startswith(_UTF_16):
-            raise file_error(path, None, "is in UTF-16 or UTF-32; save it as UTF-8")
-        if (place := data.find(b"\0")) >= 0:
-            message = "has a null byte; must be text in UTF-8, not UTF-16 or binary data"
-            raise file_error(path, data.count(b"\n", 0, place) + 1, message)
-        return data.decode("utf-8-sig")
+        return read_bytes(path, most_bytes).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line, byte = error.object.count(b"\n", 0, error.start) + 1, error.object[error.start]
         message = f"is not UTF-8: byte 0x{byte:02x}; save it as UTF-8"
@@ -63,11 +40,9 @@ def read_text(path: str | os.PathLike[str], most_bytes: int) -> str:
     except FileNotFoundError as error:
         similar = question(_similar(path))
         raise file_error(path, None, f"cannot be read: {error.strerror}{similar}") from error
-    except OSError as error:
-        raise file_error(path, None, f"cannot be read: {error.strerror or error}") from error
-    except MemoryError:
-        message = "cannot be read: is too large for the free memory"
-        raise file_error(path, None, message) from None
+    except (OSError, ValueError) as error:  # ValueError: a null byte in the name
+        reason = getattr(error, "strerror", None) or error
+        raise file_error(path, None, f"cannot be read: {reason}") from error
 
 
 def _similar(path: str | os.PathLike[str]) -> list[str]:
@@ -90,7 +65,3 @@ def file_error(path: str | os.PathLike[str], line: int | None, message: str) -> 
     """Return an error with the name of the file, the line if given, and ``message``."""
     place = "" if line is None else f":{line}"
     return ScenarioError(f"{shown(os.fspath(path))}{place}: {shortened(message, 800)}")
-
-
-def _open_without_waiting(path: str, flags: int) -> int:
-    return os.open(path, flags | os.O_NONBLOCK | os.O_NOCTTY)

@@ -105,42 +105,38 @@ def read_table(path: str | os.PathLike[str], names: Sequence[str], remedy: str =
         The file cannot be read, a record is damaged or too long, a column is missing or occurs
         twice, or a value is no finite number in decimal digits.
     """
-    try:
-        text = read_text(path, MOST_BYTES_OF_TABLE)
-        sought, start = names, 0
-        if end := _END_OF_OPENSIM_HEADER.search(text):
-            sought, start = ["time" if name == "time_s" else name for name in names], end.end()
-            text = text.replace("\t", " ")
-        separator = _separator(text, start, sought)
-        comma_number = ""
-        if separator != "," and text.find(",", start) >= 0:
-            comma_number = _comma_number(_records(path, text, start, separator))
-        records = _records(path, text, start, separator)
-        first, header = next(records, (0, None))
-        if header is None:
-            raise file_error(path, None, "is empty; must have a line with the names of columns")
-        header = [name.strip() for name in header]
-        if all(NUMBER.fullmatch(word.replace(",", ".")) for word in " ".join(header).split()):
-            message = "has numbers; must have the names of the columns, without # or %"
-            raise file_error(path, first, message)
-        places = [_place(path, header, name, remedy) for name in sought]
-        lines: list[int] = []
-        values: list[list[float]] = [[] for _ in names]
-        for line, row in records:
-            # Between spaces no field is empty: a missing value would shift the others.
-            shifted = separator == " " and len(row) < len(header)
-            if shifted or any(field.strip() for field in row[len(header) :]):
-                message = f"has {len(row)} values; must have {len(header)}, one of each column"
-                if separator == ",":
-                    message += "; separate them by semicolons if commas are decimal signs"
-                raise file_error(path, line, message)
-            lines.append(line)
-            for name, place, column in zip(names, places, values, strict=True):
-                field = row[place] if place < len(row) else ""
-                column.append(_number(path, line, name, field, comma_number))
-    except MemoryError:
-        message = "cannot be read: has too many rows for the free memory"
-        raise file_error(path, None, message) from None
+    text = read_text(path, MOST_BYTES_OF_TABLE)
+    sought, start = names, 0
+    if end := _END_OF_OPENSIM_HEADER.search(text):
+        sought, start = ["time" if name == "time_s" else name for name in names], end.end()
+        text = text.replace("\t", " ")
+    separator = _separator(text, start, sought)
+    comma_number = ""
+    if separator != "," and text.find(",", start) >= 0:
+        comma_number = _comma_number(_records(path, text, start, separator))
+    records = _records(path, text, start, separator)
+    first, header = next(records, (0, None))
+    if header is None:
+        raise file_error(path, None, "is empty; must have a line with the names of columns")
+    header = [name.strip() for name in header]
+    if all(NUMBER.fullmatch(word.replace(",", ".")) for word in " ".join(header).split()):
+        message = "has numbers; must have the names of the columns, without # or %"
+        raise file_error(path, first, message)
+    places = [_place(path, header, name, remedy) for name in sought]
+    lines: list[int] = []
+    values: list[list[float]] = [[] for _ in names]
+    for line, row in records:
+        # Between spaces no field is empty: a missing value would shift the others.
+        shifted = separator == " " and len(row) < len(header)
+        if shifted or any(field.strip() for field in row[len(header) :]):
+            message = f"has {len(row)} values; must have {len(header)}, one of each column"
+            if separator == ",":
+                message += "; separate them by semicolons if commas are decimal signs"
+            raise file_error(path, line, message)
+        lines.append(line)
+        for name, place, column in zip(names, places, values, strict=True):
+            field = row[place] if place < len(row) else ""
+            column.append(_number(path, line, name, field, comma_number))
     return Table(path, lines, dict(zip(names, values, strict=True)), text[:start])
 
 

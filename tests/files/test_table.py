@@ -5,7 +5,6 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from kneexo.files import table
 from kneexo.files.table import read_table
 
 
@@ -166,12 +165,3 @@ def test_a_value_outside_the_limits_of_its_column_is_an_error_with_its_line(writ
     assert fault(columns.require, "t", 0.0, 0.9, "s") == message
     message = "table.csv:5: t = 0.5 s after 1 s: must increase by at least 0.1 s from row to row"
     assert fault(columns.require_increase, "t", 0.1, "s") == message
-
-
-def test_a_table_that_does_not_fit_into_memory_is_an_error_with_its_name(monkeypatch, write, fault):
-    def full(*_):
-        raise MemoryError
-
-    monkeypatch.setattr(table, "_number", full)
-    message = "table.csv: cannot be read: has too many rows for the free memory"
-    assert fault(read_table, write("t\n1\n"), ("t",)) == message

@@ -89,7 +89,9 @@ for locale, (separator, decimal, thousands) in LOCALES.items():
                 replaced(text, 6, f"1000{decimal}5", long),
                 message=f":6: time_s: {long.strip(chr(34))!a}; must be a finite number",
             ),
-            "Unicode text": File(exact.encode("utf-16"), message=": is in UTF-16 or UTF-32; save"),
+            "Unicode text": File(
+                exact.encode("utf-16"), message=":1: is not UTF-8: byte 0xff; save"
+            ),
             "units": File(
                 replaced(text, 1, "\r\n", f"\r\ns{separator}deg\r\n"),
                 message=":2: time_s: 's'; must be a finite number in the digits 0-9; delete or",
