@@ -50,16 +50,14 @@ def files_in(directory: Path, names: re.Pattern[str]) -> list[FileStatus]:
 # --------------------------------------------------------------------------------- one file
 
 
-def write_whole(path: Path, content: bytes, mode: int = 0o666) -> None:
+def write_whole(path: Path, content: bytes) -> None:
     """Write a file under a temporary name, then rename it to ``path``, replacing an earlier file.
 
-    If writing fails, the earlier file stays. ``mode`` has the permissions of the file before the
-    umask is applied.
+    If writing fails, the earlier file stays.
     """
     temporary = path.with_name(f".{path.name}.{os.urandom(8).hex()}")
     try:
-        with open(temporary, "xb", opener=lambda name, flags: os.open(name, flags, mode)) as file:
-            file.write(content)
+        temporary.write_bytes(content)
         os.replace(temporary, path)
     except BaseException:  # KeyboardInterrupt too
         with suppress(OSError):
@@ -79,13 +77,6 @@ def delete_stale(directory: Path, names: str) -> None:
 
 
 # ------------------------------------------------------------------------------ directories
-
-
-def make_private_directory(directory: Path) -> None:
-    """Make a directory, and its missing parents, that other users cannot open."""
-    if not directory.is_dir():
-        make_private_directory(directory.parent)
-        directory.mkdir(mode=0o700, exist_ok=True)
 
 
 def process_directory() -> Path:

@@ -7,13 +7,12 @@ or to ``KNEEXO_CACHE_SIZE_MB`` MiB. A process that stores can exceed the limit b
 The least recently used entries are deleted first. The names of the variables and of the directory
 contain the name of the package (`root`).
 
-The seal detects damage, but anybody can compute it. Trust rests on file ownership: a directory or
-file that another user could have written is never used.
+The seal detects damage, but anybody can compute it. Trust rests on ownership: a directory in which
+another user could write is never used.
 """
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import os
 import re
@@ -28,7 +27,6 @@ from ..files import (
     FileStatus,
     delete_stale,
     files_in,
-    make_private_directory,
     process_directory,
     write_whole,
 )
@@ -61,16 +59,14 @@ def load(key: str) -> bytes | None:
     for directory in reversed(_directories()):
         path = directory / _name(key)
         try:
-            with open(path, "rb", opener=_open_for_reading) as file:
-                if _is_trusted(os.fstat(file.fileno())):
-                    header, content = file.read(_HEADER_BYTES), file.read()
-                    if header == _header(key, content):
-                        with suppress(OSError):  # a read-only file system
-                            os.utime(file.fileno())
-                        return content
-        except OSError as error:
-            if error.errno != errno.ELOOP:  # ELOOP: a symbolic link, which is not followed
-                continue
+            data = path.read_bytes()
+        except OSError:
+            continue
+        content = data[_HEADER_BYTES:]
+        if data[:_HEADER_BYTES] == _header(key, content):
+            with suppress(OSError):  # a read-only file system
+                os.utime(path)
+            return content
         warnings.warn(f"{path}: damaged; it is made anew", stacklevel=2)
     return None
 
@@ -87,8 +83,8 @@ def store(key: str, content: bytes) -> None:
     directory = cache_directory()
     path = directory / _name(key)
     try:
-        make_private_directory(directory)
-        write_whole(path, _header(key, content) + content, mode=0o600)
+        directory.mkdir(mode=0o700, parents=True, exist_ok=True)
+        write_whole(path, _header(key, content) + content)
     except OSError as error:
         reason = f"cannot be written ({error.strerror or error})"
         if directory == _private_directory():
@@ -161,21 +157,6 @@ def _header(key: str, content: bytes) -> bytes:
     seal = hashlib.sha256(hashlib.sha256(key.encode()).digest())
     seal.update(content)
     return _FORMAT + seal.digest()
-
-
-def _open_for_reading(path: str, flags: int) -> int:
-    # Opening a pipe would block without O_NONBLOCK.
-    return os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK)
-
-
-def _is_trusted(status: os.stat_result) -> bool:
-    """Return whether a file is regular, not too large, this user's, and writable by nobody else."""
-    return (
-        stat.S_ISREG(status.st_mode)
-        and status.st_uid == os.geteuid()
-        and not status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
-        and status.st_size <= _LARGEST_ENTRY_BYTES
-    )
 
 
 def _tidy(stored: Path, size_bytes: int) -> None:

@@ -4,7 +4,6 @@ import errno
 import importlib.util
 import os
 import random
-import stat
 import subprocess
 import sys
 import tempfile
@@ -145,18 +144,6 @@ def test_another_format_version_is_refused():
         assert cache.load("key") is None
 
 
-def test_a_link_is_not_followed_and_then_replaced(tmp_path):
-    path = entry_path("key")
-    elsewhere = path.rename(tmp_path / "elsewhere")
-    path.symlink_to(elsewhere)
-    with pytest.warns(UserWarning, match="damaged"):
-        assert cache.load("key") is None
-    cache.store("key", b"new")
-    assert cache.load("key") == b"new"
-    assert not path.is_symlink()
-    assert elsewhere.read_bytes().endswith(b"code")
-
-
 def test_clear_deletes_a_link_to_a_directory_and_not_the_directory(tmp_path):
     path = entry_path("key")
     path.unlink()
@@ -166,61 +153,18 @@ def test_clear_deletes_a_link_to_a_directory_and_not_the_directory(tmp_path):
     assert tmp_path.is_dir()
 
 
-def test_a_pipe_is_refused_without_waiting():
-    path = entry_path("key")
-    sound = path.read_bytes()
-    path.unlink()
-    os.mkfifo(path, 0o600)
-    with pytest.warns(UserWarning, match="damaged"):
-        assert cache.load("key") is None
-    with path.open("r+b", buffering=0) as pipe:
-        pipe.write(sound)
-        with pytest.warns(UserWarning, match="damaged"):
-            assert cache.load("key") is None
-    cache.store("key", b"new")
-    assert cache.load("key") == b"new"
-
-
-@pytest.mark.parametrize("mode", [0o620, 0o602])
-def test_a_file_that_others_may_write_is_refused(mode):
-    path = entry_path("key")
-    path.chmod(mode)
-    with pytest.warns(UserWarning, match="damaged"):
-        assert cache.load("key") is None
-
-
-def test_a_file_of_another_user_is_refused(monkeypatch):
-    entry_path("key")
-
-    def another_user(file, status=os.fstat):
-        values = list(status(file))
-        values[stat.ST_UID] += 1
-        return os.stat_result(values)
-
-    monkeypatch.setattr(os, "fstat", another_user)
-    with pytest.warns(UserWarning, match="damaged"):
-        assert cache.load("key") is None
-
-
-def test_a_file_that_is_too_large_is_not_read(directory):
-    path = entry_path("key")
-    os.truncate(path, 2**40)  # a sparse file
-    with pytest.warns(UserWarning, match="damaged"):
-        assert cache.load("key") is None
+def test_content_that_is_too_large_is_not_stored(directory):
     with pytest.warns(UserWarning, match="of 256 MiB: too large for the cache"):
         cache.store("large", bytes(2**28 - 45))  # one byte too many with the header
-    assert list(directory.iterdir()) == [path]
+    assert not directory.exists()
 
 
-def test_files_and_directories_are_closed_to_other_users(directory, monkeypatch):
-    monkeypatch.setenv("KNEEXO_CACHE_DIR", str(directory / "below"))
+def test_the_directory_is_closed_to_other_users(directory):
     mask = os.umask(0)
     try:
-        path = entry_path("key")
+        entry_path("key")
     finally:
         os.umask(mask)
-    assert path.stat().st_mode & 0o777 == 0o600
-    assert path.parent.stat().st_mode & 0o777 == 0o700
     assert directory.stat().st_mode & 0o777 == 0o700
 
 
@@ -240,13 +184,13 @@ def test_an_interrupt_leaves_the_old_entry_and_no_temporary_file(
     if interrupted == "replace":
         monkeypatch.setattr(os, "replace", interrupt)
     else:
-        opened = os.open
+        write = Path.write_bytes
 
-        def open_and_interrupt(*args):
-            os.close(opened(*args))
+        def write_a_part(path, content):
+            write(path, content[:10])
             interrupt()
 
-        monkeypatch.setattr(os, "open", open_and_interrupt)
+        monkeypatch.setattr(Path, "write_bytes", write_a_part)
     with pytest.raises(KeyboardInterrupt):
         cache.store("key", b"new")
     monkeypatch.undo()
