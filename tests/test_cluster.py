@@ -346,10 +346,13 @@ def test_what_an_interrupted_sweep_left_outlives_a_scheduler_that_is_not_there(
 ):
     pytest.importorskip("distributed", reason="needs the extra cluster")
     monkeypatch.setattr(parallel, "CONNECT_S", 0.1)
-    checkpoint = tmp_path / "bandwidth.checkpoint.jsonl"
-    checkpoint.write_text('["a", 1]\n')
+    path = tmp_path / "bandwidth.checkpoint.jsonl"
+    checkpoint = Checkpoint(path)
+    checkpoint.keep("a", 1)
+    checkpoint.close()
+    before = path.read_bytes()
     assert main([*SMALL_MAP, "--dask", "tcp://127.0.0.1:1", "--out", str(tmp_path)]) == 2
-    assert checkpoint.read_text() == '["a", 1]\n'
+    assert path.read_bytes() == before
 
 
 def test_without_distributed_the_line_says_what_to_install(capsys, tmp_path, monkeypatch):
