@@ -13,7 +13,7 @@ from kneexo.compiler.native.runner import address
 
 def emitted(graph, targets):
     """The functions ``values`` and ``chain`` as functions of NumPy arrays."""
-    library = Library(compile_text(node_values_text(graph, targets), level=0))
+    library = Library(compile_text(node_values_text(graph, targets)))
 
     def function(name, arguments):
         code = library.function(name, len(arguments))
