@@ -56,7 +56,9 @@ def test_metrics_without_a_log_are_those_of_the_log(change):
     assert delivered > 1.01 * energy
 
 
-@pytest.mark.parametrize("integrator", ["exact_hold", "radau3"])
+@pytest.mark.parametrize(
+    "integrator", ["exact_hold", pytest.param("radau3", marks=pytest.mark.slow)]
+)
 def test_a_wearer_adds_the_torque_after_the_first_period(integrator):
     worn = {"wearer": "leg", "controller": "torque", "simulation.integrator": integrator}
     scenario = BRISK.changed(worn)

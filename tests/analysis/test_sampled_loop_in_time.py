@@ -110,8 +110,15 @@ def compare_with_differences(loop, monodromy):
     return (np.abs(monodromy - loop.monodromy) / scale).max()
 
 
+RARE = ("pid_tuned", "can_1", "difference")
+
+
 @pytest.mark.parametrize(
-    "name", ["smc", "pid", "pid_tuned", "can_1", "can_2", "difference", "other_plant"]
+    "name",
+    [
+        *("smc", "pid", "can_2", "other_plant"),
+        *(pytest.param(name, marks=pytest.mark.slow) for name in RARE),
+    ],
 )
 def test_monodromy_is_that_of_the_simulator(loops, name):
     monodromy = monodromy_by_differences(SCENARIOS[name])

@@ -219,6 +219,7 @@ def test_relief_valve_limits_the_pressure_and_takes_the_whole_flow(line, force, 
     assert not relieved[1 - line].any()
 
 
+@pytest.mark.slow
 def test_oil_is_balanced_over_a_run(fixed_step):
     full_order = {
         "cap_external_leakage_m3_per_s_pa": 4e-13,

@@ -150,8 +150,12 @@ STRUCTURES = {
 }
 """Every choice that changes the equations, in some combination."""
 
+QUICK = ("loaded", "pid, can 1, samples", "full order", "assist as needed, passive wearer")
 
-@pytest.mark.parametrize("case", STRUCTURES)
+
+@pytest.mark.parametrize(
+    "case", [pytest.param(c, marks=() if c in QUICK else pytest.mark.slow) for c in STRUCTURES]
+)
 def test_every_structure_agrees_with_drake(case, compiled_run):
     # The same integrator and step: what is left is rounding, which the controller's gain on
     # differences (1/T² = 4e4) and the stiff modes amplify.
