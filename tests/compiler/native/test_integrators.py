@@ -6,7 +6,7 @@ import pytest
 from kneexo.compiler.native.integrators import Tick, advance_rk4, advance_runge_kutta3
 from kneexo.compiler.native.ir import Array, Module
 from kneexo.compiler.native.llvm import Library, compile_text
-from kneexo.compiler.native.types import BOOL, BYTE, DOUBLE, POINTER
+from kneexo.compiler.native.types import BOOL, BYTE, DOUBLE, INT, POINTER
 
 LANES = 2
 
@@ -85,18 +85,19 @@ def test_number_of_steps(method, step, rk4_steps, rk3_steps):
     assert rates == (4 * rk4_steps if order == 4 else 3 * rk3_steps)
 
 
-@pytest.fixture(scope="module", params=[advance_rk4, advance_runge_kutta3], ids=["rk4", "rk3"])
-def suspects(request):
+def logged_tick(method, grows):
     """``run(per_s, step, x)``: lanes reported in a second, and their ratio, start, end, h and x.
 
-    The system is x₀' = w x₁, x₁' = -w x₀, with another w in each of two lanes.
+    The system is x₀' = w x₁, x₁' = -w x₀, with another w in each of two lanes. If it ``grows``, w
+    is ``per_s`` times (time + 0.1 s), and only the first of each 100 steps is checked.
     """
     module, type_ = Module(), DOUBLE.of(LANES)
     f = module.function("tick", dict.fromkeys(("x", "w", "step", "log"), POINTER), internal=False)
     x, w, log = (Array(f.arguments[name], type_) for name in ("x", "w", "log"))
 
     def rate(t, x, out):
-        out[0], out[1] = w[0] * x[1], -(w[0] * x[0])
+        rate = w[0] * f.coerce(t + 0.1, type_) if grows else w[0]
+        out[0], out[1] = rate * x[1], -(rate * x[0])
 
     def report(lanes, step):
         log[0] = f.to_double(f.flags(lanes))
@@ -106,7 +107,8 @@ def suspects(request):
 
     start, running = f.constant(0.0), f.constant(1, BOOL.of(LANES))
     step = Array(f.arguments["step"], DOUBLE)[0]
-    request.param(Tick(f, 2, type_, start, f.constant(1.0), x, running, rate, step, report))
+    number = f.constant(0, INT) if grows else None
+    method(Tick(f, 2, type_, start, f.constant(1.0), x, running, rate, step, report, number))
     function = Library(compile_text(module.text())).function("tick", 4)
 
     def run(per_s, step, x):
@@ -116,6 +118,20 @@ def suspects(request):
         return log
 
     return run
+
+
+@pytest.fixture(scope="module", params=[advance_rk4, advance_runge_kutta3], ids=["rk4", "rk3"])
+def suspects(request):
+    """The function of `logged_tick` for a constant w, where each step is checked."""
+    return logged_tick(request.param, grows=False)
+
+
+@pytest.mark.parametrize("method", [advance_rk4, advance_runge_kutta3], ids=["rk4", "rk3"])
+def test_a_mode_that_becomes_fast_late_in_a_long_tick_is_reported(method):
+    # The last checked step of 1000 is the one at 0.9 s, where h |λ| is 1.8 in the second lane.
+    x = np.array([[0.1, 0.1], [0.05, 0.05]])
+    reported, *_ = logged_tick(method, grows=True)([800.0, 1800.0], 1e-3, x)
+    assert reported.tolist() == [0.0, 1.0]
 
 
 def test_a_fast_mode_that_moves_is_reported_in_its_lane(suspects):
