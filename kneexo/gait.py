@@ -66,7 +66,7 @@ def gait_moment_cycle() -> Array:
 
 
 def _columns(name: str) -> Array:
-    """Return the columns of numbers of a file in ``kneexo/data``, one in each row."""
+    """Read a CSV file of ``kneexo/data``; row i of the result is column i of the file."""
     text = files("kneexo").joinpath("data", name).read_text(encoding="utf-8")
     rows = [line for line in text.splitlines() if line[:1].isdigit()]
     return np.array([row.split(",") for row in rows], dtype=float).T

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from kneexo.parameters import Scenario
 
 PRESET = "leg"
-"""The preset that the file changes. It leaves out least."""
+"""The new file starts from this preset, which models the most effects."""
 
 _INTERVALS = 100  # of the reference between its samples
 
@@ -115,8 +115,9 @@ def _lines(csv: str) -> Iterator[str]:
     columns = CsvReference(file=csv)
     pid = {name: getattr(PidParameters(), name) for name in _PID_GAINS}
     gains = ", ".join(f"{name}: {value:g}" for name, value in pid.items())
-    yield "# A knee to change. Comments: unit, range; meaning or origin. What the file leaves out"
-    yield "# is the preset's, and the polynomial fits the linkage. kneexo params lists every value."
+    yield "# A knee to change. Comments: unit, range; meaning or origin. Values that are not here come"
+    yield "# from the preset. The controller's polynomial is fitted to the linkage below."
+    yield "# kneexo params lists every value."
     yield f"preset: {PRESET}  # weight of the shank, drive, chambers, friction; others: {others}"
     yield "plant:"
     yield f"  linkage:  # {origin}"

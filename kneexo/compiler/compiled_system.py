@@ -176,7 +176,10 @@ class _Running:
         return np.concatenate((self._x[:, 0], self._d[:, 0]))
 
     def outputs(self, state: Array, tick: int, inputs: InputTable) -> Array:
-        """Return all outputs at ``tick`` for this state, as one array (elements,)."""
+        """Return the elements of all output ports in one array, in the order of the ports.
+
+        ``state`` is the state at the sample number ``tick``.
+        """
         self._run(state, tick, tick, 1, inputs)
         return self._outputs[0, :, 0].copy()
 

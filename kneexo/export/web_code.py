@@ -1,4 +1,4 @@
-"""Makes the web modules of closed loops and references.
+"""Makes the WebAssembly modules of closed loops and references.
 
 Modules of common structures come with the package. Zig compiles all others.
 ``python -m kneexo.export.web_code`` compiles the modules of the package again.

@@ -39,9 +39,10 @@ def start_extension(parameters: CylinderParameters, initial_extension_m: float |
 
 
 def cylinder_values(parameters: CylinderParameters, *others: str) -> dict[str, float]:
-    """Return a dictionary {name: value} of the Context parameters of a `Cylinder`.
+    """Read the Context parameters of a `Cylinder` from ``parameters``.
 
-    ``others`` are the names of parameters that only one kind of cylinder has. They come first.
+    Returns a dictionary {name: value} in the order of the Context. ``others`` names further
+    attributes of ``parameters`` that only one kind of cylinder has. These attributes come first.
     """
     return values_of(
         parameters,

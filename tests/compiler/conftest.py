@@ -38,7 +38,7 @@ from kneexo.compiler.native import cache, llvm as native_code
 from kneexo.compiler.native.arguments import MEMO_LINES
 from kneexo.compiler.native.ir import Array, Module
 from kneexo.compiler.native.llvm import Library, compile_text, processor
-from kneexo.compiler.native.printer import Printer, sources
+from kneexo.compiler.native.printer import Printer, Storage
 from kneexo.compiler.native.types import BYTE, DOUBLE, POINTER
 
 # ------------------------------------------------------------------------- the interpreter
@@ -256,6 +256,16 @@ def remembered(make, *arguments):
 # ---------------------------------------------------------------------------- printed code
 
 
+class _Outputs(Storage):
+    """Stores results of every kind in ``out``; the array ``fires`` has the conditions of groups."""
+
+    def store(self, place, value):
+        self.arrays["out"][place[1]] = value
+
+    def condition(self, condition):
+        return self.arrays["fires"][condition[1]].differs(0)
+
+
 class _Code:
     """Groups of a program as machine code, for each of several numbers of lanes."""
 
@@ -291,16 +301,10 @@ class _Code:
         names = (*SOURCES, "fires", "out", *memory)
         f = module.function(f"f{lanes}", dict.fromkeys(names, POINTER), internal=False)
         arrays = {name: Array(f.arguments[name], type_) for name in names}
-        fires = Array(f.arguments["fires"], BYTE)
-        kinds = {kind: arrays[kind] for kind in SOURCES if kind != "time"}
-        load = sources(arrays["time"][0], **kinds)
+        arrays["fires"] = Array(f.arguments["fires"], BYTE)
+        storage = _Outputs(arrays.pop("time")[0], **arrays)
         tables = [Array(f.arguments[name], DOUBLE) for name in memory] or None
-
-        def store(place, value):
-            arrays["out"][place[1]] = value
-
-        printer = Printer(f, self.program, load, memory=tables)
-        printer.groups(self.groups, lambda of: fires[of[1]].differs(0), store)
+        Printer(f, self.program, storage, memory=tables).emit_groups(self.groups)
 
     def __call__(self, lanes=1, fires=(1,) * 8, **values_of):
         """Targets (targets, samples) from sources (elements, samples); 77.0 if not stored."""

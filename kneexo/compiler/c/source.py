@@ -208,7 +208,12 @@ class CSource:
 
     @property
     def origin_text(self) -> str | None:
-        """Text of the exported file ``origin``: the first line of all files, then the text."""
+        """Text of the exported file that records what the code was generated from.
+
+        An example of such a file is scenario.yaml. ``origin[0]`` is the name of the file, and
+        ``origin[1]`` is what follows the first line, which all exported files share. None if the
+        caller gave no ``origin``.
+        """
         return f"# {self.first_line}\n{self.origin[1]}" if self.origin else None
 
     @cached_property

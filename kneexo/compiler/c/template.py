@@ -23,7 +23,7 @@ def rendered(package: str, template: str, **data: Any) -> str:
 
 @cache
 def words(package: str, template: str) -> frozenset[str]:
-    """Return all words in the text of a template before it is filled, names of C among them."""
+    """Return all words of a template, so that names made from a model do not collide with them."""
     loader = _environment(package).loader
     assert loader is not None
     return frozenset(re.findall(r"\w+", loader.get_source(_environment(package), template)[0]))

@@ -214,7 +214,10 @@ def regrouped(graph: Graph, roots: Sequence[int]) -> list[int]:
 
 
 def regrouping(graph: Graph, roots: Sequence[int]) -> dict[int, int]:
-    """Return a dictionary from each node that ``roots`` require to its node after `regrouped`."""
+    """Rewrite sums and products with fewer operations, as `regrouped` does.
+
+    Returns a dictionary from each old node that ``roots`` require to its new node.
+    """
     return _Regrouping(graph, roots).new
 
 

@@ -41,7 +41,7 @@ def find_port(root: Node, name: str, kind: str) -> Port:
 
 
 def bypass(root: Node, path: str) -> None:
-    """Connect the first input of a system to all readers of its output, as if it passed it through.
+    """Mark a system as bypassed: the reader then takes its first input as its output.
 
     Raises `CompilationError` if there is no such system, or if it has a state or ports that do not
     fit: see `can_bypass`.

@@ -57,6 +57,7 @@ class PeriodicLoop:
         flows: dict[tuple[float, int], Complex] = {}
         for tick in self.ticks:
             moved = (tick.jump_state + k * (tick.jump_input @ self.row)) @ moved
+            # Ticks share the arrays of equal dynamics, so the same array means the same dynamics.
             key = (tick.duration_s, id(tick.rate_state))
             if key not in flows:
                 gain = k if tick.rate_input.any() else k[:1]  # else the same for all factors
@@ -75,16 +76,16 @@ class PeriodicLoop:
         return bool((distance_inside(values, self.period_s) > BOUNDARY_TOLERANCE).all())
 
     def gain_change(self, sign: float) -> tuple[float, float]:
-        """Return the first factor above 1 (sign 1) or below 1 (−1) that moves stability.
+        """Return the first factor above 1 (sign 1) or below 1 (−1) at which stability changes.
 
         The second value is the frequency of the critical eigenvalue in Hz, at most 1/(2P). If no
-        factor from 1e-6 to 1e6 moves stability, the result is (inf or 0, nan).
+        factor from 1e-6 to 1e6 changes stability, the result is (inf or 0, nan).
         """
         logarithm, frequency = self._first(lambda t: np.exp(sign * t), _GAINS)
         return math.exp(sign * logarithm), frequency
 
     def turn_change(self) -> tuple[float, float]:
-        """Return the smallest turn φ in rad, up to π, whose factor e^{±jφ} moves stability.
+        """Return the smallest turn φ in rad, up to π, whose factor e^{±jφ} changes stability.
 
         The second value is the frequency. Without such a turn the result is (inf, nan). A factor
         e^{−jφ} is a lag at positive frequencies and a lead at negative ones. The eigenvalues of a
@@ -93,7 +94,7 @@ class PeriodicLoop:
         return self._first(lambda t: np.exp(-1j * t), _TURNS)
 
     def disk_change(self) -> tuple[float, float]:
-        """Return the smallest ε at which (1 + εe^{jθ})/(1 − εe^{jθ}) moves stability.
+        """Return the smallest ε at which (1 + εe^{jθ})/(1 − εe^{jθ}) changes stability.
 
         The factor must move stability for at least one angle θ. The second value is the
         frequency. Without such an ε below 0.999 the result is (1, nan).
@@ -155,7 +156,7 @@ class PeriodicLoop:
         return basis.conj().T / scale, scale[:, None] * basis
 
     def _first(self, path: Callable[[Any], Any], grid: Array) -> tuple[float, float]:
-        """Return the first t > 0 at which the factor path(t) moves stability, and its frequency.
+        """Return the first t > 0 at which the factor path(t) changes stability, and its frequency.
 
         ``grid`` are values of t from 0. Without such a t the result is (inf, nan). It is 0 if an
         eigenvalue is on the unit circle at t = 0.

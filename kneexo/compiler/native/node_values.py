@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from ..equations.graph import SOURCES, Graph
 from ..equations.passes import Place, deciding_nodes
 from .ir import Array, Module, Operand, Value
-from .printer import Nodes, Printer, sources
+from .printer import Nodes, Printer, Storage
 from .types import BOOL, DOUBLE, INT, POINTER
 
 VALUES = (*(kind for kind in SOURCES if kind != "constant"), "values", "partials")
@@ -38,17 +38,19 @@ def node_values_text(graph: Graph, targets: Iterable[tuple[Place, int]]) -> str:
 def _define_values(module: Module, graph: Graph, targets: list[tuple[Place, int]]) -> None:
     f = module.function("values", dict.fromkeys(VALUES, POINTER), internal=False)
     arrays = {name: Array(f.arguments[name], DOUBLE) for name in VALUES}
-
-    def store(place: Place, value: Operand) -> None:
-        name, index = place
-        if isinstance(value, Value) and value.type == BOOL:
-            value = f.select(value, 1.0, 0.0)
-        arrays[name][index] = value
-
+    time = arrays.pop("time")[0]
     roots = [node for _, node in targets]
     nodes = Nodes(graph, deciding_nodes(graph, graph.reachable(roots)))
-    kinds = {kind: arrays[kind] for kind in VALUES[:-2] if kind != "time"}
-    Printer(f, nodes, sources(arrays["time"][0], **kinds)).always(targets, store)
+    Printer(f, nodes, _Numbers(time, **arrays)).emit(targets)
+
+
+class _Numbers(Storage):
+    """Stores a truth value as 1 or 0."""
+
+    def store(self, place: Place, value: Operand) -> None:
+        if isinstance(value, Value) and value.type == BOOL:
+            value = value.function.select(value, 1.0, 0.0)
+        super().store(place, value)
 
 
 def _define_chain(module: Module) -> None:

@@ -14,14 +14,7 @@ from ..equations.passes import ALWAYS, Group, Memo, Place, Program
 from . import elementary
 from .arguments import MEMO_LINES
 from .ir import Array, Function, Module, Operand, Value
-from .types import DOUBLE, INT, POINTER, Type
-
-Load = Callable[[str, int], Operand]
-"""``load(kind, index)`` emits code that loads one element of a source, such as a state.
-
-``kind`` is one of `graph.SOURCES`. The kind ``constant`` has another meaning here: it stands for
-the values that depend on parameters alone, which are computed once a run.
-"""
+from .types import DOUBLE, POINTER, Type
 
 _EMITTERS: dict[str, Callable[[Function, str, Sequence[Operand]], Operand]] = {
     "binary": lambda f, name, a: reduce(partial(f.binary, name), a[1:], a[0]),
@@ -49,6 +42,32 @@ class Nodes:
     memos: tuple[Memo, ...] = ()
 
 
+class Storage:
+    """Where emitted code finds the sources of a graph, and where the code stores its results.
+
+    The constructor takes the time and, by name, an array for each other kind of source (one of
+    `graph.SOURCES`) and for each kind of `Place`. The kind ``constant`` has another meaning here
+    than in a graph. It stands for the values that depend on parameters alone, which are computed
+    once a run. Subclasses store a result in another way, or emit conditions.
+    """
+
+    def __init__(self, time: Operand, **arrays: Array) -> None:
+        self.time, self.arrays = time, arrays
+
+    def load(self, kind: str, index: int) -> Operand:
+        """Emit code that loads one element of a source, such as a state."""
+        return self.time if kind == "time" else self.arrays[kind][index]
+
+    def store(self, place: Place, value: Operand) -> None:
+        """Emit code that stores a result."""
+        kind, index = place
+        self.arrays[kind][index] = value
+
+    def condition(self, condition: tuple[str, int]) -> Value:
+        """Emit the condition of a `Group`."""
+        raise NotImplementedError
+
+
 class Printer:
     """Emits code that computes nodes of a graph, as instructions of one emitted function."""
 
@@ -56,7 +75,7 @@ class Printer:
         self,
         function: Function,
         program: Program | Nodes,
-        load: Load,
+        storage: Storage,
         *,
         hoisted: Mapping[int, int] | None = None,
         memory: Sequence[Array] | None = None,
@@ -66,9 +85,9 @@ class Printer:
 
         Parameters
         ----------
-        function, program, load
-            The function that gets the instructions, the program that has the nodes, and the
-            function that emits loads of sources.
+        function, program, storage
+            The function that gets the instructions, the program that has the nodes, and the place
+            of the sources and results.
         hoisted
             Dictionary from each node that the code loads as a constant to its index among the
             constants; by default ``program.hoisted``.
@@ -79,7 +98,7 @@ class Printer:
             Dictionary from each node whose value is emitted already to this value.
         """
         self.function, self.program, self.graph = function, program, program.graph
-        self.load = load
+        self.storage = storage
         self.hoisted = program.hoisted if hoisted is None else hoisted
         self.memory = memory
         self.known = known or {}
@@ -99,17 +118,10 @@ class Printer:
     def _reachable(self, roots: Iterable[int]) -> set[int]:
         return set(self.graph.reachable(roots, self._arguments))
 
-    def groups(
-        self,
-        groups: Sequence[Group],
-        condition: Callable[[tuple[str, int]], Value],
-        store: Callable[[Place, Operand], None],
-    ) -> None:
-        """Emit code that computes each group of nodes if the condition of the group holds.
+    def emit_groups(self, groups: Sequence[Group]) -> None:
+        """Emit code that computes and stores each group of nodes if the group's condition holds.
 
-        Nodes that several groups need are computed first, without a condition. The Python function
-        ``condition(group.condition)`` emits the condition of a group, and ``store(place, value)``
-        emits the store of a value to its destination.
+        Nodes that several groups need are computed first, without a condition.
         """
         users: dict[int, list[str]] = {}
         needed: dict[int, set[int]] = {}
@@ -133,21 +145,19 @@ class Printer:
         for number, group in enumerate(groups):
             if group.condition == ALWAYS:
                 for place, node in group.targets:
-                    store(place, values[node])
+                    self.storage.store(place, values[node])
             elif group.targets:
-                with self.function.when(condition(group.condition)), self._block():
+                condition = self.storage.condition(group.condition)
+                with self.function.when(condition), self._block():
                     inner = dict(values)
                     alone = sorted(n for n, numbers in needed.items() if numbers == {number})
                     self._compute(alone, inner, fused)
                     for place, node in group.targets:
-                        store(place, inner[node])
+                        self.storage.store(place, inner[node])
 
-    def always(
-        self, targets: Iterable[tuple[Place, int]], store: Callable[[Place, Operand], None]
-    ) -> None:
+    def emit(self, targets: Iterable[tuple[Place, int]]) -> None:
         """Emit code that computes and stores the values of ``targets`` without a condition."""
-        no_condition = Value(self.function, "", INT)
-        self.groups([Group(ALWAYS, tuple(targets))], lambda _: no_condition, store)
+        self.emit_groups([Group(ALWAYS, tuple(targets))])
 
     @contextmanager
     def _block(self) -> Iterator[None]:
@@ -178,14 +188,14 @@ class Printer:
         if node in self.known:
             return self.known[node]
         if node in self.hoisted:
-            return self.load("constant", self.hoisted[node])
+            return self.storage.load("constant", self.hoisted[node])
         if node in self.memo_of:
             return self._looked_up(values[self.memo_of[node][1].count], *self.memo_of[node])[node]
         kind, *_ = self.graph.nodes[node]
         if kind == "constant":
             return float(self.graph.nodes[node][1])
         if kind in SOURCES:
-            return self.load(kind, self.graph.nodes[node][1])
+            return self.storage.load(kind, self.graph.nodes[node][1])
         arguments = self.graph.arguments(node)
         emitter, _, name = OPERATIONS[kind].native.partition(".")
         if emitter == "sum":
@@ -269,22 +279,31 @@ class Printer:
         first = [place * width for place in places]
         is_stored = tag.equals(count) & f.bits(tag).equals(f.bits(count))  # 0 is not -0
         with f.when(f.any_lane(~is_stored)):
-            inner = Printer(f, self.program, self.load, known={memo.count: count})
             for lane in range(lanes):
                 tags[places[lane]] = f.lane(count, lane)
+            row_storage = _Row(self.storage, count, rows, first)
+            inner = Printer(f, self.program, row_storage, known={memo.count: count})
+            inner.emit((("memo", i), node) for i, node in enumerate(memo.nodes))
+        found: dict[int, Operand] = {}
+        for column, node in enumerate(memo.nodes):
+            found[node] = f.gathered(lanes, lambda lane, i=column: rows[first[lane] + i])
+        self._emitted["row", number] = found
+        return found
 
-            def store(at: Place, value: Operand) -> None:
-                value = f.coerce(value, count.type)
-                for lane in range(lanes):
-                    rows[first[lane] + at[1]] = f.lane(value, lane)
 
-            inner.always(((("memo", i), node) for i, node in enumerate(memo.nodes)), store)
+class _Row(Storage):
+    """Stores the values of a `Memo` at the whole number ``count`` in a row of each lane's table."""
 
-        def value(column: int) -> Value:
-            return f.gathered(lanes, lambda lane: rows[first[lane] + column])
+    def __init__(self, sources: Storage, count: Value, rows: Array, first: Sequence[Value]) -> None:
+        """``rows``: values of the tables of all lanes; ``first``: index of each lane's row."""
+        super().__init__(sources.time, **sources.arrays)
+        self.count, self.rows, self.first = count, rows, first
 
-        self._emitted["row", number] = {node: value(i) for i, node in enumerate(memo.nodes)}
-        return self._looked_up(count, number, memo)
+    def store(self, place: Place, value: Operand) -> None:
+        f = self.count.function
+        value = f.coerce(value, self.count.type)
+        for lane, first in enumerate(self.first):
+            self.rows[first + place[1]] = f.lane(value, lane)
 
 
 def _condition(function: Function, value: Operand) -> Value:
@@ -302,17 +321,9 @@ def define_constants(module: Module, program: Program) -> None:
     """
     f = module.function("constants", dict.fromkeys(("p", "c"), POINTER), internal=False)
     parameters, c = (Array(f.arguments[name], DOUBLE) for name in ("p", "c"))
-
-    def store(place: Place, value: Operand) -> None:
-        c[place[1]] = value
-
+    storage = Storage(0.0, parameter=parameters, constant=c)
     targets = [(("constant", number), node) for node, number in program.hoisted.items()]
-    Printer(f, program, lambda _, index: parameters[index], hoisted={}).always(targets, store)
-
-
-def sources(time: Operand, **arrays: Array) -> Load:
-    """Return a `Load` that gives ``time`` for the kind ``time``, else reads ``arrays[kind]``."""
-    return lambda kind, index: time if kind == "time" else arrays[kind][index]
+    Printer(f, program, storage, hoisted={}).emit(targets)
 
 
 def define_initialize(module: Module, program: Program) -> None:
@@ -325,13 +336,9 @@ def define_initialize(module: Module, program: Program) -> None:
     names = ("x", "d", "u", "c", "after")
     f = module.function("initialize", dict.fromkeys(names, POINTER), internal=False)
     x, d, u, c, after = (Array(f.arguments[name], DOUBLE) for name in names)
-
-    def store(place: Place, value: Operand) -> None:
-        after[place[1]] = value
-
+    storage = Storage(0.0, state=x, discrete=d, input=u, constant=c, after=after)
     targets = [(("after", i), node) for i, node in enumerate(program.initial_discrete)]
-    load = sources(0.0, state=x, discrete=d, input=u, constant=c)
-    Printer(f, program, load).always(targets, store)
+    Printer(f, program, storage).emit(targets)
 
 
 def define_derivatives(module: Module, program: Program, lanes: int, attributes: str) -> Function:
@@ -340,13 +347,9 @@ def define_derivatives(module: Module, program: Program, lanes: int, attributes:
     The function writes dx/dt at the time ``t`` in s to ``out``; x, d, u, c: see
     `define_initialize`. ``attributes``: LLVM's attributes of the function.
     """
-    f, load, out = _of_state(module, program, "derivatives", lanes, attributes)
-
-    def store(place: Place, value: Operand) -> None:
-        out[place[1]] = value
-
-    targets = [(("derivative", i), node) for i, node in enumerate(program.derivatives)]
-    Printer(f, program, load).always(targets, store)
+    f, storage = _of_state(module, "derivatives", lanes, attributes)
+    targets = [(("out", i), node) for i, node in enumerate(program.derivatives)]
+    Printer(f, program, storage).emit(targets)
     return f
 
 
@@ -355,14 +358,10 @@ def define_jacobian(module: Module, program: Program) -> Function:
 
     The function writes the derivatives of dx/dt by the states ``x`` to ``out``, column by column.
     """
-    f, load, out = _of_state(module, program, "jacobian", 1, "noinline")
+    f, storage = _of_state(module, "jacobian", 1, "noinline")
     for i in f.loop(program.size**2):
-        out[i] = 0.0
-
-    def store(place: Place, value: Operand) -> None:
-        out[place[1]] = value
-
-    Printer(f, program, load).always(((("jacobian", at), n) for at, n in program.jacobian), store)
+        storage.arrays["out"][i] = 0.0
+    Printer(f, program, storage).emit((("out", at), node) for at, node in program.jacobian)
     return f
 
 
@@ -381,13 +380,11 @@ def define_rates(module: Module, program: Program) -> None:
         f.call(part, Array(time, DOUBLE)[0], *rest, f.arguments[out])
 
 
-def _of_state(
-    module: Module, program: Program, name: str, lanes: int, attributes: str
-) -> tuple[Function, Load, Array]:
+def _of_state(module: Module, name: str, lanes: int, attributes: str) -> tuple[Function, Storage]:
+    """Return a new emitted function of the time and the states, and the storage of its arrays."""
     type_ = DOUBLE.of(lanes)
     names = ("x", "d", "u", "c", "out")
     arguments = {"t": type_} | dict.fromkeys(names, POINTER)
     f = module.function(name, arguments, attributes=attributes)
     x, d, u, c, out = (Array(f.arguments[key], type_) for key in names)
-    load = sources(f.arguments["t"], state=x, discrete=d, input=u, constant=c)
-    return f, load, out
+    return f, Storage(f.arguments["t"], state=x, discrete=d, input=u, constant=c, out=out)

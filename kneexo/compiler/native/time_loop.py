@@ -10,7 +10,7 @@ call makes in lock-step.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -33,12 +33,12 @@ from .ir import Array, Function, Module, Operand, Value, Variable
 from .open_inputs import define_inputs
 from .printer import (
     Printer,
+    Storage,
     define_constants,
     define_derivatives,
     define_initialize,
     define_jacobian,
     define_rates,
-    sources,
 )
 from .reductions import define_reduce
 from .types import BOOL, BYTE, DOUBLE, INT, POINTER, Type
@@ -211,18 +211,11 @@ class _Model:
         f.call(self._log, number, *(array.pointer for array in arrays))
 
     def instant(
-        self,
-        time: Value,
-        groups: Sequence[Group],
-        condition: Callable[[tuple[str, int]], Value],
-        store: Callable[[Place, Operand], None],
-        memory: Sequence[Array] | None = None,
+        self, groups: Sequence[Group], storage: _Requested, memory: Sequence[Array] | None = None
     ) -> None:
-        """Emit code that computes groups of nodes at ``time``: see `Printer.groups`."""
-        self.set_inputs(time)
-        load = sources(time, state=self.x, discrete=self.d, input=self.u, constant=self.c)
-        printer = Printer(self.f, self.program, load, memory=memory)
-        printer.groups(groups, condition, store)
+        """Emit code that computes groups of nodes at one time: see `Printer.emit_groups`."""
+        self.set_inputs(storage.time)
+        Printer(self.f, self.program, storage, memory=memory).emit_groups(groups)
 
     def record(self, columns: Array, count: Value, record: Array, rows: Value, row: Value) -> None:
         """Emit code that copies output elements to one row of each lane's record.
@@ -236,6 +229,18 @@ class _Model:
             for lane in range(self.lanes):
                 place = (count * lane + column) * rows + row
                 record[place] = f.lane(value, lane)
+
+
+class _Requested(Storage):
+    """Sources of a model at one time, and its outputs; an output is computed if it is requested."""
+
+    def __init__(self, time: Value, model: _Model, requested: Array, **more: Array) -> None:
+        arrays = {"state": model.x, "discrete": model.d, "input": model.u, "constant": model.c}
+        super().__init__(time, **arrays, output=model.y, **more)
+        self.requested = requested
+
+    def condition(self, condition: tuple[str, int]) -> Value:
+        return self.requested[condition[1]].differs(0)
 
 
 def _define_log(module: Module, lanes: int, sizes: Sequence[int]) -> Function:
@@ -285,6 +290,47 @@ class _Now:
     """True in lanes that have not failed and have not reached their last tick."""
 
 
+class _Events(_Requested):
+    """Sources and results of the events at a tick. Each output that is stored is also checked."""
+
+    def __init__(
+        self,
+        time: Value,
+        model: _Model,
+        requested: Array,
+        after: Array,
+        fires: Sequence[Value],
+        recording: Value,
+    ) -> None:
+        """Store values of the emitted code.
+
+        ``requested``: whether each output is requested; ``after``: discrete states after the
+        updates; ``fires``: whether each update is due; ``recording``: whether a record is due.
+        """
+        super().__init__(time, model, requested, after=after)
+        self.f, self.type = model.f, model.type
+        self.fires, self.recording = fires, recording
+        self.margins: dict[int, Value] = {}
+        self.checks = [self.f.variable(self.f.constant(0.0, self.type)) for _ in range(_CHECKS)]
+        """Each sum is NaN in a lane where an output is not finite, else 0."""
+
+    def condition(self, condition: tuple[str, int]) -> Value:
+        kind, index = condition
+        if kind == "update":
+            return self.fires[index]
+        return super().condition(condition) & self.recording
+
+    def store(self, place: Place, value: Operand) -> None:
+        kind, index = place
+        if kind == "margin":
+            self.margins[index] = self.f.coerce(value, self.type)
+            return
+        super().store(place, value)
+        if kind == "output":
+            check = self.checks[index % _CHECKS]
+            check.set(self.f.fma(value, 0.0, check.get()))
+
+
 class _Run:
     """Emits the function ``run``, which advances each lane from tick ``first`` to its last tick.
 
@@ -309,31 +355,34 @@ class _Run:
 
     def _prepare_hold(self) -> None:
         f, a, program = self.f, self.a, self.program
-        lane_c = a.array("lane_c", DOUBLE)
-        choose_slot = jacobian_slots.define_choose_slot(f.module, program.size)
-        jacobian = define_jacobian(f.module, program)
-        sizes = (program.size, self.model.discrete_count)
-        x, d, u = (f.array(size) for size in (*sizes, self.model.input_count))
-        at = jacobian_slots.Memory(program.size)
-
-        def choose(tick: Tick, lane: Value, memory: Array, time: Value) -> None:
-            for values, single, count in zip(
-                (self.model.x, self.model.d), (x, d), sizes, strict=True
-            ):
-                spilled = f.array(count, self.model.type)
-                for i in f.each(count):
-                    spilled[i] = values[i]
-                for i in f.loop(count):
-                    single[i] = spilled.cast(DOUBLE)[f.coerce(i, INT) * self.lanes + lane]
-            self.model.inputs_of(lane, time, u)
-            c = lane_c.address(lane * len(program.hoisted))
-            pointers = (x.pointer, d.pointer, u.pointer, c, memory.address(at.candidate))
-            f.call(jacobian, time, *pointers)
-            f.call(choose_slot, x.pointer, memory.pointer)
-
+        self._lane_c = a.array("lane_c", DOUBLE)
+        self._choose_slot = jacobian_slots.define_choose_slot(f.module, program.size)
+        self._jacobian = define_jacobian(f.module, program)
+        sizes = (program.size, self.model.discrete_count, self.model.input_count)
+        self._lane_x, self._lane_d, self._lane_u = (f.array(size) for size in sizes)
+        memory, shared = a.array("memory", DOUBLE), a.array("shared", DOUBLE)
         self.hold = exact_hold.ExactHold(
-            a["tick"], a["tolerance"], a.array("memory", DOUBLE), a.array("shared", DOUBLE), choose
+            a["tick"], a["tolerance"], memory, shared, self._choose_jacobian
         )
+
+    def _choose_jacobian(self, tick: Tick, lane: Value, memory: Array, time: Value) -> None:
+        """Emit code that chooses the Jacobian of one lane: see `exact_hold.ChooseSlot`."""
+        f, model = self.f, self.model
+        x, d, u = self._lane_x, self._lane_d, self._lane_u
+        for values, single, count in (
+            (model.x, x, self.program.size),
+            (model.d, d, model.discrete_count),
+        ):
+            spilled = f.array(count, model.type)
+            for i in f.each(count):
+                spilled[i] = values[i]
+            for i in f.loop(count):
+                single[i] = spilled.cast(DOUBLE)[f.coerce(i, INT) * self.lanes + lane]
+        model.inputs_of(lane, time, u)
+        c = self._lane_c.address(lane * len(self.program.hoisted))
+        candidate = memory.address(jacobian_slots.Memory(tick.size).candidate)
+        f.call(self._jacobian, time, x.pointer, d.pointer, u.pointer, c, candidate)
+        f.call(self._choose_slot, x.pointer, memory.pointer)
 
     def trace(self) -> None:
         """Emit all instructions of the function."""
@@ -400,30 +449,12 @@ class _Run:
             fires.append(going & (since >= 0) & (since % periods[number]).equals(0))
             firing = firing | fires[number]
         requested, columns = a.array("requested", BYTE), a.array("columns")
-        margins: dict[int, Value] = {}
-        # Each sum is NaN in a lane where an output is not finite, else 0.
-        checks = [f.variable(f.constant(0.0, model.type)) for _ in range(_CHECKS)]
-
-        def condition(group: tuple[str, int]) -> Value:
-            kind, index = group
-            return fires[index] if kind == "update" else requested[index].differs(0) & recording
-
-        def store(place: Place, value: Operand) -> None:
-            kind, index = place
-            if kind == "margin":
-                margins[index] = f.coerce(value, model.type)
-            elif kind == "after":
-                self.after[index] = value
-            else:
-                model.y[index] = value
-                check = checks[index % _CHECKS]
-                check.set(f.fma(value, 0.0, check.get()))
-
+        storage = _Events(now.time, model, requested, self.after, fires, recording)
         with f.when(recording | firing):
             if len(fires) > 1:  # a single update writes all discrete states
                 for i in f.each(model.discrete_count):
                     self.after[i] = model.d[i]
-            model.instant(now.time, program.groups, condition, store, self._memory())
+            model.instant(program.groups, storage, self._memory())
             with f.when(recording):
                 record = a.array("record", DOUBLE)
                 model.record(columns, a["column_count"], record, a["rows"], row.get())
@@ -434,10 +465,10 @@ class _Run:
                 row.set(row.get() + 1)
             # At the last tick of a run margins only count if the tick is recorded.
             checked = now.running | (now.present & recording)
-            for which, margin in margins.items():
+            for which, margin in storage.margins.items():
                 self._fail(checked & ~(margin >= 0.0), OUTSIDE, now.number, which)
-            total = checks[0].get()
-            for check in checks[1:]:
+            total = storage.checks[0].get()
+            for check in storage.checks[1:]:
                 total = total + check.get()
             bad = now.present & self.alive.get() & total.differs(0.0)
             self._fail(bad, OUTPUT_NOT_FINITE, now.number)
@@ -517,13 +548,6 @@ def _trace_between(module: Module, program: Program) -> None:
     times, places, ticks = a.array("times", DOUBLE), a.array("places"), a.array("snapshots")
     groups = [group for group in program.groups if group.condition[0] == "requested"]
     place, time = f.variable(f.constant(-1, INT)), f.variable(f.constant(0.0))
-
-    def condition(group: tuple[str, int]) -> Value:
-        return requested[group[1]].differs(0)
-
-    def store(at: Place, value: Operand) -> None:
-        model.y[at[1]] = value
-
     for row in f.loop(a["rows"]):
         now, snapshot = times[row], places[row]
         with f.when(snapshot.differs(place.get())):
@@ -540,6 +564,6 @@ def _trace_between(module: Module, program: Program) -> None:
                 tick = model.tick(f.constant(0, INT), start, now, a["step"], always)
                 advance_rk4(replace(tick, number=None))
                 time.set(now)
-        model.instant(now, groups, condition, store)
+        model.instant(groups, _Requested(now, model, requested))
         record = a.array("record", DOUBLE)
         model.record(columns, a["column_count"], record, a["rows"], f.coerce(row, INT))
