@@ -10,7 +10,6 @@ from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydrake.systems.framework import Diagram
 
 from kneexo.analysis.interaction import INTERACTION_SIGNALS, TORQUE_SIGNALS
 from kneexo.analysis.limit_cycle import limit_cycle
@@ -270,8 +269,6 @@ class TrackingResult(Result):
     scenario: Scenario
     run: Run
     metrics: TrackingMetrics
-    user_diagram: bool = False
-    """Whether the run is of a diagram of the user, in place of the scenario's closed loop."""
 
     @cached_property
     def verdict(self) -> Verdict:
@@ -284,7 +281,6 @@ class TrackingResult(Result):
             self.scenario,
             self.run,
             step=None if step is None else (step.settles, step.line),
-            user_diagram=self.user_diagram,
         )
 
     @property
@@ -435,15 +431,13 @@ async def track(
     *,
     all_signals: bool = False,
     progress: Callable[[float], Any] | None = None,
-    diagram: Diagram | None = None,
     law: Any = None,
     initial_state: Sequence[float] = (),
 ) -> TrackingResult:
     """Simulate a scenario, or the scenario of a file, and compute its tracking metrics.
 
     If ``all_signals`` is True, the run logs all available signals, otherwise only the signals that
-    the metrics require. `kneexo.simulation.simulate` describes ``progress``, ``diagram`` and the
-    errors. Period, limits and ratings come from the scenario, also if there is a ``diagram``.
+    the metrics require. `kneexo.simulation.simulate` describes ``progress`` and the errors.
 
     ``law`` is a control law of the user: a function such as
     ``lambda rod_extension, rod_reference: 1.3e5 * (rod_reference[0] - rod_extension)``, a Drake
@@ -453,7 +447,7 @@ async def track(
     scenario = as_scenario(scenario, law, initial_state)
     signals: tuple[str, ...] | None = None
     if not all_signals:
-        signals = TRACKING_SIGNALS + (_verdict_signals(scenario) if diagram is None else ())
-    run = await awaitable(simulate, scenario, signals=signals, progress=progress, diagram=diagram)
+        signals = TRACKING_SIGNALS + _verdict_signals(scenario)
+    run = await awaitable(simulate, scenario, signals=signals, progress=progress)
     metrics = run_metrics(scenario, run.time_s, run.data, settled_s=period_s(scenario))
-    return TrackingResult(scenario, run, metrics, user_diagram=diagram is not None)
+    return TrackingResult(scenario, run, metrics)

@@ -226,28 +226,17 @@ class Verdict(Result):
         return escape(self.text).replace("\n", "<br>")
 
 
-def verdict_of(
-    scenario: Scenario, run: Run, *, step: tuple[bool, str] | None, user_diagram: bool
-) -> Verdict:
+def verdict_of(scenario: Scenario, run: Run, *, step: tuple[bool, str] | None) -> Verdict:
     """Return the `Verdict` on a run. Linearizes the loop of its scenario.
 
     ``step`` says whether the response to a step settles, and describes it in one line. It is None
-    if the reference has no step. If ``user_diagram`` is True, the run is of a diagram of the user,
-    so the scenario has not the loop of the run, and the verdict has no margins.
+    if the reference has no step.
     """
     tracking, tracking_lines = _tracking(scenario, run, step)
     torques, torque_lines = _torques(scenario, run)
     cycle, limits = limit_cycle(run), _limits(scenario, run)
     cycle_lines = [] if cycle is None else [cycle.line]
-    if user_diagram:
-        stability = Stability(
-            run_middle_deg(scenario),
-            None,
-            failure="the diagram of the run is the user's; "
-            "linearize_loop(scenario, diagram=…) linearizes such a loop",
-        )
-    else:
-        stability = Stability.of_scenario(scenario)
+    stability = Stability.of_scenario(scenario)
     notes = (*notices(scenario), *_pressure_notices(scenario, run))
     saturation = _saturation_line(limits)
     return Verdict(

@@ -5,16 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
-from weakref import WeakKeyDictionary
 
-import numpy as np
-from pydrake.systems.framework import Diagram
-
-from kneexo.compiler import ROUGH_STEP_S, DiagramModel, Reduction, compile_diagram
+from kneexo.compiler import ROUGH_STEP_S, Reduction
 from kneexo.diagrams import SIGNALS, available_signals, columns, make_closed_loop
 from kneexo.diagrams.law import runs_as_python
 from kneexo.errors import (
-    CompilationError,
     KneexoError,
     ParameterError,
     SimulationError,
@@ -40,7 +35,6 @@ class RunRequest(Request[Run]):
     scenario: Scenario
     signals: Sequence[str] | None = None
     progress: Callable[[float], Any] | None = None
-    diagram: Diagram | None = None
     reductions: tuple[Reduction, ...] = ()
 
 
@@ -69,8 +63,6 @@ def serve_runs(requests: Mapping[int, RunRequest]) -> Iterator[tuple[int, Run | 
         settings = request.scenario.simulation
         if fault := _too_large(request):
             yield index, fault
-        elif request.diagram is not None:
-            yield index, _diagram_run(request, request.diagram)
         elif settings.compiled:
             signals = None if request.signals is None else tuple(request.signals)
             way = (settings.integrator, settings.step_s, settings.tolerance)
@@ -140,53 +132,6 @@ def _drake_run(request: RunRequest) -> Run | KneexoError:
         return error
 
 
-def _diagram_run(request: RunRequest, diagram: Diagram) -> Run | KneexoError:
-    """Compile and run a user's closed loop; return the run or its error.
-
-    If the request names no signals, the run logs all `SIGNALS` for which the diagram has an output
-    port.
-    """
-    settings, names = request.scenario.simulation, request.signals
-    if names is None:
-        names = [name for name in SIGNALS if diagram.HasOutputPort(name)]
-    try:
-        for name in names:
-            if name not in SIGNALS or not diagram.HasOutputPort(name):
-                raise ParameterError(f"{diagram.get_name()}: has no output port {name!r}")
-        if not settings.compiled:
-            raise ParameterError(
-                f"simulation.integrator = {settings.integrator}: a diagram is run compiled, must "
-                f"be exact_hold or rk4; simulate_diagram runs it through Drake, and "
-                f"track(scenario, law=law) runs a law with any integrator"
-            )
-        if diagram not in _models:
-            _models[diagram] = compile_diagram(diagram)
-        model = _models[diagram]
-        parameters = model.parameters()
-        run = model.simulate(
-            parameters,
-            model.initialized(parameters, model.state()),
-            request.scenario.duration_s,
-            outputs=names,
-            record_period_s=request.scenario.controller.sample_time_s,
-            integrator=settings.integrator,
-            step_s=settings.step_s,
-            tolerance=settings.tolerance,
-        )
-        values = np.column_stack([run[name] for name in names])
-        data = dict(zip(columns(names), values.T, strict=True))
-        return Run(run.time_s, data, settings)
-    except CompilationError as error:
-        return CompilationError(
-            f"{error}; track(scenario, law=law) also runs a law that does not convert"
-        )
-    except KneexoError as error:
-        return error
-
-
-_models: WeakKeyDictionary[Diagram, DiagramModel] = WeakKeyDictionary()
-
-
 def _compiled_runs(
     requests: Mapping[int, RunRequest], indices: Sequence[int], signals: Any, way: Any
 ) -> Iterator[tuple[int, Run | KneexoError]]:
@@ -234,7 +179,6 @@ async def simulate(
     *,
     signals: Sequence[str] | None = None,
     progress: Callable[[float], Any] | None = None,
-    diagram: Diagram | None = None,
     law: Any = None,
     initial_state: Sequence[float] = (),
 ) -> Run:
@@ -253,11 +197,7 @@ async def simulate(
         Names in `kneexo.diagrams.SIGNALS` of the signals to log. None: all available signals.
     progress
         Function that is called with the simulated time in s. The compiled engine calls it once, at
-        the end of the run. If there is a ``diagram``, it is not called.
-    diagram
-        A closed loop of the user with output ports of `kneexo.diagrams.SIGNALS`. It replaces the
-        closed loop of ``scenario``. The scenario then only gives the duration, the solver and the
-        sample time of the log.
+        the end of the run.
     law, initial_state
         A control law that replaces the law of ``scenario``: see `Scenario.with_law`.
 
@@ -271,7 +211,7 @@ async def simulate(
     """
     if law is not None:
         scenario = scenario.with_law(law, initial_state=initial_state)
-    return await _run(RunRequest(scenario, signals, progress, diagram))
+    return await _run(RunRequest(scenario, signals, progress))
 
 
 async def _run(request: RunRequest) -> Run:
@@ -279,7 +219,7 @@ async def _run(request: RunRequest) -> Run:
     try:
         return await request
     except SimulationError as error:
-        if request.diagram is None and (hint := sign_hint(request.scenario)):
+        if hint := sign_hint(request.scenario):
             error.args = (f"{error}; {hint}",)
         raise
 

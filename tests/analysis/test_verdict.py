@@ -12,7 +12,6 @@ from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.analysis.tracking import TrackingResult, run_metrics, track
 from kneexo.analysis.verdict import ERROR_SHARE, Stability, loop_lines
 from kneexo.command_line.output import to_json
-from kneexo.diagrams import make_closed_loop
 from kneexo.linkage import encoder_angle
 from kneexo.parameters import G1, RPM, Scenario
 from kneexo.parameters.paths import changed
@@ -35,7 +34,7 @@ def _linearized(scenario, *, knee_angle_deg):
     return linearize_loop(scenario, knee_angle_deg=knee_angle_deg)
 
 
-def result(scenario=SINE, *, error_deg=0.0, user_diagram=False, time_s=TIME, **signals):
+def result(scenario=SINE, *, error_deg=0.0, time_s=TIME, **signals):
     """Return the result of a run with constant or sampled signals."""
     columns = {
         "knee_reference_rad": np.radians(error_deg),
@@ -49,7 +48,7 @@ def result(scenario=SINE, *, error_deg=0.0, user_diagram=False, time_s=TIME, **s
     run = Run(time_s, data, scenario.simulation)
     period = 2.0 if scenario.reference.kind == "sine" else 0.0
     metrics = run_metrics(scenario, time_s, data, settled_s=period)
-    return TrackingResult(scenario, run, metrics, user_diagram)
+    return TrackingResult(scenario, run, metrics)
 
 
 @pytest.mark.parametrize(("worst_deg", "tracks"), [(1.99, True), (-1.99, True), (-2.01, False)])
@@ -332,17 +331,6 @@ def test_a_loop_that_is_not_linear_says_why():
         "No margins at 40°: controller.switching = signum: there is no linear sampled-data loop"
     )
     assert verdict.results()["margins_failure"].startswith("controller.switching = signum")
-
-
-def test_the_margins_of_a_scenario_are_not_those_of_a_diagram_of_the_user():
-    line = result(user_diagram=True).verdict.lines[2]
-    assert line.startswith("No margins at 40°: the diagram of the run is the user's")
-
-
-def test_a_run_of_a_diagram_of_the_user_is_marked():
-    scenario = changed(SINE, {"simulation.duration_s": 0.01})
-    assert track(scenario, diagram=make_closed_loop(scenario)).user_diagram
-    assert not track(scenario).user_diagram
 
 
 def test_gain_margins_in_both_directions_are_reported():
