@@ -182,14 +182,12 @@ def _set_point(diagram: Any, context: Any, state: Any, reference: Any, n: int) -
     diagram.GetInputPort("knee_reference").FixValue(context, reference)
 
 
-def find_equilibrium(
-    scenario: Scenario, *, knee_angle_deg: float = MID_RANGE_DEG, diagram: Any = None
-) -> Equilibrium:
+def find_equilibrium(scenario: Scenario, *, knee_angle_deg: float = MID_RANGE_DEG) -> Equilibrium:
     """Find the equilibrium of the sampled loop of a scenario by Newton's method.
 
     The reference is the constant ``knee_angle_deg``, the initial offset is zero, and the
     quantizers are bypassed. The biological moment is that at t = 0. The search ignores the limits
-    of the motor. `kneexo.analysis.linearize_loop` describes ``diagram``.
+    of the motor.
 
     Raises `LinearizationError` when there is no equilibrium, when the command there is at its
     limit, and when the sliding variable there is outside the boundary layer. Also raises it when
@@ -214,18 +212,10 @@ def find_equilibrium(
         }
     )
     reference = np.array([math.radians(knee_angle_deg), 0.0, 0.0, 0.0])
-    shared = diagram is None
-    if shared:
-        diagram, automatic = _diagrams(fixed)
-        context = diagram.CreateDefaultContext()
-        set_loop_parameters(diagram, context, _without_motor_limits(fixed))
-        context.SetContinuousState(start_state(fixed, context.num_continuous_states()))
-    else:
-        if not diagram.HasInputPort("knee_reference"):
-            raise LinearizationError(
-                f"{diagram.get_name()}: has no input port knee_reference; leave the reference open"
-            )
-        automatic, context = _autodiff(diagram), diagram.CreateDefaultContext()
+    diagram, automatic = _diagrams(fixed)
+    context = diagram.CreateDefaultContext()
+    set_loop_parameters(diagram, context, _without_motor_limits(fixed))
+    context.SetContinuousState(start_state(fixed, context.num_continuous_states()))
     period_s = _sample_time_s(diagram)
     x = context.get_continuous_state_vector().CopyToVector()
     diagram.GetInputPort("knee_reference").FixValue(context, reference)
@@ -244,7 +234,7 @@ def find_equilibrium(
         return np.concatenate([values[:n], values[n:] - point[n:]]), jacobian
 
     starts = [point]
-    if getattr(fixed.wearer, "motion", "") == "passive" and shared:  # rests where its weight is
+    if getattr(fixed.wearer, "motion", "") == "passive":  # rests where its weight is
         knee = fixed.plant.knee
         for share in _PASSIVE_STARTS:
             angle = knee.flexion_min_deg + share * (knee.flexion_max_deg - knee.flexion_min_deg)
@@ -263,8 +253,7 @@ def find_equilibrium(
             f"the loop does not rest at knee angle {knee_angle_deg:g} deg: "
             f"{newton_failure(residual, 'residual')}; {remedy}"
         )
-    if shared:
-        set_loop_parameters(diagram, context, fixed)
+    set_loop_parameters(diagram, context, fixed)
     _set_point(diagram, context, point, reference, n)
     _require_linear(diagram, context, fixed)
     angle = float(diagram.GetOutputPort("knee_angle").Eval(context)[0])

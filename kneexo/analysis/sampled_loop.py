@@ -37,7 +37,6 @@ from kneexo.result import Array, Result
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from pydrake.systems.framework import Diagram
 
 _STATE_STEP = 1e-12
 _JERK_STEP_RAD_S3 = 1e-3
@@ -378,7 +377,6 @@ def linearize_loop(
     *,
     knee_angle_deg: float = MID_RANGE_DEG,
     output: str = "knee_angle",
-    diagram: Diagram | None = None,
     law: Any = None,
     initial_state: Sequence[float] = (),
 ) -> SampledLoop:
@@ -394,11 +392,6 @@ def linearize_loop(
         The constant reference in deg.
     output
         Name of an output port with one element. Its response to the reference is computed.
-    diagram
-        A closed loop of the user, which replaces the closed loop of the scenario. It must have no
-        quantizer, have the ports of `make_closed_loop` with ``external_reference=True``, and start
-        near the knee angle. The scenario then only gives the limit of the command and the width of
-        the boundary layer.
 
     Raises
     ------
@@ -409,7 +402,7 @@ def linearize_loop(
     """
     if law is not None:
         scenario = scenario.with_law(law, initial_state=initial_state)
-    equilibrium = find_equilibrium(scenario, knee_angle_deg=knee_angle_deg, diagram=diagram)
+    equilibrium = find_equilibrium(scenario, knee_angle_deg=knee_angle_deg)
     n, m = equilibrium.continuous_states, equilibrium.point.size - equilibrium.continuous_states
     # The absolute values of Eq. 27 have a kink at the equilibrium. A small motion sees the mean of
     # the slopes on both sides; at the equilibrium itself rounding would choose one of them.
