@@ -218,7 +218,7 @@ BODIES = (
         "b.AddNamedSystem('a', Adder(1, 1)); "
         "return b.Build()",
     ),
-    *("return make_controller(Scenario())", "return make_controller(Scenario(), Adder(1, 1))"),
+    *("return make_controller(Scenario())", "return make_controller(Scenario(), open_law=True)"),
     *("return Broken('1/0')", "return Broken('import sys; sys.exit(5)')", "return Broken('pass')"),
     *("return Broken('o.SetAtIndex(0, float(\"nan\"))')", "return Broken('o.SetAtIndex(5, 1.0)')"),
     *("return Broken('o.SetAtIndex(0, \"x\")')", "return Broken('raise Exception(\"a\\\\nb\")')"),
@@ -255,7 +255,7 @@ def module_case(folder: Path, rng: random.Random) -> Case:
     way = rng.randrange(3)
     top = rng.choice(AT_IMPORT) if way == 0 else ""
     body = rng.choice(BODIES) if way != 0 else "return make_controller(Scenario())"
-    text = f"{IMPORTS}{top}\n{BROKEN}\ndef make(s):\n    {body}\n"
+    text = f"{IMPORTS}{top}\n{BROKEN}\ndef make(scenario):\n    s = scenario\n    {body}\n"
     if rng.random() < 0.05:
         place = rng.randrange(len(text))
         text = text[:place] + rng.choice(FIELDS) + text[place + rng.randrange(9) :]
@@ -263,7 +263,7 @@ def module_case(folder: Path, rng: random.Random) -> Case:
     (folder / "m1.py").write_text("import m0\nm0.nothing\n")
     name = rng.choice(NAMES) if rng.random() < 0.15 else "m0:make"
     short = {"duration_s": 0.02, "integrator": rng.choice(("exact_hold", "radau3"))}
-    scenario = {"controller": {"kind": "custom", "make": name}, "simulation": short}
+    scenario = {"controller": {"kind": "law", "function": name}, "simulation": short}
     (folder / "scenario.yaml").write_text(json.dumps(scenario))
     commands = [["view", "scenario.yaml", "--out", "k.html"]] * 8
     commands += [["linearize", "scenario.yaml", "--out", "o"]]

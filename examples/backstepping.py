@@ -10,8 +10,6 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 
 import kneexo as kx
 from kneexo.analysis import large_signal_bandwidth_hz
-from kneexo.diagrams import make_controller
-from kneexo.parameters import CustomControllerParameters
 from kneexo.studies.robustness import RobustnessSettings, robustness_study, worst
 
 
@@ -49,20 +47,15 @@ def Backstepping_(T):
     return Impl
 
 
-def make(scenario):
+def make(scenario, k_1=20.0, k_2=60.0):
     """The law, tuned for the plant that the controller believes in, between our coordinates."""
-    plant, law = scenario.plant, scenario.controller
+    plant, controller = scenario.plant, scenario.controller
     g = plant.pump.displacement_m3_per_rad / plant.pump.gear_ratio / plant.cylinder.mean_area_m2
-    numbers = plant.pump.lag_s, law.values["k_1"], law.values["k_2"]
-    limits = law.command_limit_rad_s, law.sample_time_s
-    return make_controller(scenario, law=Backstepping_[None](g, *numbers, *limits))
+    limits = controller.command_limit_rad_s, controller.sample_time_s
+    return Backstepping_[None](g, plant.pump.lag_s, k_1, k_2, *limits)
 
 
-BACKSTEPPING = kx.Scenario(
-    controller=CustomControllerParameters(
-        make=make, values={"k_1": 20.0, "k_2": 60.0}, sample_time_s=0.001
-    )
-)
+BACKSTEPPING = kx.Scenario().with_law(make, sample_time_s=0.001)
 
 if __name__ == "__main__":
     print(kx.track(BACKSTEPPING).metrics)

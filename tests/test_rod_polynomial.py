@@ -5,7 +5,7 @@ import pytest
 
 from kneexo.analysis import fit_polynomials, track
 from kneexo.analysis.bandwidth import rod_of
-from kneexo.diagrams.controller import known_to_controller
+from kneexo.diagrams.law import known_to_controller
 from kneexo.errors import LinkageError
 from kneexo.linkage import rod_extension
 from kneexo.parameters import LINKAGES, LinkageParameters, RodPolynomialParameters, Scenario

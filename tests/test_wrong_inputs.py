@@ -78,7 +78,7 @@ FILES = {
     "colour: red": r"known here: bus, controller, encoder",
     # words and kinds
     "controller: PID": r"must be smc, pid, .* or a mapping; did you mean pid\?$",
-    "controller: lqr": r"controller = 'lqr': must be smc, pid, torque, custom",
+    "controller: lqr": r"controller = 'lqr': must be smc, pid, torque, law",
     "controller: {kind: lqr}": r"controller.kind = 'lqr': must be 'smc', 'pid'",
     "controller: [pid]": r"must be smc, pid, .* or a mapping$",
     "bus: canbus": r"must be none, cia402, can or a mapping; did you mean can\?$",
@@ -99,7 +99,7 @@ FILES = {
     "polynomial: {p_mm_deg: [1, 2]}": r"polynomial.p_mm_deg has 2 values: must have 6$",
     "reference: {amplitude_deg: 46}": r"leaves the range of motion 0 … 90 deg; reduce it$",
     "reference: samples": r"reference.times_s: is missing; must be given by the user",
-    "controller: custom": r"controller.make: is missing; must be .* module:function",
+    "controller: law": r"controller.function: is missing; must be .* FILE.py:NAME",
     "controller: {continuous: true}": r"needs estimator.kind = exact, not observer$",
     # wearer and torque control
     "preset: wearer\nplant: {load: none}": r"wearer.kind = leg needs .* add plant: {load: knee}$",

@@ -20,8 +20,8 @@ from kneexo.analysis.plant_linearization import MID_RANGE_DEG
 from kneexo.compiler import newton, newton_failure, truth_of_scalars
 from kneexo.diagrams import make_closed_loop
 from kneexo.diagrams.closed_loop import loop_values, plant_start
-from kneexo.diagrams.controller import has_unknown_parts, known_to_controller, users_law
-from kneexo.diagrams.law import remembered, runs_as_python
+from kneexo.diagrams.controller import has_unknown_parts
+from kneexo.diagrams.law import known_to_controller, remembered, runs_as_python, users_law
 from kneexo.diagrams.wearer import moment_of
 from kneexo.errors import LinearizationError, shortened
 from kneexo.parameters import LawParameters, PlantParameters, Scenario, StepReference
@@ -132,8 +132,8 @@ def set_loop_parameters(diagram: Any, context: Any, scenario: Scenario) -> None:
     """Set the Context parameters of a closed loop to the values of a scenario.
 
     The scenario of ``diagram`` differs only in numbers. Parameters of systems that are not in
-    ``diagram``, such as reference and quantizers, are ignored. The parameters of a custom
-    controller are not changed.
+    ``diagram``, such as reference and quantizers, are ignored. The parameters of a Drake
+    system of the user are not changed.
     """
     for path, values in loop_values(scenario):
         system = _system(diagram, path)
@@ -163,7 +163,7 @@ def _system(diagram: Any, path: str) -> Any:
 def start_state(scenario: Scenario, size: int) -> list[Any]:
     """Return the initial continuous states of the closed loop, (size,), in Context units.
 
-    The states of the plant come first. The states of a custom controller are zero.
+    The states of the plant come first. The states of a Drake system of the user are zero.
     """
     plant = list(plant_start(scenario).values())
     return plant + [0.0] * (size - len(plant))

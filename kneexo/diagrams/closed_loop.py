@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from pydrake.systems.framework import Diagram, DiagramBuilder, System
@@ -20,8 +20,6 @@ from kneexo.diagrams.controller import (
     controller_outputs,
     controller_parts,
     make_controller,
-    port_sizes,
-    require_controller,
 )
 from kneexo.diagrams.part import Part, state_names
 from kneexo.diagrams.plant import make_plant, plant_parts
@@ -49,11 +47,11 @@ from kneexo.systems.knee_reference import require_reference_in_range
 def make_closed_loop(
     scenario: Scenario = Scenario(),
     *,
-    controller: System | None = None,
     reference: System | None = None,
     signals: Sequence[str] | None = None,
     external_reference: bool = False,
     external_moment: bool = False,
+    open_law: bool = False,
 ) -> Diagram:
     """Build the closed loop of a scenario, by default with the paper's sliding-mode controller.
 
@@ -81,12 +79,7 @@ def make_closed_loop(
     Parameters
     ----------
     scenario
-        The closed loop. If ``controller`` is not None, the scenario's controller only gives the
-        sample time of the log and the command limit.
-    controller
-        A system that replaces the scenario's controller and has its own sample time. It may have
-        any of the input ports of `make_controller`. It must have the output port
-        ``motor_speed_command``.
+        The closed loop.
     reference
         A system that replaces the scenario's reference. Its only output port (4,) contains θ_d and
         three derivatives. The scenario's reference then only decides where the plant starts.
@@ -96,6 +89,8 @@ def make_closed_loop(
         True: an input port ``knee_reference`` replaces the subsystem ``reference``.
     external_moment
         True: an input port ``biological_moment`` replaces the subsystem ``moment`` if it exists.
+    open_law
+        True: an input port ``law_command`` replaces a law of the user that runs as Python.
 
     Raises
     ------
@@ -105,11 +100,7 @@ def make_closed_loop(
         The linkage cannot be assembled.
     """
     require_reference_in_range(scenario.reference, scenario.plant.knee)
-    outputs = None
-    if controller is not None:
-        require_controller(controller)
-        outputs = port_sizes(controller)
-    names = chosen_signals(scenario, signals, outputs)
+    names = chosen_signals(scenario, signals)
     builder = DiagramBuilder()
     plant = builder.AddNamedSystem("plant", plant_of(scenario))
     encoder = add_encoder(builder, scenario, plant.GetOutputPort("encoder_angle"))
@@ -125,8 +116,7 @@ def make_closed_loop(
     wearer = add_wearer(
         builder, scenario, plant, source.get_output_port(), external_moment=external_moment
     )
-    controller = controller or make_controller(scenario)
-    builder.AddNamedSystem("controller", controller)
+    controller = builder.AddNamedSystem("controller", make_controller(scenario, open_law=open_law))
     ports = {name: plant.GetOutputPort(name) for name in SIGNALS if plant.HasOutputPort(name)} | {
         "knee_reference": source.get_output_port(),
         "encoder_reading": encoder.get_output_port(),
@@ -139,7 +129,7 @@ def make_closed_loop(
             continue
         signal = ports.get(port.get_name()) or plant.GetOutputPort(port.get_name())
         builder.Connect(signal, port)
-    available = available_signals(scenario, outputs)
+    available = available_signals(scenario)
     ports["estimated_state"] = plant.GetOutputPort(
         "rod_state"
     )  # replaced below if the controller has this port
@@ -187,20 +177,13 @@ def make_closed_loop(
     return diagram
 
 
-def available_signals(
-    scenario: Scenario, outputs: Mapping[str, int] | None = None
-) -> tuple[str, ...]:
-    """Return the names of the `SIGNALS` that the closed loop of a scenario has.
-
-    ``outputs`` belongs to a controller that replaces the controller of the scenario. It maps the
-    name of each output port to the size of the port.
-    """
+def available_signals(scenario: Scenario) -> tuple[str, ...]:
+    """Return the names of the `SIGNALS` that the closed loop of a scenario has."""
     missing = set()
-    if outputs is None and scenario.controller.kind in ("custom", "law"):
+    if scenario.controller.kind == "law":
         outputs = controller_outputs(scenario)
-    if outputs is not None:
         missing |= {name for name in CONTROLLER_SIGNALS if outputs.get(name) != len(SIGNALS[name])}
-        if scenario.controller.kind == "law" and scenario.estimator.kind == "exact":
+        if scenario.estimator.kind == "exact":
             missing.discard("estimated_state")  # the law reads the state of the plant
     elif scenario.controller.kind == "pid":
         missing |= {"estimated_state", *LAW_OUTPUTS}
@@ -219,16 +202,12 @@ def available_signals(
     return tuple(name for name in SIGNALS if name not in missing)
 
 
-def chosen_signals(
-    scenario: Scenario,
-    signals: Sequence[str] | None,
-    outputs: Mapping[str, int] | None = None,
-) -> tuple[str, ...]:
+def chosen_signals(scenario: Scenario, signals: Sequence[str] | None) -> tuple[str, ...]:
     """Return ``signals`` as a tuple, or all `available_signals` if ``signals`` is None.
 
     Raises `ParameterError` for a signal that `available_signals` does not contain.
     """
-    available = available_signals(scenario, outputs)
+    available = available_signals(scenario)
     names = available if signals is None else tuple(signals)
     for name in names:
         if name not in available:

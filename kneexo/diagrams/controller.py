@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from contextvars import ContextVar
-from functools import lru_cache
+from collections.abc import Iterable
 from typing import Any
 
 from pydrake.systems.framework import DiagramBuilder, System
@@ -12,18 +10,18 @@ from pydrake.systems.primitives import Saturation, ZeroOrderHold
 
 from kneexo import systems
 from kneexo.diagrams.law import (
-    held_command,
-    port_sizes as port_sizes,
+    known_to_controller,
+    law_inputs,
+    maker_arguments,
+    port_sizes,
     remembered,
-    require_ports,
+    runs_as_python,
+    users_law,
 )
 from kneexo.diagrams.part import Part, add_parts
-from kneexo.diagrams.signals import LAW_OUTPUTS
-from kneexo.errors import ParameterError, shortened
+from kneexo.diagrams.signals import CONTROLLER_SIGNALS, SIGNALS
+from kneexo.errors import ParameterError
 from kneexo.parameters import (
-    LAW_INPUTS,
-    CustomControllerParameters,
-    Law,
     LawParameters,
     ObserverParameters,
     PidParameters,
@@ -40,10 +38,9 @@ from kneexo.systems import (
     torque_controller,
 )
 from kneexo.systems.function_law import LAW_COMMAND
-from kneexo.user_code import function_at, user_code
 
 
-def make_controller(scenario: Scenario = Scenario(), law: System | None = None) -> System:
+def make_controller(scenario: Scenario = Scenario(), *, open_law: bool = False) -> System:
     """Build the controller of a scenario, the part of the loop that runs on the embedded target.
 
     ===================  ====  ====================  ==============================================
@@ -64,60 +61,63 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
     ``rod_reference``. An estimator adds ``estimated_state``, the sliding-mode law adds
     ``sliding_variable``, and the torque controller adds ``desired_torque``.
 
+    The ports of a law of the user decide what the law is connected to: see `LawParameters`. A law
+    that reads ``encoder_reading``, and nothing that kneexo computes from this reading, is the only
+    subsystem but for ``limit`` and ``hold``. ``limit`` limits the command of a Drake system of the
+    user, and ``hold`` holds the command of a system without discrete state for a sample.
+
     Parameters
     ----------
     scenario
-        Nominal plant, polynomial, encoder, estimator and controller. If ``controller.kind`` is
-        ``custom``, the function ``controller.make`` returns the whole controller, a system with at
-        least the output port ``motor_speed_command``. The argument of this function is the result
-        of `known_to_controller`.
-    law
-        A system that replaces the scenario's control law. It has the output ``motor_speed_command``
-        and any of the inputs ``rod_extension`` (m), ``rod_reference`` (4), ``estimated_state`` (3),
-        ``knee_angle`` (rad) and ``knee_reference`` (4).
+        Nominal plant, polynomial, encoder, estimator and controller.
+    open_law
+        True: `HeldCommand` replaces a law that runs as Python. The controller then has the input
+        ``law_command``, in rad/s.
 
     Raises
     ------
     ParameterError
-        A custom controller cannot be made, or a port is wrong.
+        A law of the user cannot be made, or one of its ports is wrong.
     """
-    if law is None and isinstance(scenario.controller, CustomControllerParameters):
-        return _custom_controller(scenario, scenario.controller)
-    unknown_law = law is None and has_unknown_parts(scenario)
     builder = DiagramBuilder()
-    part = add_parts(builder, _parts(scenario, law))
-    coordinates, rod_reference = part["coordinates"], part["rod_reference"]
+    part = add_parts(builder, _parts(scenario, open_law))
     law = part["law"]
-    knee_reference = builder.ExportInput(rod_reference.get_input_port(), "knee_reference")
-    builder.ExportInput(coordinates.get_input_port(), "encoder_reading")
-    sources = {
-        "rod_extension": coordinates.GetOutputPort("rod_extension"),
-        "knee_angle": coordinates.GetOutputPort("knee_angle"),
-        "rod_reference": rod_reference.get_output_port(),
-    }
     command = law.GetOutputPort("motor_speed_command")
-    if unknown_law:
+    if has_unknown_parts(scenario) and not law.HasInputPort(LAW_COMMAND):
         command = _limited_and_held(builder, scenario, law, command)
-    outputs = {
-        "motor_speed_command": command,
-        "measured_knee_angle": sources["knee_angle"],
-        "measured_rod_extension": sources["rod_extension"],
-        "rod_reference": sources["rod_reference"],
-    }
+    outputs = {"motor_speed_command": command}
+    sources: dict[str, Any] = {}
+    inputs: dict[str, Any] = {}
+    if "coordinates" in part:  # absent for a law that reads only the encoder
+        coordinates, rod_reference = part["coordinates"], part["rod_reference"]
+        sources = {
+            "rod_extension": coordinates.GetOutputPort("rod_extension"),
+            "knee_angle": coordinates.GetOutputPort("knee_angle"),
+            "rod_reference": rod_reference.get_output_port(),
+        }
+        reference, reading = rod_reference.get_input_port(), coordinates.get_input_port()
+        inputs["knee_reference"] = builder.ExportInput(reference, "knee_reference")
+        inputs["encoder_reading"] = builder.ExportInput(reading, "encoder_reading")
+        outputs |= {
+            "measured_knee_angle": sources["knee_angle"],
+            "measured_rod_extension": sources["rod_extension"],
+            "rod_reference": sources["rod_reference"],
+        }
     if "estimator" in part:
         builder.Connect(sources["rod_extension"], part["estimator"].get_input_port())
         sources["estimated_state"] = part["estimator"].get_output_port()
         outputs["estimated_state"] = sources["estimated_state"]
-    for name in port_sizes(law, inputs=True):
-        port = law.GetInputPort(name)
-        if name in sources:
-            builder.Connect(sources[name], port)
-        elif name == "knee_reference":
-            builder.ConnectInput(knee_reference, port)
+    for port_name in port_sizes(law, inputs=True):
+        port = law.GetInputPort(port_name)
+        name = "rod_state" if port_name == "estimated_state" else port_name
+        if port_name in sources:
+            builder.Connect(sources[port_name], port)
+        elif name in inputs:
+            builder.ConnectInput(inputs[name], port)
         else:
-            builder.ExportInput(port, "rod_state" if name == "estimated_state" else name)
-    for name in LAW_OUTPUTS:
-        if law.HasOutputPort(name):
+            inputs[name] = builder.ExportInput(port, name)
+    for name in SIGNALS:
+        if name in CONTROLLER_SIGNALS and name not in outputs and law.HasOutputPort(name):
             outputs[name] = law.GetOutputPort(name)
     for name, output in outputs.items():
         builder.ExportOutput(output, name)
@@ -152,34 +152,24 @@ def controller_parts(scenario: Scenario) -> list[Part]:
 
 
 def has_unknown_parts(scenario: Scenario) -> bool:
-    """Return True if the controller of a scenario is or contains a Drake system of the user.
+    """Return True if the controller of a scenario contains a Drake system of the user.
 
     The values of the Context parameters of such a system are read from the system.
     """
     law = scenario.controller
-    if isinstance(law, LawParameters):
-        return law.function.is_system
-    return isinstance(law, CustomControllerParameters)
+    return isinstance(law, LawParameters) and law.function.is_system
 
 
-def users_law(scenario: Scenario) -> Law:
-    """Return the code of the user in a controller that `has_unknown_parts`, as a law."""
-    law = scenario.controller
-    if isinstance(law, LawParameters):
-        return law.function
-    assert isinstance(law, CustomControllerParameters)
-    return _maker(function_at(law.make, f"controller.make = {shortened(law.make)!r}"))
-
-
-_maker = lru_cache(maxsize=64)(Law)
-
-
-def _parts(scenario: Scenario, custom_law: System | None = None) -> list[Part]:
-    """Return the leaf systems of a controller; ``custom_law`` replaces the scenario's law."""
+def _parts(scenario: Scenario, open_law: bool = False) -> list[Part]:
+    """Return the leaf systems of a controller. `make_controller` describes ``open_law``."""
     believed, polynomial = scenario.believed_plant, controller_polynomial(scenario)
     law, offset = scenario.controller, encoder_offset_rad(scenario)
     if law.command_limit_rad_s != scenario.command_limit_rad_s:
         law = law.model_copy(update={"command_limit_rad_s": scenario.command_limit_rad_s})
+    if isinstance(law, LawParameters):
+        inputs = {*law_inputs(scenario)}
+        if "encoder_reading" in inputs and inputs <= _RAW_INPUTS:
+            return [_law_part(scenario, law, open_law)]
     parts = [
         Part(
             "coordinates",
@@ -192,18 +182,10 @@ def _parts(scenario: Scenario, custom_law: System | None = None) -> list[Part]:
             lambda: knee_coordinates.rod_polynomial_values(polynomial),
         ),
     ]
-    if custom_law is not None:
-        if not isinstance(custom_law, System) and callable(custom_law):
-            raise ParameterError(
-                "law: a function must be given as track(scenario, law=law), or here as "
-                "make_controller(scenario.with_law(law))"
-            )
-        require_ports(custom_law, {**LAW_INPUTS, LAW_COMMAND: 1}, "law")
-        parts.append(Part("law", lambda: custom_law, dict))
-        if custom_law.HasInputPort("estimated_state"):
-            parts += _estimator_parts(scenario)
-    elif isinstance(law, LawParameters):
-        parts += _law_parts(scenario, law)
+    estimates = True
+    if isinstance(law, LawParameters):
+        parts.append(_law_part(scenario, law, open_law))
+        estimates = "estimated_state" in inputs
     elif isinstance(law, SlidingModeParameters):
         parts.append(
             Part(
@@ -212,7 +194,6 @@ def _parts(scenario: Scenario, custom_law: System | None = None) -> list[Part]:
                 lambda: sliding_mode_controller.context_values(law, believed),
             )
         )
-        parts += _estimator_parts(scenario)
     elif isinstance(law, PidParameters):
         parts.append(
             Part(
@@ -221,6 +202,7 @@ def _parts(scenario: Scenario, custom_law: System | None = None) -> list[Part]:
                 lambda: pid_controller.context_values(law, believed),
             )
         )
+        estimates = False
     elif isinstance(law, TorqueParameters):
         parts.append(
             Part(
@@ -229,28 +211,34 @@ def _parts(scenario: Scenario, custom_law: System | None = None) -> list[Part]:
                 lambda: torque_controller.context_values(law, believed, polynomial),
             )
         )
+    if estimates:
         parts += _estimator_parts(scenario)
     return parts
 
 
-def _law_parts(scenario: Scenario, law: LawParameters) -> Iterator[Part]:
-    """Yield a control law of the user, and the estimator if the law reads its output."""
-    if law.function.is_system:
-        system = law.function.make_system()
-        subject = f"law {law.function.short_name}"
-        require_ports(system, LAW_INPUTS, subject)
-        _require_period(system, law.sample_time_s, subject)
-        yield Part("law", lambda: system, dict)
-        inputs: Iterable[str] = port_sizes(system, inputs=True)
-    else:
-        yield Part(
+_RAW_INPUTS = {"encoder_reading", "knee_reference", "rod_state"}
+"""Inputs of a law that kneexo does not compute from the reading of the encoder."""
+
+
+def _law_part(scenario: Scenario, law: LawParameters, open_law: bool) -> Part:
+    """Return the control law of the user. `make_controller` describes ``open_law``."""
+    inputs = law_inputs(scenario)
+    if "rod_state" in inputs and scenario.estimator.kind != "exact":
+        raise ParameterError(
+            f"law {law.function.short_name}: reads rod_state, the true state of the rod: needs "
+            f"estimator.kind = exact, not {scenario.estimator.kind}"
+        )
+    if open_law and runs_as_python(scenario):
+        return Part("law", lambda: systems.HeldCommand(law.sample_time_s, inputs), dict)
+    if not law.function.is_system:
+        return Part(
             "law",
             lambda: systems.FunctionLaw(law),
             lambda: function_law.context_values(law),
         )
-        inputs = law.function.arguments.inputs
-    if "estimated_state" in inputs:
-        yield from _estimator_parts(scenario)
+    system = law.function.make_system(maker_arguments(scenario))
+    _require_period(system, law.sample_time_s, f"law {law.function.short_name}")
+    return Part("law", lambda: system, dict)
 
 
 def _estimator_parts(scenario: Scenario) -> Iterable[Part]:
@@ -266,54 +254,6 @@ def _estimator_parts(scenario: Scenario) -> Iterable[Part]:
         yield Part("estimator", lambda: systems.BackwardDifference(sample_time), dict)
 
 
-def encoder_offset_rad(scenario: Scenario) -> float:
-    """Return the offset in rad that the controller adds to an encoder reading.
-
-    The offset is the encoder's phase, plus half a count, minus the mounting error.
-    """
-    encoder = scenario.encoder
-    phase = encoder.phase_rad if encoder.quantized else 0.0
-    return phase + 0.5 * encoder.resolution_rad - encoder.mounting_error_rad
-
-
-# ------------------------------------------------------------------------ custom controllers
-
-
-def known_to_controller(scenario: Scenario) -> Scenario:
-    """Return a scenario that contains only what the controller knows of ``scenario``.
-
-    A controller knows the nominal plant (which becomes the plant), polynomial, encoder, estimator
-    and its own parameters. All other values of the result are defaults.
-    """
-    return Scenario(
-        plant=scenario.believed_plant,
-        polynomial=controller_polynomial(scenario),
-        encoder=scenario.encoder,
-        estimator=scenario.estimator,
-        controller=scenario.controller,
-    )
-
-
-def _custom_controller(scenario: Scenario, parameters: CustomControllerParameters) -> System:
-    subject = f"controller.make = {shortened(parameters.make)!r}"
-    make = function_at(parameters.make, subject)
-    if parameters.make in _running.get():
-        raise ParameterError(
-            f"{subject}: the function asks for its own controller; must build it, or ask for "
-            f"one of another kind"
-        )
-    token = _running.set(_running.get() | {parameters.make})
-    try:
-        with user_code(f"{subject}: the function fails"):
-            controller = make(known_to_controller(scenario))
-    finally:
-        _running.reset(token)
-    require_controller(controller, subject)
-    _require_period(controller, parameters.sample_time_s, "the controller")
-    controller.set_name("controller")
-    return controller
-
-
 def _require_period(system: System, sample_time_s: float, subject: str) -> None:
     """Raise `ParameterError` if a system updates its discrete state at another period."""
     timing = system.GetUniquePeriodicDiscreteUpdateAttribute()
@@ -324,24 +264,20 @@ def _require_period(system: System, sample_time_s: float, subject: str) -> None:
         )
 
 
+def encoder_offset_rad(scenario: Scenario) -> float:
+    """Return the offset in rad that the controller adds to an encoder reading.
+
+    The offset is the encoder's phase, plus half a count, minus the mounting error.
+    """
+    encoder = scenario.encoder
+    phase = encoder.phase_rad if encoder.quantized else 0.0
+    return phase + 0.5 * encoder.resolution_rad - encoder.mounting_error_rad
+
+
 def controller_outputs(scenario: Scenario) -> dict[str, int]:
-    """Return a dictionary from the name of each output port of a user's controller to its size."""
+    """Return the size of each output port of a controller with a law of the user, by its name."""
     return remembered(
         users_law(scenario),
         ("outputs", known_to_controller(scenario).model_dump_json()),
-        lambda: port_sizes(make_controller(scenario, held_command(scenario))),
+        lambda: port_sizes(make_controller(scenario, open_law=True)),
     )
-
-
-_running: ContextVar[frozenset[str]] = ContextVar("running", default=frozenset())
-"""Names of the users' functions that are running, by which recursion is detected."""
-
-_INPUTS = {"encoder_reading": 1, "knee_reference": 4, "rod_state": 3, LAW_COMMAND: 1}
-
-
-def require_controller(controller: Any, subject: str = "controller") -> None:
-    """Raise `ParameterError` unless ``controller`` is a system with the ports of `make_controller`.
-
-    ``subject`` begins the message.
-    """
-    require_ports(controller, _INPUTS, subject)

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
-from typing import Any, TypeVar, cast
+from collections.abc import Callable, Hashable, Mapping
+from typing import Any, NamedTuple, TypeVar, cast
 
 from pydrake.systems.framework import System
 
-from kneexo import systems
 from kneexo.compiler import read_diagram
 from kneexo.errors import KneexoError, ParameterError
 from kneexo.parameters import LAW_INPUTS, Law, LawParameters, Scenario
+from kneexo.rod_polynomial import controller_polynomial
 from kneexo.systems.function_law import trace
 
 T = TypeVar("T")
@@ -25,7 +25,7 @@ def why_python(scenario: Scenario) -> str:
     if not isinstance(law, LawParameters):
         return ""
     if law.function.is_system:
-        return _why_system(law.function)
+        return _system_law(scenario).why_python
     return trace(law.function, len(law.initial_state)).why_not_compiled
 
 
@@ -34,12 +34,10 @@ def runs_as_python(scenario: Scenario) -> bool:
     return bool(why_python(scenario))
 
 
-def _why_system(law: Law) -> str:
-    """Return why the system of a law cannot be compiled; an empty text if it can.
-
-    Raises `ParameterError` if a port is wrong.
-    """
-    return remembered(law, "why_system", lambda: _why_not_read(law))
+def users_law(scenario: Scenario) -> Law:
+    """Return the law of a scenario whose controller has the kind ``law``."""
+    assert isinstance(scenario.controller, LawParameters)
+    return scenario.controller.function
 
 
 def remembered(law: Law, question: Hashable, answer: Callable[[], T]) -> T:
@@ -56,29 +54,61 @@ def remembered(law: Law, question: Hashable, answer: Callable[[], T]) -> T:
     return cast(T, known)
 
 
-def _why_not_read(law: Law) -> str:
-    require_ports(law.any_system(), LAW_INPUTS, f"law {law.short_name}")
-    inputs = list(port_sizes(law.any_system(), inputs=True))
-    try:
-        read_diagram(law.make_system(), inputs=inputs)
-    except KneexoError as error:
-        return str(error)
-    return ""
-
-
-def held_command(scenario: Scenario) -> systems.HeldCommand | None:
-    """Return the system that replaces a law that runs as Python; None if the law is compiled."""
+def maker_arguments(scenario: Scenario) -> dict[str, Any]:
+    """Return the arguments with which the law of a scenario makes its Drake system."""
     law = scenario.controller
-    if not isinstance(law, LawParameters) or not runs_as_python(scenario):
-        return None
-    return systems.HeldCommand(law.sample_time_s, law_inputs(law.function))
+    assert isinstance(law, LawParameters)
+    if not law.function.takes_scenario:
+        return {}
+    return {"scenario": known_to_controller(scenario), **law.values}
 
 
-def law_inputs(law: Law) -> tuple[str, ...]:
-    """Return the names of the inputs, of `LAW_INPUTS`, that a law of the user reads."""
-    if law.is_system:
-        return tuple(port_sizes(law.any_system(), inputs=True))
-    return law.arguments.inputs
+def known_to_controller(scenario: Scenario) -> Scenario:
+    """Return a scenario that contains only what the controller knows of ``scenario``.
+
+    A controller knows the nominal plant (which becomes the plant), polynomial, encoder, estimator
+    and its own parameters. All other values of the result are defaults.
+    """
+    return Scenario(
+        plant=scenario.believed_plant,
+        polynomial=controller_polynomial(scenario),
+        encoder=scenario.encoder,
+        estimator=scenario.estimator,
+        controller=scenario.controller,
+    )
+
+
+class _SystemLaw(NamedTuple):
+    """What the controller has to know of a law that is or makes a Drake system."""
+
+    why_python: str
+    """Why the system cannot be compiled; empty if it can."""
+    inputs: tuple[str, ...]
+    """Names of its input ports."""
+
+
+def _system_law(scenario: Scenario) -> _SystemLaw:
+    """Return what is known of the system of a law. Raises `ParameterError` if a port is wrong."""
+    law = users_law(scenario)
+    known = known_to_controller(scenario).model_dump_json() if law.takes_scenario else ""
+    return remembered(law, ("system", known), lambda: _read(law, maker_arguments(scenario)))
+
+
+def _read(law: Law, arguments: Mapping[str, Any]) -> _SystemLaw:
+    system = law.any_system(arguments)
+    require_ports(system, f"law {law.short_name}")
+    inputs = tuple(port_sizes(system, inputs=True))
+    try:
+        read_diagram(law.make_system(arguments), inputs=inputs)
+    except KneexoError as error:
+        return _SystemLaw(str(error), inputs)
+    return _SystemLaw("", inputs)
+
+
+def law_inputs(scenario: Scenario) -> tuple[str, ...]:
+    """Return the names of the inputs, of `LAW_INPUTS`, that the law of the user reads."""
+    law = users_law(scenario)
+    return _system_law(scenario).inputs if law.is_system else law.arguments.inputs
 
 
 def port_sizes(system: System, *, inputs: bool = False) -> dict[str, int]:
@@ -93,19 +123,14 @@ def port_sizes(system: System, *, inputs: bool = False) -> dict[str, int]:
     return {port.get_name(): port.size() for port in ports}
 
 
-def require_ports(system: Any, inputs: dict[str, int], subject: str) -> None:
-    """Raise `ParameterError` unless ``system`` is a Drake system with fitting ports.
+def require_ports(system: System, subject: str) -> None:
+    """Raise `ParameterError` unless a system of the user has the ports of a control law.
 
-    ``inputs`` maps the name of each allowed input port to its size. ``subject`` begins the message.
+    ``subject`` begins the message.
     """
-    if not isinstance(system, System):
-        raise ParameterError(
-            f"{subject}: {type(system).__name__} is not a Drake system; to use a function, "
-            f"write track(scenario, law=law)"
-        )
     for name, size in port_sizes(system, inputs=True).items():
-        if inputs.get(name) != size:
-            expected = ", ".join(f"{name} ({size})" for name, size in inputs.items())
+        if LAW_INPUTS.get(name) != size:
+            expected = ", ".join(f"{name} ({size})" for name, size in LAW_INPUTS.items())
             raise ParameterError(
                 f"{subject}: has an input port {name} of size {size}; must be of {expected}"
             )

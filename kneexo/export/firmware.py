@@ -63,7 +63,7 @@ def make_firmware(
     Parameters
     ----------
     scenario
-        The closed loop. A custom controller is allowed.
+        The closed loop. A law of the user that compiles is allowed.
     what
         ``controller``, ``plant`` or ``loop``: see `make_target`. The input of a controller with a
         quantized encoder is the encoder count, an int32_t.

@@ -96,7 +96,7 @@ def make_fmu(
     Parameters
     ----------
     scenario
-        The closed loop. A custom controller is allowed.
+        The closed loop. A law of the user that compiles is allowed.
     what
         ``controller``, ``plant`` or ``loop``: see `make_target`.
     fmi

@@ -16,7 +16,6 @@ message of one line. To change a number, pass it by name: ``CylinderParameters(m
 
 from kneexo.parameters.bus import Cia402Parameters, NoBus
 from kneexo.parameters.control import (
-    CustomControllerParameters,
     DifferenceParameters,
     EncoderParameters,
     ExactParameters,
@@ -98,7 +97,6 @@ __all__ = [
     "Cia402Parameters",
     "CsvReference",
     "CuffParameters",
-    "CustomControllerParameters",
     "CylinderParameters",
     "DifferenceParameters",
     "EncoderParameters",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, Literal
 
-from pydantic import field_validator, model_validator
+from pydantic import model_validator
 
 from kneexo.errors import shortened
 from kneexo.parameters.law import Law
@@ -194,73 +194,19 @@ class PidParameters(Parameters):
         return self
 
 
-def _users_sample_time() -> Any:
-    return quantity(
-        0.002, "s", "given by the user: the controller's period, that of the log", ge=1e-5, le=1
-    )
-
-
-def _users_command_limit() -> Any:
-    return quantity(
-        5000.0 * RPM,
-        "rad/s",
-        "given by the user; the default is that of the other controllers",
-        ge=1e-3,
-        le=1e12,
-    )
-
-
-def _hash_with_mappings(parameters: Parameters) -> int:
-    """Return a hash of all fields. A mapping is hashed as a sorted tuple."""
-    values = (getattr(parameters, name) for name in type(parameters).model_fields)
-    return hash(tuple(tuple(sorted(v.items())) if isinstance(v, dict) else v for v in values))
-
-
-class CustomControllerParameters(Parameters):
-    """A controller of the user: a Drake system that replaces kneexo's controller.
-
-    ``make`` is a function, or its name as ``module:function``. The function receives a scenario
-    with only the parts that a controller may know, such as its nominal plant. It returns a system
-    with the ports of `kneexo.diagrams.make_controller`. ``values`` maps names to numbers for the
-    function. ``--set`` and uncertainty sets reach a number by the path ``controller.values.NAME``.
-    """
-
-    kind: Literal["custom"] = "custom"
-    make: str = choice(..., "given by the user: module:function that makes the controller")
-    values: dict[str, float] = choice({}, "given by the user: numbers for the controller, by name")
-    sample_time_s: float = _users_sample_time()
-    command_limit_rad_s: float = _users_command_limit()
-
-    def __hash__(self) -> int:
-        """Return a hash of all fields."""
-        return _hash_with_mappings(self)
-
-    @field_validator("make", mode="before")
-    @classmethod
-    def _named(cls, make: Any) -> Any:
-        """Replace a function by its name ``module:function``. Return any other value unchanged."""
-        return f"{make.__module__}:{make.__qualname__}" if callable(make) else make
-
-    @field_validator("make")
-    @classmethod
-    def _has_both_names(cls, make: str) -> str:
-        module, _, function = make.partition(":")
-        names = function.split(".")
-        if not all(module.split(".")) or not all(name.isidentifier() for name in names):
-            raise ValueError(
-                f"{shortened(make)!r}: must be module:function, by the absolute name of the module"
-            )
-        return make
-
-
 class LawParameters(Parameters):
-    """A control law of the user between kneexo's coordinates, observer and reference.
+    """A control law of the user in place of kneexo's laws.
 
     ``function`` is a function, a Drake system, a class or function that makes one, or their name
     ``FILE.py:NAME``. In a scenario file, a relative path starts at the directory of the file. The
-    names of a function's arguments choose its inputs: those of `kneexo.parameters.law.LAW_INPUTS`,
-    ``time_s`` and ``state``. An argument with a number as default is a gain. ``values`` contains
-    all gains; ``--set`` and uncertainty sets reach a gain by the path ``controller.values.NAME``.
+    names of a function's arguments, or of a system's input ports, choose what the law reads: those
+    of `kneexo.parameters.law.LAW_INPUTS`. A function may have the arguments ``time_s`` and
+    ``state`` too. An argument with a number as default is a gain. ``values`` contains all gains;
+    ``--set`` and uncertainty sets reach a gain by the path ``controller.values.NAME``.
+
+    A function with the argument ``scenario`` makes a Drake system. Its scenario contains only what
+    a controller knows: nominal plant, polynomial, encoder, estimator and controller. All its other
+    arguments are gains.
 
     A function returns the motor speed in rad/s, where a positive speed drives the rod out, so that
     the knee angle falls. With the argument ``state`` the function returns the motor speed and the
@@ -278,17 +224,26 @@ class LawParameters(Parameters):
         min_length=None,
     )
     values: dict[str, float] = choice({}, "given by the user: gains of the law, by argument")
-    sample_time_s: float = _users_sample_time()
-    command_limit_rad_s: float = _users_command_limit()
+    sample_time_s: float = quantity(
+        0.002, "s", "given by the user: the controller's period, that of the log", ge=1e-5, le=1
+    )
+    command_limit_rad_s: float = quantity(
+        5000.0 * RPM,
+        "rad/s",
+        "given by the user; the default is that of the other controllers",
+        ge=1e-3,
+        le=1e12,
+    )
 
     def __hash__(self) -> int:
-        """Return a hash of all fields."""
-        return _hash_with_mappings(self)
+        """Return a hash of all fields. A mapping is hashed as a sorted tuple."""
+        values = (getattr(self, name) for name in type(self).model_fields)
+        return hash(tuple(tuple(sorted(v.items())) if isinstance(v, dict) else v for v in values))
 
     @model_validator(mode="after")
     def _suits_the_function(self) -> LawParameters:
         law = self.function
-        if law.is_system:
+        if law.is_system and not law.takes_scenario:
             if self.initial_state or self.values:
                 raise ValueError(
                     f"law {law.short_name} is a Drake system: initial_state and values must be "

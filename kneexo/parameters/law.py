@@ -15,10 +15,12 @@ import sys
 import sysconfig
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
+from contextvars import ContextVar
 from functools import cached_property, lru_cache
 from numbers import Real
 from pathlib import Path
 from types import (
+    BuiltinFunctionType,
     CodeType,
     FunctionType,
     GetSetDescriptorType,
@@ -44,12 +46,16 @@ LAW_INPUTS = {
     "estimated_state": 3,
     "knee_angle": 1,
     "knee_reference": 4,
+    "encoder_reading": 1,
+    "rod_state": 3,
 }
 """For each measurement or reference that a control law can read, the number of its elements.
 
 ``rod_extension`` is in m, ``rod_reference`` is x_d in m and its derivatives to the third,
 ``estimated_state`` is position, velocity and acceleration of the rod in SI units, ``knee_angle`` is
-in rad, and ``knee_reference`` is θ_d in rad and its derivatives to the third.
+in rad, and ``knee_reference`` is θ_d in rad and its derivatives to the third. ``encoder_reading``
+is θ_4 in rad as the encoder reports it. ``rod_state`` is the true position, velocity and
+acceleration of the rod, only with the estimator ``exact``.
 """
 
 _RESERVED = ("_", "command_limit_rad_s", "initial_state_")
@@ -80,7 +86,8 @@ class LawArguments(NamedTuple):
 class Law:
     """A control law: a function, an object that can be called, or a Drake system.
 
-    ``target`` is the law, or a class or function without arguments that makes the Drake system.
+    ``target`` is the law, or makes the Drake system. What makes a system is a class or function
+    without arguments, or a function with the argument ``scenario``.
     ``name`` is ``FILE.py:NAME`` or ``MODULE:NAME``. Two laws are equal if their names are equal,
     and their targets are one object or have one `fingerprint`. ``memo`` holds what other modules
     have found out about this law.
@@ -189,11 +196,21 @@ class Law:
     def is_system(self) -> bool:
         """Whether the law is a Drake system, or a class or function that makes one."""
         target = self.target
-        return isinstance(target, type) or _is_system(target) or not self._parameters
+        is_or_makes = isinstance(target, type) or _is_system(target) or self.takes_scenario
+        return is_or_makes or not self._parameters
 
-    def make_system(self) -> Any:
+    @cached_property
+    def takes_scenario(self) -> bool:
+        """Whether the law is a function of a ``scenario`` that makes a Drake system."""
+        target = self.target
+        if isinstance(target, type) or _is_system(target):
+            return False
+        return "scenario" in self._parameters
+
+    def make_system(self, arguments: Mapping[str, Any] = {}) -> Any:
         """Return a new Drake system.
 
+        ``arguments`` are those of a law that `takes_scenario`: the scenario and the gains.
         Raises `ParameterError` if the law makes no Drake system, or is a system that Drake cannot
         clone.
         """
@@ -212,8 +229,19 @@ class Law:
                     f"function without arguments that makes the system"
                 )
             return clone
-        with user_code(f"law {self.short_name}: cannot be made without arguments"):
-            system = self.target()
+        takes = "takes a scenario" if self.takes_scenario else "takes no argument"
+        failure = "the function fails" if arguments else "cannot be made without arguments"
+        if id(self.target) in _making.get():
+            raise ParameterError(
+                f"law {self.short_name}: the function asks for its own controller; must build the "
+                f"system, or ask for a controller of another kind"
+            )
+        token = _making.set(_making.get() | {id(self.target)})
+        try:
+            with user_code(f"law {self.short_name}: {failure}"):
+                system = self.target(**arguments)
+        finally:
+            _making.reset(token)
         if not _is_system(system):
             if isinstance(self.target, type):
                 raise ParameterError(
@@ -221,15 +249,18 @@ class Law:
                     f"the class, {self.target.__name__}()"
                 )
             raise ParameterError(
-                f"law {self.short_name}: takes no argument and returns "
+                f"law {self.short_name}: {takes} and returns "
                 f"{type(system).__name__}; must have an argument of {', '.join(LAW_INPUTS)}, or "
                 f"return a Drake system"
             )
         return system
 
-    def any_system(self) -> Any:
-        """Return the Drake system of the law itself, or a new one if the law makes systems."""
-        return self.target if _is_system(self.target) else self.make_system()
+    def any_system(self, arguments: Mapping[str, Any] = {}) -> Any:
+        """Return the Drake system of the law itself, or a new one if the law makes systems.
+
+        `make_system` describes ``arguments``.
+        """
+        return self.target if _is_system(self.target) else self.make_system(arguments)
 
     @cached_property
     def short_name(self) -> str:
@@ -243,15 +274,23 @@ class Law:
 
     @cached_property
     def arguments(self) -> LawArguments:
-        """The arguments of a law that is a function.
+        """The arguments of a law that is a function, without ``scenario``.
 
-        Raises `ParameterError` for an unknown argument without a number as default.
+        Raises `ParameterError` for an unknown argument without a number as default, and for an
+        argument beside ``scenario`` that is no gain.
         """
         inputs, gains = [], {}
         flags = {"time_s": False, "state": False}
         initial_state: tuple[float, ...] = ()
         for name, parameter in self._parameters.items():
             default = parameter.default
+            if name == "scenario":
+                continue
+            if self.takes_scenario and (name in LAW_INPUTS or name in flags):
+                raise ParameterError(
+                    f"law {self.short_name}: has the arguments scenario and {name}; a function of "
+                    f"a scenario must return a Drake system, whose ports have names such as {name}"
+                )
             if name in LAW_INPUTS:
                 inputs.append(name)
             elif name in flags:
@@ -360,6 +399,9 @@ def _is_system(value: Any) -> bool:
     return not isinstance(value, type) and hasattr(value, "CreateDefaultContext")
 
 
+_making: ContextVar[frozenset[int]] = ContextVar("making", default=frozenset())
+"""The id of each function that is making its system, by which recursion is detected."""
+
 _importing: set[Path] = set()
 """Files of laws that are being imported, by which recursion is detected."""
 
@@ -454,6 +496,8 @@ class _Walk:
                 return self._function(value)
             case ModuleType():
                 return self._module(value, ())
+            case BuiltinFunctionType() if value.__module__:  # not a method of an object
+                return value.__module__, value.__qualname__
             case MethodType():
                 return self._all((value.__func__, value.__self__))
             case staticmethod() | classmethod():
@@ -464,6 +508,8 @@ class _Walk:
                 return self.parts(value.func)
             case type():
                 return self._class(value)
+        if hasattr(value, "get_instantiation"):  # a template of Drake
+            return self.parts(value[None])
         kind = type(value)
         if kind is np.ndarray and value.dtype != object:
             return value.dtype.str, value.shape, hashlib.sha256(value.tobytes()).hexdigest()
@@ -504,7 +550,9 @@ class _Walk:
         return module.__name__, Path(file).read_bytes(), values
 
     def _class(self, value: type) -> Any:
-        file = getattr(sys.modules.get(value.__module__), "__file__", None) or ""
+        package = value.__module__.partition(".")[0]  # a compiled module may have no file
+        modules = map(sys.modules.get, (value.__module__, package))
+        file = next(filter(None, (getattr(module, "__file__", None) for module in modules)), "")
         if value.__module__ == "builtins" or file.startswith(_NOT_OF_USERS):
             return value.__module__, value.__qualname__
         members = [

@@ -11,7 +11,6 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 from kneexo.errors import ParameterError
 from kneexo.parameters.bus import INT32_MAX, Cia402Parameters, NoBus
 from kneexo.parameters.control import (
-    CustomControllerParameters,
     DifferenceParameters,
     EncoderParameters,
     ExactParameters,
@@ -111,11 +110,7 @@ class Scenario(Parameters):
         ObserverParameters | DifferenceParameters | ExactParameters, Field(discriminator="kind")
     ] = ObserverParameters()
     controller: Annotated[
-        SlidingModeParameters
-        | PidParameters
-        | TorqueParameters
-        | CustomControllerParameters
-        | LawParameters,
+        SlidingModeParameters | PidParameters | TorqueParameters | LawParameters,
         Field(discriminator="kind"),
     ] = SlidingModeParameters()
     load_cell: LoadCellParameters = LoadCellParameters()

@@ -43,14 +43,19 @@ from kneexo.diagrams.closed_loop import (
 )
 from kneexo.diagrams.controller import (
     has_unknown_parts,
-    known_to_controller,
     make_controller,
+)
+from kneexo.diagrams.law import (
+    known_to_controller,
+    law_inputs,
+    port_sizes,
+    remembered,
+    runs_as_python,
     users_law,
 )
-from kneexo.diagrams.law import held_command, law_inputs, remembered, runs_as_python
 from kneexo.diagrams.signals import SIGNALS, columns
 from kneexo.diagrams.wearer import moment_of, moment_spline
-from kneexo.errors import CompilationError, KneexoError
+from kneexo.errors import KneexoError
 from kneexo.parameters import (
     LawParameters,
     MomentTable,
@@ -135,10 +140,10 @@ def structure_key(scenario: Scenario) -> str:
         fields["reference"] = scenario.reference.kind  # the samples enter by an open input
     law = scenario.controller
     if isinstance(law, LawParameters) and runs_as_python(scenario):
-        fields["controller"] = "python", law.sample_time_s, law_inputs(law.function)
+        fields["controller"] = "python", law.sample_time_s, law_inputs(scenario)
     elif has_unknown_parts(scenario):
         # Its numbers may be constants of its equations, so the key contains the equations.
-        fields["controller"] = law.sample_time_s, _custom(scenario).key
+        fields["controller"] = law.sample_time_s, _unknown_parts(scenario).key
     elif isinstance(law, LawParameters):
         key = trace(law.function, len(law.initial_state)).key
         fields["controller"] = law.sample_time_s, key
@@ -167,14 +172,12 @@ def scenario_diagram(scenario: Scenario) -> Any:
     that runs as Python.
     """
     external = isinstance(scenario.reference, SampledReference)
-    held = held_command(scenario)
-    controller = None if held is None else make_controller(scenario, held)
     return make_closed_loop(
         scenario,
-        controller=controller,
         signals=(),
         external_reference=external,
         external_moment=True,
+        open_law=True,
     )
 
 
@@ -233,8 +236,8 @@ def _diagram(key: str, scenario: Scenario) -> Any:
     return _diagrams.of(key, lambda: scenario_diagram(scenario))
 
 
-class _Custom(NamedTuple):
-    """Key of the equations of a custom controller, and its parameters and initial states."""
+class _UnknownParts(NamedTuple):
+    """Key of the equations of a controller with a Drake system of the user, and its numbers."""
 
     key: str
     """Digest of the controller's equations."""
@@ -244,28 +247,21 @@ class _Custom(NamedTuple):
     """Dictionary from a state's name in the closed loop to its value in the default Context."""
 
 
-def _custom(scenario: Scenario) -> _Custom:
+def _unknown_parts(scenario: Scenario) -> _UnknownParts:
     question = "read", known_to_controller(scenario).model_dump_json()
     with _lock:
         return remembered(users_law(scenario), question, lambda: _read_controller(scenario))
 
 
-def _read_controller(scenario: Scenario) -> _Custom:
-    controller = make_controller(scenario, held_command(scenario))
-    ports = map(controller.get_input_port, range(controller.num_input_ports()))
-    try:
-        read = read_diagram(controller, inputs=[port.get_name() for port in ports])
-    except CompilationError as error:
-        raise CompilationError(
-            f"{error}; track(scenario, law=law) also runs a law that does not convert"
-        ) from None
+def _read_controller(scenario: Scenario) -> _UnknownParts:
+    controller = make_controller(scenario, open_law=True)
+    read = read_diagram(controller, inputs=list(port_sizes(controller, inputs=True)))
 
     def named(names: Sequence[str], values: Array) -> dict[str, float]:
-        paths = (n if n.startswith(".") else f"/{n}" for n in names)  # a leaf has no path
-        return dict(zip((f"controller{p}" for p in paths), values.tolist(), strict=True))
+        return dict(zip((f"controller/{name}" for name in names), values.tolist(), strict=True))
 
     state = read.state()
-    return _Custom(
+    return _UnknownParts(
         read.key,
         named(read.parameter_names, read.parameters()),
         named(read.state_names, state.continuous) | named(read.discrete_names, state.discrete),
@@ -283,19 +279,19 @@ def scenario_values(scenario: Scenario) -> dict[str, float]:
         for name, value in values.items()
     }
     if has_unknown_parts(scenario):
-        values |= _custom(scenario).values
+        values |= _unknown_parts(scenario).values
     return values
 
 
 def scenario_start(scenario: Scenario) -> dict[str, float]:
     """Return a dictionary from the name of a state in the compiled model to its initial value.
 
-    The dictionary contains the states of the plant and of a custom controller. All other states
-    start at zero. Raises `ParameterError` and `LinkageError` as `make_plant` does.
+    The dictionary contains the states of the plant and of a Drake system of the user. All other
+    states start at zero. Raises `ParameterError` and `LinkageError` as `make_plant` does.
     """
     start = plant_start(scenario)
     if has_unknown_parts(scenario):
-        start |= _custom(scenario).state
+        start |= _unknown_parts(scenario).state
     return start
 
 

@@ -10,9 +10,10 @@ from functools import partial
 import numpy as np
 from pydrake.systems.analysis import Simulator
 
-from kneexo.diagrams.law import law_inputs, why_python
+from kneexo.diagrams.controller import encoder_offset_rad
+from kneexo.diagrams.law import law_inputs, maker_arguments, why_python
 from kneexo.errors import KneexoError
-from kneexo.linkage import polynomial
+from kneexo.linkage import encoder_angle, polynomial
 from kneexo.parameters import Law, LawParameters, Scenario
 from kneexo.result import Array
 from kneexo.rod_polynomial import controller_polynomial
@@ -26,6 +27,8 @@ SIGNAL_OF = {
     "rod_reference": "rod_reference",
     "knee_reference": "knee_reference",
     "estimated_state": "estimated_state",
+    "encoder_reading": "encoder_reading",
+    "rod_state": "estimated_state",  # with the estimator exact, the only one with rod_state
 }
 """For each input of a law the output port of the closed loop with the same value."""
 
@@ -42,12 +45,12 @@ class PythonLaw:
         assert isinstance(law, LawParameters)
         self._law = law
         self._limit = scenario.command_limit_rad_s
-        self._inputs = law_inputs(law.function)
+        self._inputs = law_inputs(scenario)
         self.signals = tuple(SIGNAL_OF[name] for name in self._inputs)
         """Names of the output ports of the closed loop that the law reads."""
         self._reason = why_python(scenario) if announce else ""
         if law.function.is_system:
-            self._simulator = Simulator(law.function.any_system())
+            self._simulator = Simulator(law.function.any_system(maker_arguments(scenario)))
             self._started = False
             return
         self._function = law.function.copy_of_target()
@@ -126,6 +129,7 @@ def sign_hint(scenario: Scenario) -> str:
         return ""
     angle = start_angle_rad(scenario.reference)
     extension = partial(polynomial, controller_polynomial(scenario).p_si)
+    linkage = scenario.believed_plant.linkage
     commands = []
     try:
         for displaced in (angle - _DISPLACEMENT_RAD, angle + _DISPLACEMENT_RAD):
@@ -135,6 +139,9 @@ def sign_hint(scenario: Scenario) -> str:
                 "rod_reference": [extension(angle), 0.0, 0.0, 0.0],
                 "knee_reference": [angle, 0.0, 0.0, 0.0],
                 "estimated_state": [extension(displaced), 0.0, 0.0],
+                "encoder_reading": [
+                    float(encoder_angle(linkage, displaced)) - encoder_offset_rad(scenario)
+                ],
             }
             signals = {SIGNAL_OF[name]: np.array(value) for name, value in values.items()}
             function = PythonLaw(scenario, announce=False)

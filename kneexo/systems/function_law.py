@@ -250,6 +250,8 @@ _TYPICAL = {  # largest magnitudes of the inputs at the points of comparison, in
     "estimated_state": (0.1, 0.1, 1.0),
     "knee_angle": (1.5,),
     "knee_reference": (1.5, 1.0, 1.0, 10.0),
+    "encoder_reading": (1.5,),
+    "rod_state": (0.1, 0.1, 1.0),
 }
 _SCALES = ((1.0, 1.0, 30.0), (1e-3, 0.0, 0.0), (1.0, 10.0, 0.01), (1e-2, 1e3, 1.0))
 """Scales of inputs and states and the largest time in s of each point of comparison.

@@ -194,7 +194,6 @@ def _words(scenario: Scenario) -> dict[str, str]:
         "reference": scenario.reference.kind,
         "rod_reference": "knee to rod",
         "law": words,
-        "controller": "of yours",
         "coordinates": "encoder to rod",
         "estimator": estimator,
         "encoder": counts if encoder.quantized else "no counts",

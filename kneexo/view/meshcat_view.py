@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pydrake.geometry import Meshcat, MeshcatVisualizer, MeshcatVisualizerParams, SceneGraph
 from pydrake.systems.framework import DiagramBuilder, System
 
-from kneexo.diagrams.controller import port_sizes
+from kneexo.diagrams.law import port_sizes
 from kneexo.diagrams.part import connect
 from kneexo.errors import ParameterError
 from kneexo.parameters import CylinderParameters, LinkageParameters

@@ -1,5 +1,6 @@
 """The controller as one diagram, and controllers of the user's own in its place."""
 
+import functools
 import importlib.util
 import sys
 from pathlib import Path
@@ -7,16 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pydrake.systems.framework import LeafSystem
-from pydrake.systems.primitives import ConstantVectorSource, LinearSystem, ZeroOrderHold
+from pydrake.systems.primitives import ConstantVectorSource, ZeroOrderHold
 
 import kneexo
 from kneexo.analysis import linearize_loop, simulate, track
 from kneexo.analysis.assessment import assess
 from kneexo.diagrams import SIGNALS, make_closed_loop, make_controller
-from kneexo.diagrams.controller import known_to_controller, require_controller
+from kneexo.diagrams.law import known_to_controller
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import (
-    CustomControllerParameters,
     ExactParameters,
     PidParameters,
     PlantParameters,
@@ -42,13 +42,9 @@ def ours(scenario):
     return make_controller(scenario.model_copy(update={"controller": Scenario().controller}))
 
 
-def custom(make=ours, sample_time_s=0.002, **values):
-    return Scenario(
-        controller=CustomControllerParameters(make=make, sample_time_s=sample_time_s, values=values)
-    )
-
-
 BACKSTEPPING = backstepping.BACKSTEPPING
+LIMIT_RAD_S = Scenario().command_limit_rad_s
+SHORT = changed(Scenario(), {"simulation.duration_s": 0.3})
 
 
 # ---------------------------------------------------------------------------- make_controller
@@ -68,7 +64,6 @@ def test_ports_of_the_controller(case):
         port = controller.get_output_port(i)
         assert port.size() == len(SIGNALS[port.get_name()])
     assert controller.HasOutputPort("motor_speed_command")
-    require_controller(controller)
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -101,24 +96,35 @@ def test_a_controller_alone_repeats_the_commands_of_the_loop(case):
 # ------------------------------------------------------------------------- the user's own
 
 
-def test_our_controller_as_a_custom_one_is_ours():
-    own, default = track(custom()), track(Scenario())
+def test_our_controller_as_one_of_the_user_is_ours():
+    """It reads the encoder, so kneexo adds no coordinates and no observer, but the same signals."""
+    scenario = SHORT.with_law(ours)
+    parts = make_controller(scenario).GetSystems()
+    assert [system.get_name() for system in parts] == ["law", "limit"]
+    own, default = track(scenario, all_signals=True), track(SHORT, all_signals=True)
     assert own.metrics == default.metrics
+    assert own.run.data.keys() == default.run.data.keys()
     for column, values in default.run.data.items():
         np.testing.assert_array_equal(own.run[column], values)
-    assert linearize_loop(custom()).margins() == linearize_loop().margins()
+    assert linearize_loop(scenario).margins() == linearize_loop().margins()
 
 
-def test_a_custom_controller_is_given_what_it_may_know():
+def test_a_law_is_made_for_what_its_controller_may_know():
     scenario = Scenario(
         plant=changed(PlantParameters(), {"cylinder.mass_kg": 1.8}),
         nominal=PlantParameters(),
         initial_offset_m=0.001,
-        controller=custom().controller,
     )
-    known = known_to_controller(scenario)
-    assert known.plant == PlantParameters()
-    assert (known.initial_offset_m, known.nominal) == (0.0, None)
+    known = []
+
+    def making(scenario):
+        known.append(scenario)
+        return SlidingModeController()
+
+    make_controller(scenario.with_law(making))
+    assert all(k == known_to_controller(scenario.with_law(making)) for k in known)
+    assert known[0].plant == PlantParameters()
+    assert (known[0].initial_offset_m, known[0].nominal) == (0.0, None)
 
 
 def test_the_example_tracks_and_has_margins():
@@ -147,30 +153,73 @@ def test_its_values_reach_the_law_and_not_the_code_of_others():
     assert errors[0] == errors[2] != errors[1]
 
 
-def test_a_system_takes_the_place_of_controller_and_reference():
-    scenario = changed(Scenario(), {"simulation.duration_s": 1.0})
-    known = scenario.model_copy(update={"controller": BACKSTEPPING.controller})
-    angle = _angle(make_closed_loop(scenario, controller=backstepping.make(known)))
-    named = track(changed(BACKSTEPPING, {"simulation.duration_s": 1.0})).run
-    np.testing.assert_array_equal(angle, named["knee_angle_rad"][::2])  # recorded every 2 ms
+def test_a_system_takes_the_place_of_the_reference():
     still = ConstantVectorSource([np.radians(10.0), 0.0, 0.0, 0.0])
-    held = _angle(make_closed_loop(scenario, reference=still))
-    assert np.ptp(held) < np.radians(0.1)
-
-
-def _angle(loop):
-    """The knee angle of a closed loop in rad, recorded every 2 ms for 1 s."""
-    model = kneexo.compile(loop)
+    model = kneexo.compile(make_closed_loop(reference=still))
     state = model.initialized(model.parameters(), model.state())
-    return model.simulate(model.parameters(), state, 1.0, record_period_s=0.002)["knee_angle"][:, 0]
+    run = model.simulate(model.parameters(), state, 0.5, record_period_s=0.002)
+    assert np.ptp(run["knee_angle"]) < np.radians(0.1)
 
 
 def test_a_law_of_ones_own_gets_estimates():
     """Our law as somebody's own, between our coordinates and behind our observer."""
-    scenario = changed(Scenario(), {"simulation.duration_s": 1.0})
-    loop = make_closed_loop(scenario, controller=make_controller(scenario, SlidingModeController()))
-    ours = simulate(scenario)["knee_angle_rad"]
-    np.testing.assert_allclose(_angle(loop), ours, rtol=1e-9, atol=1e-9)
+    own = SHORT.with_law(SlidingModeController)
+    parts = {system.get_name() for system in make_controller(own).GetSystems()}
+    assert parts == {"coordinates", "rod_reference", "law", "estimator", "limit"}
+    ours = simulate(SHORT)
+    for column, values in simulate(own).data.items():
+        np.testing.assert_allclose(values, ours[column], rtol=1e-9, atol=1e-9)
+
+
+def reading(encoder_reading, knee_reference):
+    return 900.0 * (1.2 - encoder_reading) + 10.0 * knee_reference[0]
+
+
+def reading_too(encoder_reading, knee_angle, knee_reference):
+    return reading(encoder_reading, knee_reference) + 0.0 * knee_angle
+
+
+def reading_with_floats(encoder_reading, knee_reference):
+    return float(reading(encoder_reading, knee_reference))
+
+
+@functools.cache
+def run_of_reading():
+    return simulate(SHORT, law=reading)
+
+
+def test_a_function_may_read_the_encoder_itself():
+    run = run_of_reading()
+    assert np.ptp(run["encoder_reading_rad"]) > 0.02
+    assert "measured_knee_angle_rad" not in run.data
+    held = 900.0 * (1.2 - run["encoder_reading_rad"]) + 10.0 * run["knee_reference_rad"]
+    # A sample sees the state before its update.
+    np.testing.assert_allclose(run["motor_speed_command_rad_s"][1:], held[:-1], atol=1e-9)
+
+
+@pytest.mark.parametrize(("form", "parts"), [(reading_too, 3), (reading_with_floats, 1)])
+def test_it_does_the_same_beside_coordinates_and_as_python(form, parts):
+    scenario = SHORT.with_law(form)
+    assert len(make_controller(scenario).GetSystems()) == parts
+    angle = simulate(scenario)["knee_angle_rad"]
+    np.testing.assert_allclose(angle, run_of_reading()["knee_angle_rad"], rtol=0.0, atol=1e-7)
+
+
+def reading_the_state(encoder_reading, rod_state, knee_reference):
+    return 1e4 * (0.2 - rod_state[0])
+
+
+def test_a_law_reads_the_true_state_of_the_rod_with_the_estimator_exact():
+    with pytest.raises(ParameterError, match=r"needs estimator.kind = exact, not observer"):
+        simulate(SHORT, law=reading_the_state)
+    exact = Scenario(estimator=ExactParameters()).changed({"simulation.duration_s": 0.1})
+    run = simulate(exact, law=reading_the_state)
+    wanted = np.clip(1e4 * (0.2 - run["rod_extension_m"]), -LIMIT_RAD_S, LIMIT_RAD_S)
+    np.testing.assert_allclose(run["motor_speed_command_rad_s"][1:], wanted[:-1], atol=1e-7)
+    floats = simulate(
+        exact, law=lambda encoder_reading, rod_state: float(1e4 * (0.2 - rod_state[0]))
+    )
+    np.testing.assert_allclose(floats["knee_angle_rad"], run["knee_angle_rad"], atol=1e-7)
 
 
 # ------------------------------------------------------------------------------- bad input
@@ -197,19 +246,16 @@ def no_system(scenario):
     [
         ("nowhere:make", "no module named 'nowhere'; must be module:function on the Python path"),
         ("math:nothing", "has no attribute 'nothing'; must be module:function on the Python path"),
-        (failing, "ZeroDivisionError: by hand"),
-        (
-            asking_itself,
-            "the function asks for its own controller; must build it, or ask for one of another",
-        ),
-        (no_system, "int is not a Drake system"),
-        (without_command, "has an input port u of size 1; must be of encoder_reading (1)"),
+        (failing, "failing: the function fails: ZeroDivisionError: by hand"),
+        (asking_itself, "asking_itself: the function asks for its own controller; must build"),
+        (no_system, "no_system: takes a scenario and returns int; must have an argument of"),
+        (without_command, "has an input port u of size 1; must be of rod_extension (1)"),
     ],
 )
-def test_a_wrong_controller_raises_one_line(make, message):
+def test_a_law_that_cannot_be_made_raises_one_line(make, message):
     with pytest.raises(ParameterError) as caught:
-        track(custom(make))
-    assert "controller.make = " in str(caught.value)
+        track(law=make)
+    assert str(caught.value).startswith("law ")
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -235,20 +281,23 @@ def test_a_module_that_fails_is_one_line_with_its_place(tmp_path, monkeypatch, t
     module.write_text(text)
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(ParameterError) as caught:
-        make_controller(custom("failing_controller:make"))
+        Scenario().with_law("failing_controller:make")
     line = str(caught.value).replace(str(module), "FILE")
-    assert line.startswith("controller.make = 'failing_controller:make': the module cannot be imp")
+    assert line.startswith("law 'failing_controller:make': the module cannot be imported")
     assert told in line
     assert line.isprintable()
 
 
 def test_a_maker_that_exits_is_one_line():
-    with pytest.raises(ParameterError, match=r"'sys:exit': the function fails: SystemExit: Scenar"):
-        make_controller(custom("sys:exit"))
+    def leaving(scenario):
+        sys.exit(5)
+
+    with pytest.raises(ParameterError, match=r"leaving: the function fails: SystemExit: 5"):
+        make_controller(Scenario().with_law(leaving))
 
 
 class Failing(LeafSystem):
-    """A controller whose output runs a function."""
+    """A law whose output runs a function."""
 
     def __init__(self, function):
         super().__init__()
@@ -260,13 +309,11 @@ class Failing(LeafSystem):
 
 
 @pytest.mark.parametrize("error", [ZeroDivisionError("mine"), SystemExit(5), RuntimeError("mine")])
-def test_a_controller_that_fails_in_a_run_is_one_line_with_its_place(monkeypatch, error):
+def test_a_law_that_fails_in_a_run_is_one_line_with_its_place(error):
     def fail():
         raise error
 
-    monkeypatch.setitem(globals(), "failing_run", lambda scenario: Failing(fail))
-    scenario = custom(f"{__name__}:failing_run")
-    scenario = changed(scenario, {"simulation.integrator": "radau3"})
+    scenario = Scenario().with_law(lambda scenario: Failing(fail)).with_engine("drake")
     told = (
         rf"^t = 0 s: {type(error).__name__}: (mine|5) \(.*test_controller.py, line \d+\); correct"
     )
@@ -278,23 +325,14 @@ def test_an_interrupt_of_the_users_code_is_an_interrupt(tmp_path, monkeypatch):
     (tmp_path / "interrupted_controller.py").write_text("raise KeyboardInterrupt\n")
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(KeyboardInterrupt):
-        make_controller(custom("interrupted_controller:make"))
+        Scenario().with_law("interrupted_controller:make")
 
 
 def test_its_sample_time_is_that_of_the_scenario():
     with pytest.raises(ParameterError, match=r"sample_time_s = 0.004 s: must be 0.002 s"):
-        track(custom(ours, 0.004))
-
-
-@pytest.mark.parametrize("make", ["", "make", "a.b", "a:", ":b", "a:b c", ".a:b", "a..b:c"])
-def test_make_has_module_and_function(make):
-    with pytest.raises(ParameterError, match="must be module:function"):
-        custom(make)
+        track(Scenario().with_law(ours, sample_time_s=0.004))
 
 
 def test_a_system_without_the_ports_is_refused():
-    lag = LinearSystem(-np.eye(1), np.eye(1), np.eye(1), np.zeros((1, 1)), 0.0)
-    with pytest.raises(ParameterError, match="controller: has an input port u0 of size 1"):
-        make_closed_loop(controller=lag)
     with pytest.raises(ParameterError, match="reference: must have one output port of size 4"):
         make_closed_loop(reference=ConstantVectorSource([0.0]))

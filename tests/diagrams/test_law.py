@@ -3,9 +3,10 @@
 import pytest
 from pydrake.systems.framework import LeafSystem
 
-from kneexo.diagrams.law import held_command, law_inputs, port_sizes, runs_as_python, why_python
+from kneexo.diagrams import make_controller
+from kneexo.diagrams.law import law_inputs, port_sizes, runs_as_python, why_python
 from kneexo.errors import ParameterError
-from kneexo.parameters import Law, LawParameters, Scenario
+from kneexo.parameters import LawParameters, Scenario
 from kneexo.systems import FunctionLaw
 
 
@@ -28,8 +29,9 @@ class FloatsOnly(LeafSystem):
 def test_a_law_that_converts_is_compiled(form) -> None:
     scenario = Scenario().with_law(form)
     assert why_python(scenario) == ""
-    assert held_command(scenario) is None
-    assert law_inputs(Law(form)) == ("knee_angle", "knee_reference")
+    controller = make_controller(scenario, open_law=True)
+    assert not controller.HasInputPort("law_command")
+    assert law_inputs(scenario) == ("knee_angle", "knee_reference")
 
 
 @pytest.mark.parametrize(
@@ -44,7 +46,7 @@ def test_another_law_is_replaced_by_its_held_command(form, reason: str) -> None:
     scenario = Scenario().with_law(form, sample_time_s=0.004)
     assert reason in why_python(scenario)
     assert runs_as_python(scenario)
-    held = held_command(scenario)
+    held = make_controller(scenario, open_law=True).GetSubsystemByName("law")
     assert port_sizes(held, inputs=True) == {"estimated_state": 3, "law_command": 1}
     assert held.GetUniquePeriodicDiscreteUpdateAttribute().period_sec() == 0.004
 

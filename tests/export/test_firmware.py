@@ -448,9 +448,7 @@ def test_bad_options_leave_nothing_behind(tmp_path, short, capsys, options, line
 @needs_compiler
 def test_a_controller_of_the_user_is_exported_too(tmp_path, capsys, monkeypatch, no_targets):
     monkeypatch.syspath_prepend(Path(__file__).parents[2] / "examples")
-    law = (
-        "{kind: custom, make: backstepping:make, values: {k_1: 20, k_2: 60}, sample_time_s: 0.001}"
-    )
+    law = "{kind: law, function: backstepping:make, values: {k_1: 20}, sample_time_s: 0.001}"
     out = tmp_path / "out"
     options = ["--out", str(out), "--set", f"controller={law}", "--vectors-s", "0.2"]
     assert main(["export", "c", *options, "--json"]) == 0

@@ -30,7 +30,6 @@ from kneexo.export.fmu import export_fmu, parameter_effects
 from kneexo.export.target import WHAT, largest_step_s
 from kneexo.parameters import (
     CuffParameters,
-    CustomControllerParameters,
     FullCylinderParameters,
     KneeLoadParameters,
     LegParameters,
@@ -276,9 +275,8 @@ def make_user_controller(scenario):
     return make_controller(scenario.model_copy(update={"controller": PidParameters()}))
 
 
-def test_names_of_the_scenario_do_not_stand_for_numbers_of_a_custom_controller(path, fmu_instance):
-    custom = CustomControllerParameters(make=make_user_controller)
-    scenario = SHORT.model_copy(update={"controller": custom})
+def test_names_of_the_scenario_do_not_stand_for_numbers_of_a_users_system(path, fmu_instance):
+    scenario = SHORT.with_law(make_user_controller)
     for what in ("controller", "loop"):
         names = [p.name for p in make_fmu(scenario, what).parameters]
         assert "law.proportional_per_s" in names

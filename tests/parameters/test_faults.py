@@ -12,7 +12,6 @@ from pydantic import ValidationError
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
     CsvReference,
-    CustomControllerParameters,
     CylinderParameters,
     GaitReference,
     NoLoad,
@@ -66,7 +65,6 @@ def test_the_classes_are_many():
 def test_every_field_refuses_every_wrong_value_in_one_line_of_ours(model: type[Parameters]) -> None:
     needed: dict[Any, Any] = {
         SampledReference: {"times_s": (0.0, 1.0, 2.0), "angles_deg": (1.0, 2.0, 3.0)},
-        CustomControllerParameters: {"make": "module:function"},
         CsvReference: {"file": "x.csv"},
         Uncertainty: {"low": 1.0, "high": 2.0},
         UncertaintySet: {"values": {"bus": {"low": 1.0, "high": 2.0}}},
@@ -88,12 +86,12 @@ def test_every_field_refuses_every_wrong_value_in_one_line_of_ours(model: type[P
 
 
 REPORTS = [
-    ("union_tag_not_found", ("controller",), {"discriminator": "'kind'"}, "custom, law or a"),
+    ("union_tag_not_found", ("controller",), {"discriminator": "'kind'"}, "torque, law or a"),
     ("model_type", ("plant",), {"class_name": "PlantParameters"}, "a mapping of names to values"),
     ("recursion_loop", ("plant",), {}, "another value (recursion loop)"),
     ("frozen_instance", ("plant",), {}, "a mapping of names to values"),
     ("invalid_key", ("plant",), {}, "a mapping of names to values"),
-    ("string_type", ("controller", "custom", "make"), {}, "text"),
+    ("string_type", ("controller", "law", "function"), {}, "text"),
     ("is_instance_of", ("encoder",), {"class": "X"}, "a mapping of names to values"),
 ]
 
@@ -103,7 +101,7 @@ def test_a_report_that_values_rarely_cause_is_a_line_too(kind, location, context
     fault = {"type": kind, "loc": location, "input": 3, "ctx": context}
     report = ValidationError.from_exception_data("Scenario", [fault])
     keys, line = one_line(Scenario, report)
-    assert keys == tuple(key for key in location if key != "custom")
+    assert keys == tuple(key for key in location if key != "law")
     assert line.startswith(f"{'.'.join(keys)} = 3: must be ")
     if kind != "recursion_loop":  # no field has this fault alone
         assert expected in line

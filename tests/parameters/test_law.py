@@ -13,6 +13,7 @@ from pathlib import Path
 from threading import Lock
 
 import numpy as np
+import pydrake.math as drake_math
 import pytest
 from pydrake.systems.framework import LeafSystem
 from pydrake.systems.primitives import Gain
@@ -21,7 +22,7 @@ from kneexo.errors import ParameterError
 from kneexo.parameters import Law, LawParameters, Scenario
 from kneexo.parameters.paths import changed
 from kneexo.parameters.scenario_file import dump_scenario, load_scenario
-from kneexo.systems import FunctionLaw_
+from kneexo.systems import FunctionLaw_, HeldCommand_
 
 OWN_LAW = Path(__file__).parents[2] / "examples" / "own_law.py"
 
@@ -298,6 +299,46 @@ def test_the_fingerprint_follows_values_of_any_type(held: str) -> None:
     assert one == same
     assert None not in (one, other)
     assert one != other
+
+
+def test_the_fingerprint_follows_a_template_and_functions_of_drake() -> None:
+    """As in a law that a function makes from a template for each scalar type of Drake."""
+
+    def made_with(largest, template):
+        return lambda scenario, gain=1.0: template(largest(gain, 2.0))
+
+    one, same, other, third = (
+        Law(made_with(largest, template)).fingerprint
+        for largest, template in (
+            (drake_math.max, FunctionLaw_),
+            (drake_math.max, FunctionLaw_),
+            (drake_math.min, FunctionLaw_),
+            (drake_math.max, HeldCommand_),
+        )
+    )
+    assert one is not None
+    assert one == same
+    assert len({one, other, third}) == 3
+
+
+def test_a_function_of_a_scenario_has_gains_and_makes_a_system() -> None:
+    def make(scenario, gain=2.0):
+        return Gain(gain * scenario.initial_offset_m, 1)
+
+    law = Law(make)
+    assert law.is_system
+    assert law.takes_scenario
+    assert law.arguments.gains == {"gain": 2.0}
+    system = law.make_system({"scenario": Scenario(initial_offset_m=0.1), "gain": 3.0})
+    context = system.CreateDefaultContext()
+    system.get_input_port().FixValue(context, [10.0])
+    assert system.get_output_port().Eval(context)[0] == pytest.approx(3.0)
+    scenario = Scenario().with_law(make, values={"gain": 4.0})
+    assert scenario.controller.values == {"gain": 4.0}
+    with pytest.raises(ParameterError, match=r"values.k: law .* has no argument of this name"):
+        Scenario().with_law(make, values={"k": 4.0})
+    with pytest.raises(ParameterError, match="has the arguments scenario and state; a function of"):
+        Scenario().with_law(lambda scenario, state=(0.0,): make(scenario))
 
 
 def test_a_law_with_values_that_nobody_can_compare_has_no_fingerprint() -> None:

@@ -114,5 +114,5 @@ def test_a_name_of_another_kind_says_so(values, text):
 
 
 def test_a_path_into_another_kind_says_so():
-    with pytest.raises(ParameterError, match=r"controller.values; needs controller.kind = custom"):
+    with pytest.raises(ParameterError, match=r"controller.values; needs controller.kind = law"):
         Scenario().changed({"controller.values.gain": 1.0})

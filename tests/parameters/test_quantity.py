@@ -17,7 +17,6 @@ from pydantic.fields import FieldInfo
 from kneexo.errors import KneexoError, ParameterError
 from kneexo.parameters import (
     BldcPumpParameters,
-    CustomControllerParameters,
     CylinderParameters,
     ExactParameters,
     FullCylinderParameters,
@@ -54,7 +53,6 @@ def is_number(annotation: typing.Any) -> bool:
 
 OWN_LAW = Path(__file__).parents[2] / "examples" / "own_law.py"
 NEEDED = {
-    CustomControllerParameters: {"make": "module:function"},
     LawParameters: {"function": f"{OWN_LAW}:law"},
     MomentTable: {"times_s": (0.0, 1.0), "moments_n_m": (0.0, 1.0)},
 }
@@ -353,7 +351,7 @@ def test_value_outside_the_range_is_rejected(data: st.DataObject, key: str) -> N
         (
             Scenario,
             {"controller": {"kind": "lqr"}},
-            "controller.kind = 'lqr': must be 'smc', 'pid', 'torque', 'custom' or 'law'",
+            "controller.kind = 'lqr': must be 'smc', 'pid', 'torque' or 'law'",
         ),
         (
             Scenario,

@@ -45,7 +45,7 @@ from kneexo.parameters.quantity import Parameters
 from kneexo.parameters.scenario_file import dump_scenario, load_scenario, read_value
 from kneexo.studies.paper import IDEAL_SMC
 
-_KINDS = "'smc', 'pid', 'torque', 'custom' or 'law'"
+_KINDS = "'smc', 'pid', 'torque' or 'law'"
 
 OWN_LAW = Path(__file__).parents[2] / "examples" / "own_law.py"
 
@@ -515,8 +515,6 @@ def values_of(annotation: typing.Any, bounds: dict[str, float]) -> st.SearchStra
         return st.none()
     if annotation is bool:
         return st.booleans()
-    if annotation is str:  # of a custom controller
-        return st.just("module:function")
     if annotation is Law:
         return st.just(Law.from_text(f"{OWN_LAW}:law"))
     if annotation is int:
@@ -625,7 +623,7 @@ def test_small_and_large_floats_are_floats_in_yaml_1_1(file: File) -> None:
 def test_dump_is_documented() -> None:
     lines = dump_scenario(Scenario()).splitlines()
     assert "    mass_kg: 1.6  # kg, >= 0.01 and <= 1000" in lines
-    assert "controller:  # kind: smc, pid, torque, custom, law" in lines
+    assert "controller:  # kind: smc, pid, torque, law" in lines
     assert "  rod_map: linkage  # linkage, polynomial" in lines
     assert "nominal: null" in lines
     (line,) = (line for line in lines if line.startswith("polynomial: null  # "))

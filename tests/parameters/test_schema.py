@@ -116,7 +116,7 @@ def test_schema_accepts_what_loads(schema, text, tmp_path):
         "reference: walk",
         "reference: samples",
         "reference: csv",
-        "controller: custom",
+        "controller: law",
         "controller: lqr",
         "bus: CAN",
         "plant: {full_order: 1}",

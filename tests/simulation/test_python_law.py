@@ -10,7 +10,6 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import Gain, LinearSystem
 
 from kneexo.analysis import linearize_loop, track
-from kneexo.diagrams import make_controller
 from kneexo.diagrams.law import runs_as_python
 from kneexo.errors import LinearizationError, ParameterError, SimulationError
 from kneexo.parameters import (
@@ -331,7 +330,5 @@ def test_refusals_lead_to_law() -> None:
     for refused in (WrongPort, WrongPort()):
         with pytest.raises(ParameterError, match="port rod_ext of size 1; must be"):
             simulate(SHORT, law=refused)
-    with pytest.raises(ParameterError, match=r"track\(scenario, law=law\)"):
-        make_controller(Scenario(), law)
     with pytest.raises(ParameterError, match="input port u0 of size 1; must be of rod_extension"):
         simulate(SHORT, law=lambda: Gain(1.0, 1))

@@ -266,10 +266,10 @@ def contest_study(
 def _contest(
     scenario: Scenario, uncertainty: UncertaintySet, settings: ContestSettings, sweep: Sweep
 ) -> ContestResult:
-    if scenario.controller.kind in ("law", "custom"):
+    if scenario.controller.kind == "law":
         raise ParameterError(
-            f"controller.kind = {scenario.controller.kind}: the contest replaces the controller by "
-            f"SMC and PID; the tutorial 'A fair contest' tunes and compares a law of the user"
+            "controller.kind = law: the contest replaces the controller by "
+            "SMC and PID; the tutorial 'A fair contest' tunes and compares a law of the user"
         )
     uncertainty, left_out = applicable(scenario, uncertainty)
     base = changed(scenario, {"simulation.duration_s": settings.duration_s})

@@ -2,7 +2,7 @@
 "use strict";
 
 const Setups = (() => {
-  const CONTROLLER_NAMES = { smc: "sliding mode", pid: "PID", law: "your law", custom: "your controller",
+  const CONTROLLER_NAMES = { smc: "sliding mode", pid: "PID", law: "your law",
     zero_torque: "zero torque", impedance: "impedance", assist: "assistance", assist_as_needed: "assist as needed" };
   const LOAD_NAMES = { none: "none", knee: "weight of the shank" };
   const REFERENCE_NAMES = { sine: "sine", step: "step", ramp: "ramp", samples: "samples" };
