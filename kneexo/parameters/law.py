@@ -496,7 +496,7 @@ class _Walk:
                 return self._function(value)
             case ModuleType():
                 return self._module(value, ())
-            case BuiltinFunctionType() if value.__module__:  # not a method of an object
+            case BuiltinFunctionType() if type(value.__self__).__name__ == "PyCapsule":  # of Drake
                 return value.__module__, value.__qualname__
             case MethodType():
                 return self._all((value.__func__, value.__self__))

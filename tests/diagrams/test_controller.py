@@ -244,7 +244,6 @@ def no_system(scenario):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        ("nowhere:make", "no module named 'nowhere'; must be module:function on the Python path"),
         ("math:nothing", "has no attribute 'nothing'; must be module:function on the Python path"),
         (failing, "failing: the function fails: ZeroDivisionError: by hand"),
         (asking_itself, "asking_itself: the function asks for its own controller; must build"),
@@ -264,15 +263,10 @@ def test_a_law_that_cannot_be_made_raises_one_line(make, message):
     ("text", "told"),
     [
         ("def make(:\n", "SyntaxError: invalid syntax (FILE, line 1)"),
-        ("x = 1\n1 / 0\n", "ZeroDivisionError: division by zero (FILE, line 2)"),
         ("import sys\nsys.exit(5)\n", "SystemExit: 5 (FILE, line 2)"),
         ("raise ValueError('two\\nlines')\n", "ValueError: two (FILE, line 1)"),
         ("import nowhere_else\n", "No module named 'nowhere_else' (FILE, line 1)"),
         ("from .other import x\n", "no known parent package (FILE, line 1)"),
-        (
-            "import json\njson.loads('[')\n",
-            "Expecting value: line 1 column 2 (char 1) (FILE, line 2)",
-        ),
         ("def f(): f()\nf()\n", "RecursionError: maximum recursion depth exceeded (FILE, line 1)"),
     ],
 )

@@ -278,6 +278,7 @@ HELD = {
     "partial": lambda n: partial(pow, n),
     "cached function": lambda n: lru_cache(lambda: n),
     "array of NumPy": lambda n: np.array([n], dtype=np.float32),
+    "method of compiled code": lambda n: np.random.RandomState(n).rand,
     "class attribute": lambda n: type("Holder", (), {"gain": [n]})(),
     "static method": lambda n: type("Holder", (), {"gain": staticmethod(lambda: n)})(),
     "property": lambda n: type("Holder", (), {"gain": property(lambda self: n)})(),
