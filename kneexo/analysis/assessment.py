@@ -8,8 +8,8 @@ from typing import Any
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
 from kneexo.analysis.interaction import INTERACTION_METRICS
 from kneexo.analysis.reduced_tracking import track_basic_metrics
+from kneexo.analysis.reductions import TRACKING_METRICS
 from kneexo.analysis.sampled_loop import linearize_loop
-from kneexo.analysis.tracking import TRACKING_METRICS
 from kneexo.errors import KneexoError
 from kneexo.parameters import Scenario
 from kneexo.simulation import awaitable, needs_runs

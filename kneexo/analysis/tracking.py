@@ -13,10 +13,10 @@ import numpy as np
 
 from kneexo.analysis.interaction import INTERACTION_SIGNALS, TORQUE_SIGNALS
 from kneexo.analysis.limit_cycle import limit_cycle
-from kneexo.analysis.signals import period_s, rms, saturated_share, share_above, to_rpm
+from kneexo.analysis.reductions import all_metrics, reduce_signals, tracking_reductions
+from kneexo.analysis.signals import period_s, to_rpm
 from kneexo.analysis.verdict import Verdict, verdict_of
 from kneexo.diagrams import available_signals
-from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario
 from kneexo.parameters.scenario_file import as_scenario
 from kneexo.plotting import BLUE, GOLD, PURPLE, RED, TEAL, axes_or_new
@@ -35,15 +35,6 @@ TRACKING_SIGNALS = (
     "hydraulic_power",
 )
 """Names of the signals from which `TrackingMetrics` are computed."""
-
-TRACKING_METRICS = (
-    "max_error_deg",
-    "rms_error_deg",
-    "mean_command_change_rpm",
-    "saturated_share",
-    "peak_pressure_mpa",
-)
-"""Names of the fields of `TrackingMetrics` that require only the first four `TRACKING_SIGNALS`."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -83,50 +74,10 @@ class TrackingMetrics(Result):
     """Work of the pump on the cylinder over the run."""
 
 
-def peak(values: Array) -> float:
-    """Return the largest absolute value of ``values`` (n,)."""
-    return abs(float(max(np.max(values), -np.min(values))))
-
-
 def mean_change(values: Array) -> float:
     """Return the mean absolute difference of neighbouring samples of ``values`` (n,)."""
     change = values[1:] - values[:-1]
     return float(np.mean(np.abs(change, out=change)))
-
-
-def require_samples(samples: float) -> None:
-    """Raise `ParameterError` for fewer than two samples."""
-    if samples < 2:
-        raise ParameterError(
-            f"{samples:.0f} samples are too few for metrics: the run must be longer than the "
-            f"sample time"
-        )
-
-
-def basic_tracking_metrics(
-    time_s: Array,
-    error_rad: Array,
-    command_rad_s: Array,
-    pressure_pa: Array,
-    *,
-    settled_s: float,
-    command_limit_rad_s: float,
-) -> dict[str, float]:
-    """Return a dictionary of the `TRACKING_METRICS` of uniformly sampled signals, each (n,).
-
-    `tracking_metrics` describes the arguments. Raises `ParameterError` for fewer than two samples.
-    """
-    require_samples(time_s.size)
-    metrics = dict.fromkeys(TRACKING_METRICS, math.nan)
-    metrics["peak_pressure_mpa"] = 1e-6 * peak(pressure_pa)
-    first = int(np.searchsorted(time_s, settled_s - 1e-9))
-    if time_s.size - first > 1:
-        error, command = error_rad[first:], command_rad_s[first:]
-        metrics["max_error_deg"] = math.degrees(peak(error))
-        metrics["rms_error_deg"] = math.degrees(rms(error))
-        metrics["mean_command_change_rpm"] = to_rpm(mean_change(command))
-        metrics["saturated_share"] = saturated_share(command, command_limit_rad_s)
-    return metrics
 
 
 def tracking_metrics(
@@ -148,27 +99,18 @@ def tracking_metrics(
     ``pressure_pa`` the load pressure. Metrics "after the first period" begin at ``settled_s``.
     Raises `ParameterError` for fewer than two samples.
     """
-    metrics = basic_tracking_metrics(
-        time_s,
-        error_rad,
-        command_rad_s,
-        pressure_pa,
-        settled_s=settled_s,
-        command_limit_rad_s=command_limit_rad_s,
+    reductions = tracking_reductions(
+        settled_s, command_limit_rad_s, pressure_rating_pa, power_rating_w
     )
-    power = np.asarray(shaft_power_w)
-    return TrackingMetrics(
-        **metrics,
-        max_error_overall_deg=math.degrees(peak(error_rad)),
-        rms_error_overall_deg=math.degrees(rms(error_rad)),
-        peak_command_rpm=to_rpm(peak(command_rad_s)),
-        pressure_over_rating_share=share_above(pressure_pa, pressure_rating_pa),
-        peak_shaft_power_w=peak(power),
-        power_over_rating_share=share_above(power, power_rating_w),
-        shaft_energy_j=float(np.trapezoid(power, time_s)),
-        shaft_energy_delivered_j=float(np.trapezoid(np.maximum(power, 0.0), time_s)),
-        hydraulic_energy_j=float(np.trapezoid(hydraulic_power_w, time_s)),
-    )
+    signals = {
+        "knee_reference_rad": error_rad,
+        "knee_angle_rad": np.zeros_like(error_rad),
+        "motor_speed_command_rad_s": command_rad_s,
+        "load_pressure_pa": pressure_pa,
+        "shaft_power_w": shaft_power_w,
+        "hydraulic_power_w": hydraulic_power_w,
+    }
+    return TrackingMetrics(**all_metrics(reduce_signals(reductions, time_s, signals)))
 
 
 def run_metrics(

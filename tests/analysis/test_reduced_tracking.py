@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from kneexo.analysis.reduced_tracking import track_basic_metrics, track_metrics
+from kneexo.analysis.reductions import TRACKING_METRICS
 from kneexo.analysis.signals import period_s
-from kneexo.analysis.tracking import TRACKING_METRICS, track
+from kneexo.analysis.tracking import track
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
     BldcPumpParameters,
