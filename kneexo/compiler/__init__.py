@@ -93,7 +93,6 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
         TickModel as TickModel,
     )
     from .linear.newton import newton as newton, newton_failure as newton_failure
-    from .linear.orbit import PeriodicOrbit as PeriodicOrbit, periodic_orbit as periodic_orbit
     from .linear.periodic import PeriodicLoop as PeriodicLoop
     from .model import (
         CompiledModel as CompiledModel,
@@ -149,7 +148,6 @@ else:
         "linear.loops": (*("Transfer", "as_transfer", "complementary_sensitivity", "sensitivity"),),
         "linear.margins": ("LoopMargins", "margins"),
         "linear.model": ("LinearModel", "OperatingPoint", "TickModel"),
-        "linear.orbit": ("PeriodicOrbit", "periodic_orbit"),
         "linear.newton": ("newton", "newton_failure"),
         "linear.periodic": ("PeriodicLoop",),
         "model": (

@@ -8,29 +8,27 @@ from .graph import SOURCES, Graph
 from .operations import OPERATIONS
 
 
-def gradients(graph: Graph, roots: Iterable[int], kind: str = "state") -> list[dict[int, int]]:
-    """Return the gradient of each root by the sources of ``kind``, such as the continuous states.
+def gradients(graph: Graph, roots: Iterable[int]) -> list[dict[int, int]]:
+    """Return the gradient of each root by the continuous states.
 
-    A gradient is a dictionary from the index of a source to the node of the partial derivative by
-    this source. Derivatives that are zero are left out. At a corner (`Role.CORNER`) the node gives
+    A gradient is a dictionary from the index of a state to the node of the partial derivative by
+    this state. Derivatives that are zero are left out. At a corner (`Role.CORNER`) the node gives
     the derivative on one side of the corner.
     """
     roots = list(roots)
     of_node: dict[int, dict[int, int]] = {}
     for node in graph.reachable(roots):
-        of_node[node] = _gradient(graph, node, of_node, kind)
+        of_node[node] = _gradient(graph, node, of_node)
     return [of_node[root] for root in roots]
 
 
-def _gradient(
-    graph: Graph, node: int, gradient_of: dict[int, dict[int, int]], kind: str
-) -> dict[int, int]:
+def _gradient(graph: Graph, node: int, gradient_of: dict[int, dict[int, int]]) -> dict[int, int]:
     """Return the gradient of a node by the chain rule.
 
     ``gradient_of``: dictionary from each argument of the node to the gradient of this argument.
     """
     name = str(graph.nodes[node][0])
-    if name == kind:
+    if name == "state":
         return {int(graph.nodes[node][1]): graph.one}
     if name in SOURCES:
         return {}

@@ -201,7 +201,7 @@ def _warn(point: Point, out_names: tuple[str, ...]) -> None:
     if varying := point.time_varying(out_names):
         warnings.warn(
             f"the derivatives of {varying[0]} depend on the time: the model has those of "
-            f"t = {point.time_s:g} s; along a periodic motion, use periodic_orbit",
+            f"t = {point.time_s:g} s",
             stacklevel=5,
         )
 

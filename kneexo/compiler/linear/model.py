@@ -109,8 +109,7 @@ class LinearModel:
     """Names of the elements of the output ports."""
     operating_point: OperatingPoint
     ticks: tuple[TickModel, ...] = ()
-    """What happens within the period, from its begin to its end. Empty for a continuous model and
-    for the model of a `PeriodicOrbit`."""
+    """What happens within the period, from its begin to its end. Empty for a continuous model."""
 
     def __repr__(self) -> str:
         """Return a text with the kind of the model and the numbers of states, inputs, outputs."""
@@ -175,10 +174,10 @@ class LinearModel:
         """Return the same model with the outputs after the updates at the multiples of P.
 
         The output of a hold after its update is the value that it holds until the next update.
-        Raises `LinearizationError` for a model without `ticks`.
+        Raises `LinearizationError` for a continuous model.
         """
         if not self.ticks:
-            raise LinearizationError("a continuous model, or that of an orbit, has no ticks")
+            raise LinearizationError("a continuous model has no updates")
         first = self.ticks[0]
         c, d = self.c @ first.jump_state, self.d + self.c @ first.jump_input
         return replace(self, c=c, d=d)
@@ -192,10 +191,8 @@ class LinearModel:
         The caller is responsible for consistent states, such as a position and its rate.
 
         Raises `ParameterError` for a name that is no continuous state of the model, or is there
-        twice, and `LinearizationError` for the model of a periodic orbit.
+        twice.
         """
-        if self.period_s is not None and not self.ticks:
-            raise LinearizationError("the model of a periodic orbit has no rates of its states")
         fixed = [self._continuous_index(name) for name in states]
         if len(set(fixed)) < len(fixed):
             raise ParameterError(f"states = {quoted(states)}: names a state twice")
@@ -301,15 +298,10 @@ class LinearModel:
         −ω have the same frequency.
 
         For a continuous model the result is `frequency_response`. Raises `LinearizationError` for a
-        frequency that is not finite, is a pole, or exceeds 1e9/P, and for the model of a periodic
-        orbit.
+        frequency that is not finite, is a pole, or exceeds 1e9/P.
         """
         if self.period_s is None:
             return self.frequency_response(frequencies_hz)
-        if not self.ticks:
-            raise LinearizationError(
-                "the model of a periodic orbit has only its samples; use frequency_response"
-            )
         frequencies = _frequencies(frequencies_hz, self.period_s)
         omega = 2.0 * np.pi * frequencies
         n, m = self.b.shape

@@ -1,4 +1,4 @@
-"""Newton's method, which finds equilibria and periodic orbits."""
+"""Newton's method, which finds equilibria."""
 
 from __future__ import annotations
 
