@@ -35,7 +35,6 @@ _SCRIPTS = (
     "playground_bode.js",
     "playground_controls.js",
     "playground_numbers.js",
-    "playground_tour.js",
     "playground_runner.js",
     "playground.js",
 )

@@ -15,7 +15,6 @@ const Page = (() => {
   let drawing = false;
   let announcing = 0;
 
-  const calm = () => matchMedia("(prefers-reduced-motion: reduce)").matches;
   const shownSetups = () => (state.compare ? [0, 1] : [0]);
 
   // ------------------------------------------------------------------------- requests
@@ -110,7 +109,6 @@ const Page = (() => {
       announce(visible);
     }
     caption();
-    parts.guide.tell();
   }
 
   function showOnStage(index, { time, columns }) {
@@ -219,40 +217,6 @@ const Page = (() => {
     for (const index of shownSetups()) change(index);
   }
 
-  // ---------------------------------------------------------------------- guided steps
-
-  const tourPage = {
-    results: () => results[0],
-    value: (name) => Setups.valuesOf(data, state.setups[0])[name],
-    /** Start the steps from the page as it opens, and return its values. */
-    begin() {
-      const setup = Setups.fresh(data, 0);
-      setup.values = {};
-      if (Setups.choices(data, setup, "controller").includes("smc")) Setups.choose(data, setup, "controller", "smc");
-      Setups.choose(data, setup, "reference", "sine");
-      parts.tourStart = setup;
-      return Setups.valuesOf(data, setup);
-    },
-    /** Remember the values of the user, which restore() brings back. */
-    save() { parts.beforeTour = { compare: state.compare, setup: Setups.copied(state.setups[0]) }; },
-    restore() {
-      state.setups[0] = parts.beforeTour.setup;
-      setCompare(parts.beforeTour.compare);
-    },
-    apply(values) {
-      const setup = Setups.copied(parts.tourStart);
-      for (const quantity of Setups.quantitiesOf(data, setup)) {
-        if (quantity.name in values) Setups.setValue(data, setup, quantity, values[quantity.name]);
-      }
-      state.setups[0] = setup;
-      setCompare(false);
-    },
-    choosePlot(name) {
-      byId("choose-plot").value = name;
-      choosePlot();
-    },
-  };
-
   // --------------------------------------------------------------------- link and YAML
 
   function showText(title, hint, text) {
@@ -354,7 +318,6 @@ const Page = (() => {
   }
 
   function start() {
-    byId("tour-start").hidden = Setups.hasWearer(data, data.setups[0]); // the steps are about position
     byId("copy-link").hidden = location.protocol === "about:"; // inside a notebook
     byId("scenario-name").textContent = data.scenarios.map(({ name }) => name).join(", ");
     byId("made-by").textContent = `kneexo ${data.kneexo} made this page. The page needs no network and sends no data.`;
@@ -367,7 +330,6 @@ const Page = (() => {
     parts.runs = new Runner.Runs(new Runner.Crew(source, models), onRun);
     parts.analyses = new Runner.Analyses(new Runner.Crew(source, models), REST_MS, handlers);
     parts.panel = new Controls.Panel(byId("panel"), data, state, onPanel);
-    parts.guide = new Tour.Guide(tourPage);
     listen();
     choosePlot();
     setCompare(state.compare);
@@ -388,7 +350,7 @@ const Page = (() => {
     return Object.fromEntries(data.scenarios.flatMap(({ models }) => models.map((model) => [model.key, model])));
   }
 
-  return { calm, data, parts, results, start, state };
+  return { data, parts, results, start, state };
 })();
 
 try {

@@ -176,5 +176,5 @@ const Numbers = (() => {
     }).join(" ");
   }
 
-  return { Board, sentence, shareOf };
+  return { Board, sentence };
 })();

@@ -86,7 +86,7 @@ def test_the_cards_and_the_curve_are_the_torque_of_kneexo(browser, page_file, tm
         np.testing.assert_allclose(drawn, expected, rtol=0, atol=1e-6 * np.abs(expected).max())
     words = browser.evaluate("document.querySelector('[data-number=rms-torque] .word').textContent")
     assert words == "of the wearer, 2 periods after the first"
-    for name, hidden in (("bode", True), ("tour-start", True), ("wearer-note", False)):
+    for name, hidden in (("bode", True), ("wearer-note", False)):
         assert browser.evaluate(f"document.getElementById('{name}').hidden") is hidden
     browser.require_health()
     browser.require_width()
