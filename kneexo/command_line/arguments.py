@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 from kneexo.command_line.html_page import ReportPage
 from kneexo.command_line.outcome import Outcome, Request
 from kneexo.command_line.plain_text import COLUMNS
-from kneexo.errors import ParameterError, close_names, shortened, shown
+from kneexo.errors import ParameterError, shown
 from kneexo.files.table import NUMBER
 from kneexo.studies.catalogue import PAPER
 from kneexo.version import __version__
@@ -325,53 +325,10 @@ def with_values(parameters: _P, texts: Sequence[str]) -> _P:
         return parameters.changed(values)
     except ParameterError as error:
         line = str(error).removeprefix(f"{type(parameters).__name__}: ")
-        raise ParameterError(_blamed(parameters, list(values), line)) from None
-
-
-def _blamed(parameters: Parameters, names: Sequence[str], line: str) -> str:
-    """Return a message that begins with ``--set`` and the faulty one of its ``names``.
-
-    ``line`` is the message about the changed ``parameters``.
-    """
-    for name in names:
-        if other := _elsewhere(parameters, name):
-            return f"--set {shown(name)}: {other}"
-    place = re.split("[ =:]", line, maxsplit=1)[0]
-    if any(f"{place}.".startswith(f"{name}.") for name in names):
-        return f"--set {line}"
-    blamed = [name for name in names if name.startswith(f"{place}.")] or names
-    return f"--set {shown(', '.join(blamed))}: {line}"
-
-
-def _elsewhere(parameters: Parameters, name: str) -> str:
-    """Return a remedy if ``name`` is a setting in place of a value of a scenario, or vice versa.
-
-    The text is empty if ``parameters`` have the first part of the name, or if ``name`` is unknown
-    everywhere.
-    """
-    from kneexo.parameters import Scenario
-    from kneexo.parameters.names import paths_ending
-    from kneexo.studies.catalogue import STUDIES
-
-    if name.partition(".")[0] in type(parameters).model_fields:
-        return ""
-    if isinstance(parameters, Scenario):
-        if name in ("preset", "engine", "law", "out", "html"):
-            return f"is an argument of its own, not a value of the scenario: --{name}"
-        if paths_ending(Scenario, name):
-            return ""
-        commands = [s.command for s in STUDIES.values() if paths_ending(s.settings, name)]
-        listed = " and of ".join(f"kneexo {command}" for command in commands)
-        return (commands and f"is a setting of {listed}, not a value of the scenario") or ""
-    paths, settings = paths_ending(Scenario, name), type(parameters)
-    if not paths or paths_ending(settings, name) or close_names(name, settings.model_fields):
-        return ""
-    (study,) = (s for s in STUDIES.values() if s.settings is settings)
-    file = f"kneexo {study.command} SCENARIO.yaml" if study.setup else "kneexo simulate"
-    known = shortened(", ".join(settings.model_fields), 80)
-    return (
-        f"is no setting of this study ({known}); change {paths[0]} in the scenario file of {file}"
-    )
+        place = re.split("[ =:]", line, maxsplit=1)[0]
+        if not any(f"{place}.".startswith(f"{name}.") for name in values):
+            line = f"{shown(', '.join(values))}: {line}"
+        raise ParameterError(f"--set {line}") from None
 
 
 def origin_of(scenario: Scenario, settings: Parameters | None = None) -> dict[str, Any]:

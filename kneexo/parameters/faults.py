@@ -22,7 +22,7 @@ from kneexo.parameters.fields import (
     unit_of,
     words_of,
 )
-from kneexo.parameters.names import Place, other_angle_unit, other_kind, paths_of, suggestion
+from kneexo.parameters.names import Place, advice
 
 Location = tuple[str | int, ...]
 """Path to a value in nested mappings and lists: names and indices."""
@@ -48,7 +48,8 @@ def one_line(model: type[BaseModel], error: ValidationError) -> tuple[Location, 
     # A bad sample also makes its list too short, which does not count as a second fault.
     more = sum(f is not fault and f["type"] != "too_short" for f in faults)
     if kind == "extra_forbidden":
-        line = f"{path}: unknown name{_advice(model, place, value)}"
+        names = tuple(".".join(str(key) for key in place.keys).split("."))
+        line = f"{path}: unknown name{advice(model, names, place.holders)}"
     elif kind in {"greater_than", "greater_than_equal", "less_than_equal", "finite_number"}:
         bounds = f"finite and {bounds} {unit}".rstrip() if bounds else "finite"
         line = (
@@ -94,20 +95,6 @@ def _place(model: type[BaseModel], location: Location) -> Place:
     for key in location:
         place = place.of_kind(key) or place.below(key)
     return place
-
-
-def _advice(model: type[BaseModel], place: Place, value: Any) -> str:
-    """Return a text with the remedy for the unknown name at ``place``, which has ``value``."""
-    name, prefix = str(place.keys[-1]), "".join(f"{key}." for key in place.keys[:-1])
-    known = sorted({known for holder in place.holders for known in holder.model_fields})
-    if advice := other_angle_unit(name, known, prefix) or other_kind(place):
-        return advice
-    if name in paths_of(model) and "." in name:
-        nested = f"{': {'.join(name.split('.'))}: {shown_value(value)}{'}' * name.count('.')}"
-        return f"; nest the names: {nested}"
-    if isinstance(value, str) and value in [kind_of(member) for member in place.members]:
-        return question([f"{prefix}kind"])
-    return suggestion(model, name, known, prefix)
 
 
 def _expected(kind: str, context: Mapping[str, Any], field: FieldInfo | None, value: Any) -> str:

@@ -1,13 +1,11 @@
-"""Names of parameters: the paths of a parameter class, and suggestions for an unknown name."""
+"""Names of parameters: a flat list of the dotted paths of a class, and remedies for wrong paths."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cache
-from os import PathLike
-from typing import Any, TypeVar, get_args, get_origin
+from functools import lru_cache
+from typing import TypeVar, get_args, get_origin
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
@@ -17,11 +15,13 @@ from kneexo.parameters.fields import field_of, kind_of, models_of, more_models_o
 
 Models = tuple[type[BaseModel], ...]
 """Parameter classes, such as the members of a union."""
+Path = tuple[str, ...]
+"""The names of a dotted path."""
 _Class = TypeVar("_Class", bound=type[BaseModel])
 
 _SEARCHED: list[type[BaseModel]] = []
-_MOST = 4  # suggestions in a message
-_SIMILAR = 0.8  # names of this similarity are suggested before names at other places
+_MOST = 4  # paths in a message
+_SIMILAR_HERE, _SIMILAR = 0.7, 0.8  # least similarity of names at the same and at other places
 
 
 def searched_for_names(model: _Class) -> _Class:
@@ -42,24 +42,13 @@ class Place:
     """The field at this place, or the field that contains it."""
     holders: Models = ()
     """The classes to whose fields the last key refers."""
-    members: Models = ()
-    """All members of the union of the holders."""
-    union: Models = ()
-    """All members of the union of ``models``, if a kind has been chosen."""
     inside: bool = False
     """Whether the next key is a key of a mapping or an index, so that it stands for no field."""
-
-    @property
-    def prefix(self) -> str:
-        """The path to the holders, with a dot at its end. Empty at the top."""
-        return "".join(f"{key}." for key in self.keys[:-1])
 
     def of_kind(self, kind: object) -> Place | None:
         """Return this place with the class of a kind alone, or None without union or kind."""
         models = tuple(model for model in self.models if kind_of(model) == kind)
-        if not models or len(self.models) < 2:
-            return None
-        return replace(self, models=models, union=self.models)
+        return replace(self, models=models) if models and len(self.models) > 1 else None
 
     def below(self, key: str | int) -> Place:
         """Return the place of one more key."""
@@ -67,211 +56,169 @@ class Place:
         if self.inside:
             return replace(self, keys=keys, inside=False)
         field = field_of(self.models, str(key))
-        return Place(
-            models_of(field),
-            keys,
-            field or self.field,
-            holders=self.models,
-            members=(*(self.union or self.models), *more_models_of(self.field)),
-            inside=field is not None and holds_many(field),
-        )
+        inside = field is not None and _holds_many(field)
+        return Place(models_of(field), keys, field or self.field, self.models, inside)
 
 
-@cache
-def paths_of(model: type[BaseModel]) -> dict[str, str]:
-    """Return the dotted paths of all parts and values that objects of a class can have.
-
-    The result maps a path to the setting that the path needs, such as ``controller.kind = pid``, or
-    to an empty text. A class that occurs at two paths is entered at the first path: the result has
-    ``plant.pump``, but not ``nominal.pump``. NAME stands for the keys of a mapping.
-    """
-    paths: dict[str, str] = {}
-    for path, needed, _ in _walk(model, "", "", {model}):
-        paths.setdefault(path, needed)
-    return paths
-
-
-def path_of_part(model: type[BaseModel]) -> tuple[type[BaseModel], str] | None:
-    """Return a class with the decorator `searched_for_names`, and the path of a part in it.
-
-    ``model`` is the class of the part. The result is None if no class has such a part.
-    """
-    for searched in _SEARCHED:
-        for path, _, part in _walk(searched, "", "", {searched}):
-            if part is model:
-                return searched, path.rpartition(".")[0]
-    return None
-
-
-def _walk(
-    model: type[BaseModel], prefix: str, needed: str, entered: set[type[BaseModel]]
-) -> Iterator[tuple[str, str, type[BaseModel]]]:
-    """Yield path, needed setting and class of each field of a class and its parts."""
-    for name, field in model.model_fields.items():
-        path = f"{prefix}{name}"
-        yield path, needed, model
-        parts = [part for part in models_of(field) if part not in entered]
-        entered.update(parts)
-        for part in parts:
-            setting = needed
-            if field.discriminator and kind_of(part) != getattr(field.default, "kind", None):
-                setting = f"{path}.kind = {kind_of(part)}"
-            elif True in words_of(field):
-                setting = f"{path} = true"
-            below = f"{path}.NAME." if holds_many(field) else f"{path}."
-            yield from _walk(part, below, setting, entered)
-
-
-def holds_many(field: FieldInfo) -> bool:
+def _holds_many(field: FieldInfo) -> bool:
     """Return True if a field holds a mapping or a tuple of values."""
     annotations = (field.annotation, *get_args(field.annotation))
     return any(get_origin(annotation) in (dict, tuple) for annotation in annotations)
 
 
-def suggestion(model: type[BaseModel], name: str, known: Iterable[str], prefix: str = "") -> str:
-    """Return a text that suggests known names for an unknown name, or lists the known names.
+@dataclass(frozen=True)
+class Name:
+    """A name in the flat list of a parameter class: of a field, or of a kind of parameters."""
+
+    path: Path
+    """The names from the top to this one. The last name of a kind is ``kind = pid``."""
+    word: str
+    """The name of the field, or the kind."""
+    owner: type[BaseModel]
+    """The class that has the field, or the class of the kind."""
+    setting: Path
+    """Path of the setting that the name needs, such as ``controller.kind``. Empty if none."""
+    choice: str
+    """The value that the setting must have, such as ``pid``."""
+
+
+@lru_cache(maxsize=32)
+def names_of(model: type[BaseModel], path: Path = ()) -> tuple[Name, ...]:
+    """Return the names that objects of a class can have, with every choice of their parts.
+
+    ``path`` has the keys for the mappings that it enters. Without a key, NAME stands for it.
+    """
+    return tuple(_walk(model, path, (), (), ""))
+
+
+def _walk(
+    model: type[BaseModel], keys: Path, prefix: Path, setting: Path, choice: str
+) -> Iterator[Name]:
+    """Yield the names of a class at the path ``prefix``, which needs ``setting`` = ``choice``."""
+    for word, field in model.model_fields.items():
+        path = below = (*prefix, word)
+        yield Name(path, word, model, setting, choice)
+        if _holds_many(field):
+            entered = keys[: len(path)] == path and len(keys) > len(path)
+            below = (*path, keys[len(path)] if entered else "NAME")
+        more = more_models_of(field) if field.discriminator else ()
+        for part in (*models_of(field), *more):
+            needed = setting, choice
+            if field.discriminator:
+                kind = str(kind_of(part))
+                yield Name((*path, f"kind = {kind}"), kind, part, setting, choice)
+                needed = (*path, "kind"), kind
+            elif field.default is None:
+                needed = path, "true" if True in words_of(field) else "{}"
+            yield from _walk(part, keys, below, *needed)
+
+
+def advice(model: type[BaseModel], path: Path, here: Models = ()) -> str:
+    """Return a remedy for a wrong path, such as ``; did you mean plant.cylinder.mass_kg?``.
+
+    A path that ``model`` has with another choice of its parts needs this choice. For another path,
+    names that are equal to its last name come before similar names. Among them, the remedy has the
+    names whose paths have most in common with the wrong path. Without a similar name the remedy
+    lists the names that are possible at the end of the path.
 
     Parameters
     ----------
     model
-        The class whose paths are searched. After it, the classes with the decorator
+        The class whose names are searched. After it, the classes with the decorator
         `searched_for_names` are searched.
-    name
-        The unknown name, or the end of a dotted path.
-    known
-        The names that are known at the place of the unknown name.
-    prefix
-        The path of this place. The path ends with a dot.
+    path
+        The names from the top of ``model`` to the wrong name.
+    here
+        The classes of the present parameters to whose fields the last name refers.
     """
-    known = list(known)
-    similar = [prefix + other for other in close_names(name, known, _SIMILAR)]
-    if paths := [*dict.fromkeys([*paths_ending(model, name), *similar])]:
-        return _question(model, paths[:_MOST])
-    for searched in _SEARCHED:
-        if searched is not model and (others := paths_ending(searched, name)):
-            return f"; {searched.__name__} has {_with_needs(searched, others[:_MOST])}"
-    leaves = dict.fromkeys(path.rpartition(".")[2] for path in paths_of(model))
-    alike = close_names(name, leaves, _SIMILAR)
-    elsewhere = [path for leaf in alike for path in paths_ending(model, leaf)]
-    if paths := elsewhere or [prefix + other for other in close_names(name, known)]:
-        return _question(model, paths[:_MOST])
-    listed = ", ".join(sorted(known))
-    return f"; known here: {shortened(listed, 200)}" if listed else ""
+    names, word = names_of(model, path), path[-1]
+    inner = {name.path[:count] for name in names for count in range(len(name.path))}
+    known = [name for name in names if name.path == path]
+    known = known or [n for n in names if n.path == path[: len(n.path)] and n.path not in inner]
+    if known:
+        if need := _need(known, path, here):
+            return f"; needs {need}"
+        if known[0].path == path:  # in one key of a mapping
+            return f"; nest the names: {': {'.join(path)}: …{'}' * (len(path) - 1)}"
+        return f"; {'.'.join(known[0].path)} is a single value"
+    near = sorted(name for holder in here for name in holder.model_fields)
+    words = list(dict.fromkeys(name.word for name in names))
+    for whole, alike in (
+        (model, [word]),
+        (model, close_names(word, near, _SIMILAR_HERE)),
+        (model, close_names(word, words, _SIMILAR, len(words))),
+        *((searched, [word]) for searched in _SEARCHED),
+    ):
+        found = [name for one in alike for name in names_of(whole, path) if name.word == one]
+        if found:
+            nearest = listed_names(_nearest(found, path, here))
+            if whole is model:
+                return f"; did you mean {nearest}?"
+            return f"; {whole.__name__} has {nearest}"
+    return f"; known here: {shortened(', '.join(near), 200)}" if near else ""
 
 
-def other_angle_unit(name: str, known: Iterable[str], prefix: str = "") -> str:
-    """Return a remedy for a name that differs from a known name by its unit of angle only.
+def _nearest(names: list[Name], path: Path, here: Models) -> list[str]:
+    """Return the paths of the names that are nearest to a wrong path, with what they need.
 
-    The text has the known name and the factor between the units. It is empty if there is no such
-    name. ``prefix`` is the path of the known names, with a dot at its end. In ``name`` N·m may be
-    ``n_m`` or ``nm``, and ``per`` may be left out.
+    A name is near if its path and the wrong path have names in common, at their beginnings and at
+    their ends, and if parameters ``here`` have the name.
     """
-
-    def in_rad(words: str) -> list[str]:
-        units = words.replace("_nm", "_n_m").replace("_deg", "_rad")
-        return [word for word in units.split("_") if word != "per"]
-
-    for other in known:
-        if in_rad(other) == in_rad(name) and ("_rad" in other) != ("_rad" in name):
-            per_angle = "_per_rad" in other or "_per_deg" in other
-            verb = "multiply" if per_angle == ("_rad" in other) else "divide"
-            return f"; must be {prefix}{other}; {verb} the value by {math.degrees(1.0):.3g}"
-    return ""
-
-
-def paths_ending(model: type[BaseModel], name: str) -> list[str]:
-    """Return the paths of a class that end with ``name``, a name or the end of a dotted path."""
-    return [path for path in paths_of(model) if f".{path}".endswith(f".{name}")]
+    common = [_in_common(name.path, path) + (name.owner in here) for name in names]
+    nearest: dict[tuple[type[BaseModel], str], Name] = {}
+    for name, count in zip(names, common, strict=True):
+        if count == max(common):
+            # The plant and its nominal values have the same classes: the first path is enough.
+            nearest.setdefault((name.owner, name.word), name)
+    by_path: dict[Path, list[Name]] = {}
+    for name in nearest.values():
+        by_path.setdefault(name.path, []).append(name)
+    texts = []
+    for place, same in by_path.items():
+        need = _need(same, path, here)
+        texts.append(".".join(place) + (f" (needs {need})" if need else ""))
+    return texts[:_MOST]
 
 
-def _with_needs(model: type[BaseModel], paths: list[str]) -> str:
-    """Return paths of a class as text, with the settings that they need."""
-    needed = [paths_of(model).get(path, "") for path in paths]
-    if len(set(needed)) == 1 and needed[0]:
-        each = "each needs" if len(paths) > 1 else "needs"
-        return f"{listed_names(paths)} ({each} {needed[0]})"
-    pairs = zip(paths, needed, strict=True)
-    return listed_names(f"{path} (needs {need})" if need else path for path, need in pairs)
+def _in_common(path: Path, other: Path) -> int:
+    """Return how many names two paths have in common, from their beginnings and from their ends."""
+    count = 0
+    for pairs in (zip(path, other, strict=False), zip(path[::-1], other[::-1], strict=False)):
+        for one, two in pairs:
+            if one != two:
+                break
+            count += 1
+    return count
 
 
-def _question(model: type[BaseModel], paths: list[str]) -> str:
-    return f"; did you mean {_with_needs(model, paths)}?"
+def _need(names: list[Name], path: Path, here: Models) -> str:
+    """Return what ``names``, which have one path, need, such as ``controller.kind = smc or pid``.
 
-
-def other_kind(place: Place) -> str:
-    """Return the kind that has the last name of ``place``, as ``; needs controller.kind = pid``.
-
-    The text is empty if the place is in no union, or if no other member has the name or a similar
-    name.
+    The text is empty if parameters ``here`` have one of the names, or if the wrong path ``path``
+    leads into the part that the setting makes.
     """
-    name = str(place.keys[-1])
-    others = {m: kind_of(m) for m in place.members if m not in place.holders}
-    if name in others.values():
-        return f"; did you mean {place.prefix}kind = {name}?"
-    exact = [str(kind) for model, kind in others.items() if name in model.model_fields]
-    if exact:
-        return f"; needs {place.prefix}kind = {' or '.join(exact)}"
-    known = {known for holder in place.holders for known in holder.model_fields}
-    if close_names(name, known, _SIMILAR):
+    first = names[0]
+    entered = path[: len(first.setting)] == first.setting and first.path != path
+    if not first.setting or entered or any(name.owner in here for name in names):
         return ""
-    for model, kind in others.items():
-        if close := close_names(name, model.model_fields, _SIMILAR, most=1):
-            return f"; did you mean {place.prefix}{close[0]} (needs {place.prefix}kind = {kind})?"
-    return ""
+    choices = listed_names(dict.fromkeys(name.choice for name in names))
+    return f"{'.'.join(first.setting)} = {choices}"
 
 
 def unknown_attribute(model: type[BaseModel], name: str) -> str:
     """Return a message for an attribute that the objects of a parameter class do not have."""
-    classes = [cls for cls in model.__mro__ if issubclass(cls, BaseModel) and cls is not BaseModel]
-    properties = [
-        key for cls in classes for key in vars(cls) if key.isidentifier() and key[0] != "_"
-    ]
-    advice = suggestion(model, name, [*model.model_fields, *properties])
-    return f"{model.__name__} has no attribute {shortened(name)}{advice}"
+    return f"{model.__name__} has no attribute {shortened(name)}{advice(model, (name,), (model,))}"
 
 
 def frozen(model: type[BaseModel], name: str, value: str) -> str:
     """Return a message for the assignment of ``value``, a text, to an attribute of parameters."""
     if name not in model.model_fields:
         return unknown_attribute(model, name)
-    whole, prefix = path_of_part(model) or (model, "")
-    variable = whole.__name__.lower() if whole in _SEARCHED else "parameters"
-    change = f'{variable}.changed({{"{f"{prefix}.{name}".lstrip(".")}": {value}}})'
+    places = [
+        f'{whole.__name__.lower()}.changed({{"{".".join(known.path)}": {value}}})'
+        for whole in _SEARCHED
+        for known in names_of(whole)
+        if (known.owner, known.word) == (model, name)
+    ]
+    change = [*places, f'parameters.changed({{"{name}": {value}}})'][0]
     return f"{model.__name__} is frozen; make a changed copy: {change}"
-
-
-def unnamed(model: type[BaseModel], value: Any) -> str:
-    """Return a message for a ``value`` without name in the call of a parameter class."""
-    first = next((name for name in model.model_fields if name != "kind"), "name")
-    line = f"{model.__name__}: takes values by name, such as {model.__name__}({first}=…)"
-    is_path = model in _SEARCHED and isinstance(value, str | PathLike)
-    return line + ("; load_scenario(path) reads a file" if is_path else "")
-
-
-def missing_part(model: type[BaseModel], path: str, place: Place, part: Any) -> str:
-    """Return a message for a dotted path whose beginning is no part of parameters.
-
-    Parameters
-    ----------
-    model
-        The class of the parameters.
-    path
-        The whole path.
-    place
-        The place of its beginning.
-    part
-        The value at this place, or None without value.
-    """
-    where = ".".join(str(key) for key in place.keys)
-    known = [name for holder in place.holders for name in holder.model_fields]
-    if place.keys[-1] not in known:
-        rest = path.removeprefix(where)
-        close = [f"{place.prefix}{name}{rest}" for name in close_names(str(place.keys[-1]), known)]
-        paths = [*paths_ending(model, path), *(p for p in close if p in paths_of(model))]
-        advice = _question(model, paths[:_MOST]) if paths else other_kind(place)
-        advice = advice or suggestion(model, path.rpartition(".")[2], known)
-        return f"{path}: unknown name {where}{advice}"
-    if part is None:
-        value = "true" if True in words_of(place.field) else "{}"
-        return f"{path}: {where} has no value here; set {where} = {value} too"
-    return f"{path}: {where} is a single value, which has no names below it"

@@ -13,6 +13,7 @@ from copy import deepcopy
 from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
+from os import PathLike
 from typing import TYPE_CHECKING, Any, Self, get_args, get_origin
 
 import numpy as np
@@ -28,7 +29,7 @@ from pydantic import (
 from kneexo.errors import ParameterError, shortened
 from kneexo.parameters.faults import one_line, shown_value
 from kneexo.parameters.fields import Words, limits_of, unit_of, words_of
-from kneexo.parameters.names import Place, frozen, missing_part, unknown_attribute, unnamed
+from kneexo.parameters.names import Place, advice, frozen, unknown_attribute
 
 
 def quantity(
@@ -314,7 +315,11 @@ class Parameters(BaseModel):
             if isinstance(part, Parameters):  # parts without a change are not validated again
                 part = vars(part)
             if not isinstance(part, dict):
-                raise ParameterError(missing_part(type(self), path, place, part))
+                wrong = tuple(path.split("."))
+                remedy = advice(type(self), wrong) or advice(
+                    type(self), wrong[: len(place.keys)], place.holders
+                )
+                raise ParameterError(f"{path}: unknown name{remedy}")
             place = place.of_kind(part.get("kind")) or place
             holder[parent] = holder = dict(part)
         # The validation reports a wrong name in an existing mapping.
@@ -339,7 +344,10 @@ class Parameters(BaseModel):
         def __new__(cls, *values: Any, **_: Any) -> Self:
             """Make an object. Raises `ParameterError` for values without name."""
             if values:
-                raise ParameterError(unnamed(cls, values[0]))
+                first = next((name for name in cls.model_fields if name != "kind"), "name")
+                line = f"{cls.__name__}: takes values by name, such as {cls.__name__}({first}=…)"
+                file = isinstance(values[0], str | PathLike)
+                raise ParameterError(line + ("; load_scenario(path) reads a file" if file else ""))
             return super().__new__(cls)
 
         def __init__(self, **data: Any) -> None:

@@ -156,7 +156,7 @@ def test_bad_settings_of_a_study_are_one_line_and_leave_nothing(
         ("estimate.tol=9", "estimate.tol: unknown name; known here: averaged_cycles"),
         (
             "estimat.tolerance=9",
-            "--set estimat.tolerance: unknown name estimat; did you mean estimate.tolerance?",
+            "--set estimat.tolerance: unknown name; did you mean estimate.tolerance?",
         ),
         ("tol=9", "tol: unknown name; known here: amplitudes_deg"),
     ],

@@ -1,81 +1,91 @@
-"""Names that are suggested for an unknown name."""
+"""The flat list of the names of a class, and the remedies for wrong paths."""
 
 import pytest
 
-from kneexo.errors import ParameterError
 from kneexo.parameters import (
     CylinderParameters,
-    FullCylinderParameters,
+    KneeLoadParameters,
+    NoLoad,
     PidParameters,
     PlantParameters,
     Scenario,
+    SlidingModeParameters,
 )
-from kneexo.parameters.names import Place, path_of_part, paths_of, suggestion
+from kneexo.parameters.names import Place, advice, names_of
 from kneexo.parameters.paths import has_path
 from kneexo.studies.contest import ContestSettings
 
 
-def test_paths_are_those_of_some_scenario():
-    paths = paths_of(Scenario)
+def test_names_are_those_of_some_scenario():
+    names = {".".join(name.path): name for name in names_of(Scenario)}
     for path in ("plant.cylinder.mass_kg", "nominal", "simulation"):
-        assert paths[path] == ""
+        assert names[path].setting == ()
         assert has_path(Scenario(), path)
     needed = {
         "controller.integral_per_s2": ("controller.kind = pid", {"controller": "pid"}),
         "plant.load.segment_mass_kg": ("plant.load.kind = knee", {"plant.load": "knee"}),
         "plant.full_order.entrained_air": ("plant.full_order = true", {"plant.full_order": True}),
+        "nominal.cylinder.mass_kg": ("nominal = {}", {"nominal": {}}),
     }
     for path, (setting, values) in needed.items():
-        assert paths[path] == setting
+        assert f"{'.'.join(names[path].setting)} = {names[path].choice}" == setting
         assert not has_path(Scenario(), path)
         assert has_path(Scenario().changed(values), path)
-    assert not any(path.startswith("nominal.") for path in paths)
-    assert "contestants.NAME.controller.lambda_per_s" in paths_of(ContestSettings)
+    kind = names["controller.kind = pid"]
+    assert (kind.word, kind.owner) == ("pid", PidParameters)
 
 
-@pytest.mark.parametrize(
-    ("model", "path"),
-    [
-        (CylinderParameters, "plant.cylinder"),
-        (PidParameters, "controller"),
-        (FullCylinderParameters, "plant.full_order"),
-    ],
-)
-def test_a_part_has_a_path(model, path):
-    assert path_of_part(model) == (Scenario, path)
+def test_keys_of_mappings_are_those_of_the_path():
+    path = ("contestants", "NAME", "controller", "lambda_per_s")
+    assert path in {name.path for name in names_of(ContestSettings)}
+    path = ("contestants", "SMC", "controller", "lambda_per_s")
+    assert path in {name.path for name in names_of(ContestSettings, path)}
 
 
-def test_a_class_of_settings_is_no_part_of_a_scenario():
-    assert path_of_part(ContestSettings) is None
+FULL = "plant.full_order"
+SMC, LOAD, SETTINGS = (SlidingModeParameters,), (KneeLoadParameters,), ContestSettings
+CUFF = "wearer.cuff.stiffness_n_m_per_rad (needs wearer.kind = leg)?"
+REMEDIES = [
+    # a name at the wrong place, and a misspelt one
+    (Scenario, "mass_kg", (), "; did you mean plant.cylinder.mass_kg?"),
+    (Scenario, "cylinder.mass_kg", (), "; did you mean plant.cylinder.mass_kg?"),
+    (Scenario, "cuff.stiffness_n_m_per_rad", (), "; did you mean " + CUFF),
+    (Scenario, "mas_kg", (), "; did you mean plant.cylinder.mass_kg?"),
+    (Scenario, "plant.cylindr.mass_kg", (), "; did you mean plant.cylinder.mass_kg?"),
+    (Scenario, "nominal.knee.mass_kg", (), "; did you mean nominal.cylinder.mass_kg?"),
+    (Scenario, "duration", (Scenario,), "; did you mean simulation.duration_s?"),
+    (PlantParameters, "mass_kg", (), "; did you mean cylinder.mass_kg?"),
+    (CylinderParameters, "lag_s", (), "; Scenario has plant.pump.lag_s"),
+    (Scenario, "qqq", (NoLoad,), "; known here: kind"),
+    (Scenario, "qqq", (), ""),
+    # another choice of the parts
+    (Scenario, "controller.integral_per_s2", SMC, "; needs controller.kind = pid"),
+    (Scenario, "controller.lambda_per_s", (PidParameters,), "; needs controller.kind = smc"),
+    (Scenario, "controller.values.gain", (), "; needs controller.kind = custom or law"),
+    (Scenario, f"{FULL}.entrained_air", (), f"; needs {FULL} = true"),
+    (Scenario, "controller.integral_rad", (PidParameters,), "controller.integral_per_s2?"),
+    (Scenario, "plant.load.segment_mass", (NoLoad,), "mass_kg (needs plant.load.kind = knee)?"),
+    (Scenario, "controller.pid", SMC, "; did you mean controller.kind = pid?"),
+    (
+        Scenario,
+        "plant.stribeck",
+        (),
+        f"; did you mean {FULL}.stribeck_friction_n (needs {FULL} = true) or "
+        f"{FULL}.stribeck_speed_m_s (needs {FULL} = true)?",
+    ),
+    # names of another structure
+    (Scenario, "plant.cylinder.mass_kg", (), "; nest the names: plant: {cylinder: {mass_kg: …}}"),
+    (Scenario, "plant.cylinder.mass_kg.x", (), "; plant.cylinder.mass_kg is a single value"),
+    (SETTINGS, "contestants.A.controller.lambda", SMC, "contestants.A.controller.lambda_per_s?"),
+    (SETTINGS, "contestants.A.mass_kg", (), "; Scenario has plant.cylinder.mass_kg"),
+]
 
 
-@pytest.mark.parametrize(
-    ("model", "name", "prefix", "text"),
-    [
-        (Scenario, "mass_kg", "", "; did you mean plant.cylinder.mass_kg?"),
-        (Scenario, "cylinder.mass_kg", "", "; did you mean plant.cylinder.mass_kg?"),
-        (Scenario, "mas_kg", "", "; did you mean plant.cylinder.mass_kg?"),
-        (
-            Scenario,
-            "entrained_air",
-            "plant.cylinder.",
-            "; did you mean plant.full_order.entrained_air (needs plant.full_order = true)?",
-        ),
-        (PlantParameters, "mass_kg", "", "; did you mean cylinder.mass_kg?"),
-        (CylinderParameters, "lag_s", "", "; Scenario has plant.pump.lag_s"),
-        (Scenario, "duration", "", "; did you mean simulation.duration_s?"),  # no section
-        (
-            Scenario,
-            "stribeck",
-            "plant.",
-            "; did you mean plant.full_order.stribeck_friction_n or "
-            "plant.full_order.stribeck_speed_m_s (each needs plant.full_order = true)?",
-        ),
-        (Scenario, "qqq", "", "; known here: a, b"),
-    ],
-)
-def test_a_suggestion_is_a_path(model, name, prefix, text):
-    assert suggestion(model, name, ["a", "b"], prefix) == text
+@pytest.mark.parametrize(("model", "path", "here", "text"), REMEDIES)
+def test_a_wrong_path_has_a_remedy(model, path, here, text):
+    remedy = advice(model, tuple(path.split(".")), here)
+    assert remedy.endswith(text)
+    assert remedy == text or not text.startswith(";")
 
 
 def test_a_place_follows_kinds_and_keys_of_mappings():
@@ -88,31 +98,5 @@ def test_a_place_follows_kinds_and_keys_of_mappings():
     assert place.of_kind("lambda_per_s") is None
     below = chosen.below("derivative")
     assert below.keys == ("contestants", "SMC", "controller", "derivative")
-    assert below.prefix == "contestants.SMC.controller."
     assert below.field is PidParameters.model_fields["derivative"]
-    assert set(place.models) == set(below.members) > set(below.holders) == {PidParameters}
-
-
-@pytest.mark.parametrize(
-    ("values", "text"),
-    [
-        ({"controller": {"integral_per_s2": 1}}, "; needs controller.kind = pid"),
-        ({"controller": {"integral": 1}}, "; did you mean controller.integral_per_s2 (needs "),
-        ({"controller": {"pid": {}}}, "; did you mean controller.kind = pid?"),
-        (
-            {"nominal": {"load": {"mass_kg": 1}}},
-            "mean nominal.load.segment_mass_kg (needs nominal.",
-        ),
-        ({"controller": {"mass_min": 1}}, "; did you mean controller.mass_min_kg"),
-        ({"controller": {"kind": "pid", "lambda_per_s": 1}}, "; needs controller.kind = smc"),
-    ],
-)
-def test_a_name_of_another_kind_says_so(values, text):
-    with pytest.raises(ParameterError) as caught:
-        Scenario(**values)
-    assert text in str(caught.value)
-
-
-def test_a_path_into_another_kind_says_so():
-    with pytest.raises(ParameterError, match=r"controller.values; needs controller.kind = law"):
-        Scenario().changed({"controller.values.gain": 1.0})
+    assert below.holders == (PidParameters,)

@@ -78,9 +78,11 @@ def test_changed_leaves_its_argument_alone() -> None:
         (
             "plant.pomp.lag_s",
             0.01,
-            "plant.pomp.lag_s: unknown name plant.pomp; did you mean plant.pump.lag_s?",
+            "plant.pomp.lag_s: unknown name; did you mean plant.pump.lag_s?",
         ),
-        ("plant.full_order.dead_volume_m3", 1e-6, "set plant.full_order = true too"),
+        ("plant.full_order.dead_volume_m3", 1e-6, "unknown name; needs plant.full_order = true"),
+        ("plant.pomp.x", 0.01, "plant.pomp.x: unknown name; did you mean plant.pump?"),
+        ("x.y", 0.01, "x.y: unknown name; known here: bus, controller, "),
         ("plant.pump.lg_s", 0.01, "plant.pump.lg_s: unknown name"),
         ("plant.pump.lag_s", -1.0, "plant.pump.lag_s = -1 s is out of range"),
         ("bus.latency_samples", 1.5, "bus.latency_samples = 1.5 samples: must be a whole number"),

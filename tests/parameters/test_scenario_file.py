@@ -263,7 +263,7 @@ NO_PART = "has no value: must be a mapping of names to values, such as {%s: …}
         ),
         (
             "plant: &p\n  cylinder: &c\n    mass_kg: 1\nnominal:\n  cylinder: *c\n  knee: *c\n",
-            "3: nominal.knee.mass_kg: unknown name; did you mean plant.cylinder.mass_kg?",
+            "3: nominal.knee.mass_kg: unknown name; did you mean nominal.cylinder.mass_kg?",
         ),
         # values that contradict each other
         (
