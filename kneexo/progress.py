@@ -8,15 +8,12 @@ from __future__ import annotations
 import builtins
 import importlib.util
 import sys
-import threading
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
 
-_FORMAT = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}, {remaining} left"
-_REFRESH_S = 1.0
-"""Time in s after which a bar of a whole command shows the elapsed time again."""
+_REFRESHES_PER_S = 2.0  # each costs some milliseconds, which the runs lack
+_SPEED_OVER_S = 1e6  # the time left follows from the mean speed since the begin
 
 
 @dataclass(frozen=True)
@@ -31,28 +28,40 @@ class Stage:
     """True if an unknown number of bars with this name follow each other."""
 
 
-def progress_bar(total: float, description: str | None) -> Any:
-    """Return a bar that ends at ``total``; its method ``update(amount)`` advances it.
+@dataclass
+class Bar:
+    """A progress bar for an amount of work."""
 
-    Within the body of `whole_bar` it advances the bar of the whole command. Otherwise it is a bar
-    of tqdm. The bar shows nothing if ``description`` is None, or if stderr is no terminal. In a
-    notebook the bar requires ipywidgets (``pip install ipywidgets``) and otherwise shows nothing.
+    total: float
+    """The whole amount of work."""
+    move: Callable[[float], None]
+    """Shows the share of the work that is finished."""
+    n: float = 0.0
+    """The amount of work that is finished."""
+
+    def update(self, amount: float) -> None:
+        """Advance the bar by an amount of work."""
+        self.n += amount
+        self.move(min(self.n / self.total, 1.0) if self.total else 1.0)
+
+
+@contextmanager
+def progress_bar(total: float, description: str | None) -> Iterator[Bar]:
+    """Context manager: show a bar that ends at ``total``. Its method ``update`` advances it.
+
+    Within the body of `whole_bar` it advances the bar of the whole command. The bar shows nothing
+    if ``description`` is None, or if stderr is no terminal. In a notebook the bar requires
+    ipywidgets (``pip install ipywidgets``) and otherwise shows nothing.
     """
-    if _whole is not None and description is not None:
-        return _whole.part(total, description)
-    from tqdm import tqdm
-
-    settings: dict[str, Any] = {
-        "total": total,
-        "desc": description,
-        "mininterval": 0.5,
-        "bar_format": _FORMAT,
-    }
-    if description is not None and _in_notebook() and importlib.util.find_spec("ipywidgets"):
-        from tqdm.notebook import tqdm as notebook_bar
-
-        return notebook_bar(**settings)
-    return tqdm(**settings, disable=True if description is None else None)
+    if _whole is None or description is None:
+        with _shown(description) as move:
+            yield Bar(total, move)
+        return
+    start, end = _whole.stage(description)
+    whole = _whole
+    whole.advance_to(start)
+    yield Bar(total, lambda share: whole.advance_to(start + share * (end - start)))
+    whole.advance_to(end)
 
 
 @contextmanager
@@ -64,94 +73,69 @@ def whole_bar(description: str, stages: Sequence[Stage]) -> Iterator[None]:
     bar. The bar disappears at the end.
     """
     global _whole
-    from tqdm import tqdm
-    from tqdm.contrib import DummyTqdmFile
-
-    bar = tqdm(
-        total=sum(stage.duration_s for stage in stages),
-        desc=description,
-        mininterval=0.1,
-        smoothing=0.0,  # the time left follows from the mean speed
-        bar_format=_FORMAT,
-        leave=False,
-        disable=None,
-    )
-    if bar.disable or _whole is not None:
-        bar.close()
-        yield
-        return
-    lines_above: Any = DummyTqdmFile(sys.stderr)
-    ended = threading.Event()
-
-    def tick() -> None:
-        while not ended.wait(_REFRESH_S):
-            bar.refresh()
-
-    ticker = threading.Thread(target=tick, daemon=True)
-    ticker.start()
-    _whole = _Whole(bar, stages)
-    try:
-        with redirect_stderr(lines_above):
+    with _shown(description, transient=True) as move:
+        _whole = _Whole(stages, move)
+        try:
             yield
-    finally:
-        _whole = None
-        ended.set()
-        ticker.join()
-        bar.close()
+        finally:
+            _whole = None
+
+
+@contextmanager
+def _shown(
+    description: str | None, *, transient: bool = False
+) -> Iterator[Callable[[float], None]]:
+    """Context manager: show a bar, and return the function that moves it to a share from 0 to 1."""
+    notebook = _in_notebook() and importlib.util.find_spec("ipywidgets") is not None
+    if description is None or not (sys.stderr.isatty() or notebook):
+        yield lambda share: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TimeElapsedColumn, TimeRemainingColumn
+
+    with Progress(
+        *("{task.description}: {task.percentage:3.0f}%", BarColumn()),
+        *(TimeElapsedColumn(), TimeRemainingColumn(), "left"),
+        console=Console(stderr=True),
+        refresh_per_second=_REFRESHES_PER_S,
+        speed_estimate_period=_SPEED_OVER_S,
+        transient=transient,
+        redirect_stdout=False,
+    ) as progress:
+        task = progress.add_task(description, total=1.0)
+        yield lambda share: progress.update(task, completed=share)
+        progress.refresh()  # in a notebook, rich does not show the end
 
 
 class _Whole:
     """The bar of a whole command, and the stage that it has reached."""
 
-    def __init__(self, bar: Any, stages: Sequence[Stage]) -> None:
-        self._bar = bar
-        self._ends_s: dict[str, float] = {}
-        self._left: dict[str, tuple[float, Stage]] = {}
+    def __init__(self, stages: Sequence[Stage], move: Callable[[float], None]) -> None:
+        self._move, self._reached = move, 0.0
+        self._total_s = sum(stage.duration_s for stage in stages)
+        self._left: dict[str, tuple[float, float, bool]] = {}
         end = 0.0
         for stage in stages:
-            self._left[stage.name] = (end, stage)
-            end += stage.duration_s
-            self._ends_s[stage.name] = end
+            start, end = end, end + stage.duration_s
+            self._left[stage.name] = (start, end, stage.repeats)
 
-    def part(self, total: float, name: str) -> _Part:
-        """Return a bar that advances the whole by the share of stage ``name``, or by nothing."""
+    def stage(self, name: str) -> tuple[float, float]:
+        """Return begin and end of the next bar of a stage, in s of typical duration.
+
+        They are the present position if there is no such stage.
+        """
         if name not in self._left:
-            return _Part(self, total, self._bar.n, self._bar.n)
-        start, stage = self._left[name]
-        end = self._ends_s[name]
-        if stage.repeats:
-            end = 0.5 * (start + end)
-        self._left[name] = (end, stage)
-        return _Part(self, total, start, end)
+            return self._reached, self._reached
+        start, last, repeats = self._left[name]
+        end = 0.5 * (start + last) if repeats else last
+        self._left[name] = (end, last, repeats)
+        return start, end
 
     def advance_to(self, position_s: float) -> None:
         """Move the bar forward to a position in s of typical duration."""
-        if position_s > self._bar.n:
-            self._bar.update(position_s - self._bar.n)
-
-
-class _Part:
-    """A bar for a part of a command. It moves the bar of the whole from ``start`` to ``end``."""
-
-    def __init__(self, whole: _Whole, total: float, start: float, end: float) -> None:
-        self.n = 0.0
-        """The amount of work that is finished."""
-        self._whole = whole
-        self._total = total
-        self._start, self._end = start, end
-
-    def __enter__(self) -> _Part:
-        self._whole.advance_to(self._start)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._whole.advance_to(self._end)
-
-    def update(self, amount: float) -> None:
-        """Advance the bar by an amount of work."""
-        self.n += amount
-        share = min(self.n / self._total, 1.0) if self._total else 1.0
-        self._whole.advance_to(self._start + share * (self._end - self._start))
+        if position_s > self._reached:
+            self._reached = position_s
+            self._move(position_s / self._total_s)
 
 
 _whole: _Whole | None = None
