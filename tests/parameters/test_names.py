@@ -61,7 +61,7 @@ REMEDIES = [
     # another choice of the parts
     (Scenario, "controller.integral_per_s2", SMC, "; needs controller.kind = pid"),
     (Scenario, "controller.lambda_per_s", (PidParameters,), "; needs controller.kind = smc"),
-    (Scenario, "controller.values.gain", (), "; needs controller.kind = custom or law"),
+    (Scenario, "controller.values.gain", (), "; needs controller.kind = law"),
     (Scenario, f"{FULL}.entrained_air", (), f"; needs {FULL} = true"),
     (Scenario, "controller.integral_rad", (PidParameters,), "controller.integral_per_s2?"),
     (Scenario, "plant.load.segment_mass", (NoLoad,), "mass_kg (needs plant.load.kind = knee)?"),
