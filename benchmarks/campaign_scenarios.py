@@ -40,7 +40,6 @@ from kneexo.simulation import awaitable
 from kneexo.simulation.compiled import scenario_start, scenario_values
 from kneexo.simulation.engines import serve_runs
 from kneexo.studies.paper import FIG_12, IDEAL_SMC
-from kneexo.studies.sliding import SLIDING_LAW
 
 FILE_LIMIT_S = 5.0
 RUN_LIMIT_S = 120.0  # the first run of a structure compiles it
@@ -56,7 +55,6 @@ SAMPLES = {
 BUILT_IN = (
     *FIG_12.values(),
     IDEAL_SMC,
-    SLIDING_LAW,
     UNCERTAIN_KNEE,
     changed(UNCERTAIN_KNEE, {"plant.full_order": {}, "plant.linkage": "G2"}),
     changed(Scenario(), {"reference": {"kind": "step"}, "nominal": {"linkage": "G3"}}),

@@ -49,8 +49,6 @@ COMMANDS: dict[str, list[str]] = {
         *("--set", "test_samples=4", "--set", "training_samples=2"),
         *("--set", "optimizer_seeds=[1]", "--set", "duration_s=10"),
     ],
-    "sliding": ["study", "sliding", "--set", "etas_m_s3=[3e4, 9e4]", "--set", "loads_n=[60]"],
-    "order": ["study", "order", "--set", "switching_forces_n=[0, 16]"],
     "size": ["size", "--set", "factors=[0.5, 1, 2]", "--set", "cycles=2"],
     "params": ["params"],
 }

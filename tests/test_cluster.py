@@ -30,11 +30,9 @@ from kneexo.studies.bandwidth import BandwidthSettings, bandwidth_study
 from kneexo.studies.bandwidth.figures import plot_bode
 from kneexo.studies.contest import ContestSettings, contest_study
 from kneexo.studies.controller import ControllerSettings, controller_study
-from kneexo.studies.order import OrderSettings, order_study
 from kneexo.studies.reproduce import reproduce_study
 from kneexo.studies.robustness import RobustnessSettings, assess_plant, robustness_study
 from kneexo.studies.size import SizeSettings, size_study
-from kneexo.studies.sliding import SLIDING_LAW, SlidingSettings, sliding_study
 from kneexo.studies.wearer import WearerSettings, wearer_study
 from kneexo.sweeps import parallel, parallel_map
 from kneexo.sweeps.checkpoint import Checkpoint
@@ -114,22 +112,6 @@ SWEEPS = {
             duration_s=0.5,
             other_duration_s=0.5,
         ),
-    ),
-    "study sliding": (
-        partial(
-            sliding_study,
-            changed(
-                SLIDING_LAW,
-                {"simulation": {"duration_s": 0.004, "integrator": "radau3", "step_s": 1e-4}},
-            ),
-        ),
-        SlidingSettings(
-            etas_m_s3=(2.8e5,), loads_n=(60.0,), start_duration_s=0.001, start_sample_time_s=5e-5
-        ),
-    ),
-    "study order": (
-        partial(order_study, UNCERTAIN_KNEE),
-        OrderSettings(postures_deg=(40.0,), switching_forces_n=(16.0,), disturbances_n=(0.0, 60.0)),
     ),
     "size": (
         size_study,

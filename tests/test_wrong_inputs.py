@@ -206,7 +206,6 @@ OTHER_COMMANDS = {
     "study bandwidth --set tolerance=3 --out run": r"did you mean estimate.tolerance\?$",
     "study robustness --uncertainty no.yaml --out run": r"no.yaml: cannot be read: No such file",
     "study bandwidth --preset wearer --out run": r"controller.kind = torque: .* study wearer meas",
-    "study order --preset wearer --out run": r"controller.kind = torque: .* follows the reference",
     "view --out knee.pdf": r"knee.pdf: the name of a page must end in .html$",
     "view note.txt --out knee.html": r"cannot be read: .*; did you mean notes.txt\?$",
     "view . --out knee.html": r"has no scenario.yaml; must be a directory of kneexo simulate$",

@@ -42,7 +42,7 @@ class Study:
 
     name: str
     command: str
-    """Words that follow ``kneexo`` to run the study, such as ``study order``."""
+    """Words that follow ``kneexo`` to run the study, such as ``study bandwidth``."""
     summary: str
     detail: str = ""
     setup: str = _UNDER_LOAD
@@ -220,31 +220,6 @@ STUDIES = {
                 Stage("other reference", 6.0),
                 Stage(FIGURES, 0.2),
                 Stage(FILES, 0.8),
-            ),
-        ),
-        Study(
-            "sliding",
-            "study sliding",
-            "the sliding condition and the bound on the error",
-            setup="ideal motor and exact states in continuous time",
-            stages=(
-                Stage("sliding condition", 35.0),
-                Stage(FIGURES, 0.5),
-                Stage(FILES, 2.0),
-            ),
-        ),
-        Study(
-            "order",
-            "study order",
-            "full against reduced order",
-            stages=(
-                Stage("orders: tracking", 1.6),
-                Stage("orders: speeds", 1.7),
-                Stage("orders: switching", 2.0),
-                Stage("orders: frequency", 0.8),
-                Stage("orders: bandwidth", 0.6),
-                Stage(FIGURES, 0.3),
-                Stage(FILES, 1.3),
             ),
         ),
         Study(

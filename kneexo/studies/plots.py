@@ -96,11 +96,6 @@ def mark_failures(ax: Axes, values: Array) -> None:
         ax.fill([np.nan], [np.nan], label="no result", **_HATCHED)
 
 
-def with_minus(value: float) -> str:
-    """Return a number as short text, with a minus sign in place of the hyphen."""
-    return f"{value:g}".replace("-", "−")
-
-
 def heat_map(
     ax: Axes,
     x: ArrayLike,

@@ -8,7 +8,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, Linearize, LogVectorOutput
 
-from kneexo.analysis import sinestream, track
+from kneexo.analysis import linearize_loop, sinestream, track
 from kneexo.analysis.frequency_response import SinestreamSettings
 from kneexo.diagrams import PLANT_OUTPUTS, make_plant
 from kneexo.diagrams.signals import FULL_ORDER_OUTPUTS
@@ -284,6 +284,23 @@ def test_bare_simulator_with_drakes_defaults_runs_the_full_order():
 
 
 # ---------------------------------------------------------------------------- closed loop
+
+
+@pytest.mark.slow
+def test_a_smaller_loaded_area_moves_the_rod_farther_and_costs_margin():
+    phase_margin_deg, complementary_hz = {}, {}
+    for name in ("reduced", "cap", "rod_side"):
+        plant = PlantParameters(
+            load=KneeLoadParameters(disturbance_n=-60.0 if name == "rod_side" else 60.0),
+            full_order=None if name == "reduced" else FullCylinderParameters(),
+        )
+        loop = linearize_loop(Scenario(plant=plant), knee_angle_deg=40.0)
+        phase_margin_deg[name] = loop.margins().phase_margin_deg
+        complementary_hz[name] = loop.complementary_sensitivity_bandwidth_hz()
+    # As measured: docs/cylinder_order.md.
+    expected = {"reduced": 57.1, "cap": 61.5, "rod_side": 51.1}
+    assert phase_margin_deg == pytest.approx(expected, abs=0.2)
+    assert complementary_hz["cap"] < complementary_hz["reduced"] < complementary_hz["rod_side"]
 
 
 @pytest.mark.slow

@@ -128,7 +128,7 @@ _LIMIT = (
 )
 _REDUCED_ORDER = (
     "nothing is fitted, and the reduced order has one piston area for both chambers; models of "
-    "full order reach −3 dB below and above the paper's frequency (kneexo study order)"
+    "full order reach −3 dB below and above the paper's frequency (docs/cylinder_order.md)"
 )
 _G4 = "quintic fitted to geometry G4 over 5…90°, 198 degrees of freedom"
 
