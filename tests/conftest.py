@@ -321,22 +321,6 @@ def curves():
     return read
 
 
-@pytest.fixture(scope="session")
-def check_heat_map():
-    """The function ``check_heat_map(ax, x, y, values)``: ``values`` (x, y) lie at their place."""
-
-    def check(ax, x, y, values):
-        (mesh,) = ax.collections[:1]
-        drawn = np.ma.filled(np.ma.asarray(mesh.get_array(), dtype=float), np.nan)
-        np.testing.assert_array_equal(drawn.reshape(len(y), len(x)), np.asarray(values).T)
-        corners = mesh.get_coordinates()
-        for along, centres in ((corners[0, :, 0], x), (corners[:, 0, 1], y)):
-            inside = (along[:-1] < centres) & (centres < along[1:])
-            assert inside.all(), (along, centres)
-
-    return check
-
-
 @pytest.fixture(autouse=True)
 def _no_figure_stays_open():
     yield

@@ -1,9 +1,12 @@
 """Settings, numbers and helpers of the tests of the bandwidth study."""
 
+from functools import cache
+
 import numpy as np
 
 from kneexo.analysis.sine_estimate import SineEstimateSettings
-from kneexo.studies.bandwidth import BandwidthSettings
+from kneexo.parameters import Scenario
+from kneexo.studies.bandwidth import BandwidthResult, BandwidthSettings
 
 QUICK = SineEstimateSettings(averaged_cycles=2, largest_cycles=3)
 SMALL_MAP = BandwidthSettings(
@@ -26,3 +29,32 @@ AMPLITUDES, FREQUENCIES = (1.0, 30.0), (0.1, 0.2, 0.4)
 
 def table(start):
     return start + 0.01 * np.arange(6.0).reshape(2, 3)
+
+
+@cache
+def made_up():
+    """A map that nothing was simulated for: its numbers tell each other apart."""
+    return BandwidthResult(
+        amplitudes_deg=np.array(AMPLITUDES),
+        frequencies_hz=np.array(FREQUENCIES),
+        response=GAINS * np.exp(1j * np.radians(PHASES)),
+        cells={
+            "uncertainty": 0.1 * table(0.1),
+            "settled": np.array([[True, True, False], [True, False, True]]),
+            "cycles": np.arange(6).reshape(2, 3),
+            "mean_deg": table(40.0),
+            "speed_limited_share": table(0.3),
+            "acceleration_limited_share": table(0.6),
+        },
+        bandwidths={name: np.array(values) for name, values in BANDWIDTHS.items()},
+        linear=LINEAR_GAINS * np.exp(1j * np.radians(LINEAR_PHASES)),
+        linear_failure="",
+        follower=FOLLOWER * np.exp(0.2j),
+        unquantized=LINEAR_GAINS * np.exp(1j * np.radians(LINEAR_PHASES)) * [1.003, 0.905, 5.0],
+        unlimited=np.array([True, True, False]),
+        failures=("30 deg, 9 Hz: left the range",),
+        scenario=Scenario(),
+        settings=BandwidthSettings(
+            amplitudes_deg=AMPLITUDES, frequencies_hz=FREQUENCIES, estimate=QUICK
+        ),
+    )

@@ -1,6 +1,7 @@
 """Settings, numbers and helpers of the tests of the robustness study."""
 
 import math
+from functools import cache
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from kneexo.parameters.paths import changed
 from kneexo.studies.robustness.study import (
     MERITS,
     Assessment,
+    RobustnessResult,
     RobustnessSettings,
 )
 
@@ -75,10 +77,6 @@ def assessment(number, mass, lag, delay, **changes):
 
 
 SAMPLED = np.array([1.5, 0.9, 1.9, 1.2, 1.1])
-LINEAR = {  # by slope: over 0.4 kg; over a factor of four, by the logarithm, at 10 ms
-    "rms_error_deg": [0.3 * 0.4, 0.05 * 0.010 * math.log(4.0)],
-    "disk_margin": [-0.2 * 0.4, -0.07 * 0.010 * math.log(4.0)],
-}
 
 
 def expected_summary(merit):
@@ -91,3 +89,44 @@ def expected_summary(merit):
     numbers = [1.0, ordered[2], ordered[0], ordered[4]]
     numbers += [ordered[4] if more_is_worse else ordered[0], 2.3 if more_is_worse else 0.6]
     return [size * value for value in numbers]
+
+
+@cache
+def made_up():
+    """Visits out of order, one of which fails; its corners have other numbers than its samples."""
+    stopped = {"max_error_deg": math.nan, "tracking_failure": "t = 1 s: out of range"}
+    return RobustnessResult(
+        scenario=UNCERTAIN_KNEE,
+        uncertainty=SMALL,
+        left_out=("plant.load.knee_torque_n_m",),
+        settings=FEW,
+        nominal=assessment(1.0, None, None, None),
+        one_at_a_time=(
+            assessment(1.1, 1.4, None, None),
+            assessment(0.8, 1.8, None, None),
+            assessment(0.7, None, 0.005, None),
+            assessment(1.6, None, 0.02, None),
+            assessment(1.0, None, None, 0),
+            assessment(1.2, None, None, 1),
+            assessment(1.25, None, None, 2),
+        ),
+        samples=(
+            assessment(1.5, 1.50, 0.012, 1),
+            assessment(0.9, 1.45, 0.007, 2),
+            assessment(1.9, 1.60, 0.019, 0),
+            assessment(1.2, 1.75, 0.011, 2, **stopped),
+            assessment(1.1, 1.65, 0.009, 1),
+        ),
+        corners=(
+            assessment(2.3, 1.4, 0.005, 0),
+            assessment(0.6, 1.8, 0.02, 1),
+            assessment(2.1, 1.4, 0.02, 2),
+        ),
+        corners_possible=12,
+        corners_settled=True,
+        local={
+            "rms_error_deg": {"plant.cylinder.mass_kg": 0.3, "plant.pump.lag_s": 0.05},
+            "disk_margin": {"plant.cylinder.mass_kg": -0.2, "plant.pump.lag_s": -0.07},
+        },
+        local_failures=("tracking: too long",),
+    )
