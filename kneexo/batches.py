@@ -15,7 +15,7 @@ import numpy as np
 
 from kneexo.analysis.reduced_tracking import track_metrics
 from kneexo.analysis.tracking import TrackingMetrics
-from kneexo.errors import KneexoError, ParameterError, close_names, question, shortened
+from kneexo.errors import ParameterError, close_names, failure_noted, question, shortened
 from kneexo.files.writing import write_file
 from kneexo.parameters import LawParameters, Scenario
 from kneexo.parameters.paths import has_path
@@ -222,7 +222,7 @@ def batch(
         tuple(
             BatchRow(combination, None, None, refusal)
             if variant is None
-            else BatchRow(combination, variant, *next(outcomes))
+            else BatchRow(combination, variant, **next(outcomes))
             for combination, variant, refusal in variants
         )
     )
@@ -269,16 +269,16 @@ def _variant(
     scenario: Scenario, values: dict[str, Any]
 ) -> tuple[dict[str, Any], Scenario | None, str]:
     """Return the values, and the scenario with these values or the reason why it refuses them."""
-    try:
-        return values, scenario.changed(values), ""
-    except KneexoError as error:
-        return values, None, str(error).removeprefix("Scenario: ")
+    made: dict[str, Any] = {}
+    with failure_noted(made):
+        made["scenario"] = scenario.changed(values)
+    return values, made.get("scenario"), made["failure"]
 
 
 @needs_runs
-async def _metrics_or_error(scenario: Scenario) -> tuple[TrackingMetrics | None, str]:
-    """Return the metrics of a run and "", or None and the reason why the run fails."""
-    try:
-        return await awaitable(track_metrics, scenario), ""
-    except KneexoError as error:
-        return None, str(error)
+async def _metrics_or_error(scenario: Scenario) -> dict[str, Any]:
+    """Return ``metrics`` and ``error`` of a run, as in `BatchRow`."""
+    outcome: dict[str, Any] = {"metrics": None}
+    with failure_noted(outcome, "error"):
+        outcome["metrics"] = await awaitable(track_metrics, scenario)
+    return outcome

@@ -5,8 +5,10 @@ The module ``kneexo.compiler.errors`` defines the errors of the compiler, which 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from difflib import get_close_matches
+from typing import Any
 
 from kneexo.compiler import (
     CompilationError as CompilationError,
@@ -41,6 +43,21 @@ class PackageError(KneexoError, ImportError):
 
 class WorkerError(KneexoError, RuntimeError):
     """A worker process died, or no workers can be started or reached."""
+
+
+@contextmanager
+def failure_noted(row: dict[str, Any], name: str = "failure") -> Iterator[None]:
+    """Note a `KneexoError` of the code inside ``with failure_noted(row):`` instead of raising it.
+
+    So a sweep continues after a scenario fails. ``row[name]`` becomes the error message, or an
+    empty text without an error. An error leaves the other values of ``row`` as they are, for
+    example nan.
+    """
+    row[name] = ""
+    try:
+        yield
+    except KneexoError as error:
+        row[name] = str(error).removeprefix("Scenario: ")
 
 
 def close_names(name: str, names: Iterable[str], cutoff: float = 0.6, most: int = 4) -> list[str]:

@@ -10,7 +10,7 @@ from kneexo.analysis.interaction import INTERACTION_METRICS
 from kneexo.analysis.reduced_tracking import track_basic_metrics
 from kneexo.analysis.reductions import TRACKING_METRICS
 from kneexo.analysis.sampled_loop import linearize_loop
-from kneexo.errors import KneexoError
+from kneexo.errors import failure_noted
 from kneexo.parameters import Scenario
 from kneexo.simulation import awaitable, needs_runs
 from kneexo.systems.knee_reference import run_middle_deg
@@ -40,28 +40,22 @@ async def assess(
     metrics: dict[str, Any] = {}
     if tracking:
         names = TRACKING_METRICS + INTERACTION_METRICS * (scenario.wearer.kind != "none")
-        metrics |= dict.fromkeys(names, math.nan) | {"tracking_failure": ""}
-        try:
+        metrics |= dict.fromkeys(names, math.nan)
+        with failure_noted(metrics, "tracking_failure"):
             metrics |= await awaitable(track_basic_metrics, scenario)
-        except KneexoError as error:
-            metrics["tracking_failure"] = str(error)
     if margins:
         metrics |= dict.fromkeys(MARGIN_METRICS, math.nan)
-        metrics |= {"stable": None, "margins_failure": ""}
-        try:
+        metrics["stable"] = None
+        with failure_noted(metrics, "margins_failure"):
             loop = linearize_loop(scenario, knee_angle_deg=run_middle_deg(scenario))
             metrics["stable"] = loop.stable
             if loop.stable:
                 values = loop.margins()
                 metrics |= {name: getattr(values, name) for name in MARGIN_METRICS}
-        except KneexoError as error:
-            metrics["margins_failure"] = str(error)
     if bandwidth:
-        metrics |= {"bandwidth_hz": math.nan, "bandwidth_failure": ""}
-        try:
+        metrics["bandwidth_hz"] = math.nan
+        with failure_noted(metrics, "bandwidth_failure"):
             metrics["bandwidth_hz"] = await awaitable(large_signal_bandwidth_hz, scenario)
             if math.isnan(metrics["bandwidth_hz"]):
                 metrics["bandwidth_failure"] = "no bandwidth: the gain does not cross 1/√2"
-        except KneexoError as error:
-            metrics["bandwidth_failure"] = str(error)
     return metrics

@@ -9,6 +9,7 @@ reaction forces.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
@@ -20,7 +21,7 @@ from kneexo.analysis.bandwidth import rod_of
 from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.analysis.signals import to_rpm
 from kneexo.analysis.tracking import TRACKING_SIGNALS, run_metrics
-from kneexo.errors import KneexoError, ParameterError
+from kneexo.errors import ParameterError, failure_noted
 from kneexo.gait import gait_start_percent
 from kneexo.parameters import KneeLoadParameters, Scenario, gait_reference
 from kneexo.parameters.paths import changed
@@ -242,16 +243,21 @@ async def walking_metrics(
     If the run fails, ``failure`` is the error message, and the metrics are nan. Otherwise
     ``failure`` is an empty text.
     """
-    try:
+    row: dict[str, Any] = dict.fromkeys(WALKING_METRICS, math.nan)
+    with failure_noted(row):
         signals = await awaitable(walk, scenario, frequency_hz, cycles)
-    except KneexoError as error:
-        return dict.fromkeys(WALKING_METRICS, math.nan) | {"failure": str(error)}
+        row |= _metrics(scenario, signals, cycles - 1)
+    return row
+
+
+def _metrics(scenario: Scenario, signals: Mapping[str, Array], cycles: int) -> dict[str, float]:
+    """Return the `WALKING_METRICS` of the signals of `walk`, which last ``cycles`` strides."""
     time, power, speed = signals["time_s"], signals["shaft_power_w"], signals["motor_speed_rad_s"]
     metrics = run_metrics(scenario, time, signals, settled_s=0.0)
     walking = {
         "peak_motor_speed_rpm": to_rpm(float(np.max(np.abs(speed)))),
         "peak_motor_acceleration_rad_s2": float(np.max(np.abs(np.diff(speed) / np.diff(time)))),
-        **_energies(time, power, cycles - 1),
+        **_energies(time, power, cycles),
     }
     values = asdict(metrics) | walking
-    return {name: values[name] for name in WALKING_METRICS} | {"failure": ""}
+    return {name: values[name] for name in WALKING_METRICS}

@@ -27,7 +27,7 @@ from kneexo.analysis.plant_linearization import Complex
 from kneexo.analysis.rate_limit import rate_limit_bandwidth_hz
 from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.analysis.sine_estimate import SineEstimateSettings, estimate_sine
-from kneexo.errors import LinearizationError, SimulationError
+from kneexo.errors import failure_noted
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 from kneexo.parameters.quantity import Parameters, quantities, require_increasing
@@ -229,16 +229,15 @@ async def _measure(
     if frequency is not None:
         values["reference.frequency_hz"] = frequency
     at = changed(scenario if quantized else scenario.without_quantizers(), values)
-    try:
+    row = CELL | {"measured_hz": math.nan, "response": [math.nan, math.nan]}
+    with failure_noted(row):
         if frequency is None:
-            bandwidth = await awaitable(large_signal_bandwidth_hz, at)
-            return {"measured_hz": bandwidth, "failure": ""}
-        estimate = await awaitable(estimate_sine, at, settings)
-    except SimulationError as error:
-        failed = {"measured_hz": math.nan, "response": [math.nan, math.nan]}
-        return CELL | failed | {"failure": str(error)}
-    response = [estimate.response.real, estimate.response.imag]
-    return {name: getattr(estimate, name) for name in CELL} | {"response": response, "failure": ""}
+            row["measured_hz"] = await awaitable(large_signal_bandwidth_hz, at)
+        else:
+            estimate = await awaitable(estimate_sine, at, settings)
+            row |= {name: getattr(estimate, name) for name in CELL}
+            row["response"] = [estimate.response.real, estimate.response.imag]
+    return row
 
 
 def _column(rows: list[dict[str, Any]], name: str) -> Any:
@@ -284,16 +283,13 @@ def bandwidth_study(
     limited = _column(unquantized, "speed_limited_share")
     limited = limited + _column(unquantized, "acceleration_limited_share")
 
-    linear, linear_hz, failure = (
-        np.full(frequencies.size, complex(math.nan, math.nan)),
-        math.nan,
-        "",
-    )
-    try:
+    linear: dict[str, Any] = {
+        "hz": math.nan,
+        "response": np.full(frequencies.size, complex(math.nan, math.nan)),
+    }
+    with failure_noted(linear):
         loop = linearize_loop(scenario, knee_angle_deg=mean_deg)
-        linear_hz, linear = loop.bandwidth_hz(), loop.output_response(frequencies)
-    except LinearizationError as error:
-        failure = str(error)
+        linear |= {"hz": loop.bandwidth_hz(), "response": loop.output_response(frequencies)}
     speed, acceleration = rod_limits(scenario)
     rod = [rod_amplitude_m(s) for s in at]
     shape = (len(amplitudes), frequencies.size)
@@ -304,7 +300,7 @@ def bandwidth_study(
         cells={name: _column(grid, name).reshape(shape) for name in CELL},
         bandwidths={
             "measured_hz": _column(searched, "measured_hz"),
-            "linear_loop_hz": np.full(len(amplitudes), linear_hz),
+            "linear_loop_hz": np.full(len(amplitudes), linear["hz"]),
             "acceleration_bound_hz": np.array(
                 [acceleration_bound_hz(acceleration, a) for a in rod]
             ),
@@ -312,8 +308,8 @@ def bandwidth_study(
             "rate_limit_hz": np.array([rate_limit_bandwidth_hz(speed, a) for a in rod]),
             "speed_limit_reached_hz": np.array([speed_limit_reached_hz(s) for s in at]),
         },
-        linear=linear,
-        linear_failure=failure,
+        linear=linear["response"],
+        linear_failure=linear["failure"],
         follower=np.array([[follower_response(s, f) for f in frequencies] for s in at]),
         unquantized=_response(unquantized),
         unlimited=limited == 0.0,

@@ -17,7 +17,7 @@ import numpy as np
 from kneexo.analysis.assessment import assess
 from kneexo.analysis.hardware import tuned
 from kneexo.analysis.tracking import track
-from kneexo.errors import KneexoError
+from kneexo.errors import failure_noted
 from kneexo.parameters import (
     Scenario,
     SineReference,
@@ -150,20 +150,15 @@ async def _measure(settings: ControllerSettings, scenario: Scenario) -> dict[str
     fast = await awaitable(assess, cases["fast"], margins=False)
     metrics: dict[str, Any] = {name: at_reference[name] for name in METRICS if name in at_reference}
     metrics["fast_max_error_deg"] = fast["max_error_deg"]
-    reasons = [
-        at_reference["tracking_failure"],
-        at_reference["margins_failure"],
-        fast["tracking_failure"],
-    ]
+    reasons = {name: at_reference[name] for name in ("tracking_failure", "margins_failure")}
+    reasons["fast"] = fast["tracking_failure"]
     for name, key in (("step", "settling_s"), ("large_step", "large_settling_s")):
-        try:
+        metrics[key] = math.nan
+        with failure_noted(reasons, name):
             step = await awaitable(track, cases[name])
             band = settings.settling_band_deg
             metrics[key] = settling_time_s(step.run.time_s, step.error_deg, band)
-        except KneexoError as failure:
-            metrics[key] = math.nan
-            reasons.append(str(failure))
-    metrics["failure"] = next(filter(None, reasons), "")
+    metrics["failure"] = next(filter(None, reasons.values()), "")
     return metrics
 
 
@@ -171,20 +166,19 @@ async def _measure(settings: ControllerSettings, scenario: Scenario) -> dict[str
 async def _limit_cycle(settings: ControllerSettings, scenario: Scenario) -> dict[str, Any]:
     """Return, as plain data, all fields of a `LimitCycleCase` except λ and variant."""
     linear = assess(scenario, tracking=False)
-    margins = {name: linear[name] for name in ("stable", "disk_margin")}
-    try:
+    row = {name: linear[name] for name in ("stable", "disk_margin")}
+    with failure_noted(row):
         tracked = await awaitable(track, scenario)
         hold = await awaitable(track, experiments(scenario, settings)["hold"])
-    except KneexoError as failure:
-        return margins | {"failure": str(failure)}
-    late = hold.run.time_s >= 0.5 * hold.run.time_s[-1]
-    return margins | {
-        "max_error_deg": tracked.metrics.max_error_deg,
-        "mean_command_change_rpm": tracked.metrics.mean_command_change_rpm,
-        "oscillation_at_rest_deg": float(np.ptp(hold.error_deg[late])),
-        "time_s": tracked.run.time_s.tolist(),
-        "error_deg": tracked.error_deg.tolist(),
-    }
+        late = hold.run.time_s >= 0.5 * hold.run.time_s[-1]
+        row |= {
+            "max_error_deg": tracked.metrics.max_error_deg,
+            "mean_command_change_rpm": tracked.metrics.mean_command_change_rpm,
+            "oscillation_at_rest_deg": float(np.ptp(hold.error_deg[late])),
+            "time_s": tracked.run.time_s.tolist(),
+            "error_deg": tracked.error_deg.tolist(),
+        }
+    return row
 
 
 def _limit_cycle_case(lambda_: float, variant: str, run: dict[str, Any]) -> LimitCycleCase:

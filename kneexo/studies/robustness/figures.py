@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -308,11 +309,10 @@ def nyquist(result: RobustnessResult) -> Figure:
 
 def _loop(result: RobustnessResult, assessment: Assessment) -> SampledLoop | None:
     """Linearize an assessed plant's loop at the posture of `assess`. Return None if this fails."""
-    try:
+    with suppress(KneexoError):
         plant = realize(result.scenario, result.uncertainty, assessment.values)
         return linearize_loop(plant, knee_angle_deg=run_middle_deg(plant))
-    except KneexoError:
-        return None
+    return None
 
 
 def figures(result: RobustnessResult) -> dict[str, Figure]:

@@ -20,7 +20,7 @@ import scipy
 from kneexo.analysis.assessment import assess
 from kneexo.analysis.sensitivity import differentiable, loop_sensitivities, tracking_sensitivities
 from kneexo.analysis.signals import period_s
-from kneexo.errors import KneexoError, ParameterError
+from kneexo.errors import ParameterError, failure_noted
 from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, Uncertainty, UncertaintySet
 from kneexo.parameters.paths import value_at
 from kneexo.parameters.quantity import Parameters, choice, quantity
@@ -125,11 +125,11 @@ async def assess_plant(
     The sweep calls this function in the worker process. If the values contradict each other, the
     metrics are only ``stable``, which is None, and the reason as ``tracking_failure``.
     """
-    try:
+    metrics: dict[str, Any] = {"stable": None}
+    with failure_noted(metrics, "tracking_failure"):
         plant = realize(scenario, uncertainty, values)
-    except ParameterError as error:
-        return {"stable": None, "tracking_failure": str(error).removeprefix("Scenario: ")}
-    return await awaitable(judge, plant)
+        return await awaitable(judge, plant)
+    return metrics
 
 
 def merit_value(assessment: Assessment, merit: str) -> float:
@@ -399,8 +399,9 @@ def _explore(
     if paths:
         tasks = ["margins", *(["tracking"] if settings.sensitivity_duration_s and follows else [])]
         function = partial(_local, scenario, tuple(paths), settings.sensitivity_duration_s)
-        for gradients in sweep.map(function, tasks, "sensitivities"):
-            troubles += [gradients.pop("failure")] if "failure" in gradients else []
+        for task, gradients in zip(tasks, sweep.map(function, tasks, "sensitivities"), strict=True):
+            if failure := gradients.pop("failure"):
+                troubles.append(f"{task}: {failure}")
             local |= gradients
     return RobustnessResult(
         scenario=scenario,
@@ -424,16 +425,17 @@ def _local(
     """Return the derivatives of metrics with respect to uncertain values.
 
     The keys are the metric, then the path. ``task`` (``margins`` or ``tracking``) selects metrics.
-    If the computation fails, the result has only the key ``failure`` with the reason.
+    If the computation fails, the result has only the key ``failure`` with the reason. Otherwise
+    ``failure`` is an empty text.
     """
-    try:
+    gradients: dict[str, Any] = {}
+    with failure_noted(gradients):
         if task == "margins":
             sensitivities = loop_sensitivities(scenario, paths)
         else:
             sensitivities = tracking_sensitivities(scenario, paths, duration_s=duration_s)
-    except KneexoError as error:
-        return {"failure": f"{task}: {error}"}
-    return {metric: sensitivities.of(metric) for metric in sensitivities.metrics}
+        gradients |= {metric: sensitivities.of(metric) for metric in sensitivities.metrics}
+    return gradients
 
 
 def _corners(

@@ -7,7 +7,8 @@ hardware, and searches for the smallest hardware with which the closed loop walk
 from __future__ import annotations
 
 import math
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from functools import partial
 from typing import Any, Unpack
 
@@ -30,7 +31,7 @@ from kneexo.analysis.signals import to_rpm
 from kneexo.analysis.stride import smallest_piston_factor
 from kneexo.analysis.tracking import track
 from kneexo.analysis.walking import walk, walking_demand, walking_metrics
-from kneexo.errors import KneexoError, ParameterError
+from kneexo.errors import KneexoError, ParameterError, failure_noted
 from kneexo.parameters import (
     UNCERTAIN_KNEE,
     FullCylinderParameters,
@@ -56,33 +57,20 @@ async def _at_reference(scenario: Scenario) -> dict[str, Any]:
 
     If a computation fails, its numbers are nan, and ``failure`` has the reason.
     """
-    failures = []
-
-    async def measured(*names: str, part: Awaitable[Sequence[float]]) -> dict[str, float]:
-        try:
-            values = await part
-        except KneexoError as error:
-            failures.append(str(error))
-            values = [math.nan] * len(names)
-        return dict(zip(names, values, strict=True))
-
-    async def large_signal() -> Sequence[float]:
-        return [await awaitable(large_signal_bandwidth_hz, scenario)]
-
-    async def small_signal() -> Sequence[float]:
+    errors = ("max_error_deg", "rms_error_deg", "mean_command_change_rpm")
+    names = ("expected_bandwidth_hz", "bandwidth_hz", "small_signal_bandwidth_hz", *errors)
+    row: dict[str, Any] = dict.fromkeys(names, math.nan)
+    failures: dict[str, str] = {}
+    row["expected_bandwidth_hz"] = expected_bandwidth_hz(scenario)
+    with failure_noted(failures, "large signal"):
+        row["bandwidth_hz"] = await awaitable(large_signal_bandwidth_hz, scenario)
+    with failure_noted(failures, "small signal"):
         loop = linearize_loop(scenario, knee_angle_deg=require_sine(scenario).mean_deg)
-        return [loop.bandwidth_hz() if loop.stable else math.nan]
-
-    async def tracking() -> Sequence[float]:
+        row["small_signal_bandwidth_hz"] = loop.bandwidth_hz() if loop.stable else math.nan
+    with failure_noted(failures, "tracking"):
         metrics = (await awaitable(track, scenario)).metrics
-        return [metrics.max_error_deg, metrics.rms_error_deg, metrics.mean_command_change_rpm]
-
-    metrics = {"expected_bandwidth_hz": expected_bandwidth_hz(scenario)}
-    metrics |= await measured("bandwidth_hz", part=large_signal())
-    metrics |= await measured("small_signal_bandwidth_hz", part=small_signal())
-    names = ("max_error_deg", "rms_error_deg", "mean_command_change_rpm")
-    metrics |= await measured(*names, part=tracking())
-    return metrics | {"failure": "; ".join(failures)}
+        row |= {name: getattr(metrics, name) for name in errors}
+    return row | {"failure": "; ".join(filter(None, failures.values()))}
 
 
 # ---------------------------------------------------------------------------------- search
@@ -241,6 +229,11 @@ def _sizing(scenario: Scenario, settings: SizeSettings, run: Any) -> SizeResult:
     factors = settings.walking_factors
     around = [*_one_at_a_time(factors), *_pairs(factors)]
     walks = run(walking_first, [scaled(first, values) for values in around], "around the design")
+    traces: dict[str, Mapping[str, Array]] = {"nominal": {}, "sized": {}}
+    finely = first.with_steps(settings.check_step_s)
+    for name, plant in (("nominal", scenario), ("sized", finely)):
+        with suppress(KneexoError):
+            traces[name] = walk(plant, frequencies[0], settings.cycles)
     return SizeResult(
         scenario=scenario,
         settings=settings,
@@ -262,20 +255,8 @@ def _sizing(scenario: Scenario, settings: SizeSettings, run: Any) -> SizeResult:
         walking_map_deg=np.reshape(
             [w["max_error_deg"] for w in walks[len(HARDWARE) * len(factors) :]], (len(factors), -1)
         ),
-        traces={
-            "nominal": _trace(scenario, frequencies[0], settings.cycles),
-            "sized": _trace(
-                first.with_steps(settings.check_step_s), frequencies[0], settings.cycles
-            ),
-        },
+        traces=traces,
     )
-
-
-def _trace(scenario: Scenario, frequency_hz: float, cycles: int) -> Mapping[str, Array]:
-    try:
-        return walk(scenario, frequency_hz, cycles)
-    except KneexoError:
-        return {}
 
 
 def _one_at_a_time(factors: Sequence[float]) -> list[dict[str, float]]:

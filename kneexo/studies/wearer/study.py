@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any, Unpack
@@ -21,7 +22,7 @@ from kneexo.analysis.hardware import DISPLACEMENT, scaled
 from kneexo.analysis.interaction import INTERACTION_SIGNALS, interaction_metrics
 from kneexo.analysis.signals import saturated_share
 from kneexo.diagrams import SIGNALS
-from kneexo.errors import KneexoError, LinearizationError, ParameterError
+from kneexo.errors import LinearizationError, ParameterError, failure_noted
 from kneexo.parameters import (
     BODIES,
     MOMENT_MASS_KG,
@@ -346,21 +347,21 @@ async def measured(cycles: int, scenario: Scenario) -> dict[str, Any]:
         *(("chamber_pressures",) if full else ()),
     )
     period = scenario.duration_s / cycles
-    try:
+    row: dict[str, Any] = {}
+    with failure_noted(row):
         run = await awaitable(simulate, scenario, signals=signals)
-    except KneexoError as error:
-        return {"failure": str(error)}
-    metrics = asdict(interaction_metrics(run, period_s=period))
-    late = run.time_s >= metrics["start_s"] - 1e-9
-    deviation = (run["wearer_angle_rad"] - run["knee_reference_rad"])[late]
-    command = run["motor_speed_command_rad_s"][late]
-    pressures = [run[name][late] for name in SIGNALS["chamber_pressures"]] if full else [math.nan]
-    return {name: metrics[name] for name in _METRICS} | {
-        "deviation_deg": math.degrees(float(np.max(np.abs(deviation)))),
-        "saturated_share": saturated_share(command, scenario.command_limit_rad_s),
-        "lowest_pressure_pa": float(np.min(pressures)),
-        "trace": _trace(run, period),
-    }
+        metrics = asdict(interaction_metrics(run, period_s=period))
+        late = run.time_s >= metrics["start_s"] - 1e-9
+        deviation = (run["wearer_angle_rad"] - run["knee_reference_rad"])[late]
+        command = run["motor_speed_command_rad_s"][late]
+        chambers = SIGNALS["chamber_pressures"] if full else ()
+        pressures = [run[name][late] for name in chambers] or [math.nan]
+        row |= {name: metrics[name] for name in _METRICS}
+        row["deviation_deg"] = math.degrees(float(np.max(np.abs(deviation))))
+        row["saturated_share"] = saturated_share(command, scenario.command_limit_rad_s)
+        row["lowest_pressure_pa"] = float(np.min(pressures))
+        row["trace"] = _trace(run, period)
+    return row
 
 
 def _trace(run: Run, period_s: float) -> dict[str, list[float]]:
@@ -380,7 +381,7 @@ def _trace(run: Run, period_s: float) -> dict[str, list[float]]:
 def margins(postures_deg: tuple[float, ...], scenario: Scenario) -> dict[str, float]:
     """Return the numbers of a `MarginRow`."""
     reduced = changed(scenario, {"plant.full_order": None})
-    try:
+    with suppress(LinearizationError):
         loops = coupled_stability(reduced, knee_angles_deg=postures_deg)
         springs = stiffness_interval(reduced)
         return {
@@ -390,8 +391,7 @@ def margins(postures_deg: tuple[float, ...], scenario: Scenario) -> dict[str, fl
             "high_n_m_per_rad": springs.high_n_m_per_rad,
             "felt_n_m_per_rad": springs.felt_n_m_per_rad,
         }
-    except LinearizationError:
-        return {}
+    return {}
 
 
 # ---------------------------------------------------------------------------------- study
