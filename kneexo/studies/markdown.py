@@ -9,8 +9,10 @@ from typing import Any
 Cell = str | tuple[str, str] | Callable[[Any], str]
 """Rule for the text of a table cell, which describes an item (a mapping or an object).
 
-If the rule is a name, the text is the item's value at this key or attribute. If it is a pair (name,
-format), the value is printed as a number. If it is a function, it returns the text for the item.
+If the rule is a name, the text is the item's value at this key or attribute. Names with dots
+between them lead to a value inside a value. If the rule is a pair (name, format), the value is
+printed as a number, or in whole percent if the format is ``%``. If it is a function, it returns the
+text for the item.
 """
 
 
@@ -57,7 +59,11 @@ def _text(row: Any, cell: Cell) -> str:
     if callable(cell):
         return cell(row)
     key, form = (cell, "") if isinstance(cell, str) else cell
-    value = row[key] if isinstance(row, Mapping) else getattr(row, key)
+    value = row
+    for name in key.split("."):
+        value = value[name] if isinstance(value, Mapping) else getattr(value, name)
+    if form == "%":
+        return percent(value)
     return number(value, form) if form else str(value)
 
 

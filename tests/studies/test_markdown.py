@@ -50,6 +50,11 @@ def test_a_row_may_be_an_object():
     assert row_table([3 + 4j], {"x": ("real", "g"), "y": "imag"})[2:] == ["| 3 | 4.0 |"]
 
 
+def test_a_name_may_lead_inside_and_a_share_be_in_percent():
+    rows = [{"z": 3 + 4j, "share": 0.255}]
+    assert row_table(rows, {"x": "z.real", "s": ("share", "%")})[2:] == ["| 3.0 | 26 % |"]
+
+
 def test_columns_are_the_same_the_other_way_round():
     assert column_table(["a", "b"], ROWS, CELLS) == [
         "|  | a | b |",

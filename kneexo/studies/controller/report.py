@@ -10,7 +10,7 @@ import numpy as np
 from kneexo.analysis.margins import soundness
 from kneexo.parameters import RPM
 from kneexo.studies.controller.result import ControllerResult, LimitCycleCase
-from kneexo.studies.markdown import number, percent
+from kneexo.studies.markdown import number
 from kneexo.studies.template import filled
 
 
@@ -28,11 +28,8 @@ def report(result: ControllerResult) -> str:
         grid=result.settings,
         claims=result.claims(),
         quote=lambda claim: f"“{claim.quote}”",
-        holds=lambda claim: percent(claim.share),
         verdict=lambda claim: f"**{claim.verdict}**",
-        holds_there=lambda claim: percent(claim.sound_share),
         lines=list(_lines(result)),
-        saturated=lambda row: percent(row["saturated_share"]),
         soundness=lambda row: soundness(row["disk_margin"], result.settings.sound_disk_margin),
         linear_loop=lambda case: "stable" if case.stable else "unstable",
         acceleration=lambda case: number(acceleration_rad_s2(case)),

@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from typing import Any
 
 from kneexo.parameters import RodPolynomialParameters
-from kneexo.studies.markdown import percent
 from kneexo.studies.reproduce.comparison import (
     DOES_NOT_HOLD,
     HOLDS,
@@ -43,17 +42,11 @@ def report(result: ReproduceResult) -> str:
         HOLDS=HOLDS,
         HOLDS_AS_PRINTED=HOLDS_AS_PRINTED,
         DOES_NOT_HOLD=DOES_NOT_HOLD,
-        quantity=lambda row: row.number.quantity,
-        unit=lambda row: row.number.unit,
-        paper=lambda row: row.number.printed,
         computed=lambda row: f"{row.computed:{row.number.form}}",
         difference=lambda row: f"{row.difference:+.3g}",
-        criterion=lambda row: row.criterion,
         verdict=lambda row: DOES_NOT_HOLD if row.judgement == DOES_NOT_HOLD else HOLDS,
-        method=lambda row: row.number.method,
         named=_named,
         controller=lambda row: _CONTROLLERS[row["name"]],
-        saturated=lambda row: percent(row["saturated_share"]),
         quintics=zip(
             *(table.p_mm_deg, table1["refit_p_mm_deg"]),
             *(table.q_deg_mm, table1["refit_q_deg_mm"]),

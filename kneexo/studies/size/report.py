@@ -10,7 +10,7 @@ from kneexo.analysis.hardware import HARDWARE, sliding_mode
 from kneexo.parameters import FullCylinderParameters
 from kneexo.parameters.paths import value_at
 from kneexo.parameters.plant import LOWEST_PRESSURE_PA
-from kneexo.studies.markdown import Cell, number
+from kneexo.studies.markdown import number
 from kneexo.studies.size.result import CHECKED, SizeResult
 from kneexo.studies.template import filled
 
@@ -88,7 +88,7 @@ def report(result: SizeResult) -> str:
         vacuum_mpa=1e-6 * LOWEST_PRESSURE_PA,
         design_heads=[f"{design['frequency_hz']:.4g} Hz" for design in numbers["designs"]],
         searched=lambda name: lambda design: _searched(design[name], bound),
-        walking={label: _design_cell(name, form) for name, (label, form) in _WALKING.items()},
+        walking={label: (_path(name), form) for name, (label, form) in _WALKING.items()},
         step_agreement=lambda design: number(100.0 * max(design["step_agreement"].values()), ".2f"),
         variation_heads=[_WALKING[name][0] for name in _VARIED],
         variation_rows=[
@@ -151,13 +151,12 @@ def _searched(search: Mapping[str, Any], bound_deg: float) -> str:
     )
 
 
-def _design_cell(name: str, form: str) -> Cell:
-    """Return a function that prints the walking metric ``name`` of a design.
+def _path(name: str) -> str:
+    """Return the path in a design's numbers to the walking metric ``name``.
 
     A metric in `CHECKED` is from the run at half the check step, others from the scenario's solver.
     """
-    run = "halved_step" if name in CHECKED else "walking"
-    return lambda design: number(design[run][name], form)
+    return f"halved_step.{name}" if name in CHECKED else f"walking.{name}"
 
 
 def _good_factors(numbers: Mapping[str, Any], bound_deg: float) -> Iterator[list[str]]:
