@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -81,7 +81,7 @@ class LimitCycleCase:
 
     ``time_s`` and ``error_deg`` have shape (n,). ``oscillation_at_rest_deg`` is the error from peak
     to peak while the reference rests at its upper end. If a run fails, ``failure`` has the reason,
-    numbers are nan and arrays are empty.
+    numbers are nan and signals are empty.
     """
 
     lambda_per_s: float
@@ -91,8 +91,8 @@ class LimitCycleCase:
     max_error_deg: float = math.nan
     mean_command_change_rpm: float = math.nan
     oscillation_at_rest_deg: float = math.nan
-    time_s: Array = field(default_factory=lambda: np.empty(0))
-    error_deg: Array = field(default_factory=lambda: np.empty(0))
+    time_s: Sequence[float] = ()
+    error_deg: Sequence[float] = ()
     failure: str = ""
 
 
@@ -151,7 +151,7 @@ class ControllerResult(Result):
             ],
             "claims": [asdict(claim) | {"verdict": claim.verdict} for claim in self.claims()],
             "limit_cycle": [
-                {key: v for key, v in asdict(case).items() if not isinstance(v, np.ndarray)}
+                {key: v for key, v in asdict(case).items() if key not in ("time_s", "error_deg")}
                 for case in self.limit_cycle
             ],
             "map": {

@@ -94,7 +94,7 @@ def controller_study(
             if values["failure"]
         },
         limit_cycle=tuple(
-            _limit_cycle_case(*case, run) for case, run in zip(cases, cycled, strict=True)
+            LimitCycleCase(*case, **run) for case, run in zip(cases, cycled, strict=True)
         ),
         map_values=_arrays(mapped, MAP_METRICS, map_axes),
     )
@@ -179,13 +179,6 @@ async def _limit_cycle(settings: ControllerSettings, scenario: Scenario) -> dict
             "error_deg": tracked.error_deg.tolist(),
         }
     return row
-
-
-def _limit_cycle_case(lambda_: float, variant: str, run: dict[str, Any]) -> LimitCycleCase:
-    arrays: dict[str, Any] = {
-        name: np.array(run[name]) for name in ("time_s", "error_deg") if name in run
-    }
-    return LimitCycleCase(lambda_, variant, **(run | arrays))
 
 
 def _variant(name: str, settings: ControllerSettings) -> dict[str, Any]:
