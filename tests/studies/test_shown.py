@@ -16,6 +16,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from matplotlib.ticker import FixedLocator
 
 from kneexo.studies.catalogue import STUDIES
 
@@ -105,9 +106,9 @@ def description(figure):
         for along in (ax.xaxis, ax.yaxis):
             limits = summary(along.get_view_interval())
             yield f"  {along.axis_name}: {along.get_label_text()}, {along.get_scale()}, {limits}"
-            ticks = [text.get_text() for text in along.get_ticklabels()]
-            if any(re.search("[a-z]", tick) for tick in ticks):
-                yield f"    ticks: {' | '.join(ticks)}"
+            if isinstance(along.get_major_locator(), FixedLocator):
+                ticks = [text.get_text() for text in along.get_ticklabels()]
+                yield f"    ticks: {' | '.join(ticks)}".replace("\n", " / ").rstrip()
         if legend := ax.get_legend():
             yield f"  legend: {' | '.join(text.get_text() for text in legend.get_texts())}"
         for child in (ax, *ax.child_axes):
@@ -119,7 +120,8 @@ def description(figure):
                 yield f"    y: {summary(line.get_ydata())}"
             for drawn in (*child.collections, *child.images):
                 if drawn.get_array() is not None:
-                    yield f"  colours {drawn.get_cmap().name}, {summary(drawn.get_clim())}"
+                    first = summary(drawn.get_cmap()(0.0))
+                    yield f"  colours from {first}, limits {summary(drawn.get_clim())}"
                     yield f"    values: {summary(drawn.get_array())}"
                 elif hasattr(drawn, "get_segments"):
                     yield f"  bars of errors: {summary(np.ravel(drawn.get_segments()))}"
