@@ -134,20 +134,6 @@ def heat_map(
     return colours
 
 
-def heat_map_panels(
-    axes: Iterable[Axes],
-    x: ArrayLike,
-    y: ArrayLike,
-    panels: Iterable[tuple[Array, Any, str, Worse]],
-) -> None:
-    """Draw one `heat_map` in each of the Matplotlib ``axes``, all over the same x and y.
-
-    ``panels`` has the values, the colour norm, the label and the worse end of each map.
-    """
-    for ax, (values, norm, label, worse) in zip(axes, panels, strict=True):
-        heat_map(ax, x, y, values, norm=norm, label=label, worse=worse)
-
-
 def ecdf(ax: Axes, values: ArrayLike, **style: Any) -> None:
     """Draw the empirical distribution of ``values`` (n,): the share of values up to each value.
 

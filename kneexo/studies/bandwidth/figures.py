@@ -23,7 +23,7 @@ from kneexo.studies.bandwidth.study import BandwidthResult, decibel, unwrapped_d
 from kneexo.studies.plots import (
     OUTLINE,
     Worse,
-    heat_map_panels,
+    heat_map,
     legend_below,
     plain_ticks,
     shades,
@@ -76,7 +76,8 @@ def plot_map(result: BandwidthResult) -> Figure:
         (speed_limited, share, "time at the speed limit (%)", "high"),
         (acceleration_limited, share, "time at the acceleration limit (%)", "high"),
     )
-    heat_map_panels(axes.flat, f, amplitudes, panels)
+    for ax, (values, norm, label, worse) in zip(axes.flat, panels, strict=True):
+        heat_map(ax, f, amplitudes, values, norm=norm, label=label, worse=worse)
     for axis in axes[1]:
         axis.plot(result.bandwidths["measured_hz"], amplitudes, **_MEASURED)
         axis.set_xlabel("frequency (Hz)")

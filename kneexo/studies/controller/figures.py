@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -14,10 +14,11 @@ from matplotlib.figure import Figure
 from kneexo.plotting import BLUE, GOLD, RED, SERIES
 from kneexo.result import Array
 from kneexo.studies.controller.result import ControllerResult, ideal_settling_time_s, observed_smc
+from kneexo.studies.controller.settings import ControllerSettings
 from kneexo.studies.plots import (
     OUTLINE,
     Worse,
-    heat_map_panels,
+    heat_map,
     legend_below,
     plain_ticks,
     shades,
@@ -25,20 +26,38 @@ from kneexo.studies.plots import (
 
 _ERROR = "largest error (deg)"
 _CHANGE = "mean command change (rpm/sample)"
-_ERROR_NORM = LogNorm(0.03, 10.0)
-_CHANGE_NORM = LogNorm(3.0, 600.0)
-_SHARE_NORM = Normalize(0.0, 100.0)
-_MARGIN_NORM = Normalize(0.0, 1.0)
+_MAPPED: dict[str, tuple[Normalize, str, Worse]] = {
+    "max_error_deg": (LogNorm(0.03, 10.0), _ERROR, "high"),
+    "mean_command_change_rpm": (LogNorm(3.0, 600.0), _CHANGE, "high"),
+    "settling_s": (
+        LogNorm(0.1, 1.0),
+        "{grid.step_deg:g}° step, settling to ±{grid.settling_band_deg:g}° (s)",
+        "high",
+    ),
+    "saturated_percent": (Normalize(0.0, 100.0), "samples at the speed limit (%)", "high"),
+    "disk_margin": (Normalize(0.0, 1.0), "disk margin", "low"),
+}
+"""Dictionary from a metric of the maps to its colour norm, its label and the end that is worse."""
 _STAR: dict[str, Any] = {"marker": "*", "color": "w", "ms": 15, "mec": "k", "ls": "none"}
 
 
 def _maps(
-    axes: Sequence[Axes], x: Any, y: Any, panels: Any, stable: Array, default: tuple[Any, Any]
+    axes: Sequence[Axes],
+    x: Any,
+    y: Any,
+    values: Mapping[str, Array],
+    names: Iterable[str],
+    default: tuple[Any, Any],
+    grid: ControllerSettings,
 ) -> None:
-    """Draw `heat_map_panels`. A cross marks each unstable loop, a star the ``default``."""
-    heat_map_panels(axes, x, y, panels)
-    column, row = np.nonzero(stable == 0.0)
-    for ax in axes:
+    """Draw a heat map of each metric in ``names``, from its ``values`` (len(x), len(y)).
+
+    A cross marks each unstable loop, a star the ``default``.
+    """
+    column, row = np.nonzero(values["stable"] == 0.0)
+    for ax, name in zip(axes, names, strict=True):
+        norm, label, worse = _MAPPED[name]
+        heat_map(ax, x, y, values[name], norm=norm, label=label.format(grid=grid), worse=worse)
         unstable = np.asarray(x)[column], np.asarray(y)[row]
         label = "linearly unstable"
         ax.plot(*unstable, "x", color=RED, ms=5, mew=1.4, path_effects=OUTLINE, label=label)
@@ -54,24 +73,10 @@ def lambda_and_slope(result: ControllerResult) -> Figure:
     lambda_, phi, eta = result.centre
     lambdas, slope = result.settings.lambdas_per_s, result.slope_per_s[::-1, eta]
     default = (lambdas[lambda_], result.slope_per_s[phi, eta])
-
-    def at(name: str) -> Array:
-        return result.values[name][:, ::-1, eta]
-
+    at = {name: values[:, ::-1, eta] for name, values in result.values.items()}
     figure, axes = plt.subplots(2, 2, figsize=(8.4, 7.4), layout="constrained", sharex=True)
-    panels: tuple[tuple[Array, Normalize, str, Worse], ...] = (
-        (at("max_error_deg"), _ERROR_NORM, _ERROR, "high"),
-        (at("mean_command_change_rpm"), _CHANGE_NORM, _CHANGE, "high"),
-        (
-            at("settling_s"),
-            LogNorm(0.1, 1.0),
-            f"{result.settings.step_deg:g}° step, settling to "
-            f"±{result.settings.settling_band_deg:g}° (s)",
-            "high",
-        ),
-        (at("disk_margin"), _MARGIN_NORM, "disk margin", "low"),
-    )
-    _maps(list(axes.flat), lambdas, slope, panels, at("stable"), default)
+    names = ("max_error_deg", "mean_command_change_rpm", "settling_s", "disk_margin")
+    _maps(list(axes.flat), lambdas, slope, at, names, default, result.settings)
     plt.setp(axes[1], xlabel="λ (1/s)")
     plt.setp(axes[:, 0], ylabel="k/Φ (1/s)")
     figure.suptitle(f"η = {result.settings.etas_m_s3[eta]:g} m/s³", fontsize=10)
@@ -95,13 +100,9 @@ def phi_and_eta(result: ControllerResult) -> Figure:
         2, 2, figsize=(8.4, 7.4), layout="constrained", sharex=True, sharey=True
     )
     at = {name: values[lambda_] for name, values in result.values.items()}
-    panels: tuple[tuple[Array, Normalize, str, Worse], ...] = (
-        (at["max_error_deg"], _ERROR_NORM, _ERROR, "high"),
-        (at["mean_command_change_rpm"], _CHANGE_NORM, _CHANGE, "high"),
-        (100.0 * at["saturated_share"], _SHARE_NORM, "samples at the speed limit (%)", "high"),
-        (at["disk_margin"], _MARGIN_NORM, "disk margin", "low"),
-    )
-    _maps(list(axes.flat), phis, etas, panels, at["stable"], (phis[phi], etas[eta]))
+    at["saturated_percent"] = 100.0 * at["saturated_share"]
+    names = ("max_error_deg", "mean_command_change_rpm", "saturated_percent", "disk_margin")
+    _maps(list(axes.flat), phis, etas, at, names, (phis[phi], etas[eta]), result.settings)
     for ax in axes.flat:
         ends = np.array(ax.get_xlim())
         for power in (4, 5, 6):
@@ -204,14 +205,8 @@ def limit_cycle(result: ControllerResult) -> Figure:
     error.legend(fontsize=8, loc="upper right", ncols=len(cases))
     times, slopes = 1e3 * np.array(grid.map_time_constants_s), grid.map_slopes_per_s
     default = (1e3 * observer.time_constant_s, law.gain_ratio * law.eta_m_s3 / law.phi_m_s2)
-    stable = result.map_values["stable"]
-    values = result.map_values
-    panels: tuple[tuple[Array, Normalize, str, Worse], ...] = (
-        (values["max_error_deg"], _ERROR_NORM, _ERROR, "high"),
-        (values["disk_margin"], _MARGIN_NORM, "disk margin", "low"),
-    )
-    maps = [axes["map"], axes["margin"]]
-    _maps(maps, times, slopes, panels, stable, default)
+    maps, names = [axes["map"], axes["margin"]], ("max_error_deg", "disk_margin")
+    _maps(maps, times, slopes, result.map_values, names, default, grid)
     at = 1e3 * grid.limit_cycle_time_constant_s, grid.limit_cycle_slope_per_s
     for ax, title in zip(maps, ("(b)", "(c)"), strict=True):
         ax.plot(*at, "o", color=BLUE, mec="w", ms=10, ls="", label="limit cycle of (a)")
