@@ -20,7 +20,6 @@ from matplotlib.ticker import FixedLocator
 
 from kneexo.studies.catalogue import STUDIES
 
-NAMES = [name for name in STUDIES if name not in ("order", "sliding")]
 SHOWN = Path(__file__).with_name("shown")
 NUMBER = re.compile(r"([-+−]?(?:\d+\.?\d*(?:e[-+]?\d+)?|inf|nan))")
 UNIT = re.compile(r"\(([^()]+)\)$")
@@ -167,12 +166,12 @@ def differs(line, expected):
     return False
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", STUDIES)
 def test_the_report_has_its_words_and_numbers(name):
     assert report_of(name) == expected(name)[0]
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", STUDIES)
 def test_the_figures_have_their_words_and_numbers(name):
     lines = zip_longest(*(t.splitlines() for t in (figures_text(name), expected(name)[1])))
     assert [pair for pair in lines if None in pair or differs(*pair)] == []
@@ -184,7 +183,7 @@ def is_shown(cell, values):
     return any(abs(float(cell) - v) <= max(0.51 * digit, 5e-3 * abs(v)) for v in values)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", STUDIES)
 def test_the_numbers_of_a_unit_are_results_whose_name_ends_in_this_unit(name, tables):
     values = {}
     for key, value in numbers_of(result_of(name).results()):
@@ -199,12 +198,12 @@ def test_the_numbers_of_a_unit_are_results_whose_name_ends_in_this_unit(name, ta
                 assert any(all(is_shown(n, values[k]) for n in numbers) for k in keys), heading
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", STUDIES)
 def test_the_screen_has_the_findings(name, check_screen):
     check_screen(report_of(name), most=21)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", STUDIES)
 def test_each_figure_has_a_caption_and_its_axes_have_labels(name, check_caption):
     for figure in figures_of(name).values():
         check_caption(figure)
@@ -212,7 +211,7 @@ def test_each_figure_has_a_caption_and_its_axes_have_labels(name, check_caption)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", STUDIES)
 def test_each_figure_can_be_drawn_and_no_legend_hides_another(name):
     for figure in figures_of(name).values():
         figure.canvas.draw()
@@ -225,7 +224,7 @@ def test_each_figure_can_be_drawn_and_no_legend_hides_another(name):
 if __name__ == "__main__":
     sys.path.append(str(Path(__file__).parents[1] / "shared"))
     SHOWN.mkdir(exist_ok=True)
-    for name in NAMES:
+    for name in STUDIES:
         (SHOWN / f"{name}.txt").write_text(
             f"{report_of(name)}\n{figures_text(name)}", encoding="utf-8"
         )
