@@ -264,8 +264,8 @@ class Printer:
         computes and stores the row. Returns a dictionary from node to emitted value.
         """
         if ("row", number) in self._emitted:
-            row: dict[int, Operand] = self._emitted["row", number]
-            return row
+            values: dict[int, Operand] = self._emitted["row", number]
+            return values
         f = self.function
         assert self.memory is not None
         assert isinstance(count, Value)
@@ -276,19 +276,16 @@ class Printer:
         place = index * lanes + f.lane_numbers(lanes)
         places = [f.lane(place, lane) for lane in range(lanes)]
         tag = f.gathered(lanes, lambda lane: tags[places[lane]])
-        first = [place * width for place in places]
+        row = _Row(self.storage, count, rows, [place * width for place in places])
         is_stored = tag.equals(count) & f.bits(tag).equals(f.bits(count))  # 0 is not -0
         with f.when(f.any_lane(~is_stored)):
             for lane in range(lanes):
                 tags[places[lane]] = f.lane(count, lane)
-            row_storage = _Row(self.storage, count, rows, first)
-            inner = Printer(f, self.program, row_storage, known={memo.count: count})
+            inner = Printer(f, self.program, row, known={memo.count: count})
             inner.emit((("memo", i), node) for i, node in enumerate(memo.nodes))
-        found: dict[int, Operand] = {}
-        for column, node in enumerate(memo.nodes):
-            found[node] = f.gathered(lanes, lambda lane, i=column: rows[first[lane] + i])
-        self._emitted["row", number] = found
-        return found
+        values = {node: row.value(i) for i, node in enumerate(memo.nodes)}
+        self._emitted["row", number] = values
+        return values
 
 
 class _Row(Storage):
@@ -304,6 +301,11 @@ class _Row(Storage):
         value = f.coerce(value, self.count.type)
         for lane, first in enumerate(self.first):
             self.rows[first + place[1]] = f.lane(value, lane)
+
+    def value(self, column: int) -> Value:
+        """Emit code that loads a value of the row, for all lanes."""
+        f = self.count.function
+        return f.gathered(len(self.first), lambda lane: self.rows[self.first[lane] + column])
 
 
 def _condition(function: Function, value: Operand) -> Value:
