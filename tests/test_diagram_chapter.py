@@ -59,11 +59,16 @@ def test_the_examples_print_what_the_page_shows(numbers, tmp_path, monkeypatch, 
         assert NUMBER.search(shown)
 
 
-def test_the_example_of_a_failed_run_prints_what_the_page_shows(tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize(
+    "index",
+    [pytest.param(0, marks=pytest.mark.slow, id="a pendulum"), pytest.param(1, id="a failed run")],
+)
+def test_the_examples_of_the_first_page_print_what_it_shows(index, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    (code,), (shown,) = (blocks(kind, FIRST_PAGE) for kind in ("python", "text"))
-    exec(compile(code, "a failed run", "exec"), {})
-    require_alike(capsys.readouterr().out, shown)
+    codes, texts = (blocks(kind, FIRST_PAGE) for kind in ("python", "text"))
+    assert len(codes) == len(texts) == 2
+    exec(compile(codes[index], "an example", "exec"), {})
+    require_alike(capsys.readouterr().out, texts[index])
 
 
 def test_each_name_of_the_chapter_is_a_name_of_the_compiler():

@@ -42,11 +42,15 @@ PAGES = sorted(
     if page.name != "README.md" or page.parent == ROOT
 )
 TUTORIALS = [page for page in PAGES if page.parent.name == "tutorials" and page.stem != "index"]
-EXECUTED = [
-    page
-    for page in PAGES
-    if re.search(r"^```\{code-cell\}.*\n[^:-]", page.read_text("utf-8"), re.M)
-]
+
+
+def cells_of(text):
+    """The code of the cells that a page shows, open or folded, without the options of the cells."""
+    cells = re.findall(r"^```\{code-cell\}.*?\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    return [re.sub(r"\A(:.*\n)+", "", cell) for cell in cells if "[remove-input]" not in cell]
+
+
+EXECUTED = [page for page in PAGES if cells_of(page.read_text("utf-8"))]
 """Pages that show their cells: the tutorials, and others whose numbers the build computes."""
 LINK = re.compile(r"\[((?:[^\]\[]|\[[^\]]*\])*)\]\(([^)\s]+)\)")
 
@@ -201,7 +205,7 @@ def test_the_short_names_do_what_their_page_shows(tmp_path, monkeypatch, capsys)
 @pytest.mark.parametrize("tutorial", TUTORIALS, ids=lambda page: page.stem)
 def test_a_tutorial_ends_with_a_picture_and_a_number(tutorial):
     text = tutorial.read_text(encoding="utf-8")
-    *_, last = re.findall(r"^```\{code-cell\}.*?\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    *_, last = cells_of(text)
     assert "plt.subplots" in last
     assert re.search(r"print\(\s*f\"[^\"]*\{", last)
     assert f"{{nb-download}}`{tutorial.stem}.ipynb`" in text
@@ -213,8 +217,7 @@ def test_the_tutorials_are_executed():
 
 @pytest.mark.parametrize("page", EXECUTED, ids=lambda page: page.stem)
 def test_no_code_of_an_executed_page_is_wider_than_its_box(page):
-    cells = re.findall(r"^```\{code-cell\}.*?^```", page.read_text("utf-8"), re.S | re.M)
-    assert cells
+    cells = cells_of(page.read_text("utf-8"))
     assert [line for cell in cells for line in cell.split("\n") if len(line) > 100] == []
 
 
@@ -240,8 +243,7 @@ def untold_numbers(text):
 
     What a run gives is an expression in an f-string, so a cell computes it when it is read.
     """
-    cells = re.findall(r"^```\{code-cell\}.*?\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
-    tree = ast.parse("\n".join(cells))
+    tree = ast.parse("\n".join(cells_of(text)))
     literals = [node for node in ast.walk(tree) if isinstance(node, ast.Constant)]
     inputs = {abs(float(n.value)) for n in literals if isinstance(n.value, int | float)}
     # as they read in another unit
