@@ -89,8 +89,8 @@ def summary(values):
     values = np.ma.filled(np.ma.asarray(values, dtype=float), np.nan).ravel()
     if values.size > 12:
         finite = values[np.isfinite(values)]
-        ends = (values[0], values[-1], finite.min(), finite.max(), finite.mean())
-        return f"{values.size} values " + summary(ends)
+        few = (*values[:2], values[-1], finite.min(), finite.max(), finite.mean())
+        return f"{values.size} values " + summary(few)
     return " ".join(f"{0.0 if abs(value) < 1e-9 else value:.4g}" for value in values)
 
 
@@ -122,6 +122,9 @@ def description(figure):
                     first = summary(drawn.get_cmap()(0.0))
                     yield f"  colours from {first}, limits {summary(drawn.get_clim())}"
                     yield f"    values: {summary(drawn.get_array())}"
+                    if hasattr(drawn, "get_coordinates"):
+                        for corners in np.moveaxis(drawn.get_coordinates(), -1, 0):
+                            yield f"    corners: {summary(corners)}"
                 elif hasattr(drawn, "get_segments"):
                     yield f"  bars of errors: {summary(np.ravel(drawn.get_segments()))}"
             for patch in child.patches:
