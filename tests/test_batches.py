@@ -249,7 +249,7 @@ def test_a_terminal_gets_a_bar(monkeypatch, progress):
     terminal.isatty = lambda: True
     monkeypatch.setattr(sys, "stderr", terminal)
     batch(SHORT, {MASS: [1.4]}, progress=progress)
-    assert ("batch: 100%|" in terminal.getvalue()) == progress
+    assert ("batch: 100%" in terminal.getvalue()) == progress
 
 
 def test_a_missing_pandas_is_one_line(monkeypatch):
