@@ -247,3 +247,16 @@ def test_the_command_prints_every_row(tmp_path):
             assert row["difference"] < 1e-9
     assert "MISSED" in run.stdout or "OK" in run.stdout
     assert len(data["batches"]) == 2
+
+
+@pytest.mark.slow
+def test_mutants_are_counted_and_tests_that_fail_anyway_say_nothing():
+    module = "kneexo/systems/encoder_count.py"
+    command = [sys.executable, BENCHMARKS / "mutation.py", module]
+    for test, code, text in (
+        ("tests/systems/test_encoder_count.py", 0, "'killed'"),
+        ("tests/systems/missing.py", 1, "pytest error"),
+    ):
+        run = subprocess.run([*command, test], capture_output=True, text=True)
+        assert run.returncode == code
+        assert text in run.stdout + run.stderr

@@ -58,7 +58,11 @@ class Study:
     files: tuple[str, str] = ("", "")
     """File names of results and report. An empty name stands for NAME.json or NAME.md."""
     stages: tuple[Stage, ...] = ()
-    """The progress bars of the study in their order, with their typical durations."""
+    """The progress bars of the study in their order, with their typical durations.
+
+    A duration is the wall time from the begin of a bar to the begin of the next one, measured with
+    the default settings on two cores without other work.
+    """
     label: str = ""
     """Heading of the study's settings in ``kneexo params``, or an empty text for ``command``."""
 

@@ -1,10 +1,12 @@
 import math
+import re
 import struct
 from pathlib import Path
 
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from kneexo.errors import ScenarioError
 from kneexo.files.table import read_table
 
 
@@ -93,6 +95,36 @@ def test_numbers_of_opensim_arrive_in_bits(tmp_path_factory, rows, end, separato
     text = "".join(separator.join(line) + end for line in lines)
     text = f"x, y{end}inDegrees=no{end}endheader{end}{text}"
     assert read_back(tmp_path_factory, text, "time_s") == in_bits(rows)
+
+
+WHOLE = '# λ\n\nt,a,note\n0,1,x\n0.5,-2.5e3,"two\nlines"\n\n1,.5,\n2,3,# y\n'
+ODD = (";", "\t", "|", "'", "\x00", "\u2028", "\ufeff", "٣", "nan", "1e999", "1,5", "1_0")
+WORDS = sorted({*re.split(r"(\W)", WHOLE), *ODD})
+
+
+@st.composite
+def damaged(draw):
+    """A table with some parts exchanged."""
+    text = WHOLE
+    for _ in range(draw(st.integers(1, 4))):
+        start = draw(st.integers(0, len(text)))
+        text = text[:start] + draw(st.sampled_from(WORDS)) + text[start + draw(st.integers(0, 9)) :]
+    return text.encode()
+
+
+@settings(max_examples=60)
+@given(content=damaged() | st.binary(max_size=30))
+def test_any_file_is_a_table_of_finite_numbers_or_one_short_line(tmp_path_factory, content):
+    path = Path(tmp_path_factory.getbasetemp(), "damaged.csv")
+    path.write_bytes(content)
+    line = ""
+    try:
+        columns = read_table(path, ("t", "a")).columns
+        assert all(math.isfinite(value) for column in columns.values() for value in column)
+    except ScenarioError as error:
+        line = str(error)
+    assert line.isprintable()
+    assert len(line) < 500
 
 
 def read_back(tmp_path_factory, text, time):
