@@ -46,18 +46,20 @@ class WorkerError(KneexoError, RuntimeError):
 
 
 @contextmanager
-def failure_noted(row: dict[str, Any], name: str = "failure") -> Iterator[None]:
-    """Note a `KneexoError` of the code inside ``with failure_noted(row):`` instead of raising it.
+def failure_noted(
+    row: dict[str, Any], name: str = "failure", kind: type[Error] = KneexoError
+) -> Iterator[None]:
+    """Note an error of the code inside ``with failure_noted(row):`` instead of raising it.
 
-    So a sweep continues after a scenario fails. ``row[name]`` becomes the error message, or an
-    empty text without an error. An error leaves the other values of ``row`` as they are, for
-    example nan.
+    So a sweep continues after a scenario fails. ``row[name]`` becomes the message of an error of
+    the given ``kind``, or an empty text without an error. An error leaves the other values of
+    ``row`` as they are, for example nan.
     """
     row[name] = ""
     try:
         yield
-    except KneexoError as error:
-        row[name] = str(error).removeprefix("Scenario: ")
+    except kind as error:
+        row[name] = str(error).removeprefix("Scenario: ")  # a refused value has its own path
 
 
 def close_names(name: str, names: Iterable[str], cutoff: float = 0.6, most: int = 4) -> list[str]:

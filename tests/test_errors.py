@@ -18,6 +18,24 @@ def test_every_error_is_one_line_here_and_in_another_process(error):
         assert str(copy) == "a\\nb\\x1b λ\\u2028"
 
 
+def test_a_failure_is_noted_and_what_was_computed_before_it_stays():
+    row = {"first": 0.0, "second": 0.0}
+    with errors.failure_noted(row, "why"):
+        row["first"] = 1.0
+        raise errors.SimulationError("t = 1 s: out of range")
+    assert row == {"first": 1.0, "second": 0.0, "why": "t = 1 s: out of range"}
+    with errors.failure_noted(row, "why"):
+        row["second"] = 2.0
+    assert row == {"first": 1.0, "second": 2.0, "why": ""}
+
+
+def test_only_errors_of_the_kind_are_noted():
+    with pytest.raises(errors.ParameterError), errors.failure_noted({}, kind=errors.ResultError):
+        raise errors.ParameterError("mass_kg = -1: must be > 0")
+    with pytest.raises(ZeroDivisionError), errors.failure_noted({}):
+        raise ZeroDivisionError
+
+
 def test_text_for_a_message():
     assert escaped("λ …") == "λ …"
     assert shortened("x" * 120) == "x" * 120

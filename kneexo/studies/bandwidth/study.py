@@ -27,7 +27,7 @@ from kneexo.analysis.plant_linearization import Complex
 from kneexo.analysis.rate_limit import rate_limit_bandwidth_hz
 from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.analysis.sine_estimate import SineEstimateSettings, estimate_sine
-from kneexo.errors import failure_noted
+from kneexo.errors import LinearizationError, SimulationError, failure_noted
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 from kneexo.parameters.quantity import Parameters, quantities, require_increasing
@@ -230,7 +230,7 @@ async def _measure(
         values["reference.frequency_hz"] = frequency
     at = changed(scenario if quantized else scenario.without_quantizers(), values)
     row = CELL | {"measured_hz": math.nan, "response": [math.nan, math.nan]}
-    with failure_noted(row):
+    with failure_noted(row, kind=SimulationError):
         if frequency is None:
             row["measured_hz"] = await awaitable(large_signal_bandwidth_hz, at)
         else:
@@ -287,7 +287,7 @@ def bandwidth_study(
         "hz": math.nan,
         "response": np.full(frequencies.size, complex(math.nan, math.nan)),
     }
-    with failure_noted(linear):
+    with failure_noted(linear, kind=LinearizationError):
         loop = linearize_loop(scenario, knee_angle_deg=mean_deg)
         linear |= {"hz": loop.bandwidth_hz(), "response": loop.output_response(frequencies)}
     speed, acceleration = rod_limits(scenario)
