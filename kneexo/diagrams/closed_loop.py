@@ -51,7 +51,7 @@ def make_closed_loop(
     signals: Sequence[str] | None = None,
     external_reference: bool = False,
     external_moment: bool = False,
-    open_law: bool = False,
+    law: System | None = None,
 ) -> Diagram:
     """Build the closed loop of a scenario, by default with the paper's sliding-mode controller.
 
@@ -89,8 +89,9 @@ def make_closed_loop(
         True: an input port ``knee_reference`` replaces the subsystem ``reference``.
     external_moment
         True: an input port ``biological_moment`` replaces the subsystem ``moment`` if it exists.
-    open_law
-        True: an input port ``law_command`` replaces a law of the user that runs as Python.
+    law
+        A system that replaces the law of the user: see `make_controller`. The port ``law_command``
+        of a `HeldCommand` becomes an input of the loop.
 
     Raises
     ------
@@ -116,7 +117,7 @@ def make_closed_loop(
     wearer = add_wearer(
         builder, scenario, plant, source.get_output_port(), external_moment=external_moment
     )
-    controller = builder.AddNamedSystem("controller", make_controller(scenario, open_law=open_law))
+    controller = builder.AddNamedSystem("controller", make_controller(scenario, law))
     ports = {name: plant.GetOutputPort(name) for name in SIGNALS if plant.HasOutputPort(name)} | {
         "knee_reference": source.get_output_port(),
         "encoder_reading": encoder.get_output_port(),

@@ -10,12 +10,12 @@ from pydrake.systems.primitives import Saturation, ZeroOrderHold
 
 from kneexo import systems
 from kneexo.diagrams.law import (
+    held_command,
     known_to_controller,
     law_inputs,
     maker_arguments,
     port_sizes,
     remembered,
-    runs_as_python,
     users_law,
 )
 from kneexo.diagrams.part import Part, add_parts
@@ -37,10 +37,9 @@ from kneexo.systems import (
     sliding_mode_controller,
     torque_controller,
 )
-from kneexo.systems.function_law import LAW_COMMAND
 
 
-def make_controller(scenario: Scenario = Scenario(), *, open_law: bool = False) -> System:
+def make_controller(scenario: Scenario = Scenario(), law: System | None = None) -> System:
     """Build the controller of a scenario, the part of the loop that runs on the embedded target.
 
     ===================  ====  ====================  ==============================================
@@ -70,20 +69,22 @@ def make_controller(scenario: Scenario = Scenario(), *, open_law: bool = False) 
     ----------
     scenario
         Nominal plant, polynomial, encoder, estimator and controller.
-    open_law
-        True: `HeldCommand` replaces a law that runs as Python. The controller then has the input
-        ``law_command``, in rad/s.
+    law
+        A system that replaces the law of the scenario and has the same input ports, such as
+        `HeldCommand`. Its command is neither limited nor held.
 
     Raises
     ------
     ParameterError
-        A law of the user cannot be made, or one of its ports is wrong.
+        A law of the user cannot be made, or one of its ports is wrong. There is a ``law`` for a
+        scenario whose controller is not the user's.
     """
     builder = DiagramBuilder()
-    part = add_parts(builder, _parts(scenario, open_law))
+    limited = law is None and has_unknown_parts(scenario)
+    part = add_parts(builder, _parts(scenario, law))
     law = part["law"]
     command = law.GetOutputPort("motor_speed_command")
-    if has_unknown_parts(scenario) and not law.HasInputPort(LAW_COMMAND):
+    if limited:
         command = _limited_and_held(builder, scenario, law, command)
     outputs = {"motor_speed_command": command}
     sources: dict[str, Any] = {}
@@ -160,16 +161,21 @@ def has_unknown_parts(scenario: Scenario) -> bool:
     return isinstance(law, LawParameters) and law.function.is_system
 
 
-def _parts(scenario: Scenario, open_law: bool = False) -> list[Part]:
-    """Return the leaf systems of a controller. `make_controller` describes ``open_law``."""
+def _parts(scenario: Scenario, replacement: System | None = None) -> list[Part]:
+    """Return the leaf systems of a controller; ``replacement`` replaces the scenario's law."""
     believed, polynomial = scenario.believed_plant, controller_polynomial(scenario)
     law, offset = scenario.controller, encoder_offset_rad(scenario)
     if law.command_limit_rad_s != scenario.command_limit_rad_s:
         law = law.model_copy(update={"command_limit_rad_s": scenario.command_limit_rad_s})
+    if replacement is not None and not isinstance(law, LawParameters):
+        raise ParameterError(
+            f"law: replaces a law of the user, but controller.kind is {law.kind}; to use a law of "
+            f"yours, write make_controller(scenario.with_law(law))"
+        )
     if isinstance(law, LawParameters):
         inputs = {*law_inputs(scenario)}
         if "encoder_reading" in inputs and inputs <= _RAW_INPUTS:
-            return [_law_part(scenario, law, open_law)]
+            return [_law_part(scenario, law, replacement)]
     parts = [
         Part(
             "coordinates",
@@ -184,7 +190,7 @@ def _parts(scenario: Scenario, open_law: bool = False) -> list[Part]:
     ]
     estimates = True
     if isinstance(law, LawParameters):
-        parts.append(_law_part(scenario, law, open_law))
+        parts.append(_law_part(scenario, law, replacement))
         estimates = "estimated_state" in inputs
     elif isinstance(law, SlidingModeParameters):
         parts.append(
@@ -220,16 +226,15 @@ _RAW_INPUTS = {"encoder_reading", "knee_reference", "rod_state"}
 """Inputs of a law that kneexo does not compute from the reading of the encoder."""
 
 
-def _law_part(scenario: Scenario, law: LawParameters, open_law: bool) -> Part:
-    """Return the control law of the user. `make_controller` describes ``open_law``."""
-    inputs = law_inputs(scenario)
-    if "rod_state" in inputs and scenario.estimator.kind != "exact":
+def _law_part(scenario: Scenario, law: LawParameters, replacement: System | None) -> Part:
+    """Return the control law of the user, or ``replacement`` if it is not None."""
+    if "rod_state" in law_inputs(scenario) and scenario.estimator.kind != "exact":
         raise ParameterError(
             f"law {law.function.short_name}: reads rod_state, the true state of the rod: needs "
             f"estimator.kind = exact, not {scenario.estimator.kind}"
         )
-    if open_law and runs_as_python(scenario):
-        return Part("law", lambda: systems.HeldCommand(law.sample_time_s, inputs), dict)
+    if replacement is not None:
+        return Part("law", lambda: replacement, dict)
     if not law.function.is_system:
         return Part(
             "law",
@@ -279,5 +284,5 @@ def controller_outputs(scenario: Scenario) -> dict[str, int]:
     return remembered(
         users_law(scenario),
         ("outputs", known_to_controller(scenario).model_dump_json()),
-        lambda: port_sizes(make_controller(scenario, open_law=True)),
+        lambda: port_sizes(make_controller(scenario, held_command(scenario))),
     )

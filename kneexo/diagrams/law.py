@@ -7,6 +7,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 
 from pydrake.systems.framework import System
 
+from kneexo import systems
 from kneexo.compiler import read_diagram
 from kneexo.errors import KneexoError, ParameterError
 from kneexo.parameters import LAW_INPUTS, Law, LawParameters, Scenario
@@ -109,6 +110,14 @@ def law_inputs(scenario: Scenario) -> tuple[str, ...]:
     """Return the names of the inputs, of `LAW_INPUTS`, that the law of the user reads."""
     law = users_law(scenario)
     return _system_law(scenario).inputs if law.is_system else law.arguments.inputs
+
+
+def held_command(scenario: Scenario) -> systems.HeldCommand | None:
+    """Return the system that replaces a law that runs as Python; None if the law is compiled."""
+    law = scenario.controller
+    if not isinstance(law, LawParameters) or not runs_as_python(scenario):
+        return None
+    return systems.HeldCommand(law.sample_time_s, law_inputs(scenario))
 
 
 def port_sizes(system: System, *, inputs: bool = False) -> dict[str, int]:

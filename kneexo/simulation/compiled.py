@@ -46,6 +46,7 @@ from kneexo.diagrams.controller import (
     make_controller,
 )
 from kneexo.diagrams.law import (
+    held_command,
     known_to_controller,
     law_inputs,
     port_sizes,
@@ -177,7 +178,7 @@ def scenario_diagram(scenario: Scenario) -> Any:
         signals=(),
         external_reference=external,
         external_moment=True,
-        open_law=True,
+        law=held_command(scenario),
     )
 
 
@@ -254,7 +255,7 @@ def _unknown_parts(scenario: Scenario) -> _UnknownParts:
 
 
 def _read_controller(scenario: Scenario) -> _UnknownParts:
-    controller = make_controller(scenario, open_law=True)
+    controller = make_controller(scenario, held_command(scenario))
     read = read_diagram(controller, inputs=list(port_sizes(controller, inputs=True)))
 
     def named(names: Sequence[str], values: Array) -> dict[str, float]:

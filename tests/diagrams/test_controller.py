@@ -327,6 +327,8 @@ def test_its_sample_time_is_that_of_the_scenario():
         track(Scenario().with_law(ours, sample_time_s=0.004))
 
 
-def test_a_system_without_the_ports_is_refused():
+def test_a_system_in_a_wrong_place_is_refused():
+    with pytest.raises(ParameterError, match=r"kind is smc; .*scenario.with_law\(law\)"):
+        make_controller(Scenario(), SlidingModeController())
     with pytest.raises(ParameterError, match="reference: must have one output port of size 4"):
         make_closed_loop(reference=ConstantVectorSource([0.0]))
