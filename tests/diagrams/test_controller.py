@@ -222,6 +222,26 @@ def test_a_law_reads_the_true_state_of_the_rod_with_the_estimator_exact():
     np.testing.assert_allclose(floats["knee_angle_rad"], run["knee_angle_rad"], atol=1e-7)
 
 
+class Measuring(LeafSystem):
+    """A law with an output of a name that kneexo's coordinates have too."""
+
+    def __init__(self, coordinate):
+        super().__init__()
+        self.DeclareVectorInputPort(coordinate, 1)
+        for name in ("motor_speed_command", "measured_knee_angle"):
+            self.DeclareVectorOutputPort(name, 1, lambda context, output: None)
+
+
+@pytest.mark.parametrize(
+    ("coordinate", "origin"), [("knee_angle", "coordinates"), ("encoder_reading", "law")]
+)
+def test_a_signal_of_the_controller_comes_from_kneexo_if_kneexo_computes_it(coordinate, origin):
+    controller = make_controller(Scenario().with_law(lambda scenario: Measuring(coordinate)))
+    port = controller.GetOutputPort("measured_knee_angle")
+    system, _ = controller.get_output_port_locator(port.get_index())
+    assert system.get_name() == origin
+
+
 # ------------------------------------------------------------------------------- bad input
 
 

@@ -49,6 +49,20 @@ def test_another_law_is_replaced_by_its_held_command(form, reason: str) -> None:
     assert held.GetUniquePeriodicDiscreteUpdateAttribute().period_sec() == 0.004
 
 
+def by_estimator(scenario):
+    def exact(rod_state):
+        return 0.0
+
+    function = exact if scenario.estimator.kind == "exact" else law
+    return FunctionLaw(LawParameters(function=function))
+
+
+def test_what_is_known_of_a_system_belongs_to_the_scenario_that_it_is_made_for() -> None:
+    scenario = Scenario().with_law(by_estimator)
+    assert law_inputs(scenario) == ("knee_angle", "knee_reference")
+    assert law_inputs(scenario.changed({"estimator": {"kind": "exact"}})) == ("rod_state",)
+
+
 def test_kneexos_controllers_are_compiled() -> None:
     assert not runs_as_python(Scenario())
 

@@ -10,8 +10,10 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import Gain, LinearSystem
 
 from kneexo.analysis import linearize_loop, track
+from kneexo.diagrams.controller import encoder_offset_rad
 from kneexo.diagrams.law import runs_as_python
 from kneexo.errors import LinearizationError, ParameterError, SimulationError
+from kneexo.linkage import encoder_angle
 from kneexo.parameters import (
     ExactParameters,
     LawParameters,
@@ -20,7 +22,9 @@ from kneexo.parameters import (
     SimulationParameters,
 )
 from kneexo.simulation import simulate
+from kneexo.simulation.python_law import sign_hint
 from kneexo.systems import FunctionLaw
+from kneexo.systems.knee_reference import start_angle_rad
 
 SHORT = Scenario(simulation=SimulationParameters(duration_s=0.3))
 K, K_I = 8e4, 2e5
@@ -310,6 +314,20 @@ def test_the_message_names_a_wrong_sign(form) -> None:
     scenario = Scenario(simulation=SimulationParameters(duration_s=3.0))
     with pytest.raises(SimulationError, match="has the wrong sign: a positive command drives"):
         track(scenario.with_law(form, values={"k": -K}))
+
+
+def test_the_message_names_a_wrong_sign_of_a_law_that_reads_the_encoder() -> None:
+    """θ_4 falls with the knee angle. The law jumps at the reading of the start, with its offset."""
+    scenario = Scenario().changed({"encoder.mounting_error_rad": 0.05})
+    angle = start_angle_rad(scenario.reference)
+    at_start = encoder_angle(scenario.plant.linkage, angle) - encoder_offset_rad(scenario)
+
+    def jumping(encoder_reading, gain=1e9):
+        return gain * (encoder_reading - float(at_start))
+
+    wrong, right = (scenario.with_law(jumping, values={"gain": g}) for g in (1e9, -1e9))
+    assert "has the wrong sign" in sign_hint(wrong)
+    assert sign_hint(right) == ""
 
 
 def test_a_divergence_of_a_right_sign_is_no_wrong_sign() -> None:
