@@ -121,6 +121,15 @@ class Probe:
         system = system or self.system
         return results(system, self.context(system, z))
 
+    def check_contract(self, count=3, **changed):
+        """Check conversions, dependencies of outputs and sizes of trees, and ``changed`` values."""
+        self.check_conversions(count)
+        self.check_outputs_follow_every_source()
+        self.check_conversions_keep_arguments()
+        for name, value in changed.items():
+            self.check_conversions_keep(name, value)
+        assert self.largest_tree() < TREE_LIMIT
+
     def check_conversions(self, count=3):
         """Values of all scalars agree to 1e-12, AutoDiff derivatives with central differences."""
         dual_system, symbolic_system = self.system.ToAutoDiffXd(), self.system.ToSymbolic()

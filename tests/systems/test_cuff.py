@@ -54,11 +54,7 @@ def test_ports_and_state(leaf):
 @pytest.mark.parametrize("ranges", [INPUTS, FAR], ids=["elastic", "slips"])
 def test_conversions_agree_and_keep_arguments_and_changes(leaf, ranges):
     probe = leaf.Probe(Cuff(CuffParameters(**NUMBERS)), ranges, STATE)
-    probe.check_conversions()
-    probe.check_outputs_follow_every_source()
-    probe.check_conversions_keep_arguments()
-    probe.check_conversions_keep("stiffness_n_m_per_rad", 2000.0)
-    assert probe.largest_tree() < leaf.tree_limit
+    probe.check_contract(stiffness_n_m_per_rad=2000.0)
 
 
 @pytest.mark.parametrize("ranges", [INPUTS, FAR], ids=["elastic", "slips"])

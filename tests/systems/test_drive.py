@@ -50,11 +50,7 @@ def test_the_drive_is_stateless_and_fed_through(leaf):
 def test_conversions_agree_and_have_no_derivative_but_that_of_the_unit(leaf):
     # 40…42 units: far from a half, where the differences of the check would jump.
     probe = leaf.Probe(drive(0.1), {"motor_speed_command": [(0.4295, 0.4297)]}, spread=1e-4)
-    probe.check_conversions()
-    probe.check_outputs_follow_every_source()
-    probe.check_conversions_keep_arguments()
-    probe.check_conversions_keep("velocity_unit_rad_s", 0.02)
-    assert probe.largest_tree() < leaf.tree_limit
+    probe.check_contract(velocity_unit_rad_s=0.02)
     system = drive(1.0).ToAutoDiffXd()
     context = system.CreateDefaultContext()
     system.get_input_port().FixValue(context, [AutoDiffXd(1.3, [1.0])])

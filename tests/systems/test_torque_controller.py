@@ -101,11 +101,7 @@ def test_command_is_held_without_direct_feedthrough(leaf, mode):
 def test_conversions_agree_and_keep_arguments_and_changes(leaf, mode):
     system = TorqueController(TorqueParameters(mode=mode, **NUMBERS))
     probe = leaf.Probe(system, ranges_of(mode), STATE)
-    probe.check_conversions()
-    probe.check_outputs_follow_every_source()
-    probe.check_conversions_keep_arguments()
-    probe.check_conversions_keep("integral_rad_s2_per_n", 500.0)
-    assert probe.largest_tree() < leaf.tree_limit
+    probe.check_contract(integral_rad_s2_per_n=500.0)
 
 
 # -------------------------------------------------------------------------------- numbers
