@@ -349,10 +349,14 @@ class Law:
         fingerprint = self.fingerprint
         return self.name if fingerprint is None else f"{self.name}#{fingerprint[:_DIGITS]}"
 
-    def __reduce__(self) -> tuple[Callable[..., Law], tuple[bytes, str]]:
+    def __reduce__(self) -> tuple[Callable[..., Law], tuple[Any, ...]]:
+        """Pickle the code and its values, or else the name if it leads to this law."""
         try:
             return _unpickled, (cloudpickle.dumps(self.target), self.name)
         except Exception as error:  # pickling a user's object may raise any error
+            with suppress(ParameterError):
+                self.require_name()
+                return type(self).from_text, (self.identity(),)
             raise ParameterError(
                 f"law {self.short_name}: cannot be sent to worker processes "
                 f"({shortened(str(error), 100)}); give a function or the class of the system, or "

@@ -133,6 +133,19 @@ def test_a_law_survives_pickle_and_a_scenario_file(tmp_path: Path) -> None:
     assert again.controller.function.target(2.0) == 6.0
 
 
+def test_a_law_with_functions_that_pickle_refuses_is_sent_by_its_name(tmp_path: Path) -> None:
+    file = tmp_path / "my.py"
+    file.write_text(
+        "from pydrake.math import max\ndef law(knee_angle): return max(knee_angle, 0)\n"
+    )
+    one = Law.from_text(f"{file}:law")
+    data = pickle.dumps(one)
+    assert pickle.loads(data) == one
+    file.write_text(file.read_text().replace("0", "10"))
+    with pytest.raises(ParameterError, match="the code has changed since"):
+        pickle.loads(data)
+
+
 def test_the_name_of_a_law_leads_to_the_law_or_is_refused() -> None:
     Law.from_text(f"{OWN_LAW}:law").require_name()
     Law(law).require_name()
