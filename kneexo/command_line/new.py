@@ -115,9 +115,8 @@ def _lines(csv: str) -> Iterator[str]:
     columns = CsvReference(file=csv)
     pid = {name: getattr(PidParameters(), name) for name in _PID_GAINS}
     gains = ", ".join(f"{name}: {value:g}" for name, value in pid.items())
-    yield "# A knee to change. Comments: unit, range; meaning or origin. Values that are not here"
-    yield "# come from the preset. The controller's polynomial is fitted to the linkage below."
-    yield "# kneexo params lists every value."
+    yield "# A knee to change. Comments: unit, range; meaning or origin. Other values are the"
+    yield "# preset's (kneexo params lists them). The polynomial is fitted to this linkage."
     yield f"preset: {PRESET}  # weight of the shank, drive, chambers, friction; others: {others}"
     yield "plant:"
     yield f"  linkage:  # {origin}"
