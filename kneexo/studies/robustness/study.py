@@ -400,8 +400,8 @@ def _explore(
         tasks = ["margins", *(["tracking"] if settings.sensitivity_duration_s and follows else [])]
         function = partial(_local, scenario, tuple(paths), settings.sensitivity_duration_s)
         for task, gradients in zip(tasks, sweep.map(function, tasks, "sensitivities"), strict=True):
-            if failure := gradients.pop("failure"):
-                troubles.append(f"{task}: {failure}")
+            if trouble := gradients.pop("trouble"):
+                troubles.append(f"{task}: {trouble}")
             local |= gradients
     return RobustnessResult(
         scenario=scenario,
@@ -425,11 +425,11 @@ def _local(
     """Return the derivatives of metrics with respect to uncertain values.
 
     The keys are the metric, then the path. ``task`` (``margins`` or ``tracking``) selects metrics.
-    If the computation fails, the result has only the key ``failure`` with the reason. Otherwise
-    ``failure`` is an empty text.
+    If the computation fails, the result has only the key ``trouble`` with the reason. Otherwise
+    ``trouble`` is an empty text.
     """
     gradients: dict[str, Any] = {}
-    with failure_noted(gradients):
+    with failure_noted(gradients, "trouble"):  # a sweep counts a "failure" as that of a run
         if task == "margins":
             sensitivities = loop_sensitivities(scenario, paths)
         else:
