@@ -117,7 +117,8 @@ def test_the_file_of_a_failed_row_repeats_its_run_from_any_folder(tmp_path, monk
         with monkeypatch.context() as patch:
             patch.chdir("away")
             assert main(["simulate", "../failure 1.yaml", "--out", "out"]) == 2
-        assert capsys.readouterr().err == f"kneexo: ../failure 1.yaml: {row.error}\n"
+        *_, last = capsys.readouterr().err.splitlines()  # a slow machine also says that it compiles
+        assert last == f"kneexo: ../failure 1.yaml: {row.error}"
 
 
 def test_only_a_run_that_failed_with_a_law_that_has_a_name_becomes_a_file(mixed, tmp_path):
