@@ -398,6 +398,15 @@ def _unpickled(data: bytes, name: str) -> Law:
     return Law(cloudpickle.loads(data), name)
 
 
+def _is_bound_function(value: Any) -> bool:
+    """Whether a value is a function of C++, such as those of Drake, but no method of an object.
+
+    pybind11 (Drake 1.51) hands a capsule to such functions, nanobind (Drake 1.58) has a type.
+    """
+    binding = value.__self__ if isinstance(value, BuiltinFunctionType) else value
+    return type(binding).__name__ in ("PyCapsule", "nb_func")
+
+
 def _is_system(value: Any) -> bool:
     """Return True for an object of Drake's class System, without an import of Drake."""
     return not isinstance(value, type) and hasattr(value, "CreateDefaultContext")
@@ -500,7 +509,7 @@ class _Walk:
                 return self._function(value)
             case ModuleType():
                 return self._module(value, ())
-            case BuiltinFunctionType() if type(value.__self__).__name__ == "PyCapsule":  # of Drake
+            case _ if _is_bound_function(value):
                 return value.__module__, value.__qualname__
             case MethodType():
                 return self._all((value.__func__, value.__self__))

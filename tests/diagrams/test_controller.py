@@ -3,6 +3,7 @@
 import functools
 import importlib.util
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -102,7 +103,7 @@ def test_our_controller_as_one_of_the_user_is_ours():
     parts = make_controller(scenario).GetSystems()
     assert [system.get_name() for system in parts] == ["law", "limit"]
     own, default = track(scenario, all_signals=True), track(SHORT, all_signals=True)
-    assert own.metrics == default.metrics
+    np.testing.assert_equal(asdict(own.metrics), asdict(default.metrics))  # nan in a short run
     assert own.run.data.keys() == default.run.data.keys()
     for column, values in default.run.data.items():
         np.testing.assert_array_equal(own.run[column], values)
