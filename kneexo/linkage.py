@@ -89,6 +89,15 @@ def rod_anchor(link: LinkageParameters) -> complex:
     return complex(link.rod_anchor_radius_m * np.exp(1j * link.rod_anchor_angle_rad))
 
 
+def shank_is_ground(link: LinkageParameters) -> bool:
+    """Return True if the ground link belongs to the shank, False if it belongs to the thigh.
+
+    The cylinder's pin is fixed to the ground link, so it lies below the knee if the shank is the
+    ground (G1), and above the knee if the thigh is the ground.
+    """
+    return rod_anchor(link).imag < 0.0
+
+
 def pose(link: LinkageParameters, knee_angle: ArrayLike) -> LinkagePose:
     """Assemble the linkage at given knee angles, in closed form.
 

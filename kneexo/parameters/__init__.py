@@ -14,6 +14,7 @@ All classes are frozen and validated on construction. A bad value raises `Parame
 message of one line. To change a number, pass it by name: ``CylinderParameters(mass_kg=1.8)``.
 """
 
+from kneexo.parameters.anatomical_knee import GAIT2392, AnatomicalKneeParameters
 from kneexo.parameters.bus import Cia402Parameters, NoBus
 from kneexo.parameters.control import (
     DifferenceParameters,
@@ -84,6 +85,7 @@ __all__ = [
     "G2",
     "G3",
     "G4",
+    "GAIT2392",
     "LAW_INPUTS",
     "LINKAGES",
     "MOMENT_MASS_KG",
@@ -93,6 +95,7 @@ __all__ = [
     "UNCERTAIN_KNEE",
     "WEARERS",
     "WEARER_UNCERTAINTY",
+    "AnatomicalKneeParameters",
     "BldcPumpParameters",
     "Cia402Parameters",
     "CsvReference",

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from kneexo.linkage import icr, pose, rod_anchor
+from kneexo.linkage import icr, pose, rod_anchor, shank_is_ground
 from kneexo.parameters import LinkageParameters
 
 Points = NDArray[np.complex128]
@@ -92,10 +92,8 @@ PINS = {
 def points(link: LinkageParameters, knee_angle: ArrayLike) -> dict[str, Points]:
     """Return all points by name, (n,) each, at knee angles (n,) in rad.
 
-    The joints follow Lee et al. 2020, Eq. 3–9. The ground link belongs to the shank if the
-    cylinder's pin lies below the knee (G1), else to the thigh (G2 to G4). The view is from the side
-    on which the foot moves back when the knee flexes. Raises `LinkageError` if the linkage cannot
-    be assembled.
+    The joints follow Lee et al. 2020, Eq. 3–9. The view is from the side on which the foot moves
+    back when the knee flexes. Raises `LinkageError` if the linkage cannot be assembled.
     """
     angle = np.atleast_1d(np.asarray(knee_angle, dtype=float))
     now, straight = pose(link, angle), pose(link, 0.0)
@@ -103,7 +101,7 @@ def points(link: LinkageParameters, knee_angle: ArrayLike) -> dict[str, Points]:
     anchor = rod_anchor(link)
     turn = np.exp(1j * angle)
     centre_x, centre_y = icr(link, now.theta_3, now.theta_4)
-    shank_is_ground = anchor.imag < 0.0
+    on_shank = shank_is_ground(link)
 
     def moved(point: complex) -> Points:
         """Return the positions of a point of the coupler. ``point``: position at full extension."""
@@ -112,7 +110,7 @@ def points(link: LinkageParameters, knee_angle: ArrayLike) -> dict[str, Points]:
     def from_thigh(point: Points | complex) -> Points:
         """Transform points from the frame of the ground link to the frame of the thigh."""
         values = point * np.ones(angle.size, dtype=complex)
-        if shank_is_ground:
+        if on_shank:
             return np.asarray((values - now.joint_b) / turn + straight.joint_b)
         return -np.conj(values)
 
@@ -124,13 +122,13 @@ def points(link: LinkageParameters, knee_angle: ArrayLike) -> dict[str, Points]:
         "pin": pin,
         "axis": 1j * pin.imag,
     }
-    forward = 1.0 if shank_is_ground else -1.0
+    forward = 1.0 if on_shank else -1.0
     shank = {"start": 0j, "ankle": -1j * SHANK_M, "toe": -1j * (SHANK_M + TOE_M) + forward * FOOT_M}
     thigh = {"end": 0j, "hip": 1j * THIGH_M}
     result: dict[str, Points] = {}
     for limb, leg, of_linkage, on_ground in (
-        ("shank", shank, ground if shank_is_ground else coupler, shank_is_ground),
-        ("thigh", thigh, coupler if shank_is_ground else ground, not shank_is_ground),
+        ("shank", shank, ground if on_shank else coupler, on_shank),
+        ("thigh", thigh, coupler if on_shank else ground, not on_shank),
     ):
         for name, point in (leg | of_linkage).items():
             key = name if name in ("ankle", "toe", "hip") else f"{limb}_{name}"
