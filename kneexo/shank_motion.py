@@ -94,9 +94,9 @@ def anatomical_motion(knee: AnatomicalKneeParameters, knee_angle: ArrayLike) -> 
     low, high = knee.range_rad
     if np.any(bad := ~((angle >= low) & (angle <= high))):
         raise ParameterError(
-            f"knee angle {np.degrees(angle[bad][0]):.4g} deg is outside the nodes of the anatomical "
-            f"knee: must be {np.degrees(low):.4g} … {np.degrees(high):.4g} deg; give nodes that "
-            f"cover the motion"
+            f"knee angle {np.degrees(angle[bad][0]):.4g} deg is outside the nodes of the "
+            f"anatomical knee: must be {np.degrees(low):.4g} … {np.degrees(high):.4g} deg; give "
+            f"nodes that cover the motion"
         )
     anterior, up = _splines(knee)
     return ShankMotion(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from pydantic import model_validator
 
 from kneexo.parameters.quantity import Parameters, quantities, quantity, require_increasing
@@ -10,8 +12,28 @@ _GAIT2392 = (
     "OpenSim model gait2392 by S. L. Delp et al., CC BY 3.0; planar knee of Yamaguchi and Zajac, "
     "J. Biomechanics 22, 1989"
 )
-FULL_FLEXION_RAD = 2.0944
-"""Largest flexion in rad of the nodes of gait2392's knee, 120°."""
+_ANTERIOR = (
+    *((-2.0944, -0.00525), (-1.52146, -0.005435), (-0.490178, -0.005574), (-0.337395, -0.005435)),
+    *((-0.197344, -0.005227), (0.174533, -0.0031), (0.349066, -0.001), (0.698132, 0.00212)),
+    *((1.0472, 0.0041), (1.39626, 0.00411), (1.74533, 0.00179), (2.0944, -0.0032)),
+)
+"""Nodes of gait2392's knee: flexion in rad, and place of the tibia's origin in m, forwards."""
+
+_UP = (
+    *((-2.0944, -0.396), (-0.159149, -0.395264), (0.174533, -0.3966), (0.349066, -0.3976)),
+    *((0.523599, -0.399), (1.22173, -0.4082), (2.0944, -0.4226)),
+)
+"""Nodes of gait2392's knee: flexion in rad, and place of the tibia's origin in m, upwards."""
+
+
+def _angles(nodes: tuple[tuple[float, float], ...]) -> Any:
+    angles = tuple(angle for angle, _ in nodes)
+    return quantities(angles, "rad", _GAIT2392, ge=-3.2, le=3.2, min_length=3)
+
+
+def _places(nodes: tuple[tuple[float, float], ...]) -> Any:
+    places = tuple(place for _, place in nodes)
+    return quantities(places, "m", _GAIT2392, ge=-1, le=1, min_length=3)
 
 
 class AnatomicalKneeParameters(Parameters):
@@ -22,41 +44,11 @@ class AnatomicalKneeParameters(Parameters):
     centres by as much as this knee does, so that a conclusion needs more than one knee.
     """
 
-    anterior_angles_rad: tuple[float, ...] = quantities(
-        (-2.0944, -1.52146, -0.490178, -0.337395, -0.197344, 0.174533, 0.349066)
-        + (0.698132, 1.0472, 1.39626, 1.74533, FULL_FLEXION_RAD),
-        "rad",
-        _GAIT2392,
-        ge=-3.2,
-        le=3.2,
-        min_length=3,
-    )
-    anterior_m: tuple[float, ...] = quantities(
-        (-0.00525, -0.005435, -0.005574, -0.005435, -0.005227, -0.0031, -0.001)
-        + (0.00212, 0.0041, 0.00411, 0.00179, -0.0032),
-        "m",
-        _GAIT2392,
-        ge=-1,
-        le=1,
-        min_length=3,
-    )
+    anterior_angles_rad: tuple[float, ...] = _angles(_ANTERIOR)
+    anterior_m: tuple[float, ...] = _places(_ANTERIOR)
     """Position in front of the femur's origin, the hip joint's centre."""
-    up_angles_rad: tuple[float, ...] = quantities(
-        (-2.0944, -0.159149, 0.174533, 0.349066, 0.523599, 1.22173, FULL_FLEXION_RAD),
-        "rad",
-        _GAIT2392,
-        ge=-3.2,
-        le=3.2,
-        min_length=3,
-    )
-    up_m: tuple[float, ...] = quantities(
-        (-0.396, -0.395264, -0.3966, -0.3976, -0.399, -0.4082, -0.4226),
-        "m",
-        _GAIT2392,
-        ge=-1,
-        le=1,
-        min_length=3,
-    )
+    up_angles_rad: tuple[float, ...] = _angles(_UP)
+    up_m: tuple[float, ...] = _places(_UP)
     """Position above the femur's origin, so that the values of a leg are negative."""
     size: float = quantity(
         1.0,
@@ -78,8 +70,8 @@ class AnatomicalKneeParameters(Parameters):
                 raise ValueError(f"{angles}: {error}") from None
             if not nodes[0] <= 0.0 < nodes[-1]:
                 raise ValueError(
-                    f"{angles} = {nodes[0]:g} … {nodes[-1]:g} rad: must have full extension, 0 rad, "
-                    f"and flexion, which is positive"
+                    f"{angles} = {nodes[0]:g} … {nodes[-1]:g} rad: must have full extension, "
+                    f"0 rad, and flexion, which is positive"
                 )
         return self
 
