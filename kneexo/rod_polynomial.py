@@ -13,7 +13,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from kneexo.linkage import rod_extension
-from kneexo.parameters import LINKAGES, LinkageParameters, RodPolynomialParameters, Scenario
+from kneexo.parameters import TABLE_1_LINKAGES, LinkageParameters, RodPolynomialParameters, Scenario
 from kneexo.result import Array
 
 SAMPLES = 901
@@ -62,16 +62,18 @@ def _rounded(coefficients: Array) -> Any:
 
 @lru_cache(maxsize=64)
 def _default_polynomial(link: LinkageParameters) -> RodPolynomialParameters:
-    return RodPolynomialParameters() if link in LINKAGES.values() else fitted_polynomial(link)
+    if link in TABLE_1_LINKAGES.values():
+        return RodPolynomialParameters()
+    return fitted_polynomial(link)
 
 
 def controller_polynomial(scenario: Scenario) -> RodPolynomialParameters:
     """Return the polynomials that the controller of a scenario uses.
 
     A scenario with a ``polynomial`` uses this one. Without it, the linkage of the plant for which
-    the controller is designed decides. A linkage of `LINKAGES` has the polynomials of Table 1,
-    because it is identified from Table 1. Another linkage has its `fitted_polynomial`. Raises
-    `LinkageError` when the linkage cannot be assembled.
+    the controller is designed decides. A linkage of `TABLE_1_LINKAGES` has the polynomials of
+    Table 1, because it is identified from Table 1. Another linkage has its `fitted_polynomial`.
+    Raises `LinkageError` when the linkage cannot be assembled.
     """
     return scenario.polynomial or _default_polynomial(scenario.believed_plant.linkage)
 

@@ -4,6 +4,13 @@ Most functions return a frozen result object, which holds data and has a method 
 `kneexo.simulation` runs scenarios, and `kneexo.studies` compares many scenarios.
 """
 
+from kneexo.analysis.alignment import (
+    Alignment,
+    CuffForces,
+    Placement,
+    SlottedStrap,
+    align,
+)
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
 from kneexo.analysis.coupling import (
     CoupledStability,
@@ -54,7 +61,9 @@ from kneexo.analysis.verdict import Stability, Verdict
 from kneexo.simulation import Run, simulate, simulate_diagram
 
 __all__ = [
+    "Alignment",
     "CoupledStability",
+    "CuffForces",
     "EnergyBalance",
     "FrequencyResponse",
     "InteractionMetrics",
@@ -63,11 +72,13 @@ __all__ = [
     "OperatingPoint",
     "OutputImpedance",
     "PassivityLimits",
+    "Placement",
     "PlantLinearization",
     "PolynomialFit",
     "Run",
     "SampledLoop",
     "SineEstimate",
+    "SlottedStrap",
     "Stability",
     "StepMetrics",
     "StiffnessInterval",
@@ -76,6 +87,7 @@ __all__ = [
     "TrackingMetrics",
     "TrackingResult",
     "Verdict",
+    "align",
     "coupled_stability",
     "crossing",
     "draw_trials",

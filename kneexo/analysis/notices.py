@@ -12,7 +12,7 @@ from kneexo.analysis.signals import period_s
 from kneexo.diagrams.plant import moving_masses_kg
 from kneexo.errors import LinearizationError
 from kneexo.parameters import (
-    LINKAGES,
+    TABLE_1_LINKAGES,
     CylinderParameters,
     PlantParameters,
     RampReference,
@@ -276,7 +276,7 @@ def polynomial_notices(scenario: Scenario) -> Iterator[str]:
     polynomial, link = controller_polynomial(scenario), scenario.believed_plant.linkage
     error = largest_error_mm(link, polynomial)
     if scenario.polynomial is None:
-        if link not in LINKAGES.values():
+        if link not in TABLE_1_LINKAGES.values():
             yield (
                 f"the controller's polynomial is fitted to this linkage: off by at most "
                 f"{error:.2g} mm of rod over 0…90 deg"

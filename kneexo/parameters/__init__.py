@@ -26,7 +26,16 @@ from kneexo.parameters.control import (
     SlidingModeParameters,
 )
 from kneexo.parameters.law import LAW_INPUTS, Law
-from kneexo.parameters.linkages import G1, G2, G3, G4, LINKAGES, LinkageParameters
+from kneexo.parameters.linkages import (
+    G1,
+    G2,
+    G3,
+    G4,
+    HINGE,
+    LINKAGES,
+    TABLE_1_LINKAGES,
+    LinkageParameters,
+)
 from kneexo.parameters.plant import (
     AIR_EXPONENT,
     ATMOSPHERE_PA,
@@ -54,6 +63,7 @@ from kneexo.parameters.reference import (
     sit_to_stand_reference,
 )
 from kneexo.parameters.scenario import DEFAULT_DURATION_S, Scenario, SimulationParameters
+from kneexo.parameters.strap import StrapParameters
 from kneexo.parameters.torque import LoadCellParameters, TorqueParameters
 from kneexo.parameters.uncertainty import (
     UNCERTAIN_KNEE,
@@ -86,11 +96,13 @@ __all__ = [
     "G3",
     "G4",
     "GAIT2392",
+    "HINGE",
     "LAW_INPUTS",
     "LINKAGES",
     "MOMENT_MASS_KG",
     "RPM",
     "SEAL_FRICTION_N",
+    "TABLE_1_LINKAGES",
     "UNCERTAINTY",
     "UNCERTAIN_KNEE",
     "WEARERS",
@@ -131,6 +143,7 @@ __all__ = [
     "SineReference",
     "SlidingModeParameters",
     "StepReference",
+    "StrapParameters",
     "TorqueParameters",
     "Uncertainty",
     "UncertaintySet",

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
+import numpy as np
 from pydantic import model_validator
 
+from kneexo.errors import ParameterError
+from kneexo.files.reading import file_error, read_text
+from kneexo.files.table import MOST_BYTES_OF_TABLE, read_table
 from kneexo.parameters.quantity import Parameters, quantities, quantity, require_increasing
+from kneexo.result import Array
 
 _GAIT2392 = (
     "OpenSim model gait2392 by S. L. Delp et al., CC BY 3.0; planar knee of Yamaguchi and Zajac, "
@@ -84,3 +90,61 @@ class AnatomicalKneeParameters(Parameters):
 
 GAIT2392 = AnatomicalKneeParameters()
 """The planar knee of OpenSim's model gait2392."""
+
+LARGEST_PLACE_MM = 1000.0
+"""Largest distance in mm of a place in the file of a knee from the origin, along each axis."""
+
+
+def read_anatomical_knee(path: str | os.PathLike[str]) -> AnatomicalKneeParameters:
+    """Read a knee from a file with a row for each flexion; see `kneexo.files.table.read_table`.
+
+    The columns are ``knee_flexion_deg`` and either ``anterior_mm`` and ``up_mm``, the place of the
+    tibia's origin, or ``icr_anterior_mm`` and ``icr_up_mm``, the instantaneous centre of rotation.
+    A centre is relative to the tibia's origin at full extension.
+
+    Raises `ScenarioError` for a faulty file, for angles that do not increase, have the sign of
+    OpenSim or are in rad, and for places more than 1 m away.
+    """
+    centres = "icr_anterior_mm" in read_text(path, MOST_BYTES_OF_TABLE)
+    names = ("icr_anterior_mm", "icr_up_mm") if centres else ("anterior_mm", "up_mm")
+    table = read_table(path, ("knee_flexion_deg", *names), "; rename its columns")
+    table.require("knee_flexion_deg", -60.0, 180.0, "deg")
+    table.require_increase("knee_flexion_deg", 0.01, "deg")
+    for name in names:
+        table.require(name, -LARGEST_PLACE_MM, LARGEST_PLACE_MM, "mm")
+    angles_deg = table.columns["knee_flexion_deg"]
+    if not angles_deg[-1] >= 10.0:
+        message = (
+            f"knee_flexion_deg ends at {angles_deg[-1]:g} deg: must reach 10 deg; flexion is "
+            f"positive and in deg"
+        )
+        raise file_error(path, table.lines[-1], message)
+    angles = np.radians(angles_deg)
+    forwards, up = (1e-3 * np.array(table.columns[name]) for name in names)
+    if centres:
+        forwards, up = _place_of_centres(angles, forwards, up)
+    nodes = tuple(angles.tolist())
+    try:
+        return AnatomicalKneeParameters(
+            anterior_angles_rad=nodes,
+            anterior_m=tuple(forwards.tolist()),
+            up_angles_rad=nodes,
+            up_m=tuple(up.tolist()),
+        )
+    except ParameterError as error:
+        message = str(error).removeprefix("AnatomicalKneeParameters: ")
+        raise file_error(path, None, message) from None
+
+
+def _place_of_centres(angles: Array, forwards: Array, up: Array) -> tuple[Array, Array]:
+    """Return the place of the tibia's origin, forwards and up in m, for the centres of rotation.
+
+    With x backwards the place t follows from the centre c by dt/dθ = j(t − c), see
+    `kneexo.shank_motion`. Its solution is t = −j e^{jθ} ∫ c e^{−jθ} dθ, with t = 0 at θ = 0.
+    """
+    from scipy.interpolate import CubicSpline
+
+    turn = np.exp(1j * angles)
+    integral = CubicSpline(angles, (up * 1j - forwards) / turn).antiderivative()
+    place = -1j * turn * (integral(angles) - integral(0.0))
+    return -place.real, place.imag

@@ -129,5 +129,31 @@ The linkage is identified from the two polynomials of Table 1 over 5…90°. Pol
 fitted to this linkage have the errors that the paper prints.
 """
 
-LINKAGES = {"G1": G1, "G2": G2, "G3": G3, "G4": G4}
-"""Linkages that reproduce Table 1. A scenario file accepts these names for ``linkage``."""
+HINGE = LinkageParameters(
+    o_a_x_m=0.0,
+    o_a_y_m=0.0,
+    o_b_x_m=0.0,
+    o_b_y_m=0.0,
+    a_2_m=30e-3,
+    a_3_m=30e-3,
+    a_4_m=30e-3,
+    phi_rad=0.0,
+    rod_pin_radius_m=78.3158e-3,
+    rod_pin_angle_rad=math.radians(-62.0783),
+    rod_anchor_radius_m=450e-3,
+    rod_anchor_angle_rad=math.radians(80.0),
+    rod_length_m=389.3675e-3,
+    branch=1,
+)
+"""A hinge, as a linkage whose ground joints O_A and O_B are one point, the axis.
+
+The links 2 to 4 are a rigid triangle that turns about the axis, so that every equation of a
+four-bar linkage holds. The pins of the rod are identified from Table 1 over 0…90° by least squares.
+Neither lies more than 0.45 m from the axis, and the cylinder's is on this limit.
+"""
+
+TABLE_1_LINKAGES = {"G1": G1, "G2": G2, "G3": G3, "G4": G4}
+"""Linkages that reproduce Table 1, so that the controller has the polynomials of Table 1."""
+
+LINKAGES = {**TABLE_1_LINKAGES, "hinge": HINGE}
+"""Linkages that a scenario file accepts by name."""

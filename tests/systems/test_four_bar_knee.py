@@ -14,6 +14,7 @@ from kneexo.parameters import (
     G2,
     G3,
     LINKAGES,
+    TABLE_1_LINKAGES,
     KneeParameters,
     LinkageParameters,
     RodPolynomialParameters,
@@ -26,6 +27,7 @@ THETA_4_DEG = {
     "G2": (-101.95, -189.26),
     "G3": (-87.6, 38.72),
     "G4": (-89.7, 20.8),
+    "hinge": (-60.0, 30.0),
 }
 INPUTS = {"rod_extension": [(0.01, 0.13)]}
 OUTPUTS = {
@@ -91,7 +93,7 @@ def test_parameters_are_links_and_scaling_and_three_groups_of_coefficients():
 # ----------------------------------------------------------------------------- conversion
 
 
-@names
+@pytest.mark.parametrize("name", TABLE_1_LINKAGES)  # coordinates of zero have no relative step
 def test_conversions_agree_and_keep_arguments_and_changes(leaf, name):
     probe = leaf.Probe(FourBarKnee(LINKAGES[name]), INPUTS, spread=1e-3)
     probe.check_contract(2, dead_centre_m=0.155)

@@ -1,0 +1,319 @@
+"""Misalignment between an exoskeleton's knee and a wearer's (Lee et al. 2020, Section 2).
+
+The device is placed on the thigh, and a cuff straps its shank to the wearer's. Both knees turn, but
+about different centres, so that the strap migrates on the leg: across the shank and along it
+(pistoning). A rigid cuff makes the angles of both knees equal. A strap that slides along the leg
+like a pin in a slot makes the angles differ.
+
+Coordinates are those of `kneexo.shank_motion`. The frame of the tibia is that of the thigh at full
+extension: across is backwards, along is up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kneexo.errors import ParameterError
+from kneexo.parameters import GAIT2392, AnatomicalKneeParameters, LinkageParameters, StrapParameters
+from kneexo.plotting import BLUE, GOLD, axes_or_new
+from kneexo.result import Array, Result, data_frame
+from kneexo.shank_motion import Points, ShankMotion, anatomical_motion, linkage_motion
+
+MM = 1e3
+"""Millimetres of a metre."""
+
+FLEXION_DEG = tuple(range(91))
+"""Default knee angles of an alignment in deg, 0…90°."""
+
+FARTHEST_M = 0.5
+"""Largest distance in m of a device's place from the wearer's knee that a placement may have."""
+
+
+@dataclass(frozen=True, repr=False)
+class Placement(Result):
+    """Place of a device on the leg: its thigh part on the thigh, its shank part in the cuff."""
+
+    position: complex
+    """Place in m of the origin of the device's frame in the frame of the thigh."""
+    turn_rad: float
+    """Angle in rad by which the device is turned on the thigh, counter-clockwise."""
+    strap: complex
+    """Place in m of the strap on the device's shank, in the device's frame at full extension."""
+
+
+@dataclass(frozen=True, repr=False)
+class Alignment(Result):
+    """Migration of the strap on a wearer's shank, over the knee angle, all arrays (n,)."""
+
+    linkage: LinkageParameters
+    knee: AnatomicalKneeParameters
+    cuff: StrapParameters
+    placement: Placement
+    knee_angle_deg: Array
+    across_mm: Array
+    """Place of the strap minus place of the cuff, backwards across the shank, in mm."""
+    along_mm: Array
+    """Place of the strap minus place of the cuff, up along the shank, in mm: the pistoning."""
+
+    @property
+    def distance_mm(self) -> Array:
+        """Distance (n,) between strap and cuff in mm."""
+        return np.hypot(self.across_mm, self.along_mm)
+
+    @property
+    def rms_mm(self) -> float:
+        """Root of the mean square of the distance in mm."""
+        return float(np.sqrt(np.mean(self.distance_mm**2)))
+
+    @property
+    def largest_mm(self) -> float:
+        """Largest distance in mm."""
+        return float(np.max(self.distance_mm))
+
+    def placement_tolerance_mm(self, limit_mm: float = 5.0, *, slotted: bool = False) -> Array:
+        """Return the semi-axes (2,) in mm of the ellipse of position errors that a limit allows.
+
+        Within the ellipse the rms of the migration stays below ``limit_mm``, with the strap put on
+        anew. ``self`` has the best placement. A rigid cuff has a circle. ``slotted`` counts the
+        migration across alone. Raises `ParameterError` if the best placement exceeds the limit.
+        """
+        rms_mm = float(np.sqrt(np.mean(self.across_mm**2))) if slotted else self.rms_mm
+        if not rms_mm < limit_mm:
+            raise ParameterError(
+                f"limit_mm = {limit_mm:g} mm: must exceed {rms_mm:.4g} mm, which the best "
+                f"placement leaves"
+            )
+        # The migration (1, 2, n) of a position error of 1 m backwards, and of 1 m up.
+        unit = np.exp(-1j * np.radians(self.knee_angle_deg)) * np.array([[1.0], [1.0j]])
+        unit = unit - unit.mean(axis=1, keepdims=True)
+        parts = [unit.real] if slotted else [unit.real, unit.imag]
+        squares = sum(part @ part.T for part in parts) / unit.shape[1]
+        return np.asarray(np.sqrt((limit_mm**2 - rms_mm**2) / np.linalg.eigvalsh(squares)))
+
+    def slotted_strap(self) -> SlottedStrap:
+        """Return the motion if the strap is a pin in a slot along the shank, by Newton's method."""
+        motion = anatomical_motion(self.knee, np.radians(self.knee_angle_deg))
+        back = np.conj(motion.turn)
+        angle = motion.knee_angle
+        for _ in range(20):
+            strap, strap_rate = self._strap(linkage_motion(self.linkage, angle))
+            across = np.real(back * (strap - motion.translation)) - self._cuff_place.real
+            slope = np.real(back * strap_rate)
+            angle = angle - across / slope
+        knee_slope = np.real(back * (1j * (motion.translation - strap) - motion.rate))
+        return SlottedStrap(
+            knee_angle_deg=self.knee_angle_deg,
+            device_angle_deg=np.degrees(angle),
+            torque_ratio=-knee_slope / slope,
+        )
+
+    def cuff_forces(self) -> CuffForces:
+        """Return forces and moments of the cuff, quasi-static, for equal angles of both knees.
+
+        The strap is a spring across the shank and a spring along it. Along the shank the strap
+        slips at the friction μ times the preload. The force acts on the leg where the strap is, so
+        its moment on the knee is its power per rate of the knee angle. The moments on both knees
+        and the rate of the springs' energy sum to zero while the strap sticks.
+        """
+        motion = anatomical_motion(self.knee, np.radians(self.knee_angle_deg))
+        across_n = self.cuff.normal_stiffness_n_per_m * self.across_mm / MM
+        along_n = self.cuff.shear_stiffness_n_per_m * self.along_mm / MM
+        hold_n = self.cuff.friction * self.cuff.preload_n
+        force = motion.turn * (across_n + 1j * np.clip(along_n, -hold_n, hold_n))
+        strap, strap_rate = self._strap(linkage_motion(self.linkage, motion.knee_angle))
+        leg_rate = motion.rate + 1j * (strap - motion.translation)
+        return CuffForces(
+            knee_angle_deg=self.knee_angle_deg,
+            across_n=across_n,
+            along_n=np.clip(along_n, -hold_n, hold_n),
+            slips=np.abs(along_n) > hold_n,
+            knee_moment_n_m=np.real(np.conj(force) * leg_rate),
+            device_moment_n_m=-np.real(np.conj(force) * strap_rate),
+        )
+
+    def to_dataframe(self) -> Any:
+        """Return the migration as a `pandas.DataFrame` with the index ``knee_angle_deg``.
+
+        Raises `PackageError` without pandas.
+        """
+        names = ("knee_angle_deg", "across_mm", "along_mm")
+        return data_frame({name: getattr(self, name) for name in names}, "knee_angle_deg")
+
+    def plot(self, ax: Any = None) -> Any:
+        """Plot the migration across and along the shank over the knee angle; return the axes."""
+        ax = axes_or_new(ax, caption="Migration of the strap on the shank over the knee angle.")
+        ax.plot(self.knee_angle_deg, self.across_mm, BLUE, label="across the shank")
+        ax.plot(self.knee_angle_deg, self.along_mm, GOLD, label="along the shank (pistoning)")
+        ax.axhline(0.0, color="0.7", lw=0.8, zorder=0)
+        ax.set(xlabel="knee angle (deg)", ylabel="migration of the strap (mm)")
+        ax.legend()
+        return ax
+
+    @property
+    def _cuff_place(self) -> complex:
+        return -1j * self.cuff.distance_m
+
+    def _strap(self, device: ShankMotion) -> tuple[Points, Points]:
+        """Return place (n,) of the strap in the frame of the thigh, and its rate over the angle."""
+        turn, strap = np.exp(1j * self.placement.turn_rad), self.placement.strap
+        place = self.placement.position + turn * (device.translation + device.turn * strap)
+        return place, turn * (device.rate + 1j * device.turn * strap)
+
+
+@dataclass(frozen=True, repr=False)
+class SlottedStrap(Result):
+    """Angles and torque of a device whose strap slides along the shank, all arrays (n,)."""
+
+    knee_angle_deg: Array
+    device_angle_deg: Array
+    """Knee angle of the device in deg at each knee angle of the wearer."""
+    torque_ratio: Array
+    """Torque on the wearer's knee relative to the device's, dθ_device/dθ_knee, by virtual work."""
+
+    @property
+    def angle_difference_deg(self) -> Array:
+        """Knee angle of the device minus the wearer's in deg, (n,)."""
+        return self.device_angle_deg - self.knee_angle_deg
+
+
+@dataclass(frozen=True, repr=False)
+class CuffForces(Result):
+    """Forces of a cuff on the leg, and moments on both knees, all arrays (n,)."""
+
+    knee_angle_deg: Array
+    across_n: Array
+    """Force on the leg in N, backwards across the shank."""
+    along_n: Array
+    """Force on the leg in N, up along the shank."""
+    slips: Any
+    """True where the springs alone would exceed the friction, so that the strap slips."""
+    knee_moment_n_m: Array
+    """Moment of the forces on the wearer's knee in N·m, positive in flexion."""
+    device_moment_n_m: Array
+    """Moment of the forces on the device's knee in N·m, positive in flexion."""
+
+
+def align(
+    linkage: LinkageParameters,
+    knee: AnatomicalKneeParameters = GAIT2392,
+    *,
+    knee_angle_deg: ArrayLike = FLEXION_DEG,
+    position: complex | None = None,
+    turn_rad: float | None = 0.0,
+    placement: Placement | None = None,
+    cuff: StrapParameters = StrapParameters(),
+    counts: Literal["both", "across"] = "both",
+) -> Alignment:
+    """Return the migration of the strap for a device at its best place, or at a given one.
+
+    The best place has the least mean square of the migration over ``knee_angle_deg``. It follows by
+    linear least squares, because the migration u = e^{−jθ}(p + t_device − t_knee) + q is linear in
+    the place p of the device and in the place q of the strap.
+
+    Parameters
+    ----------
+    linkage
+        The device's knee.
+    knee
+        The wearer's knee.
+    knee_angle_deg
+        Knee angles in deg over which the strap migrates, (n,), such as those of a stride.
+    position
+        Place in m of the device on the thigh, x + jy. The strap is then put where it fits best.
+        None stands for the best place.
+    turn_rad
+        Turn in rad of the device on the thigh. None stands for the best turn, to 0.1°.
+    placement
+        A whole placement, such as one from another alignment, in place of the two arguments above.
+    cuff
+        Place, stiffness and friction of the cuff.
+    counts
+        The migration that the least squares count: ``"across"`` for a cuff that slides along.
+
+    Raises
+    ------
+    LinkageError
+        The linkage cannot be assembled at one of the knee angles.
+    ParameterError
+        A knee angle is outside the nodes of the anatomical knee, or the place of the device is more
+        than 0.5 m from the wearer's knee.
+    """
+    angle_deg = np.atleast_1d(np.asarray(knee_angle_deg, dtype=float))
+    angle = np.radians(angle_deg)
+    device, motion = linkage_motion(linkage, angle), anatomical_motion(knee, angle)
+    if placement is None:
+        fit = _Fit(device, motion, position, cuff.distance_m, counts)
+        placement = fit.placement(fit.best_turn_rad() if turn_rad is None else turn_rad)
+    if not abs(placement.position) <= FARTHEST_M:
+        raise ParameterError(
+            f"position = {placement.position:.4g} m: must be at most {FARTHEST_M:g} m from the "
+            f"wearer's knee"
+        )
+    turn = np.exp(1j * placement.turn_rad)
+    gap = placement.position + turn * device.translation - motion.translation
+    u = gap / motion.turn + turn * placement.strap + 1j * cuff.distance_m
+    return Alignment(
+        linkage=linkage,
+        knee=knee,
+        cuff=cuff,
+        placement=placement,
+        knee_angle_deg=angle_deg,
+        across_mm=MM * u.real,
+        along_mm=MM * u.imag,
+    )
+
+
+@dataclass(frozen=True)
+class _Fit:
+    """Least squares of the migration u = e^{−jθ}(p + e^{jτ} t_device − t_knee) + q for a turn τ.
+
+    The unknowns are the place p of the device, unless it is given, and q, the place of the strap
+    beside the cuff.
+    """
+
+    device: ShankMotion
+    motion: ShankMotion
+    position: complex | None
+    distance_m: float
+    counts: str
+
+    def placement(self, turn_rad: float) -> Placement:
+        """Return the best placement at a turn. The shortest one, where places do not matter."""
+        turn = np.exp(1j * turn_rad)
+        gap = (turn * self.device.translation - self.motion.translation) / self.motion.turn
+        if self.position is not None:
+            gap = gap + self.position / self.motion.turn
+        unknowns = np.linalg.lstsq(self._columns(), -self._rows(gap[:, np.newaxis])[:, 0])[0]
+        q = complex(*unknowns[-2:])
+        p = complex(*unknowns[:2]) if self.position is None else self.position
+        return Placement(p, turn_rad, complex(np.conj(turn) * (q - 1j * self.distance_m)))
+
+    def best_turn_rad(self) -> float:
+        """Return the turn with the least mean square, a multiple of 0.1°; 0 if it has no effect."""
+        back = np.conj(self.motion.turn)
+        wanted = self.motion.translation - (self.position or 0.0)
+        device = self.device.translation
+        parts = self._rows(np.stack([device * back, 1j * device * back, -wanted * back], axis=1))
+        columns = self._columns()
+        parts = parts - columns @ np.linalg.lstsq(columns, parts)[0]
+        turns = np.radians(np.arange(3600) / 10.0)
+        weights = np.stack([np.cos(turns), np.sin(turns), np.ones(turns.size)])
+        squares = np.sum(weights * (parts.T @ parts @ weights), axis=0)
+        turn = float(turns[np.argmin(squares)])
+        return turn - 2.0 * np.pi if turn > np.pi else turn
+
+    def _columns(self) -> Array:
+        back = np.conj(self.motion.turn)
+        one = np.ones(back.size)
+        places = [] if self.position is not None else [back, 1j * back]
+        return self._rows(np.stack([*places, one, 1j * one], axis=1))
+
+    def _rows(self, columns: Points) -> Array:
+        """Return the real equations of complex ones: the parts of the migration that count."""
+        if self.counts == "across":
+            return np.asarray(columns.real)
+        return np.concatenate([columns.real, columns.imag])
