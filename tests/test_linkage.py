@@ -21,7 +21,16 @@ from kneexo.linkage import (
     rod_extension,
     wrap,
 )
-from kneexo.parameters import G1, G2, G3, G4, LINKAGES, LinkageParameters, RodPolynomialParameters
+from kneexo.parameters import (
+    G1,
+    G2,
+    G3,
+    G4,
+    HINGE,
+    LINKAGES,
+    LinkageParameters,
+    RodPolynomialParameters,
+)
 
 MM = 1e-3
 COUNT = 2.0 * np.pi / 4096
@@ -113,6 +122,33 @@ def test_linkage_reproduces_table_1(name, rmse, largest):
     # The figures are known to one unit in their last digit.
     assert np.sqrt(np.mean(error**2)) == pytest.approx(rmse, abs=1e-4)
     assert np.abs(error).max() == pytest.approx(largest, abs=1e-3)
+
+
+def test_a_hinge_obeys_the_cosine_law_and_misses_table_1_by_its_known_error():
+    link = HINGE
+    pin = pose(link, 0.0).rod_pin  # the axis is the origin
+    a, b = link.rod_anchor_radius_m, abs(pin)
+    gap = link.rod_anchor_angle_rad - np.angle(pin) - RANGE
+    length = np.sqrt(a**2 + b**2 - 2.0 * a * b * np.cos(gap))
+    # Rounding of lengths of 0.6 m, and the arm divides by 0.4 m.
+    np.testing.assert_allclose(rod_extension(link, RANGE), length - link.rod_length_m, atol=1e-15)
+    np.testing.assert_allclose(moment_arm(link, RANGE), a * b * np.sin(gap) / length, atol=1e-15)
+    np.testing.assert_allclose(np.diff(encoder_angle(link, RANGE)), np.diff(RANGE), atol=1e-14)
+    error = rod_extension(link, RANGE) / MM - np.polyval(P_MM_DEG, np.degrees(RANGE))
+    # Another program, rounded to the last digit.
+    assert np.sqrt(np.mean(error**2)) == pytest.approx(0.3404, abs=1e-4)
+    assert np.abs(error).max() == pytest.approx(1.626, abs=1e-3)
+
+
+@pytest.mark.parametrize("name", ["rod_pin_radius_m", "rod_pin_angle_rad", "rod_length_m"])
+def test_no_change_of_a_pin_brings_the_hinge_nearer_to_table_1(name):
+    def rms_mm(link):
+        error = rod_extension(link, RANGE) / MM - np.polyval(P_MM_DEG, np.degrees(RANGE))
+        return np.sqrt(np.mean(error**2))
+
+    assert HINGE.rod_anchor_radius_m == 0.45  # the limit
+    for factor in (0.999, 1.001):
+        assert rms_mm(changed(HINGE, **{name: factor * getattr(HINGE, name)})) > rms_mm(HINGE)
 
 
 # -------------------------------------------------------------------------- check values

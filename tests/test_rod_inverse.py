@@ -21,7 +21,16 @@ from kneexo.linkage import (
     polynomial,
     rod_extension,
 )
-from kneexo.parameters import G1, G2, G3, G4, LINKAGES, LinkageParameters, RodPolynomialParameters
+from kneexo.parameters import (
+    G1,
+    G2,
+    G3,
+    G4,
+    LINKAGES,
+    TABLE_1_LINKAGES,
+    LinkageParameters,
+    RodPolynomialParameters,
+)
 from kneexo.rod_inverse import fit_rod_inverse, rounded_rod_extension
 
 MM = 1e-3
@@ -64,7 +73,7 @@ def test_fitted_inverse_undoes_the_rod(link, knee):
     assert abs(rod_extension(link, back) - x) <= 1e-11
 
 
-@names
+@pytest.mark.parametrize("name", TABLE_1_LINKAGES)
 def test_fit_knows_the_dead_centre_of_the_rod(name):
     link = LINKAGES[name]
     angle = np.radians(np.linspace(-20.0, 0.0, 200_001))

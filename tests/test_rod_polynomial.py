@@ -8,7 +8,7 @@ from kneexo.analysis.bandwidth import rod_of
 from kneexo.diagrams.law import known_to_controller
 from kneexo.errors import LinkageError
 from kneexo.linkage import rod_extension
-from kneexo.parameters import LINKAGES, LinkageParameters, RodPolynomialParameters, Scenario
+from kneexo.parameters import TABLE_1_LINKAGES, LinkageParameters, RodPolynomialParameters, Scenario
 from kneexo.parameters.paths import changed
 from kneexo.rod_polynomial import (
     completed,
@@ -24,7 +24,7 @@ OWN = Scenario(plant={"linkage": LONGER})
 LINK = OWN.plant.linkage
 
 
-@pytest.mark.parametrize("name", LINKAGES)
+@pytest.mark.parametrize("name", TABLE_1_LINKAGES)
 def test_the_linkages_identified_from_table_1_keep_it(name):
     scenario = Scenario(plant={"linkage": name})
     assert controller_polynomial(scenario) == TABLE_1

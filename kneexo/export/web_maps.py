@@ -255,7 +255,8 @@ def _fit(probe: _Probe, index: int, of: list[str], unit: float) -> Map | None:
     with suppress(KneexoError):  # the scenario refuses some values together
         proof = probe.points(of)
         expected = np.array([value(point) for point in proof])
-        bound = TOLERANCE * np.abs(expected).max()
+        # `_prove` checks other points, where the error may be somewhat larger.
+        bound = 0.2 * TOLERANCE * np.abs(expected).max()
         for fit in (_affine, _power, _least, _chebyshev) if of else ():
             for formula in fit(value, ranges, unit):
                 got = np.array([map_value(formula, point) for point in proof])

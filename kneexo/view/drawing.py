@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kneexo.linkage import shank_is_ground
 from kneexo.parameters import LinkageParameters
 from kneexo.view.mechanism import points
 
@@ -181,8 +182,7 @@ def _joints(at: dict[str, complex]) -> Iterable[str]:
 
 def _limbs(linkage: LinkageParameters) -> dict[str, str]:
     """Return the limb that carries link a₁ and the limb that carries link a₃."""
-    ground = points(linkage, np.radians([0.0, 45.0]))["o_a"]  # the thigh does not move
-    limbs = ("thigh", "shank") if abs(ground[1] - ground[0]) < 1e-9 else ("shank", "thigh")
+    limbs = ("shank", "thigh") if shank_is_ground(linkage) else ("thigh", "shank")
     return dict(zip(("a₁", "a₃"), limbs, strict=True))
 
 

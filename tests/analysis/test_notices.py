@@ -8,7 +8,7 @@ import pytest
 from kneexo.analysis import fit_polynomials, linearize_loop
 from kneexo.analysis.notices import model_lines, model_notices, notices, omissions, wrapped
 from kneexo.parameters import (
-    LINKAGES,
+    TABLE_1_LINKAGES,
     RodPolynomialParameters,
     SampledReference,
     Scenario,
@@ -84,7 +84,7 @@ def test_a_fitted_polynomial_is_a_notice():
     assert f" {error:.2g} mm of rod" in line
 
 
-@pytest.mark.parametrize("linkage", LINKAGES)
+@pytest.mark.parametrize("linkage", TABLE_1_LINKAGES)
 def test_table_1_is_no_surprise_for_the_linkages_of_the_paper(linkage):
     for polynomial in (None, RodPolynomialParameters()):
         scenario = Scenario(plant={"linkage": linkage}, polynomial=polynomial)

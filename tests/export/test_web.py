@@ -22,7 +22,8 @@ from kneexo.export.web import (
 )
 from kneexo.export.web_code import SHIPPED
 from kneexo.export.web_maps import map_value
-from kneexo.parameters import PlantParameters, Scenario, gait_reference
+from kneexo.parameters import HINGE, PlantParameters, Scenario, gait_reference
+from kneexo.parameters.paths import changed
 from kneexo.simulation.compiled import simulate_together
 
 CURVES = ("knee_angle_rad", "motor_speed_command_rad_s", "load_pressure_pa")
@@ -204,12 +205,14 @@ STRUCTURES = [
     for load in loads
     for controller in ("smc", "pid")
 ]
+STRUCTURES.append(changed(LEG, {"plant.linkage": HINGE}))
 
 
 def name_of(scenario):
     order = "reduced" if scenario.plant.full_order is None else "full"
     bus = scenario.bus.kind
-    return f"{controller_of(scenario)}, load {scenario.plant.load.kind}, {order} order, bus {bus}"
+    load, link = scenario.plant.load.kind, scenario.plant.linkage
+    return f"{controller_of(scenario)}, load {load}, {order} order, bus {bus}, {link}"
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ import pytest
 from numpy import poly1d
 
 from kneexo.errors import LinkageError
-from kneexo.parameters import G1, LINKAGES, LinkageParameters, RodPolynomialParameters
+from kneexo.parameters import G1, TABLE_1_LINKAGES, LinkageParameters, RodPolynomialParameters
 from kneexo.systems import KneeCoordinates, RodReference
 
 P_MM_DEG = (1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0)  # Lee et al. 2020, Table 1
@@ -18,7 +18,7 @@ THETA_4_DEG = {
 }
 COUNT = 2.0 * math.pi / 4096
 
-names = pytest.mark.parametrize("name", LINKAGES)
+names = pytest.mark.parametrize("name", TABLE_1_LINKAGES)
 
 
 def reading_range(name):
@@ -76,7 +76,7 @@ def test_parameters_of_coordinates_are_links_sign_offset_and_table_1():
 
 @names
 def test_conversions_of_coordinates_agree_and_keep_arguments_and_changes(leaf, name):
-    system = KneeCoordinates(LINKAGES[name], OTHER_TABLE, 0.01)
+    system = KneeCoordinates(TABLE_1_LINKAGES[name], OTHER_TABLE, 0.01)
     probe = leaf.Probe(system, {"encoder_reading": reading_range(name)}, spread=1e-3)
     probe.check_contract(offset_rad=0.02)
 
@@ -103,7 +103,7 @@ def test_conversions_of_the_rod_reference_keep_changed_coefficients():
 
 @names
 def test_coordinates_meet_the_compass_construction_and_table_1(name, compass):
-    link = LINKAGES[name]
+    link = TABLE_1_LINKAGES[name]
     walk = compass(link, np.radians(np.linspace(*THETA_4_DEG[name], 201)))
     system = KneeCoordinates(link)
     knee_and_rod = np.array([coordinates(system, theta_4) for theta_4 in walk.theta_4])
