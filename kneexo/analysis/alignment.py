@@ -74,6 +74,22 @@ class Alignment(Result):
         """Largest distance in mm."""
         return float(np.max(self.distance_mm))
 
+    @property
+    def device_centre(self) -> Points:
+        """Instantaneous centres of rotation (n,) of the device, in m, in the frame of the thigh."""
+        motion = linkage_motion(self.linkage, np.radians(self.knee_angle_deg))
+        turn = np.exp(1j * self.placement.turn_rad)
+        return np.asarray(self.placement.position + turn * motion.fixed_centrode)
+
+    def misplaced_rms_mm(self, error_mm: ArrayLike) -> Array:
+        """Return the rms in mm that errors of the best place leave, with the strap put on anew.
+
+        All directions of an error cost the same: √(rms² + error² (1 − |mean e^{jθ}|²)).
+        """
+        mean_turn = np.mean(np.exp(1j * np.radians(self.knee_angle_deg)))
+        share = np.sqrt(1.0 - np.abs(mean_turn) ** 2)
+        return np.asarray(np.hypot(self.rms_mm, share * np.asarray(error_mm, dtype=float)))
+
     def placement_tolerance_mm(self, limit_mm: float = 5.0, *, slotted: bool = False) -> Array:
         """Return the semi-axes (2,) in mm of the ellipse of position errors that a limit allows.
 

@@ -199,6 +199,20 @@ STUDIES = {
             ),
         ),
         Study(
+            "mechanism",
+            "study mechanism",
+            "how well the linkage, a hinge and the paper's linkages follow the wearer's knee",
+            "Migration of the strap on the shank, wrong places, torque that arrives at the "
+            "wearer's knee, forces of the cuff.",
+            setup=PAPER,
+            resumable=False,
+            stages=(
+                Stage("devices", 0.3),
+                Stage(FIGURES, 0.5),
+                Stage(FILES, 2.0),
+            ),
+        ),
+        Study(
             "controller",
             "study controller",
             "errors, chattering and margins over λ, Φ and η, and the paper's claims",

@@ -89,6 +89,7 @@ def test_a_place_10_mm_off_adds_its_closed_form(name, direction_deg):
     added = 10.0 * math.sqrt(1.0 - MEAN_TURN**2)
     # The errors of place and linkage are orthogonal at the best place; rounding only.
     assert moved.rms_mm == pytest.approx(math.hypot(best.rms_mm, added), abs=1e-9)
+    assert best.misplaced_rms_mm([0.0, 10.0]) == pytest.approx([best.rms_mm, moved.rms_mm])
 
 
 def test_a_device_that_fits_exactly_has_the_error_of_its_place_alone():

@@ -1,0 +1,111 @@
+"""Figures of a `kneexo.studies.mechanism.study.MechanismResult`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.figure import Figure
+
+from kneexo.analysis.alignment import MM
+from kneexo.plotting import SERIES
+from kneexo.studies.mechanism.study import MechanismResult
+from kneexo.studies.plots import legend_below
+
+_MARKED_DEG = 15.0  # distance of the marked knee angles
+_LARGEST_MISPLACEMENT = 2.0  # relative to the setting
+
+
+def figures(result: MechanismResult) -> dict[str, Figure]:
+    """Draw centres of rotation, migration, wrong places and torque. Return figures by name."""
+    return {
+        "centres": plot_centres(result),
+        "migration": plot_migration(result),
+        "misplacement": plot_misplacement(result),
+        "slotted_strap": plot_slotted_strap(result),
+    }
+
+
+def plot_centres(result: MechanismResult) -> Figure:
+    """Draw the paths of the centres of rotation of the wearer's knee and of all devices."""
+    figure, ax = plt.subplots(figsize=(6.4, 6.4), layout="constrained")
+    figure.set_label(
+        "Centres of rotation in the frame of the thigh, each device at its best place. Large marks "
+        f"are at full extension, small ones every {_MARKED_DEG:g}°."
+    )
+    marks = np.flatnonzero(result.knee_angle_deg % _MARKED_DEG == 0.0)
+    paths = {"wearer's knee": result.knee.fixed_centrode}
+    paths |= {name: device.alignment.device_centre for name, device in result.devices.items()}
+    for (name, path), style in zip(paths.items(), _styles(["k"], len(paths)), strict=True):
+        x, y = -MM * path.real, MM * path.imag  # forwards is to the right
+        ax.plot(x, y, marker="o", ms=3.5, markevery=marks.tolist(), label=name, **style)
+        ax.plot(x[:1], y[:1], "o", ms=8.0, mfc="none", color=style["color"])
+    ax.set(xlabel="forwards (mm)", ylabel="up, towards the hip (mm)", aspect="equal")
+    ax.grid(alpha=0.3)
+    legend_below(figure, [ax], ncols=4)
+    return figure
+
+
+def plot_migration(result: MechanismResult) -> Figure:
+    """Draw the migration of the strap across and along the shank over the knee angle."""
+    figure, axes = plt.subplots(2, 1, figsize=(7.2, 6.0), layout="constrained", sharex=True)
+    figure.set_label(
+        "Migration of the strap on the shank, each device at its best place: across the shank (a) "
+        "and along it (b)."
+    )
+    for (name, device), style in zip(result.devices.items(), _styles([], 9), strict=False):
+        axes[0].plot(result.knee_angle_deg, device.alignment.across_mm, label=name, **style)
+        axes[1].plot(result.knee_angle_deg, device.alignment.along_mm, **style)
+    axes[0].set(ylabel="across, backwards (mm)", title="(a)")
+    axes[1].set(ylabel="along, up (mm)", xlabel="knee angle (deg)", title="(b)")
+    _finish(figure, axes)
+    return figure
+
+
+def plot_misplacement(result: MechanismResult) -> Figure:
+    """Draw the migration over the error of the place."""
+    figure, ax = plt.subplots(figsize=(7.2, 4.4), layout="constrained")
+    figure.set_label(
+        "Migration of the strap over the error of the device's place. All directions of the error "
+        "cost the same, because the strap is put on anew."
+    )
+    settings = result.settings
+    error_mm = np.linspace(0.0, _LARGEST_MISPLACEMENT * settings.misplacement_mm, 101)
+    for (name, device), style in zip(result.devices.items(), _styles([], 9), strict=False):
+        ax.plot(error_mm, device.alignment.misplaced_rms_mm(error_mm), label=name, **style)
+    ax.axhline(settings.tolerance_mm, color="0.4", ls=":", lw=1.0, label="tolerated")
+    ax.set(xlabel="error of the place (mm)", ylabel="migration, rms (mm)", ylim=(0.0, None))
+    _finish(figure, [ax])
+    return figure
+
+
+def plot_slotted_strap(result: MechanismResult) -> Figure:
+    """Draw angle and torque of devices whose strap slides along the shank."""
+    figure, axes = plt.subplots(2, 1, figsize=(7.2, 6.0), layout="constrained", sharex=True)
+    figure.set_label(
+        "A strap that slides along the shank: knee angle of the device minus the wearer's (a), and "
+        "torque on the wearer's knee relative to the device's (b)."
+    )
+    for (name, device), style in zip(result.devices.items(), _styles([], 9), strict=False):
+        strap = device.strap
+        axes[0].plot(result.knee_angle_deg, strap.angle_difference_deg, label=name, **style)
+        axes[1].plot(result.knee_angle_deg, strap.torque_ratio, **style)
+    axes[0].set(ylabel="difference (deg)", title="(a)")
+    axes[1].set(ylabel="torque ratio (1)", xlabel="knee angle (deg)", title="(b)")
+    _finish(figure, axes)
+    return figure
+
+
+def _styles(first: list[str], count: int) -> list[dict[str, Any]]:
+    """Return colours and dashes that tell the curves of devices apart."""
+    colours = [*first, *SERIES, *SERIES]
+    dashes = ["-"] * (len(first) + len(SERIES)) + ["--"] * len(SERIES)
+    pairs = zip(colours, dashes, strict=True)
+    return [{"color": colour, "ls": dash, "lw": 1.4} for colour, dash in pairs][:count]
+
+
+def _finish(figure: Figure, axes: Any) -> None:
+    for ax in axes:
+        ax.grid(alpha=0.3)
+    legend_below(figure, axes, ncols=4)

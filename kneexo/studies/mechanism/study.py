@@ -1,0 +1,165 @@
+"""Compares the linkage of a scenario, a hinge and the paper's linkages on a wearer's leg."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Annotated, Any, Unpack
+
+import numpy as np
+from pydantic import BeforeValidator
+
+from kneexo.analysis.alignment import MM, Alignment, CuffForces, SlottedStrap, align
+from kneexo.files.table import SUFFIXES
+from kneexo.parameters import (
+    GAIT2392,
+    HINGE,
+    TABLE_1_LINKAGES,
+    AnatomicalKneeParameters,
+    LinkageParameters,
+    Scenario,
+    StrapParameters,
+)
+from kneexo.parameters.anatomical_knee import read_anatomical_knee
+from kneexo.parameters.fields import Words
+from kneexo.parameters.quantity import Parameters, quantity
+from kneexo.progress import progress_bar
+from kneexo.result import Array, Result
+from kneexo.shank_motion import ShankMotion, anatomical_motion
+from kneexo.sweeps import SweepOptions
+
+
+def _read(value: Any) -> Any:
+    """Return the knee of a file. Return a value that is no path of a table unchanged."""
+    is_path = isinstance(value, str) and value.endswith(SUFFIXES)
+    return read_anatomical_knee(value) if is_path else value
+
+
+class MechanismSettings(Parameters):
+    """Settings of ``kneexo study mechanism``: the wearer's knee, the cuff and the flexion."""
+
+    knee: Annotated[
+        AnatomicalKneeParameters,
+        BeforeValidator(_read),
+        Words({"gait2392": GAIT2392}, others=("the path of a .csv file",)),
+    ] = GAIT2392
+    cuff: StrapParameters = StrapParameters()
+    flexion_max_deg: float = quantity(
+        90.0, "deg", "Section 2: the range of motion is 0…90°", ge=10, le=150
+    )
+    misplacement_mm: float = quantity(
+        10.0, "mm", "assumption: error of putting a device on", gt=0, le=200
+    )
+    tolerance_mm: float = quantity(
+        5.0, "mm", "assumption: migration of the strap that a wearer tolerates, rms", gt=0, le=200
+    )
+
+
+@dataclass(frozen=True, repr=False)
+class Device(Result):
+    """What a device does to the leg. It is at its best place, not turned, unless said otherwise."""
+
+    alignment: Alignment
+    turned: Alignment
+    """Alignment at the best place and turn."""
+    misplaced_rms_mm: float
+    """Root of the mean square of the migration at a place that is wrong by ``misplacement_mm``."""
+    placement_tolerance_mm: float
+    """Error of the place in mm at which the migration reaches ``tolerance_mm``; nan if none."""
+    strap: SlottedStrap
+    """Motion if the strap slides along the shank."""
+    forces: CuffForces
+
+    def results(self) -> dict[str, float]:
+        """Return the numbers as plain data."""
+        place = self.alignment.placement
+        return {
+            "rms_mm": self.alignment.rms_mm,
+            "largest_mm": self.alignment.largest_mm,
+            "across_range_mm": float(np.ptp(self.alignment.across_mm)),
+            "along_range_mm": float(np.ptp(self.alignment.along_mm)),
+            "backwards_mm": MM * place.position.real,
+            "up_mm": MM * place.position.imag,
+            "turned_rms_mm": self.turned.rms_mm,
+            "turn_deg": math.degrees(self.turned.placement.turn_rad),
+            "misplaced_rms_mm": self.misplaced_rms_mm,
+            "placement_tolerance_mm": self.placement_tolerance_mm,
+            "angle_difference_range_deg": float(np.ptp(self.strap.angle_difference_deg)),
+            "least_torque_ratio": float(np.min(self.strap.torque_ratio)),
+            "largest_torque_ratio": float(np.max(self.strap.torque_ratio)),
+            "largest_across_n": float(np.max(np.abs(self.forces.across_n))),
+            "largest_along_n": float(np.max(np.abs(self.forces.along_n))),
+            "largest_knee_moment_n_m": float(np.max(np.abs(self.forces.knee_moment_n_m))),
+        }
+
+
+@dataclass(frozen=True, repr=False)
+class MechanismResult(Result):
+    """Devices by name, on one wearer's knee. The first one is the linkage of the scenario."""
+
+    scenario: Scenario
+    settings: MechanismSettings
+    devices: dict[str, Device]
+
+    @property
+    def knee_angle_deg(self) -> Array:
+        """Knee angles (n,) in deg of all arrays."""
+        return next(iter(self.devices.values())).alignment.knee_angle_deg
+
+    @property
+    def knee(self) -> ShankMotion:
+        """Motion of the wearer's shank."""
+        return anatomical_motion(self.settings.knee, np.radians(self.knee_angle_deg))
+
+    def results(self) -> dict[str, Any]:
+        """Return the numbers of all devices, and the centres of the knee, as plain data."""
+        centre = MM * self.knee.fixed_centrode
+        return {
+            "devices": {name: device.results() for name, device in self.devices.items()},
+            "knee": {
+                "knee_angle_deg": self.knee_angle_deg,
+                "centre_backwards_mm": centre.real,
+                "centre_up_mm": centre.imag,
+            },
+        }
+
+
+def mechanism_study(
+    scenario: Scenario = Scenario(),
+    *,
+    settings: MechanismSettings = MechanismSettings(),
+    **options: Unpack[SweepOptions],
+) -> MechanismResult:
+    """Compare the linkage of a scenario, a hinge and the paper's linkages on a wearer's leg.
+
+    The study makes no runs: it takes a fraction of a second, in this process. Raises `LinkageError`
+    if a linkage cannot be assembled, and `ParameterError` if the wearer's knee has no nodes at a
+    knee angle.
+    """
+    linkages = {repr(scenario.plant.linkage): scenario.plant.linkage}
+    if scenario.plant.linkage not in (HINGE, *TABLE_1_LINKAGES.values()):
+        linkages = {"the scenario's": scenario.plant.linkage}
+    linkages |= {"hinge": HINGE, **TABLE_1_LINKAGES}
+    with progress_bar(1.0, "devices" if options.get("progress") else None):
+        devices = {name: _device(linkage, settings) for name, linkage in linkages.items()}
+    return MechanismResult(scenario, settings, devices)
+
+
+def _device(linkage: LinkageParameters, settings: MechanismSettings) -> Device:
+    angles_deg = np.linspace(0.0, settings.flexion_max_deg, round(settings.flexion_max_deg) + 1)
+
+    def aligned(**place: Any) -> Alignment:
+        return align(linkage, settings.knee, knee_angle_deg=angles_deg, cuff=settings.cuff, **place)
+
+    best = aligned()
+    tolerance_mm = math.nan
+    if best.rms_mm < settings.tolerance_mm:
+        tolerance_mm = float(best.placement_tolerance_mm(settings.tolerance_mm)[0])
+    return Device(
+        alignment=best,
+        turned=aligned(turn_rad=None),
+        misplaced_rms_mm=float(best.misplaced_rms_mm(settings.misplacement_mm)),
+        placement_tolerance_mm=tolerance_mm,
+        strap=best.slotted_strap(),
+        forces=best.cuff_forces(),
+    )

@@ -1,0 +1,99 @@
+"""Study `mechanism`: its devices, its settings and its answer."""
+
+import math
+
+import numpy as np
+import pytest
+from mechanism_cases import made_up
+
+from kneexo.analysis import align
+from kneexo.errors import LinkageError, ParameterError
+from kneexo.parameters import G1, HINGE, AnatomicalKneeParameters, Scenario
+from kneexo.parameters.paths import changed
+from kneexo.shank_motion import anatomical_motion, linkage_motion
+from kneexo.studies.catalogue import STUDIES
+from kneexo.studies.mechanism import MechanismSettings, mechanism_study
+
+
+def test_the_linkage_of_the_scenario_is_the_first_of_the_devices():
+    assert list(made_up().devices) == ["G1", "hinge", "G2", "G3", "G4"]
+    hinge = Scenario(plant={"linkage": "hinge"})
+    assert list(mechanism_study(hinge).devices) == ["hinge", "G1", "G2", "G3", "G4"]
+    longer = G1.model_copy(update={"rod_pin_radius_m": 0.27})
+    own = mechanism_study(Scenario(plant={"linkage": longer}))
+    assert next(iter(own.devices)) == "the scenario's"
+    # The rod does not change the motion of the shank.
+    assert own.devices["the scenario's"].results()["rms_mm"] == pytest.approx(
+        own.devices["G1"].results()["rms_mm"], rel=1e-12
+    )
+
+
+def test_numbers_of_a_device_are_those_of_its_alignment():
+    best, row = align(G1), made_up().devices["G1"].results()
+    moved = align(G1, position=best.placement.position + 10e-3)
+    assert row["rms_mm"] == best.rms_mm
+    assert row["largest_mm"] == best.largest_mm
+    assert row["backwards_mm"] == pytest.approx(20.7, abs=0.05)
+    assert row["up_mm"] == pytest.approx(-10.5, abs=0.05)
+    assert row["misplaced_rms_mm"] == pytest.approx(moved.rms_mm, rel=1e-12)
+    assert row["turned_rms_mm"] == pytest.approx(2.956, abs=1e-3)
+    assert row["turn_deg"] == pytest.approx(43.0, abs=0.5)
+    assert row["largest_across_n"] == pytest.approx(16.67 * 7.79, rel=1e-2)  # k u
+    tolerated = align(G1, position=best.placement.position - 1e-3j * row["placement_tolerance_mm"])
+    assert tolerated.rms_mm == pytest.approx(5.0, rel=1e-9)
+
+
+def test_a_device_that_exceeds_the_tolerance_has_no_tolerated_place():
+    strict = mechanism_study(settings=MechanismSettings(tolerance_mm=1.0))
+    assert math.isnan(strict.devices["G1"].placement_tolerance_mm)
+    assert strict.devices["hinge"].placement_tolerance_mm > 0.0
+    assert "| – |" in STUDIES["mechanism"].report(strict)
+
+
+def test_the_centres_are_those_of_the_wearer_s_knee_in_mm():
+    knee = made_up().results()["knee"]
+    centre = anatomical_motion(AnatomicalKneeParameters(), np.pi / 4.0).fixed_centrode[0]
+    assert knee["knee_angle_deg"][45] == 45.0
+    assert knee["centre_backwards_mm"][45] == pytest.approx(1e3 * centre.real, rel=1e-12)
+    assert knee["centre_up_mm"][45] == pytest.approx(1e3 * centre.imag, rel=1e-12)
+
+
+def test_the_first_sentence_says_which_device_follows_the_knee_better():
+    def first(result):
+        return STUDIES["mechanism"].report(result).splitlines()[2]
+
+    assert first(made_up()).startswith("A hinge at its best place follows this knee better than G1")
+    hinge = mechanism_study(Scenario(plant={"linkage": "hinge"}))
+    assert first(hinge).startswith("The hinge at its best place leaves 0.383 mm")
+    # A wearer whose shank moves as G1 moves it.
+    motion = made_up().devices["G1"].alignment
+    angles = np.radians(np.arange(0.0, 91.0))
+    place = linkage_motion(motion.linkage, angles).translation
+    knee = AnatomicalKneeParameters(
+        anterior_angles_rad=tuple(angles),
+        anterior_m=tuple(-place.real),
+        up_angles_rad=tuple(angles),
+        up_m=tuple(place.imag),
+    )
+    like_g1 = mechanism_study(settings=MechanismSettings(knee=knee))
+    assert first(like_g1).startswith("G1 at its best place follows this knee better than a hinge")
+
+
+def test_the_knee_of_a_file_is_a_setting(tmp_path):
+    path = tmp_path / "knee of Ada.csv"
+    path.write_text("knee_flexion_deg,anterior_mm,up_mm\n0,0,0\n50,1,-5\n100,2,-9\n")
+    settings = changed(MechanismSettings(), {"knee": str(path), "flexion_max_deg": 80.0})
+    assert settings.knee.up_m == pytest.approx((0.0, -5e-3, -9e-3))
+    assert mechanism_study(settings=settings).knee_angle_deg[-1] == 80.0
+
+
+def test_faults_are_one_line(tmp_path):
+    with pytest.raises(ParameterError, match=r"knee: .*missing.csv: cannot be read: No such file"):
+        changed(MechanismSettings(), {"knee": str(tmp_path / "missing.csv")})
+    with pytest.raises(ParameterError, match="knee = 'left': must be gait2392, the path of"):
+        changed(MechanismSettings(), {"knee": "left"})
+    with pytest.raises(ParameterError, match="knee angle 121 deg is outside the nodes"):
+        mechanism_study(settings=MechanismSettings(flexion_max_deg=130.0))
+    broken = HINGE.model_copy(update={"a_2_m": 70e-3})
+    with pytest.raises(LinkageError, match="cannot be assembled"):
+        mechanism_study(Scenario(plant={"linkage": broken}))
