@@ -6,7 +6,6 @@ value, and the words that a file accepts in place of a mapping, such as ``linkag
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 from pydantic import BaseModel
@@ -14,7 +13,15 @@ from pydantic.fields import FieldInfo
 from pydantic.json_schema import models_json_schema
 
 from kneexo.parameters import Scenario
-from kneexo.parameters.fields import kind_of, models_of, more_models_of, words_of
+from kneexo.parameters.fields import (
+    allowed_range,
+    kind_of,
+    models_of,
+    more_models_of,
+    source_of,
+    unit_of,
+    words_of,
+)
 from kneexo.parameters.presets import PRESETS
 
 DRAFT = "http://json-schema.org/draft-07/schema#"
@@ -33,7 +40,10 @@ def json_schema() -> dict[str, Any]:
     classes = models_json_schema(requests)[1]["$defs"]
     for model in models:
         for name, field in model.model_fields.items():
-            _accept_words(classes[model.__name__]["properties"][name], field)
+            value = classes[model.__name__]["properties"][name]
+            _accept_words(value, field)
+            if text := _description(field):
+                value["description"] = text
     scenario = classes.pop("Scenario")
     moment = classes["LegParameters"]["properties"]["moment"]
     for alternatives in (scenario["properties"]["reference"]["oneOf"], moment["anyOf"]):
@@ -44,10 +54,8 @@ def json_schema() -> dict[str, Any]:
     for schema in (scenario, *classes.values()):
         for value in schema.get("properties", {}).values():
             _require_kinds(value, classes)
-            for part in _parts(value):
+            for part in (value, *value.get("anyOf", []), *value.get("oneOf", [])):
                 _without_prefix_items(part)
-            if text := _description(value):
-                value["description"] = text
     return {"$schema": DRAFT, **scenario, "$defs": classes}
 
 
@@ -95,12 +103,6 @@ def _require_kinds(value: dict[str, Any], classes: dict[str, Any]) -> None:
             model["required"] = ["kind", *model.get("required", [])]
 
 
-def _parts(value: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """Yield the schema of a field, then its alternatives under ``anyOf`` and ``oneOf``."""
-    yield value
-    yield from (part for key in ("anyOf", "oneOf") for part in value.get(key, []))
-
-
 def _without_prefix_items(value: dict[str, Any]) -> None:
     """If the schema is a tuple whose items are equal, rewrite it as an array.
 
@@ -111,18 +113,11 @@ def _without_prefix_items(value: dict[str, Any]) -> None:
         value["items"] = items[0]
 
 
-def _description(value: dict[str, Any]) -> str:
+def _description(field: FieldInfo) -> str:
     """Return unit, range and source of a value on one line.
 
     The text is empty for a value without source.
     """
-    if "source" not in value:
-        return ""
-    bounds = [
-        f"{sign} {part[key]:g}"
-        for part in _parts(value)
-        for key, sign in (("minimum", ">="), ("exclusiveMinimum", ">"), ("maximum", "<="))
-        if key in part
-    ]
-    unit = "" if value["unit"] == "1" else value["unit"]
-    return "; ".join(part for part in (unit, " and ".join(bounds), value["source"]) if part)
+    unit, source = unit_of(field), source_of(field)
+    texts = ("" if unit == "1" else unit, allowed_range(field), source)
+    return "; ".join(filter(None, texts)) if source else ""
