@@ -34,25 +34,16 @@ def write_file(path: Path, content: bytes) -> None:
 
 
 def create_files(texts: Mapping[Path, str]) -> None:
-    """Write texts to new files: all, or none if a file exists or cannot be written.
+    """Write texts to new files of one directory: all or none. Create missing directories.
 
-    Raises `OutputError`; files that exist stay as they are.
+    Raises `OutputError` if a file exists or cannot be written. Files that exist stay as they are.
     """
-    created = []
-    try:
+    for path in texts:
+        if os.path.lexists(path):
+            raise OutputError(f"{shown(path)} exists already; choose another name")
+    with _replacement(path.parent, shown(path.parent), "") as directory:
         for path, text in texts.items():
-            with path.open("x", encoding="utf-8") as file:
-                created.append(path)
-                file.write(text)
-    except BaseException as error:  # Ctrl-C too leaves no half-written set of files
-        for file_path in created:
-            file_path.unlink(missing_ok=True)
-        if isinstance(error, FileExistsError):
-            raise OutputError(f"{shown(path)} exists already; choose another name") from None
-        if isinstance(error, OSError):
-            reason = error.strerror or str(error)
-            raise OutputError(f"{shown(path)}: cannot be written ({reason})") from None
-        raise
+            (directory / path.name).write_text(text, encoding="utf-8")
 
 
 @contextmanager
