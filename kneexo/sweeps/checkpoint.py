@@ -5,7 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import warnings
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from functools import partial
 from pathlib import Path
@@ -34,7 +35,7 @@ class Checkpoint:
     ----------
     path
         The file. It is locked until `close` or `remove`, until this process ends, or until this
-        process opens the file again. None: results stay in memory only.
+        process opens the file again.
     resume
         True: use the pieces of work in the file. False: delete these pieces.
 
@@ -44,27 +45,25 @@ class Checkpoint:
         The file is no regular file or cannot be read or written, or another process has locked it.
     """
 
-    def __init__(self, path: Path | None = None, *, resume: bool = True) -> None:
+    def __init__(self, path: Path, *, resume: bool = True) -> None:
         self.path = path
         self._results: dict[str, Any] = {}
         self._used: set[str] = set()
-        self._file: LockedFile | None = None
         self._torn = False  # whether the last line of the file is incomplete
-        if path is None:
-            return
-        try:
+        with self._output_errors():
             self._file = LockedFile(path)
-            self._read(path, self._file)
-            if not resume:
-                self._file.clear()
-                self._results.clear()
-        except OSError as error:
-            self.close()
-            raise _output_error(path, error) from None
+            try:
+                self._read()
+                if not resume:
+                    self._file.clear()
+                    self._results.clear()
+            except OSError:
+                self.close()
+                raise
 
-    def _read(self, path: Path, file: LockedFile) -> None:
+    def _read(self) -> None:
         """Read the undamaged lines of the file into ``_results``; warn of damaged lines."""
-        data = file.read(_MOST_BYTES)
+        data = self._file.read(_MOST_BYTES)
         self._torn = not data.endswith(b"\n") and bool(data)
         damaged = 0
         for line in data.splitlines():
@@ -78,7 +77,7 @@ class Checkpoint:
                 damaged += 1
         if damaged:
             warnings.warn(
-                f"checkpoint {shown(path)}: {damaged} damaged "
+                f"checkpoint {shown(self.path)}: {damaged} damaged "
                 f"{'line is' if damaged == 1 else 'lines are'} skipped",
                 stacklevel=4,
             )
@@ -101,24 +100,17 @@ class Checkpoint:
         Returns the result after conversion to JSON and back.
         """
         payload = json.dumps([key, result])
-        if self.path is not None and self._file is not None:
-            try:
-                self._write(self._file, _sealed(payload.encode()))
-            except OSError as error:
-                raise _output_error(self.path, error) from None
+        start = b"\n" if self._torn else b""
+        self._torn = True
+        with self._output_errors():
+            self._file.append(start + _sealed(payload.encode()) + b"\n")
+        self._torn = False
         self._results[key] = json.loads(payload)[1]
         return self[key]
 
-    def _write(self, file: LockedFile, line: bytes) -> None:
-        start = b"\n" if self._torn else b""
-        self._torn = True
-        file.append(start + line + b"\n")
-        self._torn = False
-
     def close(self) -> None:
         """Release the lock on the file. Delete the file if it is empty."""
-        if self._file is not None:
-            self._file.close()
+        self._file.close()
 
     def remove(self) -> int:
         """Delete the file after a complete sweep and return the number of unused pieces.
@@ -127,10 +119,24 @@ class Checkpoint:
         other settings. If there are unused pieces, the file is closed but not deleted.
         """
         unused = len(self._results.keys() - self._used)
-        if self._file is not None and not unused:
+        if not unused:
             self._file.delete()
         self.close()
         return unused
+
+    @contextmanager
+    def _output_errors(self) -> Iterator[None]:
+        """Context manager: turn an `OSError` of the file into an `OutputError`."""
+        try:
+            yield
+        except OSError as error:
+            reason = f"{error.strerror or error}; the pieces that it holds are kept"
+            if isinstance(error, BlockingIOError):
+                reason = (
+                    "another process is at work on it; wait until it has ended, or choose another "
+                    "directory"
+                )
+            raise OutputError(f"checkpoint {shown(self.path)}: {reason}") from None
 
 
 class UnknownLawError(KneexoError):
@@ -188,14 +194,3 @@ def _plain(value: Any) -> Any:
 
 
 _ENCODER = json.JSONEncoder(sort_keys=True, default=_plain)
-
-
-def _output_error(path: Path, error: OSError) -> OutputError:
-    """Return the `OutputError` for an `OSError` in opening, reading or writing a checkpoint."""
-    if isinstance(error, BlockingIOError):
-        return OutputError(
-            f"checkpoint {shown(path)}: another process is at work on it; wait until it has ended, "
-            f"or choose another directory"
-        )
-    reason = error.strerror or str(error)
-    return OutputError(f"checkpoint {shown(path)}: {reason}; the pieces that it holds are kept")
