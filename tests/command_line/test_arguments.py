@@ -64,32 +64,6 @@ def test_the_engine_wins_over_the_values(capsys, short, tmp_path, undrawn):
     assert (simulation["integrator"], simulation["duration_s"]) == ("exact_hold", 1.1)
 
 
-@pytest.mark.parametrize("command", ["simulate", "linearize"])
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("plant.cylinder.mass_kg", "--set plant.cylinder.mass_kg: must be NAME=VALUE"),
-        ("plant.cylinder.mass_kg=-1", "plant.cylinder.mass_kg = -1 kg is out of range"),
-        ("plant.cylinder.mas_kg=1", "plant.cylinder.mas_kg: unknown name"),
-        ("plant.cylindr.mass_kg=1", "did you mean plant.cylinder.mass_kg?"),
-        ("plant.full_order.entrained_air=0", "needs plant.full_order = true"),
-        ("plant.linkage=G9", "plant.linkage = 'G9': must be G1, G2"),
-        ("plant.linkage=[", "--set plant.linkage:1: YAML syntax"),
-        (
-            "controller.mass_min_kg=2",
-            "controller.mass_min_kg: controller: mass_min_kg = 2 kg must ",
-        ),
-    ],
-)
-def test_bad_values_of_the_scenario_are_one_line(capsys, tmp_path, command, text, message):
-    out = tmp_path / "out"
-    assert main([command, "--set", text, "--out", str(out)]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("kneexo: --set ")
-    assert message in line
-    assert not out.exists()
-
-
 def test_changed_leaves_nested_mappings_of_settings_alone():
     settings = ContestSettings()
     path = "contestants.SMC.controller.lambda_per_s"
@@ -128,16 +102,6 @@ def test_the_help_of_each_command_with_a_scenario_has_the_presets(capsys, comman
     text = " ".join(capsys.readouterr().out.split())
     for name in PRESETS:
         assert f" {name} (" in text
-
-
-@pytest.mark.parametrize("command", ["simulate", "linearize", "diagram"])
-def test_a_wrong_preset_is_one_line(capsys, tmp_path, command):
-    assert main([command, "--preset", "lag", "--out", str(tmp_path / "out")]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert (
-        line == "kneexo: --preset = 'lag': must be paper, bench, leg or wearer; did you mean leg?"
-    )
-    assert not (tmp_path / "out").exists()
 
 
 def test_a_relative_out_belongs_to_the_directory_of_the_call(

@@ -110,17 +110,6 @@ def test_no_command_shows_the_first_steps(capsys):
     assert commands == ["view", "simulate", "new", "reproduce"]
 
 
-def test_a_missing_scenario_and_an_unwritable_directory_are_one_line(capsys, tmp_path):
-    assert main(["simulate", str(tmp_path / "no.yaml"), "--out", str(tmp_path / "o")]) == 2
-    assert "no.yaml" in capsys.readouterr().err
-    (tmp_path / "file").write_text("")
-    for command in ("reproduce", "simulate", "diagram"):
-        assert main([command, "--out", str(tmp_path / "file")]) == 2
-        error = capsys.readouterr().err
-        assert "cannot write there" in error
-        assert len(error.splitlines()) == 1
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -84,10 +84,6 @@ def test_unknown_arguments_are_short_and_on_one_line(capsys):
             "see kneexo study bandwidth",
         ),
         (
-            "reproduce --out o --htlm",
-            "--htlm: unknown argument; did you mean --html?; see kneexo reproduce",
-        ),
-        (
             "export cc --out o",
             "argument FORM: 'cc' is unknown; did you mean c?; known: c, sil, fmu; "
             "see kneexo export",
@@ -102,10 +98,6 @@ def test_unknown_arguments_are_short_and_on_one_line(capsys):
 )
 def test_wrong_and_old_words_are_one_line_with_the_remedy(capsys, command, line):
     assert line_of(command.split(), capsys) == f"kneexo: {line} --help"
-
-
-def test_a_misspelt_command_suggests_the_nearest(capsys):
-    assert "'simulat' is unknown; did you mean simulate?; known: re" in line_of(["simulat"], capsys)
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh"])

@@ -50,35 +50,6 @@ def test_a_run_that_is_too_long_for_the_page_is_named(tmp_path, capsys, calls, d
     assert capsys.readouterr().err == expected
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (
-            ["--compare", "papr"],
-            "preset = 'papr': must be paper, bench, leg or wearer; did you mean paper?",
-        ),
-        (["--set", "plant.pump.gear_ratio=0"], "must be finite and >= 0.01 and <= 1000"),
-        (["x.yaml"] * 9, "9 scenarios: a page has at least 1 and at most 8"),
-        (["missing.yaml"], "missing.yaml"),
-    ],
-)
-def test_a_fault_is_one_line_and_leaves_no_file(tmp_path, capsys, calls, arguments, message):
-    assert main(["play", *arguments, "--out", str(tmp_path / "knee.html")]) == 2
-    error = capsys.readouterr().err
-    assert message in error
-    assert error.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_only_a_page_is_replaced(tmp_path, capsys, calls):
-    code = tmp_path / "my.py"
-    code.write_text("mine")
-    assert main(["play", "--out", str(code)]) == 2
-    assert "my.py: the name of a page must end in .html" in capsys.readouterr().err
-    assert code.read_text() == "mine"
-    assert calls == []
-
-
 def test_the_page_opens_where_there_is_a_browser(tmp_path, monkeypatch, calls):
     opened = []
     monkeypatch.setattr("webbrowser.open", lambda url: opened.append(url) or True)

@@ -164,32 +164,16 @@ def test_a_run_that_would_not_fit_into_memory_is_refused(capsys, scenario_file, 
     ("text", "message"),
     [
         ("plant: {cylinder: {mass_kg: -1}}", "plant.cylinder.mass_kg = -1 kg is out of range"),
-        ("plant: {cylinder: {mass_kg: .nan}}", "mass_kg = nan kg is out of range"),
-        ("plant: {cylinder: {mas_kg: 1.0}}", "plant.cylinder.mas_kg: unknown name"),
-        ("reference: {mean_deg: 70.0}", "leaves the range of motion 0 … 90 deg"),
-        ("plant: {linkage: {a_2_m: 0.2}}", "cannot be assembled"),
-        ("controller: {kind: lqr}", "controller.kind = 'lqr'"),
         (
             "reference: {frequency_hz: 1.0, amplitude_deg: 2.0}\n"
             "simulation: {duration_s: 1.2, integrator: runge_kutta3}",
             "left the stroke 0 … 0.15 m; reduce the motion, the load or the step",
-        ),
-        ("initial_offset_m: -0.15", "outside the stroke 0 … 0.15 m; change the start"),
-        ("controller: {kind: pid, anti_windup_s: 1e-3}", "must be at least sample_time_s"),
-        (
-            "reference: {kind: samples, times_s: [0, 1, 1e300], angles_deg: [1, 2, 3]}",
-            "times_s must lie within ±100000 s",
-        ),
-        (
-            "reference: {kind: samples, times_s: [0, 1e-9, 1], angles_deg: [1, 2, 3]}",
-            "times_s must increase by at least 1e-6 s",
         ),
         (
             "reference: {kind: samples, times_s: [0, 1, 2, 3], angles_deg: [5, 89, 89, 5]}\n"
             "simulation: {duration_s: 1.0}",
             "interpolation cubic passes the range of motion",
         ),
-        ("reference: {kind: samples, times_s: [0, 1], angles_deg: [1, 2]}", "must have at least 3"),
     ],
 )
 def test_bad_scenarios_are_one_line_exit_2_and_leave_nothing(

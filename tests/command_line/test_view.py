@@ -85,12 +85,6 @@ def finished(tmp_path):
     return make
 
 
-def test_too_many_runs_are_one_line(tmp_path, capsys):
-    assert main(["view", *["x.yaml"] * 31, "--out", str(tmp_path / "knee.html")]) == 2
-    assert capsys.readouterr().err == "kneexo: 31 runs: a page shows 30 at most\n"
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_runs_have_names_that_differ(tmp_path, capsys, monkeypatch, finished):
     first, second, third = finished("a/run"), finished("b/run"), finished("c/walk")
     monkeypatch.chdir(third)
