@@ -31,36 +31,7 @@ def test_units_are_rpm_outside_and_rad_s_inside():
     assert NoBus().velocity_unit_rad_s == 0.0
 
 
-@pytest.mark.parametrize(
-    ("bus", "line"),
-    [
-        (
-            {"kind": "cia402", "velocity_unit_rpm": 0.5},
-            "bus.velocity_unit_rpm = 0.5 rpm: "
-            "must be 1.0, 0.1, 0.01, 0.001, 0.0001, 1e-05 or 1e-06",
-        ),
-        (
-            {"kind": "cia402", "velocity_unit_rpm": 10},
-            "bus.velocity_unit_rpm = 10 rpm: must be 1.0, 0.1, 0.01, 0.001, 0.0001, 1e-05 or 1e-06",
-        ),
-        (
-            {"kind": "cia402", "latency_samples": 11},
-            "bus.latency_samples = 11 samples is out of range: "
-            "must be finite and >= 0 and <= 10 samples",
-        ),
-        (
-            {"latency_samples": -1},
-            "bus.latency_samples = -1 samples is out of range: "
-            "must be finite and >= 0 and <= 10 samples",
-        ),
-        (
-            {"velocity_unit_rpm": 1},
-            "bus.velocity_unit_rpm: unknown name; needs bus.kind = cia402",
-        ),
-        ({"kind": "can"}, "bus.kind = 'can': must be 'none' or 'cia402'; did you mean cia402?"),
-    ],
-)
-def test_a_fault_is_one_line(bus, line):
-    with pytest.raises(ParameterError) as error:
-        Scenario(bus=bus)
-    assert str(error.value) == f"Scenario: {line}"
+def test_another_unit_is_refused():
+    line = r"bus.velocity_unit_rpm = 0.5 rpm: must be 1.0, 0.1, 0.01, 0.001, 0.0001, 1e-05 or 1e-06"
+    with pytest.raises(ParameterError, match=rf"^Scenario: {line}$"):
+        Scenario(bus={"kind": "cia402", "velocity_unit_rpm": 0.5})

@@ -114,14 +114,6 @@ def test_a_report_that_values_rarely_cause_is_a_line_too(kind, location, context
         (lambda: Scenario.model_validate({"plant": 3}), "Scenario: plant = 3: must be a mapping"),
         (lambda: Scenario.model_validate_json("{"), "Scenario: is not JSON: EOF while parsing"),
         (lambda: Scenario.model_validate_json('{"mass_kg": 2}'), "mean plant.cylinder.mass_kg?"),
-        (lambda: Scenario("my.yaml"), "takes values by name, .*; load_scenario.path. reads a file"),
-        (lambda: PidParameters(3.0), r"such as PidParameters\(sample_time_s=…\)$"),
-        (
-            lambda: Scenario().model_copy(update={"mass": 2}),
-            "has no field mass; call changed",
-        ),
-        (lambda: Scenario(controller=PidParameters), "the class PidParameters: .* PidParameters()"),
-        (lambda: Scenario(plant=CylinderParameters()), "must be an object of PlantParameters$"),
     ],
 )
 def test_every_way_to_make_parameters_refuses_in_one_line(make, line):

@@ -73,27 +73,16 @@ def test_changed_leaves_its_argument_alone() -> None:
 
 
 @pytest.mark.parametrize(
-    ("path", "value", "message"),
+    ("path", "remedy"),
     [
-        (
-            "plant.pomp.lag_s",
-            0.01,
-            "plant.pomp.lag_s: unknown name; did you mean plant.pump.lag_s?",
-        ),
-        ("plant.full_order.dead_volume_m3", 1e-6, "unknown name; needs plant.full_order = true"),
-        ("plant.pomp.x", 0.01, "plant.pomp.x: unknown name; did you mean plant.pump?"),
-        ("x.y", 0.01, "x.y: unknown name; known here: bus, controller, "),
-        ("plant.pump.lg_s", 0.01, "plant.pump.lg_s: unknown name"),
-        ("plant.pump.lag_s", -1.0, "plant.pump.lag_s = -1 s is out of range"),
-        ("bus.latency_samples", 1.5, "bus.latency_samples = 1.5 samples: must be a whole number"),
-        ("reference.mean_deg", 80.0, "leaves the range of motion"),
+        ("plant.pomp.lag_s", "did you mean plant.pump.lag_s?"),
+        ("plant.pomp.x", "did you mean plant.pump?"),
+        ("x.y", "known here: bus, controller, "),
     ],
 )
-def test_a_change_that_the_scenario_does_not_have_is_refused(
-    path: str, value: object, message: str
-) -> None:
-    with pytest.raises(ParameterError, match=re.escape(message)):
-        changed(Scenario(), {path: value})
+def test_a_path_that_the_scenario_does_not_have_is_refused(path: str, remedy: str) -> None:
+    with pytest.raises(ParameterError, match=re.escape(f"{path}: unknown name; {remedy}")):
+        changed(Scenario(), {path: 0.01})
 
 
 def test_a_value_is_read_where_the_attributes_lead() -> None:

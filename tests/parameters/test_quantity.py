@@ -16,7 +16,6 @@ from pydantic.fields import FieldInfo
 
 from kneexo.errors import KneexoError, ParameterError
 from kneexo.parameters import (
-    BldcPumpParameters,
     CylinderParameters,
     ExactParameters,
     FullCylinderParameters,
@@ -30,7 +29,6 @@ from kneexo.parameters import (
     RodPolynomialParameters,
     SampledReference,
     Scenario,
-    SimulationParameters,
     SlidingModeParameters,
 )
 from kneexo.parameters.fields import allowed_range, limits_of, source_of, unit_of
@@ -236,7 +234,10 @@ def test_bounds_are_exact(model: type[Parameters], name: str, field: FieldInfo) 
     else:
         outside = (low if exclusive else math.nextafter(low, -1e9), math.nextafter(high, 1e99))
     for value in outside:
-        assert "is out of range" in fault(model, **{name: value})
+        line = fault(model, **{name: value})
+        shown = "int" if field.annotation is int else f"{value:g}"
+        assert_tells(line, name, repr(value) if f" = {value!r}" in line else shown, field)
+        assert "is out of range" in line
 
 
 COUPLED = (
@@ -260,35 +261,9 @@ def test_value_inside_the_range_is_accepted_and_kept(data: st.DataObject, key: s
         assert any(reason in str(error) for reason in COUPLED)  # noqa: PT017 (only some draws raise)
 
 
-@given(data=st.data(), key=st.sampled_from(sorted(BOUNDED)))
-def test_value_outside_the_range_is_rejected(data: st.DataObject, key: str) -> None:
-    model, name, field = BOUNDED[key]
-    low, high, exclusive = bounds_of(field)
-    if field.annotation is int:
-        outside = st.integers(max_value=low - 1) | st.integers(min_value=high + 1)
-    else:
-        outside = st.floats(max_value=low, exclude_max=not exclusive, allow_infinity=False)
-        outside |= st.floats(min_value=high, exclude_min=True)
-    value = data.draw(outside)
-    line = fault(model, **{name: value})
-    short = "int" if field.annotation is int else f"{value:g}"
-    assert_tells(line, name, repr(value) if f" = {value!r}" in line else short, field)
-    assert "is out of range" in line
-
-
 @pytest.mark.parametrize(
     ("model", "values", "line"),
     [
-        (
-            CylinderParameters,
-            {"mass_kg": -1},
-            "mass_kg = -1 kg is out of range: must be finite and >= 0.01 and <= 1000 kg",
-        ),
-        (
-            CylinderParameters,
-            {"mass_kg": "heavy"},
-            "mass_kg = 'heavy': must be a number, >= 0.01 and <= 1000 kg",
-        ),
         (
             RodPolynomialParameters,
             {"p_mm_deg": (1.0, 2.0, 3.0, 4.0, 5.0, 1e5)},
@@ -311,11 +286,6 @@ def test_value_outside_the_range_is_rejected(data: st.DataObject, key: str) -> N
             "rod_diameter_m = 0.02 m must be below 0.98 times bore_m = 0.02 m",
         ),
         (
-            KneeParameters,
-            {"flexion_min_deg": 50.0, "flexion_max_deg": 40.0},
-            "flexion_min_deg = 50 deg must be below flexion_max_deg = 40 deg",
-        ),
-        (
             SlidingModeParameters,
             {"mass_min_kg": 2.0},
             "mass_min_kg = 2 kg must not exceed mass_max_kg = 1.8 kg",
@@ -336,29 +306,6 @@ def test_value_outside_the_range_is_rejected(data: st.DataObject, key: str) -> N
             "angles_deg: is missing; must be given by the user",
         ),
         (
-            SimulationParameters,
-            {"integrator": "euler"},
-            "integrator = 'euler': must be 'exact_hold', 'rk4', 'radau3', 'radau1', "
-            "'runge_kutta3' or 'implicit_euler'; "
-            "did you mean implicit_euler?",
-        ),
-        (
-            Scenario,
-            {"plant": {"load": {"kind": "knee", "segment_mass_kg": -1.0}}},
-            "plant.load.segment_mass_kg = -1 kg is out of range: "
-            "must be finite and >= 0 and <= 200 kg",
-        ),
-        (
-            Scenario,
-            {"controller": {"kind": "lqr"}},
-            "controller.kind = 'lqr': must be 'smc', 'pid', 'torque' or 'law'",
-        ),
-        (
-            Scenario,
-            {"controller": SlidingModeParameters(continuous=True)},
-            "controller.continuous = true needs estimator.kind = exact, not observer",
-        ),
-        (
             Scenario,
             {
                 "controller": SlidingModeParameters(continuous=True),
@@ -366,11 +313,6 @@ def test_value_outside_the_range_is_rejected(data: st.DataObject, key: str) -> N
                 "bus": {"latency_samples": 1},
             },
             "bus.kind = none with latency_samples = 1 needs a discrete controller",
-        ),
-        (
-            BldcPumpParameters,
-            {"lag_s": 5.0, "gear_ratio": 0.0},
-            "lag_s = 5 s is out of range: must be finite and >= 0.0001 and <= 1 s (and 1 more)",
         ),
     ],
 )

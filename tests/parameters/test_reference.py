@@ -95,11 +95,6 @@ def test_samples_must_end_after_the_start_of_a_run() -> None:
         SampledReference(times_s=(-6.0, -4.0, 0.0), angles_deg=angles)
 
 
-def test_a_missing_csv_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ParameterError, match=r"none\.csv: cannot be read: No such file"):
-        CsvReference(file="none.csv").samples(tmp_path)
-
-
 def test_the_gait_curve_has_a_name() -> None:
     named = Scenario(reference={"kind": "gait", "frequency_hz": 0.5, "cycles": 2})
     assert named.reference == gait_reference(0.5, 2)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import types
 import typing
@@ -14,7 +13,6 @@ import yaml
 from hypothesis import given, settings, strategies as st
 
 from kneexo.errors import ScenarioError
-from kneexo.files import reading
 from kneexo.parameters import (
     G2,
     CylinderParameters,
@@ -349,19 +347,10 @@ def test_fault_is_one_line_with_file_line_and_path(
     ("text", "parts"),
     [
         ("plant: {linkage: G9}", ["linkage", "'G9'", "G1, G2, G3"]),
-        (
-            "controller: {kind: lqr}",
-            ["controller.kind = 'lqr'", _KINDS],
-        ),
         ("controller: {kind: }", ["controller.kind", _KINDS]),
         ("encoder: &e {quantized: *e}", ["encoder.quantized.quantized", "too deep"]),
         ("plant: &a [*a]", ["plant.0.0.0", "too deep"]),
         ("controller: smd", ["controller = 'smd'", "did you mean smc?"]),
-        (
-            "controller: {lambda: 2}",
-            ["controller.lambda: ", "did you mean controller.lambda_per_s?"],
-        ),
-        ("plant: 3", ["plant = 3"]),
         ("polynomial: {p_mm_deg: [1, 2, 3]}", ["polynomial.p_mm_deg has 3 values: must have 6"]),
         (
             "polynomial: {p_mm_deg: [1, 2, 3, 4, 5, 6, 7]}",
@@ -405,36 +394,6 @@ def test_aliases_cannot_multiply_a_text_without_end(file: File) -> None:
     lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
     lines += [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 10)]
     assert "too many values" in file.fault("\n".join(lines))
-
-
-def test_file_that_cannot_be_read(
-    file: File, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def message(path: str | Path) -> str:
-        with pytest.raises(ScenarioError) as caught:
-            load_scenario(path)
-        return str(caught.value)
-
-    absent = tmp_path / "absent.yaml"
-    assert message(absent) == f"{absent}: cannot be read: No such file or directory"
-    assert message(str(tmp_path)) == f"{tmp_path}: cannot be read: Is a directory"
-    assert re.match(r"a\\x00b: cannot be read: .*embedded null ", message("a\0b"))
-    assert message("a\nb").startswith("a\\nb: cannot be read: ")
-
-    def refuse(path: str, mode: str) -> None:
-        raise PermissionError(13, "Permission denied", path)
-
-    monkeypatch.setattr(reading, "open", refuse, raising=False)
-    assert message(file.path) == f"{file.path}: cannot be read: Permission denied"
-
-
-def test_only_regular_files_are_read(tmp_path: Path) -> None:
-    pipe = tmp_path / "pipe"
-    os.mkfifo(pipe)  # with no writer, opening it would never end
-    for path in (pipe, Path("/dev/zero")):
-        with pytest.raises(ScenarioError) as caught:
-            load_scenario(path)
-        assert str(caught.value) == f"{path}: cannot be read: is not a regular file"
 
 
 @pytest.mark.parametrize(

@@ -66,13 +66,6 @@ def test_a_leg_that_would_create_energy_is_refused() -> None:
         LegParameters(**(limit | {"loss_modulus_n_m_per_rad": 0.77}))
 
 
-def test_a_leg_without_inertia_is_refused() -> None:
-    with pytest.raises(
-        ParameterError, match=r"inertia_kg_m2 = 0 kg·m² is out of range: .*>= 0.001 .*\Z"
-    ):
-        LegParameters(inertia_kg_m2=0.0)
-
-
 @pytest.mark.parametrize(
     ("times", "moments", "line"),
     [
