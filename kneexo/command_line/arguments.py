@@ -305,8 +305,7 @@ def _argument() -> Iterator[None]:
     try:
         yield
     except ParameterError as error:
-        line = str(error).removeprefix("Scenario: ").removeprefix("controller: ")
-        raise ParameterError(f"--{line}") from None
+        raise ParameterError(f"--{error}") from None
 
 
 def with_values(parameters: _P, texts: Sequence[str]) -> _P:

@@ -60,11 +60,10 @@ def play(
     """
     from kneexo.command_line.output import to_json
     from kneexo.parameters import Scenario
-    from kneexo.view.playground import LONGEST_RUN_S, playground_page, require_count
+    from kneexo.view.playground import LONGEST_RUN_S, playground_page
     from kneexo.view.web_page import require_page_name
 
     require_page_name(out)
-    require_count(len(scenarios or (None,)) + (compare is not None))
     names = [", ".join([name, *values]) for name in run_names(scenarios, preset)]
     loaded = []
     for path in scenarios or (None,):

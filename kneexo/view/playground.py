@@ -117,7 +117,10 @@ def playground_page(scenarios: Sequence[Scenario], names: Sequence[str]) -> str:
     Raises `ParameterError` for no scenario or more than `MOST_SCENARIOS`, and the errors of
     `web_model`.
     """
-    require_count(len(scenarios))
+    if not 1 <= len(scenarios) <= MOST_SCENARIOS:
+        raise ParameterError(
+            f"{len(scenarios)} scenarios: a page has at least 1 and at most {MOST_SCENARIOS}"
+        )
     data = playground_data(scenarios, names)
     styles = (*STAGE_STYLES, "playground.css")
     scripts = (*STAGE_SCRIPTS, *_SCRIPTS)
@@ -130,14 +133,6 @@ def playground_page(scenarios: Sequence[Scenario], names: Sequence[str]) -> str:
         worker="\n".join(web_text(name) for name in _WORKER),
         wasm=True,
     )
-
-
-def require_count(count: int) -> None:
-    """Raise `ParameterError` unless a page can have ``count`` scenarios."""
-    if not 1 <= count <= MOST_SCENARIOS:
-        raise ParameterError(
-            f"{count} scenarios: a page has at least 1 and at most {MOST_SCENARIOS}"
-        )
 
 
 def playground_data(scenarios: Sequence[Scenario], names: Sequence[str]) -> dict[str, Any]:
