@@ -139,20 +139,6 @@ def in_bits(rows):
 
 
 @pytest.mark.parametrize(
-    "content",
-    [
-        "a; t\n1;0\n2;-1.5e3\n",
-        "a;t\n1,0;0\n2;-1,5e3\n",
-        "# a, b\n\na\tt\n1\t0\n2\t-1,5e3\n",
-        '"a";"t"\n"1";"0"\n"2";"-1500"\n',
-    ],
-    ids=["semicolons", "decimal commas", "tabs", "quoted"],
-)
-def test_semicolons_or_tabs_separate_values_too(write, content):
-    assert read_table(write(content), ("t", "a")).columns == {"t": [0.0, -1500.0], "a": [1.0, 2.0]}
-
-
-@pytest.mark.parametrize(
     ("content", "columns"),
     [
         ('t;"a, b, c"\n1;2\n', {"t": [1.0], "a, b, c": [2.0]}),
@@ -174,16 +160,6 @@ def test_angles_are_in_degrees(write, fault):
     for unit in ("", "inDegrees=maybe", "# inDegrees=no"):
         message = fault(read_table(write(text.format(unit)), ("a",)).degrees, "a")
         assert message.startswith("table.csv: lacks the unit of angles; add inDegrees=yes or")
-
-
-def test_a_comma_between_digits_is_no_decimal_comma_if_commas_separate_values(write, fault):
-    line = fault(read_table, write('t,a\n"1,000",1\n'), ("t",))
-    assert line.startswith("table.csv:2: t: '1,000'; must be a finite number")
-
-
-def test_a_missing_column_has_a_remedy(write, fault):
-    line = fault(read_table, write("Time,a\n0,1\n"), ("t",), "; rename it")
-    assert line == "table.csv: has no column 't'; it has Time, a; rename it"
 
 
 def test_blank_fields_after_the_last_column_are_ignored(write):

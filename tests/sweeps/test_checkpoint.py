@@ -1,7 +1,5 @@
-import fcntl
 import hashlib
 import math
-import os
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
@@ -144,25 +142,6 @@ def test_a_file_cut_anywhere_keeps_what_is_whole(tmp_path):
         again.close()
 
 
-@pytest.mark.parametrize("text", [b"time_s,knee\n0,1\n", b'["a", 1]\n', b"x", NESTED, bytes(3)])
-def test_lines_of_another_kind_are_skipped(tmp_path, text):
-    path = tmp_path / "sweep.jsonl"
-    path.write_bytes(text)
-    with pytest.warns(UserWarning, match=r"damaged lines? (is|are) skipped"):
-        checkpoint = Checkpoint(path)
-    assert len(checkpoint) == 0
-    checkpoint.keep("a", 1)
-    checkpoint.close()
-    with pytest.warns(UserWarning, match=r"damaged lines? (is|are) skipped"):
-        assert Checkpoint(path)["a"] == 1
-
-
-def test_a_pipe_is_refused(tmp_path):
-    os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(OutputError, match="pipe: is not a regular file; "):
-        Checkpoint(tmp_path / "pipe")
-
-
 def test_a_huge_file_is_refused_before_it_is_read(tmp_path):
     path = tmp_path / "huge"
     with path.open("wb") as file:
@@ -170,42 +149,6 @@ def test_a_huge_file_is_refused_before_it_is_read(tmp_path):
     with pytest.raises(OutputError, match="huge: is too large, must have at most 4294967296 bytes"):
         Checkpoint(path)
     assert path.stat().st_size == 2**40
-
-
-@pytest.mark.parametrize("resume", [True, False])
-def test_a_second_process_is_refused_until_the_first_has_died(tmp_path, resume):
-    """A lock belongs to an open file: another one stands for that of another process."""
-    path = tmp_path / "sweep.jsonl"
-    ours = Checkpoint(path)
-    ours.keep("ours", 1)
-    with path.open() as other:
-        with pytest.raises(BlockingIOError):
-            fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        ours.close()
-        fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        with pytest.raises(OutputError, match="another process is at work on it") as caught:
-            Checkpoint(path, resume=resume)
-        assert "\n" not in str(caught.value)
-    assert ("ours" in Checkpoint(path, resume=resume)) == resume
-
-
-def test_this_process_may_open_its_checkpoint_again(tmp_path):
-    path = tmp_path / "sweep.jsonl"
-    first = Checkpoint(path)
-    first.keep("a", 1)
-    second = Checkpoint(path)
-    assert second["a"] == 1
-    second.keep("b", 2)
-    first.keep("c", 3)
-    assert [Checkpoint(path)[key] for key in "abc"] == [1, 2, 3]
-
-
-def test_an_empty_file_is_not_left(tmp_path):
-    path = tmp_path / "sweep.jsonl"
-    checkpoint = Checkpoint(path)
-    assert path.exists()
-    checkpoint.close()
-    assert not path.exists()
 
 
 def test_pieces_of_other_settings_outlive_a_sweep_that_is_complete(tmp_path):
