@@ -12,7 +12,6 @@ import inspect
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
-from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
 from kneexo.progress import Stage
@@ -51,10 +50,6 @@ class Study:
     """True if the study varies the values of an uncertainty set."""
     resumable: bool = True
     """True if an interrupted study can continue from a checkpoint of its finished runs."""
-    moving: bool = False
-    """True if the module ``figures`` has a function ``motions``. The 3D view can show its runs."""
-    failing: bool = False
-    """True if the module ``report`` has a function ``failed_runs``. Its scenarios become files."""
     files: tuple[str, str] = ("", "")
     """File names of results and report. An empty name stands for NAME.json or NAME.md."""
     stages: tuple[Stage, ...] = ()
@@ -95,14 +90,7 @@ class Study:
         return default
 
     def report(self, result: Any) -> str:
-        """Return the report on a result in Markdown.
-
-        If the study has no module ``report``, its template ``report.md`` is filled with the result.
-        """
-        if find_spec(f"kneexo.studies.{self.name}.report") is None:
-            from kneexo.studies.template import filled
-
-            return filled(f"{self.name}/report.md", result=result)
+        """Return the report on a result in Markdown."""
         text: str = self._part(".report", "report")(result)
         return text
 
@@ -112,24 +100,26 @@ class Study:
         return pictures
 
     def motions(self, result: Any) -> dict[str, Motion]:
-        """Return a dictionary from title to run, for the 3D view. It is empty if not `moving`."""
-        if not self.moving:
-            return {}
-        runs: dict[str, Motion] = self._part(".figures", "motions")(result)
+        """Return a dictionary from title to run, for the 3D view.
+
+        It is empty if the module ``figures`` has no function ``motions``.
+        """
+        motions = self._part(".figures", "motions", lambda result: {})
+        runs: dict[str, Motion] = motions(result)
         return runs
 
     def failed_runs(self, result: Any) -> dict[str, Scenario]:
         """Return a dictionary from error to the scenario of a run that failed with this error.
 
-        The dictionary has an example of each kind of failure, and is empty if not `failing`.
+        The dictionary has an example of each kind of failure. It is empty if the module ``report``
+        has no function ``failed_runs``.
         """
-        if not self.failing:
-            return {}
-        runs: dict[str, Scenario] = self._part(".report", "failed_runs")(result)
+        failed = self._part(".report", "failed_runs", lambda result: {})
+        runs: dict[str, Scenario] = failed(result)
         return runs
 
-    def _part(self, module: str, name: str) -> Any:
-        return getattr(import_module(f"kneexo.studies.{self.name}{module}"), name)
+    def _part(self, module: str, name: str, *default: Callable[[Any], Any]) -> Any:
+        return getattr(import_module(f"kneexo.studies.{self.name}{module}"), name, *default)
 
 
 def failure_file(number: int) -> str:
@@ -157,7 +147,6 @@ STUDIES = {
             "The first time takes some seconds more, to compile the equations.",
             setup="",
             resumable=False,
-            moving=True,
             files=("results.json", "report.md"),
             label="reproduce, Fig. 13",
             stages=(
@@ -187,7 +176,6 @@ STUDIES = {
             "Corners, seeded Monte Carlo and one value at a time: tracking error, bandwidth, "
             "margins.",
             uncertain=True,
-            failing=True,
             stages=(
                 Stage("nominal", 0.5),
                 Stage("one at a time", 6.0),
@@ -230,7 +218,6 @@ STUDIES = {
             "study contest",
             "SMC and PID tuned alike, compared over the uncertainty set",
             uncertain=True,
-            failing=True,
             stages=(
                 Stage("budget of chattering", 2.0),
                 Stage("tuning", 1300.0),
@@ -245,7 +232,6 @@ STUDIES = {
             "size",
             "find the motor, pump and encoder that a task needs",
             "Bandwidth and error over the hardware, and what walking takes.",
-            moving=True,
             stages=(
                 Stage("hardware: bandwidth and error", 4.0),
                 Stage("flow and acceleration: bandwidth", 2.0),

@@ -43,7 +43,7 @@ _ENVIRONMENT = _environment()
 def filled(template: str, **data: Any) -> str:
     """Fill a template of a study with ``data`` and return its text.
 
-    ``template`` is a path such as ``order/report.md``. Each paragraph becomes one line, and several
+    ``template`` is a path such as ``size/report.md``. Each paragraph becomes one line, and several
     empty lines become one. A template can use the tables of `kneexo.studies.markdown` and four
     filters: ``number`` and ``percent`` format a number, ``numbers`` formats a sequence, and
     ``form`` applies a format specification. Raises `jinja2.UndefinedError` for a name that

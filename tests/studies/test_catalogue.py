@@ -1,16 +1,14 @@
-"""The catalogue: a study needs a template at least."""
+"""The catalogue of the studies."""
 
 import importlib
 import inspect
-import sys
 from pathlib import Path
 
 import pytest
 
 import kneexo.studies
 from kneexo.analysis.frequency_response import sinestream
-from kneexo.studies import template
-from kneexo.studies.catalogue import FIGURES, FILES, STUDIES, Study
+from kneexo.studies.catalogue import FIGURES, FILES, STUDIES
 
 
 @pytest.mark.parametrize("name", STUDIES)
@@ -18,20 +16,6 @@ def test_the_face_of_a_study_has_its_settings_and_its_function(name):
     face = importlib.import_module(f"kneexo.studies.{name}")
     assert STUDIES[name].settings is getattr(face, f"{name.capitalize()}Settings")
     assert STUDIES[name].compute is getattr(face, f"{name}_study")
-
-
-def test_a_study_without_a_module_for_its_report_fills_its_template(tmp_path, monkeypatch):
-    folder = tmp_path / "smallest"
-    folder.mkdir()
-    (folder / "__init__.py").write_text("")
-    (folder / "report.md").write_text("# {{ result.title }}\n")
-    monkeypatch.setattr(kneexo.studies, "__path__", [*kneexo.studies.__path__, str(tmp_path)])
-    loader = template._ENVIRONMENT.loader
-    monkeypatch.setattr(loader, "searchpath", [*loader.searchpath, str(tmp_path)])
-    try:
-        assert Study("smallest", "smallest", "").report({"title": "Small"}) == "# Small\n"
-    finally:
-        sys.modules.pop("kneexo.studies.smallest", None)
 
 
 @pytest.mark.parametrize("study", STUDIES.values(), ids=lambda study: study.name)
