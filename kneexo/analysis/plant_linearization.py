@@ -97,9 +97,23 @@ def find_operating_point(
 ) -> OperatingPoint:
     """Find the state and motor speed that hold a knee angle under load, by Newton's method.
 
-    ``plant`` is a set of parameters, or a diagram with the ports of `make_plant`. Raises
-    `LinearizationError` when there is no equilibrium, for example because the motor would exceed
-    its speed limit. Raises `ParameterError` or `LinkageError` for an impossible posture.
+    Parameters
+    ----------
+    plant
+        The numbers of a plant, or a diagram with the ports of `make_plant`.
+    knee_angle_deg
+        The knee angle in deg.
+    knee_torque_n_m
+        External torque on the knee in N·m, for a plant with a load.
+    disturbance_n
+        Disturbance force on the rod in N.
+
+    Raises
+    ------
+    LinearizationError
+        There is no equilibrium, for example because the motor would exceed its speed limit.
+    ParameterError, LinkageError
+        The knee angle is impossible.
     """
     diagram = _plant(plant, knee_angle_deg)
     if knee_torque_n_m and not diagram.HasInputPort("knee_torque"):
@@ -258,8 +272,19 @@ def linearize_plant(
 ) -> PlantLinearization:
     """Linearize the plant at the operating point of a knee angle under load, by AutoDiff.
 
-    ``outputs`` are names of output ports of the plant. `find_operating_point` describes the other
-    arguments and the errors. Also raises `LinearizationError` for a derivative that is not finite.
+    Parameters
+    ----------
+    plant, knee_angle_deg, knee_torque_n_m, disturbance_n
+        As in `find_operating_point`.
+    outputs
+        Names of output ports of the plant.
+
+    Raises
+    ------
+    LinearizationError
+        There is no equilibrium, or a derivative is not finite.
+    ParameterError, LinkageError
+        The knee angle is impossible.
     """
     diagram = _plant(plant, knee_angle_deg)
     point = find_operating_point(

@@ -392,6 +392,8 @@ def linearize_loop(
         The constant reference in deg.
     output
         Name of an output port with one element. Its response to the reference is computed.
+    law, initial_state
+        A control law that replaces the law of ``scenario``: see `Scenario.with_law`.
 
     Raises
     ------

@@ -101,9 +101,24 @@ def linearize_at(
     period_s: float | None = None,
     equilibrium_tolerance: float = EQUILIBRIUM_TOLERANCE,
 ) -> list[LinearModel]:
-    """Return the linear model of a diagram in each of several Contexts; see `linearize`.
+    """Return the linear model of a diagram in each of several Contexts.
 
-    The equations are read once, so many operating points take much less time than many calls.
+    The equations are read once, so many operating points take much less time than many calls of
+    `linearize`.
+
+    Parameters
+    ----------
+    diagram
+        A Diagram or leaf system that `compile_diagram` accepts.
+    contexts
+        The operating points, one Context each.
+    inputs, outputs, bypass, period_s, equilibrium_tolerance
+        As in `linearize`.
+
+    Raises
+    ------
+    CompilationError, LinearizationError, ParameterError
+        As in `linearize`.
     """
     options = bypass, period_s, equilibrium_tolerance
     return _models(diagram, contexts, inputs, outputs, *options)

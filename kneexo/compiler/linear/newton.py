@@ -23,18 +23,26 @@ def newton(
     rank_tolerance: float | None = None,
     relative: bool = False,
 ) -> tuple[Array, float]:
-    """Search a zero of a vector function from ``start`` (n,); return point and residual.
+    """Search a zero of a vector function by Newton's method; return point (n,) and residual.
 
-    ``function`` returns values (m,) and Jacobian (m, n) at a point. Each step is the least-squares
-    solution of the linear equations with the smallest norm, so that a variable without influence
-    keeps its value. Singular values below ``rank_tolerance`` times the largest singular value count
-    as zero. If ``rank_tolerance`` is None, the default of `numpy.linalg.lstsq` applies.
+    Each step is the least-squares solution of the linear equations with the smallest norm, so that
+    a variable without influence keeps its value. The search ends after `NEWTON_STEPS` steps, when
+    the step of each variable is below 1e-13, or when steps below 1e-9 no longer reduce the
+    residual. The residual is the largest absolute value of the function before the last step. If a
+    value or a derivative of the function is not finite, the residual is nan, and the search ends at
+    once.
 
-    The search ends after `NEWTON_STEPS` steps, when the step of each variable is below 1e-13, or
-    when steps below 1e-9 no longer reduce the residual. If ``relative`` is True, these bounds are
-    factors of 1 + |variable|. The residual is the largest absolute value of the function before the
-    last step. If a value or a derivative of the function is not finite, the residual is nan, and
-    the search ends at once.
+    Parameters
+    ----------
+    function
+        Returns its values (m,) and its Jacobian (m, n) at a point (n,).
+    start
+        Point from which the search starts, (n,).
+    rank_tolerance
+        Singular values of the Jacobian below this share of the largest one count as zero. None: the
+        default of `numpy.linalg.lstsq`.
+    relative
+        True: the bounds on the steps are factors of 1 + |variable|. False: they are absolute.
     """
     point, residual = start, math.inf
     for _ in range(NEWTON_STEPS):
