@@ -40,9 +40,19 @@ def knee_angle_from_encoder(link: Any, encoder_angle: Any, eq6_sign: Any, xp: An
     """Return the knee angle θ_p, within (−π, π], for the angle θ_4 of link 4 (Eq. 3–7).
 
     Eq. 6 is evaluated as θ_3 = atan2(A, B) ± acos(C/√(A² + B²)). The form in the paper divides by
-    the sum B+C, which is zero at a knee angle within the range of motion of G1 and G2. ``link`` has
-    the lengths and φ of `LinkageParameters`; ``eq6_sign`` is the value of the function `eq6_sign`.
-    Returns nan where the linkage cannot be assembled.
+    the sum B+C, which is zero at a knee angle within the range of motion of G1 and G2. The result
+    is nan where the linkage cannot be assembled.
+
+    Parameters
+    ----------
+    link
+        The lengths in m and φ in rad, as in `LinkageParameters`.
+    encoder_angle
+        θ_4 in rad, a number or an array.
+    eq6_sign
+        1 or −1, the sign of the acos, as the function `eq6_sign` returns it.
+    xp
+        The module of the elementary functions, such as `numpy` or `pydrake.math`.
     """
     c_1 = link.o_b_x_m - link.o_a_x_m + link.a_4_m * xp.cos(encoder_angle)
     c_2 = link.o_b_y_m - link.o_a_y_m + link.a_4_m * xp.sin(encoder_angle)
@@ -254,6 +264,15 @@ def icr(link: Any, theta_3: Any, theta_4: Any, xp: Any = np) -> tuple[Any, Any]:
     The centre is where the line through O_A and A (link 2) meets the line through O_B and B (link
     4). So the centre is O_B + te^{jθ_4}. The length t follows from the cross product with the
     vector from O_A to A.
+
+    Parameters
+    ----------
+    link
+        The lengths in m and φ in rad, as in `LinkageParameters`.
+    theta_3, theta_4
+        Angles of links 3 and 4 in rad, numbers or arrays.
+    xp
+        The module of the elementary functions, such as `numpy` or `pydrake.math`.
     """
     cos_4, sin_4 = xp.cos(theta_4), xp.sin(theta_4)
     d_x = link.o_b_x_m - link.o_a_x_m

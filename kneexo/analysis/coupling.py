@@ -62,15 +62,30 @@ def stable_interval(
 ) -> tuple[float, float]:
     """Return the ends of the interval of a parameter in which the loop is stable.
 
-    Stability is computed at ``values`` (n,), and at the scenario's value of the parameter with the
-    dotted ``path``. If the loop is stable at one of two neighbouring values only, a root search for
-    max|λ| = 1 gives the end between them to 1e-6. If the loop is stable at the first or last value,
-    this value is an end. If there are several intervals, the result is the interval with the
-    scenario's value, or else the interval nearest to this value. If the loop is stable at no value,
-    both ends are nan.
+    Stability is computed at each of ``values`` and at the value that the scenario has. If the loop
+    is stable at one of two neighbouring values only, a root search for max|λ| = 1 gives the end
+    between both values to 1e-6. If the loop is stable at the first or last value, the first or
+    last value is an end. Of several intervals the result is the one with the scenario's value, or
+    else the one nearest to the scenario's value. If the loop is stable at no value, both ends are
+    nan.
 
-    Raises `ParameterError` for a value out of the range of the parameter, and `LinearizationError`
-    if the loop does not rest at a value.
+    Parameters
+    ----------
+    scenario
+        The scenario with all other values.
+    path
+        Dotted path of the parameter, such as ``"controller.stiffness_n_m_per_rad"``.
+    values
+        Values of the parameter to try, (n,), in its unit.
+    knee_angle_deg
+        Knee angle in deg at which the loop rests and is linearized.
+
+    Raises
+    ------
+    ParameterError
+        A value is out of the range of the parameter.
+    LinearizationError
+        The loop does not rest at the angle with one of the values.
     """
 
     given = value_at(scenario, path)
@@ -243,10 +258,21 @@ def coupled_stability(
 ) -> CoupledStability:
     """Return stability and margins of a scenario's loop with each wearer, at each knee angle.
 
-    The cuff is that of the scenario's wearer, if it has one.
+    Parameters
+    ----------
+    scenario
+        The scenario, whose wearer is replaced. The cuff of its wearer, if it has one, is kept.
+    wearers
+        The legs by name, by default `WEARERS`.
+    knee_angles_deg
+        Knee angles in deg at which the loop rests and is linearized.
 
-    Raises `ParameterError` without wearers or angles, and `LinearizationError` if a loop does not
-    rest at its angle.
+    Raises
+    ------
+    ParameterError
+        There are no wearers or no angles.
+    LinearizationError
+        The loop does not rest at an angle.
     """
     cuff = value_at(scenario, "wearer.cuff")
     legs = {
@@ -266,13 +292,24 @@ def stability_map(
     *,
     knee_angle_deg: float = MID_RANGE_DEG,
 ) -> CoupledStability:
-    """Return stability and margins of a scenario's loop over two of its parameters.
+    """Return a map of stability and margins of a scenario's loop over two of its parameters.
 
-    ``values`` has two entries, from the dotted path of a parameter to its values in ascending
-    order. The first parameter has the rows.
+    Parameters
+    ----------
+    scenario
+        The scenario with all other values.
+    values
+        Two entries, from the dotted path of a parameter to its values in ascending order. The
+        values of the first parameter are the rows of the map, those of the second the columns.
+    knee_angle_deg
+        Knee angle in deg at which the loop rests and is linearized.
 
-    Raises `ParameterError` unless ``values`` has two entries with values in range.
-    Raises `LinearizationError` if a loop does not rest at the angle.
+    Raises
+    ------
+    ParameterError
+        ``values`` has not two entries, or a value is out of range.
+    LinearizationError
+        The loop does not rest at the angle.
     """
     if len(values) != 2:
         raise ParameterError(f"values: has {len(values)} parameters; must have two")

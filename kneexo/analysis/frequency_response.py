@@ -226,9 +226,17 @@ class FrequencyResponse(Result):
 
 
 def fundamental(time_s: Array, signal: Array, frequency_hz: float) -> complex:
-    """Fit c + Re(A e^{jωt}) to a signal by least squares, and return the complex amplitude A.
+    """Return the complex amplitude A of a signal at a frequency.
 
-    ``time_s`` and ``signal`` (n,) should cover whole periods, so that harmonics have no effect.
+    A is that of the least-squares fit of c + Re(A e^{jωt}) to the signal.
+
+    Parameters
+    ----------
+    time_s, signal
+        Times in s and the values of the signal, (n,) each. They should cover whole periods, so
+        that harmonics have no effect.
+    frequency_hz
+        The frequency ω/2π in Hz.
     """
     phase = 2.0 * np.pi * frequency_hz * time_s
     basis = np.column_stack([np.ones_like(phase), np.cos(phase), -np.sin(phase)])

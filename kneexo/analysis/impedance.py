@@ -354,10 +354,24 @@ def measure_impedance(
 ) -> MeasuredImpedance:
     """Measure the output impedance at the cuff in a run, with all limits of the scenario.
 
-    The wearer's leg moves by a sine of ``amplitude_deg`` about ``knee_angle_deg``. The amplitude
-    grows smoothly from zero. The run is repeated with twice the number of cycles until the response
-    has settled, as in `kneexo.analysis.estimate_sine`. The torque is recorded eight times a sample
-    of the controller, because it moves between the samples.
+    The wearer's leg moves by a sine, whose amplitude grows smoothly from zero. The run is repeated
+    with twice the number of cycles until the response has settled, as in
+    `kneexo.analysis.estimate_sine`. The torque is recorded eight times a sample of the controller,
+    because the torque moves between the samples.
+
+    Parameters
+    ----------
+    scenario
+        A scenario with a wearer, and a torque controller in the mode ``zero_torque`` or
+        ``assist``.
+    frequency_hz
+        Frequency of the sine in Hz.
+    amplitude_deg
+        Amplitude of the leg's angle in deg.
+    knee_angle_deg
+        Knee angle in deg in the middle of the sine.
+    settings
+        When the response counts as settled, and how long the amplitude grows.
 
     Raises
     ------

@@ -105,10 +105,23 @@ def fit_polynomials(
     start_deg: float = 0.0,
     samples: int = SAMPLES,
 ) -> PolynomialFit:
-    """Fit the quintics of Eq. 10 and 11 to a linkage; also compute the errors of ``table``.
+    """Fit the quintics of Eq. 10 and 11 to a linkage, and compute the errors of given quintics.
 
-    The ``samples`` points have equal distances in knee angle from ``start_deg`` to 90°. Raises
-    `LinkageError` when the linkage cannot be assembled.
+    Parameters
+    ----------
+    link
+        The linkage, by default G1.
+    table
+        Quintics whose errors are computed too, by default those of Table 1 of the paper.
+    start_deg
+        Smallest knee angle of the fit in deg. The largest is 90°.
+    samples
+        Number of points of the fit, at equal distances in knee angle.
+
+    Raises
+    ------
+    LinkageError
+        The linkage cannot be assembled.
     """
     angle, extension = rod_points(link, start_deg=start_deg, samples=samples)
     p, q = quintic(angle, extension), quintic(extension, angle)

@@ -93,11 +93,29 @@ def tracking_metrics(
     pressure_rating_pa: float,
     power_rating_w: float = math.inf,
 ) -> TrackingMetrics:
-    """Return the `TrackingMetrics` of uniformly sampled signals, each (n,).
+    """Return the `TrackingMetrics` of uniformly sampled signals, (n,) each.
 
-    ``error_rad`` is θ_d − θ_p of the knee, ``command_rad_s`` the command of the motor speed,
-    ``pressure_pa`` the load pressure. Metrics "after the first period" begin at ``settled_s``.
-    Raises `ParameterError` for fewer than two samples.
+    Parameters
+    ----------
+    time_s
+        Times of the samples in s, at equal distances.
+    error_rad
+        Tracking error θ_d − θ_p of the knee in rad.
+    command_rad_s
+        Command of the motor speed in rad/s.
+    pressure_pa
+        Load pressure P_L in Pa.
+    shaft_power_w, hydraulic_power_w
+        Power of the motor on the pump, and of the pump on the cylinder, in W.
+    settled_s
+        Time in s at which the metrics "after the first period" begin.
+    command_limit_rad_s, pressure_rating_pa, power_rating_w
+        Limits for the shares of samples at or above a limit. The last one is infinite by default.
+
+    Raises
+    ------
+    ParameterError
+        There are fewer than two samples.
     """
     reductions = tracking_reductions(
         settled_s, command_limit_rad_s, pressure_rating_pa, power_rating_w
@@ -179,10 +197,18 @@ class StepMetrics(Result):
 def step_metrics(
     time_s: Array, angle_deg: Array, *, start_deg: float, end_deg: float, step_s: float
 ) -> StepMetrics | None:
-    """Return the `StepMetrics` of a knee angle ``angle_deg`` (n,) at ``time_s`` (n,).
+    """Return the `StepMetrics` of a knee angle that follows a step of its reference.
 
-    The reference jumps from ``start_deg`` to ``end_deg`` just after ``step_s``. The result is None
-    if it does not jump, or if no sample follows ``step_s``.
+    The result is None if the reference does not jump, or if no sample follows the step.
+
+    Parameters
+    ----------
+    time_s, angle_deg
+        Times of the samples in s, and the knee angle at these times in deg, (n,) each.
+    start_deg, end_deg
+        Reference before and after the step in deg.
+    step_s
+        Time in s just after which the reference jumps.
     """
     first = int(np.searchsorted(time_s, step_s - 1e-9))
     if start_deg == end_deg or first >= time_s.size - 1:
@@ -378,13 +404,32 @@ async def track(
 ) -> TrackingResult:
     """Simulate a scenario, or the scenario of a file, and compute its tracking metrics.
 
-    If ``all_signals`` is True, the run logs all available signals, otherwise only the signals that
-    the metrics require. `kneexo.simulation.simulate` describes ``progress`` and the errors.
+    The result has the metrics, the verdict on the run and its plots.
 
-    ``law`` is a control law of the user: a function such as
-    ``lambda rod_extension, rod_reference: 1.3e5 * (rod_reference[0] - rod_extension)``, a Drake
-    system, or ``FILE.py:NAME``. `kneexo.parameters.LawParameters` describes its arguments, and
-    ``initial_state`` is the first value of its argument ``state``.
+    Parameters
+    ----------
+    scenario
+        A scenario, or the path of a scenario file.
+    all_signals
+        True: the run logs all available signals. False: only those that the metrics require.
+    progress
+        Function that is called with the simulated time in s. The compiled engine calls it once, at
+        the end of the run.
+    law
+        A control law of the user that replaces the law of the scenario: a function such as
+        ``lambda rod_extension, rod_reference: 1.3e5 * (rod_reference[0] - rod_extension)``, a
+        Drake system, or ``FILE.py:NAME``. `kneexo.parameters.LawParameters` describes it.
+    initial_state
+        First value of the argument ``state`` of the law. Empty: the default of this argument.
+
+    Raises
+    ------
+    ScenarioError
+        The scenario file is faulty.
+    ParameterError
+        The law cannot be used.
+    SimulationError
+        The run diverges or leaves its range.
     """
     scenario = as_scenario(scenario, law, initial_state)
     signals: tuple[str, ...] | None = None

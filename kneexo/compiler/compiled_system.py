@@ -34,6 +34,23 @@ class CompiledSystem(LeafSystem):
     The step size and the Jacobians of the integrator are a cache entry of the Context, not part of
     the state. So a run that continues from a copied state agrees with the original run only within
     the tolerance of the integrator.
+
+    Parameters
+    ----------
+    model
+        A `CompiledModel`.
+    parameters, state
+        Parameters and state of the default Context. ``state`` is the state before the
+        initialization events. The leaf system has the same initialization events as the model.
+    integrator, step_s, tolerance
+        As in `CompiledModel.simulate`. An update raises the errors of that method.
+    tick_s
+        Time in s that the tick must divide; required for a model without sample time.
+
+    Raises
+    ------
+    ValueError
+        ``tick_s`` is wrong, or is required and missing.
     """
 
     def __init__(
@@ -47,22 +64,6 @@ class CompiledSystem(LeafSystem):
         tolerance: float = TOLERANCE,
         tick_s: float | None = None,
     ) -> None:
-        """Make the system.
-
-        Parameters
-        ----------
-        model
-            A `CompiledModel`.
-        parameters, state
-            Parameters and state of the default Context. ``state`` is the state before the
-            initialization events. This system has the same initialization events as the model.
-        integrator, step_s, tolerance
-            As in `CompiledModel.simulate`; an update raises the errors of that method.
-        tick_s
-            Time in s that the tick must divide; required for a model without sample time.
-
-        Raises `ValueError` if ``tick_s`` is wrong, or is required and missing.
-        """
         if tick_s is None and not model.sample_times_s:
             raise ValueError("tick_s is needed: the model has no sample time")
         if tick_s is not None and not 0.0 < tick_s < math.inf:

@@ -24,10 +24,19 @@ from .run_data import Array, State
 
 
 class DiagramEquations:
-    """A diagram of floats, its equations, and the names of its parameters and states."""
+    """A diagram of floats, its equations, and the names of its parameters and states.
+
+    Parameters
+    ----------
+    diagram
+        The diagram.
+    equations
+        Its equations.
+    root
+        The tree of subsystems from which the equations were read. None: a new tree.
+    """
 
     def __init__(self, diagram: Any, equations: Equations, root: Node | None = None) -> None:
-        """``root``: the tree from which the equations were read, by default a new tree."""
         self.diagram, self.equations = diagram, equations
         self.root = Node(diagram) if root is None else root
         self.parameter_names: tuple[str, ...] = tuple(equations.parameters)

@@ -42,8 +42,10 @@ def simulate_with_feedback(
         Function of the time in s and a dictionary from the name of each port of
         ``feedback_outputs`` to its values. The function returns the values of the open input.
     feedback_input
-        Name of the open input. The ports of ``feedback_outputs`` must not depend on this input at
-        the same time.
+        Name of the open input.
+    feedback_outputs
+        Names of the output ports whose values the function gets. They must not depend on the open
+        input at the same time.
     sample_period_s
         Time between two calls, and between two records, in s.
     outputs

@@ -175,6 +175,8 @@ class CompiledModel(ModelBase):
 
         Parameters
         ----------
+        parameters
+            Values of ``parameter_names``, a row for each run, (n, parameters).
         states, duration_s, inputs
             One value for each run, or a single value for all runs; see `simulate`.
         reduce
@@ -370,9 +372,19 @@ class CompiledModel(ModelBase):
     ) -> float:
         """Return the largest magnitude of a mode λ of the continuous states along a run, in 1/s.
 
-        RK4 is stable with steps below 2.6/|λ|, and accurate with 0.2/|λ|. The modes are those at
-        each tick, and at as many random states in the ranges of the run. The random states mix the
-        elements of different ticks. Arguments and errors: see `simulate`.
+        Choose the step of RK4 by it: RK4 is stable with steps below 2.6/|λ|, and accurate with
+        0.2/|λ|. The modes are those at each tick, and at as many random states in the ranges of
+        the run. The random states mix the elements of different ticks.
+
+        Parameters
+        ----------
+        parameters, state, duration_s, inputs, options
+            As in `simulate`.
+
+        Raises
+        ------
+        SimulationError, ParameterError
+            As in `simulate`.
         """
         table = inputs or self.no_inputs
         runner = Runner(self.code, outputs=(), **options)
@@ -392,7 +404,22 @@ class CompiledModel(ModelBase):
     def as_system(
         self, parameters: Array, state: State, *, tick_s: float | None = None, **options: Any
     ) -> CompiledSystem:
-        """Return the model as a leaf system. For the arguments see `CompiledSystem`."""
+        """Return the model as a leaf system of Drake, to connect it to other systems.
+
+        Parameters
+        ----------
+        parameters, state
+            Values of ``parameter_names``, and the state before the initialization events.
+        tick_s
+            Time in s that the tick must divide; required for a model without sample time.
+        options
+            ``integrator``, ``step_s`` and ``tolerance`` as in `simulate`.
+
+        Raises
+        ------
+        ValueError
+            ``tick_s`` is wrong, or is required and missing.
+        """
         return CompiledSystem(self, parameters, state, tick_s=tick_s, **options)
 
     def __repr__(self) -> str:

@@ -164,11 +164,28 @@ def export_firmware(
     name: str | None = None,
     **options: Any,
 ) -> Measurement:
-    """Write the code of `make_firmware` to a folder, with test harness, build files and README.
+    """Write the C code of a scenario to a folder, with test harness, build files and README.
 
-    ``name`` and ``options`` are options of `make_firmware`. Raises the errors of `make_firmware`.
-    Raises `OutputError` if the folder cannot be written, has files that no export wrote, or has an
-    export with another name.
+    Parameters
+    ----------
+    scenario
+        The closed loop.
+    directory
+        The folder to write.
+    what
+        ``controller``, ``plant`` or ``loop``: the part of the scenario to write.
+    name
+        Prefix of all C names and file names. None: ``what``.
+    options
+        Further options of `make_firmware`, such as ``precision="float"``.
+
+    Raises
+    ------
+    ParameterError, CompilationError
+        As in `make_firmware`.
+    OutputError
+        The folder cannot be written, has files that no export wrote, or has an export with another
+        name.
     """
     name = what if name is None else name
     require_export_folder(directory, name)  # before the run, which may take long
@@ -221,10 +238,25 @@ def make_sil(
 def export_sil(
     scenario: Scenario, directory: str | os.PathLike[str], **options: Any
 ) -> SilMeasurement:
-    """Write controller and plant of `make_sil` to subfolders, and the program of their loop.
+    """Write controller and plant of a scenario in C, and the program of their loop, to a folder.
 
-    ``options`` are options of `make_sil`. Raises the errors of `make_sil`. Raises `OutputError` if
-    the folder cannot be written, or has files that no export of a loop wrote.
+    Controller and plant have a subfolder each.
+
+    Parameters
+    ----------
+    scenario
+        The closed loop.
+    directory
+        The folder to write.
+    options
+        Options of `make_sil`, such as ``precision="float"``.
+
+    Raises
+    ------
+    ParameterError, CompilationError
+        As in `make_sil`.
+    OutputError
+        The folder cannot be written, or has files that no export of a loop wrote.
     """
     require_sil_folder(directory, "controller", "plant")  # before the run, which may take long
     return write_sil(directory, make_sil(scenario, **options))

@@ -60,13 +60,29 @@ def export_fmu(
     step_s: float | None = None,
     platforms: str | Iterable[str] | None = None,
 ) -> KneeFmuFile:
-    """Write the FMU of `make_fmu` with its C sources and binaries.
+    """Write controller, plant or loop of a scenario as FMU, with its C sources and binaries.
 
-    ``path`` is the file, whose name ends in ``.fmu``, or its directory. The file in a directory is
-    called ``knee_plant.fmu`` for the plant.
-    ``platforms`` names the platforms of the binaries as in `kneexo.compiler.export_fmu`; by default
-    there is a binary for this machine if it has a C compiler. Raises the errors of `make_fmu`.
-    Raises `OutputError` if the file cannot be written.
+    Parameters
+    ----------
+    scenario
+        The closed loop.
+    path
+        The file, whose name ends in ``.fmu``, or its directory. The file in a directory is called
+        ``knee_plant.fmu`` for the plant.
+    what
+        ``controller``, ``plant`` or ``loop``: the part of the scenario to write.
+    fmi, step_s
+        Version of the standard, and largest step of RK4 in s, as in `make_fmu`.
+    platforms
+        Platforms of the binaries, as in `kneexo.compiler.export_fmu`. None: a binary for this
+        machine if it has a C compiler.
+
+    Raises
+    ------
+    ParameterError, CompilationError
+        As in `make_fmu`.
+    OutputError
+        The file cannot be written.
     """
     file = Path(path)
     if platforms is not None:

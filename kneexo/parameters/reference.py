@@ -314,12 +314,26 @@ def sit_to_stand_reference(
     seated_deg: float = 85.0,
     standing_deg: float = 5.0,
 ) -> SampledReference:
-    """Return the knee flexion of standing up and sitting down, repeated ``cycles`` times.
+    """Return the knee flexion of standing up and sitting down.
 
-    The knee extends in ``rise_time_s``, rests for half of this time, flexes in ``rise_time_s``, and
+    The knee extends in ``rise_time_s``, rests for half this time, flexes in ``rise_time_s``, and
     rests again. Each motion has minimum jerk, θ = θ_0 + (θ_1 − θ_0)(10u³ − 15u⁴ + 6u⁵) with the
     time u from 0 to 1. Source: Flash and Hogan, J. Neurosci. 5(7), 1985, for movements of the arm.
-    Its use for the knee is an assumption. Raises `ParameterError` for a value that is out of range.
+    That the knee moves in the same way is an assumption.
+
+    Parameters
+    ----------
+    rise_time_s
+        Time in s of standing up, and of sitting down.
+    cycles
+        How often the person stands up and sits down.
+    seated_deg, standing_deg
+        Knee angles in deg of sitting and of standing.
+
+    Raises
+    ------
+    ParameterError
+        A value is out of range.
     """
     if not 0.1 <= rise_time_s <= 100.0:
         raise ParameterError(f"rise_time_s = {rise_time_s:g} s: must be >= 0.1 and <= 100 s")

@@ -166,8 +166,24 @@ class Scenario(Parameters):
     ) -> Scenario:
         """Return the scenario with a control law of the user, at the present command limit.
 
-        `LawParameters` describes the arguments. Without ``sample_time_s`` the law has the sample
-        time of the present controller. Raises `ParameterError` for a law that cannot be used.
+        `LawParameters` says what a law may read and what it must return.
+
+        Parameters
+        ----------
+        law
+            A function, a Drake system, a class or function that makes a Drake system, or the name
+            of one of these, ``FILE.py:NAME``.
+        initial_state
+            First value of the argument ``state`` of the law. Empty: the default of this argument.
+        values
+            Values of the law's gains, by argument. A gain that is left out has its default.
+        sample_time_s
+            Sample time of the law in s. None: that of the present controller.
+
+        Raises
+        ------
+        ParameterError
+            The law cannot be used, for example because an argument has an unknown name.
         """
         states: Any = initial_state  # pydantic converts a list, an array or a number
         try:

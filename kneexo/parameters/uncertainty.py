@@ -199,10 +199,18 @@ def require_applicable(
 
 
 def draw(uncertainty: UncertaintySet, count: int, seed: int) -> list[dict[str, Any]]:
-    """Sample the uncertain values ``count`` times at random. The samples are independent.
+    """Draw independent random samples of the uncertain values.
 
-    Returns one dictionary per sample, from dotted path to value. A larger ``count`` with the same
-    ``seed`` begins with the same samples.
+    Returns a dictionary for each sample, from dotted path to value.
+
+    Parameters
+    ----------
+    uncertainty
+        The uncertain values with their distributions.
+    count
+        Number of samples. A larger number with the same ``seed`` begins with the same samples.
+    seed
+        Seed of the random numbers.
     """
     entries = uncertainty.values.items()
     shares = np.random.default_rng(seed).random((count, len(entries)))
@@ -221,10 +229,23 @@ def options_of(values: Mapping[str, Any]) -> str:
 
 
 def realize(scenario: Scenario, uncertainty: UncertaintySet, values: Mapping[str, Any]) -> Scenario:
-    """Return the scenario with sampled ``values``, a dictionary from dotted path to value.
+    """Return the scenario with one sample of its uncertain values.
 
-    The controller keeps its nominal plant, except for the values that ``uncertainty`` marks as
-    ``known``. Raises `ParameterError` if the values contradict each other.
+    The controller keeps its nominal plant, except for the values that it knows.
+
+    Parameters
+    ----------
+    scenario
+        The scenario with nominal values.
+    uncertainty
+        The uncertain values. Those that it marks as ``known`` change the nominal plant too.
+    values
+        One sample of `draw`, from dotted path to value.
+
+    Raises
+    ------
+    ParameterError
+        The values contradict each other.
     """
     nominal = {
         f"nominal.{path.removeprefix('plant.')}": value

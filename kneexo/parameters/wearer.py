@@ -98,8 +98,12 @@ def gait_moment(
 ) -> MomentTable:
     """Return the measured knee moment of walking, in phase with `gait_reference`.
 
-    ``frequency_hz`` and ``cycles`` are those of `gait_reference`. The moment is proportional to
-    ``body_mass_kg``.
+    Parameters
+    ----------
+    frequency_hz, cycles
+        Stride frequency in Hz and number of strides, as given to `gait_reference`.
+    body_mass_kg
+        Mass of the wearer in kg, to which the moment is proportional.
     """
     times = gait_reference(frequency_hz, cycles).times_s
     moments = np.resize(gait_moment_stride_n_m(), len(times)) * body_mass_kg / MOMENT_MASS_KG

@@ -101,8 +101,14 @@ async def awaitable(
 ) -> Result:
     """Call ``function`` from an async function by ``await awaitable(function, ...)``.
 
-    ``function`` can be made by `synchronous`, or be a `functools.partial` of such a function. The
-    server of the outer coroutine then answers its requests. Any other function is called plainly.
+    Parameters
+    ----------
+    function
+        Any function, which is called plainly. If it was made by `synchronous`, or is a
+        `functools.partial` of such a function, the server of the outer coroutine answers its
+        requests.
+    arguments, named
+        Arguments of the function.
     """
     call: Any = partial(function, *arguments, **named)
     if is_synchronous(function):

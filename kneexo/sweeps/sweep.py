@@ -45,10 +45,17 @@ class Sweep:
         weight: Callable[[Item], float] = lambda item: 1.0,
         group: Callable[[Item], Hashable] = lambda item: None,
     ) -> list[Result]:
-        """Call `parallel_map` with the options of the sweep.
+        """Return ``[function(item) for item in items]``, computed by the workers of the sweep.
 
-        A progress bar is shown if the sweep has ``progress`` and ``description`` is not empty. A
-        mapping with the key ``tracking_failure`` or ``failure`` is the result of a run.
+        A result that is a mapping with the key ``tracking_failure`` or ``failure`` belongs to a
+        run, which has failed unless the text at this key is empty.
+
+        Parameters
+        ----------
+        function, items, weight, group
+            As in `parallel_map`.
+        description
+            Text of the progress bar. Empty, or in a sweep without ``progress``: no progress bar.
         """
         results = parallel_map(
             function,
@@ -78,10 +85,19 @@ def open_sweep(
     checkpoint: Checkpoint | None = None,
     progress: bool = False,
 ) -> Iterator[Sweep]:
-    """Context manager: yield a `Sweep` with the given `SweepOptions`.
+    """Context manager: yield a `Sweep`, whose calls share workers, checkpoint and progress bars.
 
-    The worker processes end when the body of the ``with`` statement ends. Then the context manager
-    raises `SimulationError` if every run of the sweep has failed.
+    The worker processes end when the body of the ``with`` statement ends.
+
+    Parameters
+    ----------
+    workers, executor, checkpoint, progress
+        As in `SweepOptions`.
+
+    Raises
+    ------
+    SimulationError
+        Every run of the sweep has failed. Raised at the end of the ``with`` statement.
     """
     with process_pool(workers, executor) as pool:
         sweep = Sweep(pool, checkpoint, progress)

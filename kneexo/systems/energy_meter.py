@@ -72,6 +72,11 @@ class EnergyMeter(NamedLeaf):
 
     State: the energies. Source: Lee et al. 2020, Eq. 12, 14, 16, each multiplied by its pressure or
     speed.
+
+    Parameters
+    ----------
+    pump, cylinder, full_order, load
+        Numbers of the motor with its pump, of the cylinder, of its full order, and of the load.
     """
 
     def __init__(

@@ -79,13 +79,26 @@ class FourBarKnee(NamedLeaf):
 
     Stateless. Vector 0 of the Context parameters has the links and the scaling of the fit by name;
     vectors 1, 2 and 3 have the coefficients for θ_p, θ_4 and r, highest power first. All four
-    belong to one geometry: build another system for another geometry. With ``table_1`` the rod
-    follows Eq. 10, the polynomial of the paper's controller, instead of Eq. 8 and 9. θ_4 always
-    follows the linkage.
+    belong to one geometry: build another system for another geometry. Source: Lee et al. 2020,
+    Eq. 1–9.
 
-    Raises `LinkageError` on construction when the linkage cannot be assembled. Raises
-    `SimulationError` if the knee is more than ``overshoot_deg`` outside the range of motion at the
-    end of a step, because the model has no end stops. Source: Lee et al. 2020, Eq. 1–9.
+    Parameters
+    ----------
+    parameters
+        The links.
+    knee
+        The range of motion and ``overshoot_deg``.
+    table_1
+        Quintics of the paper's controller. The rod then follows Eq. 10 instead of Eq. 8 and 9; θ_4
+        always follows the linkage. None: the rod follows the linkage too.
+
+    Raises
+    ------
+    LinkageError
+        The linkage cannot be assembled (on construction).
+    SimulationError
+        The knee is more than ``overshoot_deg`` outside the range of motion at the end of a step,
+        because the model has no end stops.
     """
 
     def __init__(

@@ -148,17 +148,33 @@ class FullCylinder(Cylinder):
     relief_flow        2     m³/s         Q_r1 and Q_r2, positive into the reservoir
     =================  ====  ===========  ===============================================
 
-    State: x in m, v in m/s, P_1 and P_2 in MPa, all of order one. The cylinder starts at rest; by
-    default the initial pressures hold the spring and no load. Context parameters by name:
+    State: x in m, v in m/s, P_1 and P_2 in MPa, all of order one. The cylinder starts at rest.
+    Context parameters by name:
     ``cap_area_m2`` and ``rod_side_area_m2``; all names of `ReducedCylinder` except ``mean_area_m2``
     and ``total_volume_m3``; all names of `FullCylinderParameters`; and
     ``pump_external_leakage_m3_per_s_pa``, C_em of the pump. ``leakage_m3_per_s_pa`` is C_im'.
 
-    Raises `ParameterError` when the rod would start outside the stroke. Raises `SimulationError` at
-    the end of a step that leaves the stroke, and when a derivative is not finite. Source: Lee et
-    al. 2020, Eq. 12, 14 with the signs of Eq. 14 corrected; valves, air and friction are
-    assumptions. At V_1 = V_2, with equal external leakages and closed valves, dP_L/dt is Eq. 15
+    Source: Lee et al. 2020, Eq. 12, 14 with the signs of Eq. 14 corrected; valves, air and friction
+    are assumptions. At V_1 = V_2, with equal external leakages and closed valves, dP_L/dt is Eq. 15
     with V_t = V_1 + V_2 and C_L = C_im' + C_em'/2, for any areas.
+
+    Parameters
+    ----------
+    parameters, full_order
+        Numbers of the cylinder, and those that only its full order has.
+    initial_extension_m
+        Rod extension at the start in m. None: half the stroke.
+    initial_pressures_pa
+        P_1 and P_2 at the start in Pa. None: pressures that hold the spring and no load.
+    pump_external_leakage_m3_per_s_pa
+        C_em of the pump in m³/(s·Pa).
+
+    Raises
+    ------
+    ParameterError
+        The rod would start outside the stroke.
+    SimulationError
+        The rod is outside the stroke at the end of a step, or a derivative is not finite.
     """
 
     def __init__(

@@ -73,8 +73,22 @@ class KneeCoordinates(NamedLeaf):
     ===============  ====  ====  =========================================================
 
     Stateless. Context parameters by name: the links, ``eq6_sign``, ``offset_rad`` and p_1 … p_6 of
-    Eq. 10 in SI units. The offset is the zero of the encoder plus half a count, because the encoder
-    rounds down. Raises `LinkageError` on construction when the linkage is not one-to-one.
+    Eq. 10 in SI units.
+
+    Parameters
+    ----------
+    parameters
+        The links.
+    table_1
+        Coefficients of Eq. 10.
+    offset_rad
+        Angle in rad that is added to the reading: the zero of the encoder plus half a count,
+        because the encoder rounds down.
+
+    Raises
+    ------
+    LinkageError
+        The linkage is not one-to-one (on construction).
     """
 
     def __init__(

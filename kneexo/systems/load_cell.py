@@ -86,8 +86,21 @@ class LoadCell(NamedLeaf):
     to the present force and to the seeds. This generator gives the same noise in Drake's Simulator,
     in compiled runs, in C and in FMUs. Drake's `RandomSource` does not convert to symbolic form.
     Context parameters by name: the numbers of `LoadCellParameters`, and ``seed_1`` … ``seed_3``.
-    Raises `SimulationError` when dz/dt is not finite. Source: Lee et al. 2020, Section 2,
-    mention the load cell without its data.
+    Source: Lee et al. 2020, Section 2, mention the load cell without its data.
+
+    Parameters
+    ----------
+    parameters
+        Numbers of the load cell.
+    sample_time_s
+        Time between two readings in s, by default that of the torque controller.
+    initial_force_n
+        z in N at the start.
+
+    Raises
+    ------
+    SimulationError
+        dz/dt is not finite.
     """
 
     def __init__(

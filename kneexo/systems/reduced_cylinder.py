@@ -67,10 +67,24 @@ class ReducedCylinder(Cylinder):
     ``mean_area_m2, total_volume_m3, bulk_modulus_pa, leakage_m3_per_s_pa, mass_kg,
     damping_n_s_per_m, stiffness_n_per_m, stroke_m``.
 
-    Raises `ParameterError` when the rod would start outside the stroke. Raises `SimulationError` at
-    the end of a step that leaves the stroke, and when a derivative is not finite. Source: Lee et
-    al. 2020, Eq. 15, 16. Eq. 15 is exact at V_1 = V_2, and Eq. 16 neglects the force
+    Source: Lee et al. 2020, Eq. 15, 16. Eq. 15 is exact at V_1 = V_2, and Eq. 16 neglects the force
     (P_1 + P_2)(A_1 − A_2)/2.
+
+    Parameters
+    ----------
+    parameters
+        Numbers of the cylinder.
+    initial_extension_m
+        Rod extension at the start in m. None: half the stroke.
+    initial_pressure_pa
+        P_L at the start in Pa.
+
+    Raises
+    ------
+    ParameterError
+        The rod would start outside the stroke.
+    SimulationError
+        The rod is outside the stroke at the end of a step, or a derivative is not finite.
     """
 
     def __init__(

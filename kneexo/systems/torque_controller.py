@@ -72,6 +72,15 @@ class TorqueController(NamedLeaf):
     The discrete state, updated every ``sample_time_s``, has the command and I. Context parameters
     by name: the numbers of `TorqueParameters`, ``speed_gain_rad_per_m`` (G), and ``p_1`` … ``p_6``
     of Eq. 10 in SI units. The pump is a velocity source, so an error of the force commands a speed.
+
+    Parameters
+    ----------
+    parameters
+        Gains, limits, mode and sample time.
+    plant
+        The plant that the controller assumes: gear, area and displacement give G.
+    table_1
+        Coefficients of Eq. 10.
     """
 
     def __init__(

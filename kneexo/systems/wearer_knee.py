@@ -90,9 +90,23 @@ class WearerKnee(NamedLeaf):
 
     State: θ_h in rad, dθ_h/dt in rad/s and ξ_i in rad. Context parameters by name: numbers of
     `LegParameters`, with k_0 in place of k, and ``thigh_inclination_rad`` (α_thigh) and
-    ``gravity_m_s2`` of the load. Raises `SimulationError` when the acceleration is not finite.
-    Source: the Maxwell elements approximate hysteretic damping (see
+    ``gravity_m_s2`` of the load. Source: the Maxwell elements approximate hysteretic damping (see
     `kneexo.parameters.wearer.MAXWELL_BANK`).
+
+    Parameters
+    ----------
+    parameters
+        Numbers of the leg.
+    load
+        Gravity and the inclination of the thigh.
+    initial_angle_rad, initial_rate_rad_s
+        θ_h in rad and dθ_h/dt in rad/s at the start, with relaxed Maxwell elements. A passive leg
+        starts at rest, and a prescribed motion ignores both.
+
+    Raises
+    ------
+    SimulationError
+        The acceleration is not finite.
     """
 
     def __init__(

@@ -174,9 +174,22 @@ def require_export_folder(directory: str | os.PathLike[str], name: str) -> None:
 def write_c(directory: str | os.PathLike[str], source: CSource, vectors: Vectors) -> Measurement:
     """Build, run and measure a model in C, and write its folder.
 
-    Files of an earlier export in the directory are replaced, and other files stay. Raises
-    `OutputError` as `require_export_folder` does, or if a file cannot be written. After an error
+    Files of an earlier export in the directory are replaced, and other files stay. After an error
     all earlier files are still there.
+
+    Parameters
+    ----------
+    directory
+        The folder to write. A missing folder is created.
+    source
+        The model in C.
+    vectors
+        Test vectors with which the built model is run.
+
+    Raises
+    ------
+    OutputError
+        `require_export_folder` refuses the folder, or a file cannot be written.
     """
     files, measurement = exported(source, vectors)
     require_export_folder(directory, source.name)

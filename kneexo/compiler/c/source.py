@@ -319,9 +319,22 @@ class CSource:
 def source_of(diagram: DiagramEquations, name: str, context: Any = None, **options: Any) -> CSource:
     """Return the model in C of a diagram that `read_diagram` has read.
 
-    ``context`` has the parameters and the state; by default it is the diagram's default Context.
-    ``options`` are arguments of `CSource`. Raises `CompilationError` for an unknown option, for a
-    Context of another system, and as `CSource` does.
+    Parameters
+    ----------
+    diagram
+        The diagram and its equations.
+    name
+        Prefix of all C names and file names, a C identifier of up to 31 characters.
+    context
+        Context with the parameters and the state. None: the default Context of the diagram.
+    options
+        Further arguments of `CSource`.
+
+    Raises
+    ------
+    CompilationError
+        An option is unknown, the Context belongs to another system, or for the reasons of
+        `CSource`.
     """
     known = [field.name for field in fields(CSource)][4:]
     if unknown := sorted(options.keys() - set(known)):

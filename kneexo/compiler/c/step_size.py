@@ -30,9 +30,19 @@ def rk4_step_s(equations: Equations, parameters: Array, state: State) -> float:
     10 % of the load pressure, at z = 0.2 less than 0.1 %. RK4 is unstable beyond z = 2.8. So a
     system with z = 0.2 at the start can become 14 times faster before RK4 is unstable.
 
-    ``parameters`` are the values of the Context parameters, ``state`` is the state before the
-    initialization events. Raises `CompilationError` if an element of the linearization is not
-    finite.
+    Parameters
+    ----------
+    equations
+        Equations of the diagram.
+    parameters
+        Values of the Context parameters.
+    state
+        State before the initialization events.
+
+    Raises
+    ------
+    CompilationError
+        An element of the linearization is not finite.
     """
     graph, size = equations.graph, len(equations.states)
     if not size:

@@ -120,9 +120,21 @@ def write_fmu(
 ) -> FmuFile:
     """Compile the binaries of an FMU and write its file, whole or not at all.
 
-    ``platforms`` are those of `export_fmu`. Missing directories are created. Raises
-    `CompilationError` if a platform is unknown or a compiler fails. Raises `OutputError` if the
-    file cannot be written.
+    Parameters
+    ----------
+    file
+        Path of the file. Missing directories are created.
+    fmu
+        The FMU without binaries.
+    platforms
+        Platforms of the binaries, as in `export_fmu`.
+
+    Raises
+    ------
+    CompilationError
+        A platform is unknown, or a compiler fails.
+    OutputError
+        The file cannot be written.
     """
     path = Path(file)
     libraries = shared_libraries(fmu.name, fmu.sources, platforms)

@@ -59,10 +59,28 @@ def advice(
     - A derivative is not finite, such as that of a root at zero.
     - No state can bring the rate of a state to zero. The state is, for example, an integrator of a
       constant.
-    - The point is no equilibrium, for another reason.
+    - The point is not an equilibrium, for another reason.
 
-    Arguments and errors are those of `linearize`, except that the obstacles of this list are no
-    errors. A state or input that is not finite is an error.
+    Parameters
+    ----------
+    diagram
+        A Diagram or leaf system that `compile_diagram` accepts.
+    context
+        The operating point: parameters, state, time and values of the input ports. None: the
+        default Context.
+    inputs, outputs
+        Names of ports, ``path/of/system:port`` for a port inside the diagram, as in `linearize`.
+    bypass
+        Paths of systems without state that count as wires, as in `linearize`.
+    equilibrium_tolerance
+        Largest rate of a continuous state, and change of a discrete state, at an equilibrium.
+
+    Raises
+    ------
+    CompilationError, ParameterError
+        As in `linearize`.
+    LinearizationError
+        A state or an input is not finite.
     """
     in_names, out_names = names("inputs", inputs), names("outputs", outputs)
     require_tolerance(equilibrium_tolerance)

@@ -255,12 +255,23 @@ def bandwidth_study(
 ) -> BandwidthResult:
     """Measure the closed loop's frequency response at several amplitudes of the knee's sine.
 
-    The reference of ``scenario`` must be a sine. The study replaces its amplitude and frequency. If
-    a run fails, its cell is nan, and ``failures`` has the reason. ``options``: see
-    `kneexo.sweeps.SweepOptions`.
+    If a run fails, its cell of the result is nan, and ``failures`` has the reason.
 
-    Raises `ParameterError` if the reference is no sine, leaves the range of motion, or has fewer
-    than ten samples a period.
+    Parameters
+    ----------
+    scenario
+        A scenario whose reference is a sine. The study replaces amplitude and frequency of the
+        sine.
+    settings
+        Amplitudes and frequencies, and when a response counts as settled.
+    options
+        Workers, checkpoint and progress: see `kneexo.sweeps.SweepOptions`.
+
+    Raises
+    ------
+    ParameterError
+        The reference is not a sine, leaves the range of motion, or has fewer than ten samples a
+        period.
     """
     amplitudes, frequencies = settings.amplitudes_deg, np.array(settings.frequencies_hz)
     mean_deg = require_sine(scenario).mean_deg

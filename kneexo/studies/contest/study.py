@@ -247,17 +247,30 @@ def contest_study(
     settings: ContestSettings = ContestSettings(),
     **options: Unpack[SweepOptions],
 ) -> ContestResult:
-    """Tune every contestant. Then test the tuned and the untuned controllers on other plants.
+    """Compare controllers: tune each one, then test tuned and untuned ones on other plants.
 
-    The contest replaces the controller of ``scenario``, and ignores uncertain values that the
-    scenario lacks. ``options``: see `kneexo.sweeps.SweepOptions`. A resumed contest repeats its
-    searches but reads finished runs from the checkpoint. If a search does not converge, no error is
-    raised, and ``Tuning.converged`` is False.
+    A resumed contest repeats its searches but reads finished runs from the checkpoint. If a search
+    does not converge, no error is raised, and ``Tuning.converged`` is False.
 
-    Raises `ParameterError` for an uncertain value that no scenario has or that is out of range, if
-    the scenario has none of the values, and if its controller is the user's. Raises
-    `SimulationError` if the default SMC fails on a training plant, because its chattering is the
-    budget of the tuning.
+    Parameters
+    ----------
+    scenario
+        The scenario, whose controller the contest replaces.
+    uncertainty
+        Uncertain values of the training and test plants. Values that the scenario lacks are
+        ignored.
+    settings
+        Contestants, number of plants, seeds and bounds of the searches.
+    options
+        Workers, checkpoint and progress: see `kneexo.sweeps.SweepOptions`.
+
+    Raises
+    ------
+    ParameterError
+        An uncertain value is one that no scenario has, or is out of range. The scenario has none of
+        the values. The controller is a law of the user.
+    SimulationError
+        The default SMC fails on a training plant. Its chattering is the budget of the tuning.
     """
     with open_sweep(**options) as sweep:
         return _contest(scenario, uncertainty, settings, sweep)

@@ -51,10 +51,22 @@ def controller_study(
 ) -> ControllerResult:
     """Measure the grid over λ, Φ and η, the limit cycle, and the map over T_f and k/Φ.
 
-    If a run of the grid fails, its metrics are nan, and ``failures`` has the reason. ``options``:
-    see `kneexo.sweeps.SweepOptions`. Raises `ParameterError` if ``scenario`` has no sampled
-    sliding-mode controller behind an observer, or if a step or the faster sine leaves the range
-    of motion.
+    If a run of the grid fails, its metrics are nan, and ``failures`` has the reason.
+
+    Parameters
+    ----------
+    scenario
+        A scenario with a sampled sliding-mode controller behind an observer.
+    settings
+        Values of the grid, steps and sines.
+    options
+        Workers, checkpoint and progress: see `kneexo.sweeps.SweepOptions`.
+
+    Raises
+    ------
+    ParameterError
+        The scenario has another controller or estimator, or a step or the faster sine leaves the
+        range of motion.
     """
     law = observed_smc(scenario)[0]
     experiments(scenario, settings)  # a reference out of range is found before the sweep

@@ -173,12 +173,23 @@ def reproduce_study(
     executor: Executor | None = None,
     progress: bool = False,
 ) -> ReproduceResult:
-    """Run every case of the paper's figures.
+    """Reproduce the figures and tables of the paper.
 
-    ``scenario`` is the scenario of Fig. 13. The other scenarios come from `kneexo.studies.paper`,
-    and run with the same engine as ``scenario``. With Drake's Simulator, ``workers`` processes
-    share the runs (see `kneexo.sweeps.SweepOptions`). The compiled engine ignores ``workers``,
-    because it needs only a second. An ``executor`` gets all runs of the simulation engine in use.
+    Parameters
+    ----------
+    scenario
+        The scenario of Fig. 13. The scenarios of the other figures come from
+        `kneexo.studies.paper`, and run with the engine of the scenario given here.
+    settings
+        The sines that measure Fig. 13.
+    workers
+        Number of processes that share the runs of Drake's Simulator, as in
+        `kneexo.sweeps.SweepOptions`. The compiled engine needs only a second and ignores the
+        number.
+    executor
+        An executor that gets the runs of either engine.
+    progress
+        Whether progress bars are shown.
     """
     engine: Literal["compiled", "drake"] = "compiled" if scenario.simulation.compiled else "drake"
     tasks = {

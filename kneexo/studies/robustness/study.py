@@ -120,10 +120,21 @@ async def assess_plant(
     judge: Callable[[Scenario], dict[str, Any]],
     values: Values,
 ) -> dict[str, Any]:
-    """Make the plant with these uncertain ``values``, and return its metrics from ``judge``.
+    """Make one plant with sampled values and return its metrics; runs in a worker process.
 
-    The sweep calls this function in the worker process. If the values contradict each other, the
-    metrics are only ``stable``, which is None, and the reason as ``tracking_failure``.
+    If the values contradict each other, the metrics are only ``stable``, which is None, and the
+    reason as ``tracking_failure``.
+
+    Parameters
+    ----------
+    scenario
+        The scenario with nominal values.
+    uncertainty
+        The uncertain values of the study.
+    judge
+        Function that returns the metrics of a scenario.
+    values
+        One sample, from dotted path to value.
     """
     metrics: dict[str, Any] = {"stable": None}
     with failure_noted(metrics, "tracking_failure"):
@@ -347,16 +358,31 @@ def robustness_study(
     settings: RobustnessSettings = RobustnessSettings(),
     **options: Unpack[SweepOptions],
 ) -> RobustnessResult:
-    """Assess the closed loop of ``scenario`` on plants with the values of ``uncertainty``.
+    """Assess how a closed loop behaves on plants with uncertain values.
 
-    The study ignores uncertain values that the scenario lacks, such as the values of a load in a
-    scenario without load, and reports their paths. The bandwidth is measured only if the knee
-    follows a sine that moves. A torque controller does not follow the reference, so its tracking
-    error has no derivatives. ``options``: see `kneexo.sweeps.SweepOptions`.
+    The bandwidth is measured only if the knee follows a sine that moves. A torque controller does
+    not follow the reference, so its tracking error has no derivatives.
 
-    Raises `ParameterError` for an uncertain value that no scenario has or that is out of range, if
-    the scenario has none of the values, and if the run ends within the first period of the
-    reference, which the tracking metrics leave out. Raises `SimulationError` if every run fails.
+    Parameters
+    ----------
+    scenario
+        The closed loop with nominal values.
+    uncertainty
+        The uncertain values. Values that the scenario lacks, such as those of a load in a scenario
+        without load, are ignored, and their paths are reported.
+    settings
+        Number of samples, seed, and what is measured.
+    options
+        Workers, checkpoint and progress: see `kneexo.sweeps.SweepOptions`.
+
+    Raises
+    ------
+    ParameterError
+        An uncertain value is one that no scenario has, or is out of range. The scenario has none of
+        the values. The run ends within the first period of the reference, which the tracking
+        metrics leave out.
+    SimulationError
+        Every run fails.
     """
     with open_sweep(**options) as sweep:
         return _explore(scenario, uncertainty, settings, sweep)

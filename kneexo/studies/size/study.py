@@ -135,10 +135,20 @@ def size_study(
        (`kneexo.analysis.stride_load`). Let the first design walk on other plants, and with its
        hardware values varied.
 
-    ``options``: see `kneexo.sweeps.SweepOptions`.
+    Parameters
+    ----------
+    scenario
+        A scenario with a sine as reference and a sliding-mode controller behind an observer.
+    settings
+        Hardware values, stride frequencies, limits on error and margin, and the other plants.
+    options
+        Workers, checkpoint and progress: see `kneexo.sweeps.SweepOptions`.
 
-    Raises `ParameterError` if the scenario's reference is no sine that moves, the controller is
-    no sliding mode with an observer, the motor has no limits, or no gains let the knee walk.
+    Raises
+    ------
+    ParameterError
+        The reference is not a sine that moves, the controller is not a sliding mode with an
+        observer, the motor has no limits, or no gains let the knee walk.
     """
     require_sine(scenario)
     if scenario.controller.kind != "smc" or scenario.estimator.kind != "observer":

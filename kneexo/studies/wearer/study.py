@@ -408,9 +408,22 @@ def wearer_study(
        designs have other pumps and gains. The study also computes their margins.
     2. Weak legs of light, average and heavy wearers yield. The modes of the controller help them.
 
-    The study replaces the reference, the motion of the leg and the mode of the controller. The row
-    of a run that fails has nan. `kneexo.sweeps.SweepOptions` describes ``options``. Raises
-    `ParameterError` if the scenario has no wearer or another controller.
+    The row of a run that fails has nan.
+
+    Parameters
+    ----------
+    scenario
+        A scenario with a wearer and a torque controller. The study replaces the reference, the
+        motion of the leg and the mode of the controller.
+    settings
+        Frequencies, designs and wearers.
+    options
+        Workers, checkpoint and progress: see `kneexo.sweeps.SweepOptions`.
+
+    Raises
+    ------
+    ParameterError
+        The scenario has no wearer, or another controller.
     """
     if scenario.wearer.kind != "leg" or scenario.controller.kind != "torque":
         raise ParameterError(
