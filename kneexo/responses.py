@@ -47,6 +47,13 @@ def linearize(
         The knee angle in deg. None: the middle of the reference within the run.
     law, initial_state
         A control law that replaces the law of the scenario: see `Scenario.with_law`.
+
+    Examples
+    --------
+    >>> import kneexo as kx
+    >>> margins = kx.linearize(knee_angle_deg=40.0).margins()
+    >>> print(f"{margins.phase_margin_deg:.0f} deg, {1e3 * margins.delay_margin_s:.0f} ms")
+    57 deg, 187 ms
     """
     scenario = as_scenario(scenario, law, initial_state)
     if knee_angle_deg is None:
@@ -163,6 +170,15 @@ def bode(
     LinearizationError
         The closed loop is unstable, a frequency is not positive and finite, or for the reasons of
         `linearize_loop`.
+
+    Examples
+    --------
+    >>> import kneexo as kx
+    >>> response = kx.bode(frequencies_hz=[0.1, 1.0, 10.0])
+    >>> response.gain.round(2).tolist()
+    [1.0, 1.06, 0.68]
+    >>> print(f"bandwidth {response.bandwidth_hz:.1f} Hz")
+    bandwidth 4.1 Hz
     """
     loop = linearize(scenario, knee_angle_deg=knee_angle_deg, law=law, initial_state=initial_state)
     loop.require_stable("frequency response")
@@ -206,6 +222,13 @@ def step(
         The step is 0 or leaves the range of the knee, or ``duration_s`` is out of range.
     SimulationError
         The run diverges or leaves its range.
+
+    Examples
+    --------
+    >>> import kneexo as kx
+    >>> step = kx.step(size_deg=5.0).step
+    >>> print(f"overshoot {step.overshoot_percent:.1f} %, settled in {step.settling_time_s:.2f} s")
+    overshoot 2.7 %, settled in 0.47 s
     """
     scenario = as_scenario(scenario, law, initial_state)
     if start_deg is None:

@@ -1,6 +1,7 @@
 """The short names of `import kneexo as kx`, for users, editors and type checkers."""
 
 import ast
+import doctest
 import inspect
 import pydoc
 from pathlib import Path
@@ -22,6 +23,7 @@ HOMES = {
     "track": analysis,
 }
 FUNCTIONS = sorted(set(HOMES) - {"Scenario"})
+EXAMPLES = [pytest.param(n, marks=pytest.mark.slow) if n == "play" else n for n in HOMES]  # 5 s
 
 
 def test_only_the_public_names_are_listed():
@@ -72,3 +74,14 @@ def test_a_law_may_be_given(name):
 def test_a_scenario_may_be_the_path_of_its_file(name):
     first = next(iter(inspect.signature(getattr(kneexo, name)).parameters.values()))
     assert first.annotation.startswith("Scenario | str | PathLike[str]")
+
+
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_an_example_prints_what_it_shows(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    text = getattr(kneexo, name).__doc__
+    result = doctest.DocTestRunner().run(
+        doctest.DocTestParser().get_doctest(text, {}, name, None, None)
+    )
+    assert result.attempted >= 2
+    assert result.failed == 0

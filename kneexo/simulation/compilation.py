@@ -46,6 +46,19 @@ def compile(
         ``system`` has another type, or a subsystem cannot be converted. Also raised if ``inputs``
         are given for a scenario, because the reference of the scenario determines its inputs, and
         if the law of the scenario is called as Python.
+
+    Examples
+    --------
+    A run of Drake's pendulum from 90°, without torque.
+
+    >>> import kneexo as kx
+    >>> from pydrake.examples import PendulumPlant
+    >>> model = kx.compile(PendulumPlant(), inputs=["tau"])
+    >>> state = model.state()
+    >>> state.continuous[:] = 1.5708, 0.0  # angle in rad, rate in rad/s
+    >>> run = model.simulate(model.parameters(), state, 10.0, record_period_s=0.01)
+    >>> print(f"after 10 s: {run['state'][-1, 0]:.2f} rad")
+    after 10 s: 0.04 rad
     """
     if not isinstance(system, Scenario | str | PathLike):
         return compile_diagram(system, inputs=inputs)

@@ -91,7 +91,14 @@ def play(
         `MOST_SCENARIOS`, or a scenario has a control law in Python.
     CompilationError
         The page needs a WebAssembly module that kneexo does not contain, and Zig, which compiles
-        it, is not installed. The message has the command that installs Zig.
+        the module, is not installed. The message has the command that installs Zig.
+
+    Examples
+    --------
+    >>> import kneexo as kx
+    >>> page = kx.play(kx.Scenario.preset("paper"))
+    >>> page.write("knee.html")
+    PosixPath('knee.html')
     """
     given = (scenario, *others)
     scenarios = [as_scenario(item) for item in given]
