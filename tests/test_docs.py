@@ -2,12 +2,14 @@
 
 import ast
 import importlib
+import inspect
 import math
 import pickle
 import re
 import shutil
 import subprocess
 import sys
+from dataclasses import is_dataclass
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -27,6 +29,7 @@ from kneexo.parameters import (
     Scenario,
     SimulationParameters,
 )
+from kneexo.parameters.quantity import Parameters
 from kneexo.simulation import simulate
 from kneexo.studies.catalogue import STUDIES
 from kneexo.studies.controller import controller_study
@@ -155,6 +158,40 @@ def test_the_reference_lists_what_users_import(public):
             defined_in, _, last = name.rpartition(".")
             assert hasattr(importlib.import_module(module), last), f"{module} has no {last}"
             assert hasattr(importlib.import_module(defined_in), last), name
+
+
+def functions_of(name):
+    """A public function, or the methods and the initializer of a public class, with their texts."""
+    module, _, last = name.rpartition(".")
+    value = getattr(importlib.import_module(module), last)
+    if not inspect.isclass(value):
+        yield from [(name, value, inspect.getdoc(value))] if callable(value) else []
+        return
+    for method, attribute in vars(value).items():
+        function = getattr(attribute, "__func__", attribute)
+        if inspect.isfunction(function) and method[0] != "_":
+            yield f"{name}.{method}", function, inspect.getdoc(function)
+    made_by_hand = inspect.isfunction(vars(value).get("__init__")) and not is_dataclass(value)
+    if made_by_hand and not issubclass(value, Parameters):
+        yield name, value.__init__, inspect.getdoc(value)
+
+
+def untold(function, text):
+    """Arguments without a line in the section Parameters, if there are three or more arguments."""
+    arguments = [a for a in inspect.signature(function).parameters.values() if a.name != "self"]
+    _, _, section = text.partition("Parameters\n----------\n")
+    told = {name for line in re.findall(r"^\w.*", section, re.M) for name in line.split(", ")}
+    named = [a.name for a in arguments if a.kind is not a.VAR_KEYWORD]
+    return [n for n in named if n not in told] if len(arguments) >= 3 else []
+
+
+def test_every_argument_of_a_public_function_is_told(public):
+    assert untold(lambda a, b, c: 0, "Text.\n\nParameters\n----------\na, c\n    One.") == ["b"]
+    names = {name for names in public.values() for name in names}
+    functions = [item for name in sorted(names) for item in functions_of(name)]
+    assert len(functions) > 200
+    lacking = {name: untold(function, text) for name, function, text in functions}
+    assert {name: arguments for name, arguments in lacking.items() if arguments} == {}
 
 
 THEORY = (DOCS / "theory.md").read_text(encoding="utf-8")
