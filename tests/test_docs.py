@@ -165,7 +165,7 @@ def functions_of(name):
     module, _, last = name.rpartition(".")
     value = getattr(importlib.import_module(module), last)
     if not inspect.isclass(value):
-        yield from [(name, value, inspect.getdoc(value))] if callable(value) else []
+        yield from [(name, value, inspect.getdoc(value))] if inspect.isroutine(value) else []
         return
     for method, attribute in vars(value).items():
         function = getattr(attribute, "__func__", attribute)

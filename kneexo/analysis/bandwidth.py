@@ -162,12 +162,13 @@ async def large_signal_bandwidth_hz(
 def _first_fall_hz(
     excess: Callable[[float], float], bottom: float, start: float, top: float
 ) -> float:
-    """Return the frequency f in Hz at which ``excess(ln f)`` first falls below zero.
+    """Return the lowest frequency in Hz at which the gain of the loop falls below −3 dB.
 
-    ``bottom``, ``start`` and ``top`` are logarithms of frequencies in Hz. From ``start`` the search
-    moves down while ``excess`` is negative, at most to ``bottom``. Then the search moves up until
-    ``excess`` is negative, at most to ``top``. If ``excess`` does not change its sign on the way,
-    the result is nan.
+    ``excess(ln f)`` is the logarithm of the gain over −3 dB at the frequency f. ``bottom``,
+    ``start`` and ``top`` are logarithms of frequencies in Hz. The gain at ``start`` may already be
+    too low. So the search first moves down to a frequency with enough gain, at most to ``bottom``,
+    and then up to the first frequency with too little gain, at most to ``top``. The result is nan
+    if there is no such pair.
     """
     low, step = start, math.log(_SEARCH_STEP)
     while excess(low) < 0.0:

@@ -177,9 +177,9 @@ class _Running:
         return np.concatenate((self._x[:, 0], self._d[:, 0]))
 
     def outputs(self, state: Array, tick: int, inputs: InputTable) -> Array:
-        """Return the elements of all output ports in one array, in the order of the ports.
+        """Return the values of all output ports in one array, in the order of the ports.
 
-        ``state`` is the state at the sample number ``tick``.
+        ``state`` is the state at the sample number ``tick``, and ``inputs`` are the open inputs.
         """
         self._run(state, tick, tick, 1, inputs)
         return self._outputs[0, :, 0].copy()

@@ -82,7 +82,10 @@ class PythonLaw:
         return float(command)
 
     def _system_command(self, time_s: float, values: dict[str, Array]) -> float:
-        """Advance the system to this sample, execute its updates, and read its output."""
+        """Return the motor speed that the user's Drake system commands at a sample.
+
+        The system is advanced to ``time_s``. Its inputs get the measurements ``values``, by port.
+        """
         system, context = self._simulator.get_system(), self._simulator.get_mutable_context()
         with user_code(f"law {self._law.function.short_name}: the system fails"):
             if self._started:

@@ -39,10 +39,10 @@ def start_extension(parameters: CylinderParameters, initial_extension_m: float |
 
 
 def cylinder_values(parameters: CylinderParameters, *others: str) -> dict[str, float]:
-    """Read the Context parameters of a `Cylinder` from ``parameters``.
+    """Return the Context parameters of a `Cylinder` by name, in the order of the Context.
 
-    Returns a dictionary {name: value} in the order of the Context. ``others`` names further
-    attributes of ``parameters`` that only one kind of cylinder has. These attributes come first.
+    ``others`` are names of numbers that only one kind of cylinder has. These numbers come first.
+    All numbers are attributes of ``parameters``.
     """
     return values_of(
         parameters,

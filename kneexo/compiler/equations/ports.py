@@ -41,10 +41,10 @@ def find_port(root: Node, name: str, kind: str) -> Port:
 
 
 def bypass(root: Node, path: str) -> None:
-    """Mark a system as bypassed: the reader then takes its first input as its output.
+    """Mark a system as a wire, whose output is its first input when the equations are read.
 
-    Raises `CompilationError` if there is no such system, or if it has a state or ports that do not
-    fit: see `can_bypass`.
+    Raises `CompilationError` if there is no system at ``path``, or if the system has a state, or
+    ports that `can_bypass` refuses.
     """
     systems = {node.path: node for node in _systems(root)}
     if path not in systems:

@@ -198,7 +198,11 @@ class Transfer:
         return control.ss(self.a, self.b, self.c, self.d, self.period_s or 0)
 
     def _singularities(self) -> Complex:
-        """Return poles of the open and closed loop and zeros of L, in 1/s."""
+        """Return poles of the open and closed loop and zeros of L, in one array, in 1/s.
+
+        A frequency grid is dense around them. Left out are zeros 1e6 times faster than every pole,
+        and sampled modes at z ≈ 0, whose log z is infinite.
+        """
         if not self.a.size:
             return np.empty(0, dtype=complex)
         zeros = invariant_zeros(self.a, self.b, self.c, np.array([[self.d]]))

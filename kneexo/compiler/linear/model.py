@@ -312,6 +312,7 @@ class LinearModel:
         for tick in self.ticks:
             transition = tick.jump_state @ transition
             drive = tick.jump_state @ drive + tick.jump_input
+            # Ticks share the arrays of equal dynamics, so the same array means the same dynamics.
             key = (tick.duration_s, id(tick.rate_state), id(tick.rate_input))
             if key not in steps:
                 steps[key] = _rotating_step(tick, omega)
@@ -403,6 +404,7 @@ def over_period(ticks: Sequence[TickModel]) -> tuple[Array, Array]:
     steps: dict[tuple[float, int, int], Array] = {}
     for tick in ticks:
         a, b = tick.jump_state @ a, tick.jump_state @ b + tick.jump_input
+        # Ticks share the arrays of equal dynamics, so the same array means the same dynamics.
         key = (tick.duration_s, id(tick.rate_state), id(tick.rate_input))
         if key not in steps:
             block = np.zeros((n + m, n + m))

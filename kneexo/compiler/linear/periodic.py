@@ -96,8 +96,9 @@ class PeriodicLoop:
     def disk_change(self) -> tuple[float, float]:
         """Return the smallest ε at which (1 + εe^{jθ})/(1 − εe^{jθ}) changes stability.
 
-        The factor must move stability for at least one angle θ. The second value is the
-        frequency. Without such an ε below 0.999 the result is (1, nan).
+        One angle θ at which the loop becomes unstable (or stable) is enough. The second value is
+        the frequency of the critical eigenvalue in Hz. Without such an ε below 0.999 the result is
+        (1, nan).
         """
 
         def along(angle: float) -> tuple[float, float]:

@@ -73,7 +73,11 @@ class Point:
         return replace(self, state=state, inputs=self.inputs if inputs is None else inputs)
 
     def slopes(self, outputs: Sequence[str] = ()) -> Slopes:
-        """Return the values and derivatives at this point, also those of the ports ``outputs``."""
+        """Return the equations linearized at the point, as `Slopes`.
+
+        These are dx/dt, the next discrete states and the elements of the ports ``outputs``, each
+        with its derivatives with respect to states and inputs.
+        """
         derivatives = self.derivatives(outputs)
         of_nodes, rows = derivatives.at(self.sources)
         values, jacobian = of_nodes[derivatives.roots], rows[derivatives.roots]

@@ -244,10 +244,11 @@ def start_errors(tracked: TrackingResult) -> dict[str, float]:
 
 
 def speed_demand() -> tuple[float, float]:
-    """Return the peak motor speed in rpm that the paper's reference requires, and a frequency.
+    """Return what the paper's sine asks of the motor: a peak speed, and a highest frequency.
 
-    The frequency, in Hz, is the reference's frequency at which its peak motor speed equals the
-    motor's speed limit. Eq. 10 relates knee and rod.
+    The first number is the peak motor speed in rpm at the frequency of the paper. The second is
+    the frequency in Hz at which the peak motor speed of the same sine equals the speed limit of
+    the motor. Eq. 10 relates knee and rod.
     """
     scenario = changed(Scenario(), {"plant.rod_map": "polynomial"})
     reached_hz = speed_limit_reached_hz(scenario)

@@ -255,7 +255,11 @@ class RobustnessResult(Result):
         return merits_of(self.scenario, self.nominal.metrics)
 
     def effects(self, merit: str) -> dict[str, list[float]]:
-        """Return a dictionary from path to the figures of merit at the levels of this value."""
+        """Return what each uncertain value alone does to a figure of merit.
+
+        The result maps the path of an uncertain value to the figures of merit of the plants in
+        which only this uncertain value has one of its levels, in the order of the levels.
+        """
         values = iter(merit_values(self.one_at_a_time, merit).tolist())
         return {
             path: list(islice(values, len(span.levels)))

@@ -247,8 +247,8 @@ def _tracking(result: SizeResult) -> Figure:
         3, 1, figsize=(7, 7.4), sharex=True, layout="constrained", height_ratios=(2, 1.1, 1.2)
     )
     figure.set_label(
-        "Knee angle, tracking error and motor speed over a gait cycle of level walking. "
-        "The unchanged hardware reaches its speed limit. The sized hardware follows."
+        "Knee angle, tracking error and motor speed over a gait cycle of level walking, with the "
+        "unchanged and with the sized hardware."
     )
     frequency = result.designs[0].frequency_hz
     percent, mean, deviation = gait_knee_flexion()
