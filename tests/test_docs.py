@@ -29,7 +29,6 @@ from kneexo.parameters import (
     Scenario,
     SimulationParameters,
 )
-from kneexo.parameters.quantity import Parameters
 from kneexo.simulation import simulate
 from kneexo.studies.catalogue import STUDIES
 from kneexo.studies.controller import controller_study
@@ -161,25 +160,25 @@ def test_the_reference_lists_what_users_import(public):
 
 
 def functions_of(name):
-    """A public function, or the methods and the initializer of a public class, with their texts."""
+    """A public function, or methods and initializer of a public class, each with its docstring."""
     module, _, last = name.rpartition(".")
     value = getattr(importlib.import_module(module), last)
-    if not inspect.isclass(value):
-        yield from [(name, value, inspect.getdoc(value))] if inspect.isroutine(value) else []
-        return
-    for method, attribute in vars(value).items():
-        function = getattr(attribute, "__func__", attribute)
-        if inspect.isfunction(function) and method[0] != "_":
-            yield f"{name}.{method}", function, inspect.getdoc(function)
-    made_by_hand = inspect.isfunction(vars(value).get("__init__")) and not is_dataclass(value)
-    if made_by_hand and not issubclass(value, Parameters):
-        yield name, value.__init__, inspect.getdoc(value)
+    if inspect.isfunction(value):
+        yield name, value, value.__doc__
+    elif inspect.isclass(value):
+        for method, attribute in vars(value).items():
+            function = getattr(attribute, "__func__", attribute)
+            if inspect.isfunction(function) and method[0] != "_":
+                yield f"{name}.{method}", function, inspect.getdoc(function)
+            if method == "__init__" and not is_dataclass(value):
+                yield name, function, value.__doc__
 
 
 def untold(function, text):
     """Arguments without a line in the section Parameters, if there are three or more arguments."""
-    arguments = [a for a in inspect.signature(function).parameters.values() if a.name != "self"]
-    _, _, section = text.partition("Parameters\n----------\n")
+    arguments = list(inspect.signature(function).parameters.values())
+    arguments = [a for a in arguments if a.name not in ("self", "cls")]
+    _, _, section = inspect.cleandoc(text or "").partition("Parameters\n----------\n")
     told = {name for line in re.findall(r"^\w.*", section, re.M) for name in line.split(", ")}
     named = [a.name for a in arguments if a.kind is not a.VAR_KEYWORD]
     return [n for n in named if n not in told] if len(arguments) >= 3 else []
