@@ -40,7 +40,10 @@ def rod_points(
 
 
 def quintic(argument: Array, value: Array) -> Array:
-    """Fit a quintic polynomial value(argument); return its 6 coefficients, highest power first."""
+    """Fit a quintic of ``argument`` to ``value``, (n,) each; return its 6 coefficients.
+
+    The coefficient of the highest power comes first.
+    """
     return np.asarray(Polynomial.fit(argument, value, 5).convert().coef[::-1], dtype=float)
 
 

@@ -66,7 +66,7 @@ def passivity_limits(scenario: Scenario) -> PassivityLimits:
     integral = (1.0 - share) * (leakage + law.proportional_rad_s_per_n) / lag
 
     def real_part(angle: float) -> float:
-        """Return Re H_F at ωT = ``angle``."""
+        """Return the real part of H_F (hold, motor and load cell) at ωT = ``angle``."""
         s = 1j * angle / period
         hold = (1.0 - np.exp(-1j * angle)) / (1j * angle)
         return float((hold * np.exp(-s * delay) / ((1.0 + s * motor) * (1.0 + s * cell))).real)

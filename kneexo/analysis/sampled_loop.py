@@ -186,7 +186,7 @@ class SampledLoop(Result):
         """Return the −3 dB bandwidth in Hz of `output_response`, for small signals.
 
         The bandwidth is the lowest frequency, up to the Nyquist frequency, at which the gain falls
-        below 1/√2 times the gain at 0.01 Hz. It is nan if the gain does not fall below this value.
+        below 1/√2 times the gain at 0.01 Hz. The result is nan if the gain does not fall so far.
         The response contains the exact feedforward of the reference and its derivatives. So the
         gain can rise again at higher frequencies, or never fall.
         `complementary_sensitivity_bandwidth_hz` is the bandwidth of the feedback alone. Raises
@@ -219,7 +219,7 @@ class SampledLoop(Result):
         return float(scipy.optimize.brentq(excess, grid[index - 1], grid[index]))
 
     def require_stable(self, what: str) -> None:
-        """Raise `LinearizationError` for an unstable loop, which has no ``what``."""
+        """Raise `LinearizationError` if the loop is unstable; ``what`` names what it then lacks."""
         if not self.stable:
             raise LinearizationError(
                 f"the sampled loop is unstable (largest eigenvalue "

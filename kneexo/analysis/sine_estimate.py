@@ -153,10 +153,10 @@ def cycle_responses(
 
 
 def settled_cycles(responses: Any, tolerance: float) -> int:
-    """Return how many responses at the end of ``responses`` (n,) agree.
+    """Return from how many of the last cycles on the response has settled.
 
-    In this last part each response agrees with the next response. Two responses agree if their
-    difference is at most ``tolerance`` times the magnitude of the later response.
+    ``responses`` (n,) are the complex responses of n cycles. Each of the last cycles agrees with
+    the next one: their difference is at most ``tolerance`` times the magnitude of the later one.
     """
     change = np.abs(np.diff(responses)) > tolerance * np.abs(responses[1:])
     return len(responses) - (int(np.flatnonzero(change)[-1]) + 1 if change.any() else 0)

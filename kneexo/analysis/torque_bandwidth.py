@@ -25,8 +25,8 @@ class TorqueResponse(Result):
     """Response F/F_d of the rod force to the desired force, for small forces.
 
     ``response`` is complex, (n,), at the n ``frequency_hz``: the fundamental of F for a sine in
-    F_d. At ``bandwidth_hz`` the gain first falls to 1/√2. This value is nan if the gain does not
-    fall so far, if it begins below 1/√2, and if the loop is not ``stable``.
+    F_d. At ``bandwidth_hz`` the gain first falls to 1/√2. The bandwidth is nan if the gain does not
+    fall so far, if the gain begins below 1/√2, and if the loop is not ``stable``.
     """
 
     frequency_hz: Array

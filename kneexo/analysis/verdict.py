@@ -72,7 +72,7 @@ class Stability(Result):
 
     @classmethod
     def of_loop(cls, loop: SampledLoop) -> Stability:
-        """Return the stability of a linear loop."""
+        """Return eigenvalue and margins of a linear loop, for the verdict."""
         return cls(
             math.degrees(loop.knee_angle_rad),
             loop.stable,
@@ -362,7 +362,7 @@ def _error_bound(scenario: Scenario) -> tuple[float, str]:
 
 @dataclass(frozen=True)
 class _Limit:
-    """A limit, with the share of the run in which it is reached."""
+    """A limit of the hardware, with the share of the run in which the knee reaches the limit."""
 
     share: float
     reached: str

@@ -85,7 +85,7 @@ def new(path: Path) -> Outcome:
 
 
 def scenario_text(csv: str) -> str:
-    """Return the text of the scenario file, whose reference is the CSV file ``csv``."""
+    """Return the text of the file that ``kneexo new`` writes; its reference is the file ``csv``."""
     return "\n".join(_lines(csv)) + "\n"
 
 

@@ -30,9 +30,9 @@ def simulate_with_feedback(
 ) -> Simulation:
     """Run a model; call a Python function once a sample, and hold its result as an open input.
 
-    At each sample before the end, the function gets the time in s and the values of output ports.
-    These values are those before the updates at that time. The updates already see the result of
-    the function. A sample costs about 20 µs and the time that the function takes.
+    At each sample before the end, the function gets the time in s and the values that the output
+    ports have before the updates at the sample. The updates already see the result of the function.
+    A sample costs about 20 µs and the time that the function takes.
 
     Parameters
     ----------

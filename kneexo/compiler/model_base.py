@@ -155,7 +155,7 @@ class ModelBase:
     def _reason(
         self, outcome: Sequence[int], time_s: float, parameters: Array, state: State
     ) -> SimulationError:
-        """Return the error of `fault`."""
+        """Return the error of a failed run for `fault`, which handles unstable steps before."""
         status, _, index = outcome
         if status in (NOT_FINITE, OUTPUT_NOT_FINITE):
             finite = np.isfinite(np.concatenate((state.continuous, state.discrete)))

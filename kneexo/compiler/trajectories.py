@@ -19,8 +19,8 @@ def input_table(
     Parameters
     ----------
     trajectory
-        A PiecewisePolynomial with one column. Before its start the inputs have the values at the
-        start. After its end the inputs have the values at the end.
+        A PiecewisePolynomial with one column. Before the first time of the trajectory the inputs
+        have its first values, and after the last time its last values.
     derivatives
         Number of time derivatives that follow the value. The table has ``1 + derivatives`` inputs
         for each row of the trajectory.

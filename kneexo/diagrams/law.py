@@ -121,9 +121,9 @@ def held_command(scenario: Scenario) -> systems.HeldCommand | None:
 
 
 def port_sizes(system: System, *, inputs: bool = False) -> dict[str, int]:
-    """Return a dictionary from the name of each output port to its size.
+    """Return a dictionary from name to size of the output ports of a system.
 
-    If ``inputs`` is True, return such a dictionary of the input ports.
+    If ``inputs`` is True, the dictionary has the input ports instead.
     """
     if inputs:
         ports = map(system.get_input_port, range(system.num_input_ports()))

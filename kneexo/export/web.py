@@ -272,7 +272,7 @@ def _without_reservoir(scenario: Scenario, start: Mapping[str, float]) -> dict[s
 
 
 def _started_at(scenario: Scenario, angle_rad: float) -> Scenario:
-    """Return a scenario whose reference has this constant angle."""
+    """Return a scenario whose reference stays at ``angle_rad``."""
     angle_deg = math.degrees(angle_rad)
     reference = StepReference.model_construct(start_deg=angle_deg, end_deg=angle_deg)
     return scenario.model_copy(update={"reference": reference})
@@ -343,7 +343,7 @@ def _base64(values: Array) -> str:
 
 
 def _reference(kind: str, scenario: Scenario) -> dict[str, Any]:
-    """Return a reference of this kind, with values of the scenario if its kind is the same."""
+    """Return a reference of ``kind``, with the scenario's values if its reference has this kind."""
     present: Any = scenario.reference
     if present.kind != kind:
         present = REFERENCES[kind]()

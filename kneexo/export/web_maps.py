@@ -176,11 +176,11 @@ class _Probe:
         return self._known[key]
 
     def fix(self, name: str, values: Mapping[str, float]) -> None:
-        """Keep a number at its present value in all further evaluations."""
+        """Keep the number ``name`` at its value in ``values`` in all further evaluations."""
         self.centre[name] = values[name]
 
     def accepts(self, name: str) -> bool:
-        """Return whether the ends of a number's range are accepted."""
+        """Return whether the parameters can be evaluated at both ends of a number's range."""
         with suppress(KneexoError):
             for end in self.ranges[name]:
                 self({name: end})

@@ -46,7 +46,7 @@ class LockedFile:
         self._open()
 
     def read(self, most_bytes: int) -> bytes:
-        """Return the content. Raises `OSError` if the file has more than ``most_bytes`` bytes."""
+        """Return the content; raise `OSError` if the file has more than ``most_bytes`` bytes."""
         return read_bytes(self._path, most_bytes)
 
     def append(self, data: bytes) -> None:

@@ -68,7 +68,7 @@ def _with_unit(path: str, value: Any) -> str:
 
 
 def _words(path: str) -> str:
-    """Return the words of the last name of a dotted path, without its unit."""
+    """Return the last name of a dotted path as words: ``plant.load.leg_mass_kg`` is "leg mass"."""
     words = path.rpartition(".")[2].split("_")
     while len(words) > 1 and (words[-1] in _UNITS or words[-1] == _unit(path)):
         words.pop()

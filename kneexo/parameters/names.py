@@ -25,7 +25,7 @@ _SIMILAR_HERE, _SIMILAR = 0.7, 0.8  # least similarity of names at the same and 
 
 
 def searched_for_names(model: _Class) -> _Class:
-    """Class decorator: messages about every parameter class suggest paths of this class too."""
+    """Class decorator: every message about an unknown name suggests paths of ``model`` too."""
     _SEARCHED.append(model)
     return model
 
@@ -51,7 +51,7 @@ class Place:
         return replace(self, models=models) if models and len(self.models) > 1 else None
 
     def below(self, key: str | int) -> Place:
-        """Return the place of one more key."""
+        """Return the place that one more key leads to from here."""
         keys = (*self.keys, key)
         if self.inside:
             return replace(self, keys=keys, inside=False)

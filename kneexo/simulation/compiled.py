@@ -214,7 +214,7 @@ class Recent(OrderedDict[str, Any]):
     """The values of the last `MOST_STRUCTURES` structures that were asked for, by their keys."""
 
     def of(self, key: str, make: Callable[[], Any]) -> Any:
-        """Return the value of a structure, which ``make()`` makes if it is not kept."""
+        """Return the value that is kept for a structure ``key``, or make and keep ``make()``."""
         with _lock:
             if key not in self:
                 self[key] = make()

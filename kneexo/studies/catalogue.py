@@ -100,9 +100,9 @@ class Study:
         return pictures
 
     def motions(self, result: Any) -> dict[str, Motion]:
-        """Return a dictionary from title to run, for the 3D view.
+        """Return the runs of a result that the 3D view shows, by title.
 
-        It is empty if the module ``figures`` has no function ``motions``.
+        The dictionary is empty if the module ``figures`` has no function ``motions``.
         """
         motions = self._part(".figures", "motions", lambda result: {})
         runs: dict[str, Motion] = motions(result)

@@ -40,7 +40,10 @@ def markdown_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[s
 
 
 def row_table(rows: Iterable[Any], columns: Mapping[str, Cell]) -> list[str]:
-    """Return a table with one line for each item. ``columns`` maps a heading to a `Cell` rule."""
+    """Return a Markdown table with a line for each item of ``rows``.
+
+    ``columns`` maps the heading of a column to the `Cell` that takes the text from an item.
+    """
     return markdown_table(
         list(columns), [[_text(row, cell) for cell in columns.values()] for row in rows]
     )

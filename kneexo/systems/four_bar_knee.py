@@ -35,7 +35,10 @@ def _argument(p: Any, extension: Any) -> Any:
 
 
 def moment_arm_slope(p: Any, coefficients: Any, extension: Any) -> Any:
-    """Return dr/dx at a rod extension. ``coefficients`` are the polynomial of r (`RodInverse`)."""
+    """Return the slope dr/dx of the moment arm at a rod extension x in m.
+
+    ``coefficients`` are those of the polynomial of r in `RodInverse`.
+    """
     root = drake_math.sqrt(drake_math.max(p.dead_centre_m - extension, 1e-12))
     t = (root - p.centre) / p.half_width
     return -polynomial(polynomial_derivative(coefficients), t) / (2.0 * p.half_width * root)

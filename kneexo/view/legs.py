@@ -106,7 +106,9 @@ def _leg(name: str, scenario: Scenario, run: Run) -> Leg:
 
 
 def leg_of_results(name: str, directory: Path, scenario: Scenario) -> Leg:
-    """Read the leg of a run of ``scenario`` from the file signals.csv of ``kneexo simulate``.
+    """Return the moving leg, for the 3D view, of a run that ``kneexo simulate`` has written.
+
+    The motion is read from signals.csv in ``directory``; ``name`` is the title of the leg.
 
     Raises `ScenarioError` if signals.csv cannot be read, a column is missing, the time does not
     increase, or a value is out of range. Knee angle and reference must lie within the scenario's

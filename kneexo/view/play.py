@@ -81,8 +81,8 @@ def play(
     others
         More scenarios or paths. The page compares two scenarios at a time.
     names
-        Names of all scenarios on the page. Empty: a file has its name without its ending, a
-        preset has its name, and other scenarios have numbers.
+        Names of all scenarios on the page. Empty: a scenario is called by its file, its preset or
+        its number.
 
     Raises
     ------

@@ -102,7 +102,10 @@ class Wiring:
     def _laid(
         self, goal: tuple[Point, Point], came: Mapping[tuple[Point, Point], tuple[Point, Point]]
     ) -> list[Point]:
-        """Return the points of the wire that ends at ``goal``, and reserve them."""
+        """Return the points of the found wire to ``goal``; no other wire may use them afterwards.
+
+        ``came`` maps each place of the search to the place before.
+        """
         path, at = [goal[0]], goal
         while at in came:
             at = came[at]

@@ -133,9 +133,10 @@ class Functions:
     def _integration(self) -> tuple[Function, Function]:
         """Return the statements of ``integrate`` before its loops, and in the loop of the stages.
 
-        The former compute the values that are constant over a tick. The latter compute the
-        derivatives ``rate0``, ``rate1`` … of the states ``z0``, ``z1`` … If the model is large,
-        both are empty, and the method adds the function ``rate_at`` to `of_an_instant`.
+        The statements before the loops compute the values that are constant over a tick. The
+        statements in the loop compute the derivatives ``rate0``, ``rate1`` … of the states ``z0``,
+        ``z1`` … If the model is large, both are empty, and the function ``rate_at`` is added to
+        `of_an_instant`.
         """
         derivatives, faster = self._plan.equations.derivatives, self._plan.faster
         names = self._printer.names.items()

@@ -172,10 +172,11 @@ class Interface:
                 )
 
     def members(self, sizes: Mapping[str, int]) -> tuple[Field, ...]:
-        """Return the elements of ports in order. ``sizes`` maps the name of a port to its size.
+        """Return the members of the C struct that holds the values of ports, one for each element.
 
+        ``sizes`` maps the name of each port to its size. The members have the order of the ports.
         Raises `CompilationError` if ``fields`` has a wrong number of names for a port, or if two
-        elements have the same name.
+        members would have the same name.
         """
         members = []
         for port, size in sizes.items():

@@ -90,7 +90,7 @@ class Trace:
 
     @property
     def names(self) -> list[tuple[str, str]]:
-        """Rows: expression in C, name in the diagram."""
+        """Rows of a table that explains expressions in C: (expression, name in the diagram)."""
         plan, equations = self.plan, self.equations
         rows = [(f"in->{f.name}", f"input port {f.port}") for f in plan.inputs]
         rows += [

@@ -54,7 +54,10 @@ def wasm_files(source: CSource) -> dict[str, str]:
 
 
 def wasm_table(source: CSource) -> dict[str, Any]:
-    """Return the ``table`` of a `WasmModule` without the checksum of the module."""
+    """Return names and order of what a WebAssembly module of ``source`` keeps in its memory.
+
+    The result is the `WasmModule.table` of the module, without ``sha256``.
+    """
     schedule, equations = source.plan.schedule, source.equations
     return {
         "sample_time_s": schedule.tick_s,

@@ -131,7 +131,7 @@ class Program:
 
     @property
     def layout(self) -> Layout:
-        """Names and sizes that a run requires besides the machine code."""
+        """What a run needs besides the machine code: names, sizes and sample times."""
         equations, graph = self.equations, self.graph
         return Layout(
             parameters=tuple(equations.parameters),

@@ -176,7 +176,7 @@ class VariableTable:
                 raise CompilationError(f"{name} = {starts[name]:g}: must be finite at the start")
 
     def references(self, causality: Causality) -> list[int]:
-        """Return the value references of all variables with this causality."""
+        """Return the value references of all variables of a causality, such as inputs."""
         return [i for i, v in enumerate(self.variables) if v.causality == causality]
 
     def assignments(self) -> list[tuple[str, int, FmuParameter]]:

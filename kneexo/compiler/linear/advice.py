@@ -204,7 +204,10 @@ class _Survey:
         return bool(np.isfinite(self.row(node)).all())
 
     def _blocks(self, node: int, end: int) -> bool:
-        """Return whether a result has no derivative and depends on a node."""
+        """Return whether ``node`` may be why the result ``end`` has no derivative.
+
+        The result depends on the node, but all its derivatives are zero.
+        """
         return not self.row(end).any() and node in self.graph.reachable([end], self.taken)
 
     def _is_rounded(self, node: int) -> bool:

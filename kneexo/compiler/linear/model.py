@@ -185,9 +185,9 @@ class LinearModel:
     def prescribed(self, states: Sequence[str]) -> LinearModel:
         """Return the model with the motion of some continuous states as inputs.
 
-        The new inputs follow the others, and have the names of the states. The outputs
-        ``rate of STATE`` follow the others too. They are the rates by the equations of
-        the states, so a caller can compute the input that causes the prescribed motion.
+        The new inputs have the names of the states, and come after the inputs of this model. The
+        new outputs ``rate of STATE`` come after its outputs. They are the rates by the equations
+        of the states, so a caller can compute the input that causes the prescribed motion.
         The caller is responsible for consistent states, such as a position and its rate.
 
         Raises `ParameterError` for a name that is no continuous state of the model, or is there
@@ -398,7 +398,7 @@ def _frequencies(frequencies_hz: ArrayLike, period_s: float | None) -> Array:
 
 
 def over_period(ticks: Sequence[TickModel]) -> tuple[Array, Array]:
-    """Return A and B of the motion over all ticks, with an input that is constant meanwhile."""
+    """Return A and B of the motion over all ticks together, x⁺ = A x + B u with a constant u."""
     n, m = ticks[0].jump_input.shape
     a, b = np.eye(n), np.zeros((n, m))
     steps: dict[tuple[float, int, int], Array] = {}

@@ -120,7 +120,7 @@ class Array:
         return Array(self.address(index), self.type)
 
     def cast(self, type_: Type) -> Array:
-        """Return the same memory as an array with another type of elements."""
+        """Return an array of elements of another type in the memory of this array."""
         return Array(self.pointer, type_)
 
 
@@ -235,7 +235,7 @@ class Function:
         return Value(self, f"%v{self._count}", type_)
 
     def constant(self, value: float, type_: Type = DOUBLE) -> Value:
-        """Return a literal that has this value in each lane of the type."""
+        """Return a literal of a type that has ``value`` in each lane."""
         if type_.element == "double":
             (bits,) = struct.unpack("<Q", struct.pack("<d", value))
             text = f"0x{bits:016X}"
@@ -265,7 +265,10 @@ class Function:
         return self.instruction(text, type_)
 
     def alike(self, *operands: Operand) -> list[Value]:
-        """Convert operands to their type with the most lanes, or to doubles if all are numbers."""
+        """Convert operands to one type: of their types that with the most lanes.
+
+        If all operands are Python numbers, they become doubles.
+        """
         types = [operand.type for operand in operands if isinstance(operand, Value)]
         widest = max(types, key=lambda type_: type_.lanes, default=DOUBLE)
         return [self.coerce(operand, widest) for operand in operands]

@@ -78,7 +78,7 @@ def _accumulated(
     rows: Value,
     bound: Value,
 ) -> Value:
-    """Emit the accumulated value of a reduction after a sample; return this value.
+    """Emit code that adds a sample to a reduction; return the new accumulated value.
 
     ``value`` is the sample, ``before`` the accumulated value, ``previous`` the sample before.
     """

@@ -91,7 +91,10 @@ def _reach(integrator: str) -> tuple[Array, Array]:
 
 
 def excess(integrator: str, h_lambda: Array) -> Array:
-    """Return |z| divided by the largest stable |z| of the same argument, for each z = h λ (n,)."""
+    """Return how far each z = h λ is outside the region of stability (n,); above 1 is unstable.
+
+    The number is |z| divided by the largest stable |z| in the direction of z.
+    """
     return np.abs(h_lambda) / np.interp(np.abs(np.angle(h_lambda)), *_reach(integrator))
 
 

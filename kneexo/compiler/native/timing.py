@@ -34,7 +34,7 @@ class Timing:
     def times(self, ticks: Any) -> Any:
         """Return the times in s of the tick numbers ``ticks``, an integer or an array.
 
-        The time at a whole number of units is a single product, which is rounded only once.
+        The time of a tick at a multiple of `unit` is a single product, which is rounded only once.
         """
         if self.split == 1:
             return ticks * self.unit
@@ -47,7 +47,7 @@ class Timing:
         return times
 
     def record_after(self, time_s: Any) -> Any:
-        """Return the index of the first record at ``time_s``, a number or an array, or later."""
+        """Return the index of the first record at or after ``time_s``, a number or an array."""
         row = np.maximum(np.floor(time_s / (self.record_every * self.tick)).astype(np.int64), 0)
         for _ in range(2):  # the quotient is rounded, so the record can be the next one
             row += self.times(row * self.record_every) < time_s

@@ -16,7 +16,7 @@ class Type:
         return self.element if self.lanes == 1 else f"<{self.lanes} x {self.element}>"
 
     def of(self, lanes: int) -> Type:
-        """Return the type that has the same element type as this one, and ``lanes`` lanes."""
+        """Return the type with the same elements as this type, but ``lanes`` lanes."""
         return Type(self.element, lanes)
 
     @property

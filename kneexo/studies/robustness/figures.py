@@ -136,7 +136,7 @@ def _by_effect(result: RobustnessResult, merits: list[str]) -> list[str]:
 
 
 def _marks(span: Uncertainty) -> list[tuple[str, str, str]]:
-    """Return marker, the same as a letter, and colour of each level of an uncertain value."""
+    """Return marker, letter of the same shape, and colour of each level of an uncertain value."""
     if span.options:
         colours = [SERIES[index % len(SERIES)] for index in range(len(span.options))]
         marks = [("os^Dv"[index % 5], "●■▲◆▼"[index % 5]) for index in range(len(span.options))]

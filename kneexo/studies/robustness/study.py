@@ -178,7 +178,8 @@ def quantile(assessments: Sequence[Assessment], merit: str, share: float) -> flo
 def failures(assessments: Sequence[Assessment]) -> list[dict[str, Any]]:
     """Group the failures whose texts differ only in numbers. Return the largest group first.
 
-    Each group has its ``count``, its first failure's text, and this failed plant's ``values``.
+    Each group has ``count``, the text of its first failure, and ``values`` of the plant of that
+    failure.
     """
     kinds: dict[str, dict[str, Any]] = {}
     for assessment in assessments:
@@ -515,8 +516,8 @@ def _pointed_at(
 ) -> Iterator[Corner]:
     """Yield a promising corner for each figure of merit and each combination of options.
 
-    Each interval is at the end that is worse when this value alone changes. ``singly`` has the
-    assessments with one uncertain value changed at a time.
+    In such a corner, each uncertain interval is at the end that alone makes the figure of merit
+    worse. ``singly`` has the assessments with one uncertain value changed at a time.
     """
     one_by_one = iter(singly)
     groups = [list(islice(one_by_one, len(span.levels))) for span in uncertainty.values.values()]
