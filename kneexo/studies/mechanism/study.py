@@ -132,9 +132,23 @@ def mechanism_study(
 ) -> MechanismResult:
     """Compare the linkage of a scenario, a hinge and the paper's linkages on a wearer's leg.
 
-    The study makes no runs: it takes a fraction of a second, in this process. Raises `LinkageError`
-    if a linkage cannot be assembled, and `ParameterError` if the wearer's knee has no nodes at a
-    knee angle.
+    The study makes no runs. It takes a fraction of a second, in this process.
+
+    Parameters
+    ----------
+    scenario
+        The scenario whose linkage is the first device.
+    settings
+        The wearer's knee, the cuff, the range of the knee angle, and what counts as a wrong place.
+    **options
+        Those of `kneexo.sweeps.SweepOptions`. Only ``progress`` has an effect.
+
+    Raises
+    ------
+    LinkageError
+        A linkage cannot be assembled.
+    ParameterError
+        The wearer's knee has no nodes at a knee angle.
     """
     linkages = {repr(scenario.plant.linkage): scenario.plant.linkage}
     if scenario.plant.linkage not in (HINGE, *TABLE_1_LINKAGES.values()):
