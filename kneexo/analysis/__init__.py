@@ -4,7 +4,7 @@ Most functions return a frozen result object, which holds data and has a method 
 `kneexo.simulation` runs scenarios, and `kneexo.studies` compares many scenarios.
 """
 
-from kneexo.analysis.alignment import (
+from kneexo.alignment import (
     Alignment,
     CuffForces,
     Placement,

@@ -15,8 +15,10 @@ from numpy.typing import ArrayLike
 from pydrake.geometry import Box, Capsule, Cylinder, Ellipsoid, Shape
 from scipy.spatial import ConvexHull
 
+from kneexo.alignment import align
 from kneexo.parameters import LinkageParameters
 from kneexo.result import Array
+from kneexo.shank_motion import anatomical_motion
 from kneexo.view.parts import Part, icr_path, parts, placements
 from kneexo.view.pressure_colour import BLUE, GREY, RED
 
@@ -88,11 +90,34 @@ def stage_leg(
             for frame, placement in frames.items()
         },
         "parts": [_part(name, part) for name, part in leg.items()],
-        "icr_path": np.round(icr_path(linkage)[[0, 2]].T, 6).tolist(),
+        "centre_paths": _centre_paths(linkage),
         "pressure_colours": np.array([BLUE, GREY, RED]).tolist(),
         "hull": _hull(linkage, leg, angles),
         "joint_hull": _hull(linkage, _joint(leg), angles),
     }
+
+
+def _centre_paths(linkage: LinkageParameters) -> list[dict[str, Any]]:
+    """Return the paths of the centres of rotation of the linkage and of a wearer's knee, as data.
+
+    The wearer's path is relative to a device at its best place (`kneexo.alignment.align`).
+    """
+    best = align(linkage)
+    wearer = anatomical_motion(best.knee, np.radians(best.knee_angle_deg))
+    centre = wearer.fixed_centrode - best.placement.position  # x points backwards
+    return [
+        {
+            "colour": "#cc0080",
+            "label": "path of the instantaneous centre of rotation, 0…90°",
+            "points": np.round(icr_path(linkage)[[0, 2]].T, 6).tolist(),
+        },
+        {
+            "colour": "#1b7a3d",
+            "label": "path of a wearer's centre (gait2392), with the device at its best place: "
+            f"the strap migrates by {best.rms_mm:.2g} mm (rms)",
+            "points": np.round(np.stack([-centre.real, centre.imag], axis=1), 6).tolist(),
+        },
+    ]
 
 
 def pack(values: ArrayLike) -> str:

@@ -11,6 +11,7 @@ from pydrake.math import RigidTransform
 
 from kneexo.errors import LinkageError
 from kneexo.parameters import G1, LINKAGES, LinkageParameters
+from kneexo.view.mechanism import points
 from kneexo.view.parts import parts, placements
 from kneexo.view.pressure_colour import pressure_colours
 from kneexo.view.stage import pack, stage_leg
@@ -67,6 +68,17 @@ def test_parts_have_the_shapes_colours_and_poses_of_the_live_view():
         assert type(expected.shape) is shape
         assert repr(shape(*part["size"])) == repr(expected.shape)
         assert part["colour"] == list(expected.colour.rgba)
+
+
+def test_both_centres_are_drawn_where_they_are_and_the_legend_has_the_migration():
+    linkage, wearer = stage_leg("G1", G1, 0.0, 1.6, RATING_PA)["centre_paths"]
+    at_45 = points(G1, np.radians(45.0))["icr"][0]
+    assert linkage["points"][45] == pytest.approx([at_45.real, at_45.imag], abs=1e-6)
+    # The centre of gait2392 at 45°, backwards and up, minus the best place of G1, in mm.
+    assert wearer["points"][45] == pytest.approx(
+        [-1e-3 * (9.9 - 20.7), 1e-3 * (-12.8 + 10.5)], abs=0.15e-3
+    )
+    assert wearer["label"].endswith("the strap migrates by 3.1 mm (rms)")
 
 
 def test_the_hull_contains_the_ends_of_all_bars():

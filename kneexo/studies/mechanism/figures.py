@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from kneexo.analysis.alignment import MM
+from kneexo.alignment import MM
 from kneexo.plotting import SERIES
 from kneexo.studies.mechanism.study import MechanismResult
 from kneexo.studies.plots import legend_below

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Unpack
 import numpy as np
 from pydantic import BeforeValidator
 
-from kneexo.analysis.alignment import MM, Alignment, CuffForces, SlottedStrap, align
+from kneexo.alignment import MM, Alignment, CuffForces, SlottedStrap, align
 from kneexo.files.table import SUFFIXES
 from kneexo.parameters import (
     GAIT2392,

@@ -129,7 +129,7 @@ const StageElements = (() => {
       item([line(colour("link_4"), 7), "link 4, round"]),
       item([line(colour("thigh_plate"), 7), "plate of the thigh"]),
       item([line(colour("shank_plate"), 7), "plate of the shank"]),
-      item([line("#cc0080", 2), "path of the instantaneous centre of rotation, 0…90°"]),
+      ...leg.data.centre_paths.map((path) => item([line(path.colour, 2), path.label])),
       ...(quarterTurn > 0 ? wearer : []),
     ]);
   }

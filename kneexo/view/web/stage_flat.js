@@ -57,7 +57,7 @@ const StageFlat = (() => {
           part.name === "cylinder" ? leg.pressureColour(state.pressure) : part.colour;
         this._part(context, part, poses[part.frame], colour);
       }
-      this._path(context, leg.data.icr_path);
+      for (const path of leg.data.centre_paths) this._path(context, path);
       const seen = context.getTransform();
       context.resetTransform();
       return (x, z) => [seen.a * x + seen.e, seen.d * z + seen.f];
@@ -96,10 +96,10 @@ const StageFlat = (() => {
       context.restore();
     }
 
-    _path(context, points) {
+    _path(context, { points, colour }) {
       context.beginPath();
       for (const [x, z] of points) context.lineTo(x, z);
-      context.strokeStyle = "#cc0080";
+      context.strokeStyle = colour;
       context.lineWidth = 1.5 * this.pixel;
       context.stroke();
     }

@@ -65,10 +65,10 @@ const StageSolid = (() => {
     return [mesh(part, new THREE.MeshLambertMaterial({ color: colourOf(part.colour) }))];
   }
 
-  function path(points) {
+  function path({ points, colour }) {
     const curve = new THREE.CatmullRomCurve3(points.map(([x, z]) => new THREE.Vector3(x, -0.03, z)));
     const tube = new THREE.TubeGeometry(curve, 90, 0.0008, 6);
-    return new THREE.Mesh(tube, new THREE.MeshBasicMaterial({ color: 0xcc0080 }));
+    return new THREE.Mesh(tube, new THREE.MeshBasicMaterial({ color: colour }));
   }
 
   function light(scene) {
@@ -98,7 +98,7 @@ const StageSolid = (() => {
       scene.add(frames[name]);
     }
     for (const part of leg.data.parts) frames[part.frame].add(...objectsOf(part));
-    scene.add(path(leg.data.icr_path));
+    scene.add(...leg.data.centre_paths.map(path));
     return { scene, frames, cylinder: frames.cylinder.getObjectByName("cylinder").material };
   }
 
