@@ -20,6 +20,7 @@ BESIDE_PACKAGES = {
         *("pose", "rod_extension", "encoder_angle", "knee_angle_from_encoder"),
         *("knee_angle_from_rod", "icr"),
     ),
+    "kneexo.linkage_properties": ("linkage_properties", "LinkageProperties", "OverMotion"),
     "kneexo.parameters.paths": ("changed", "value_at"),
     "kneexo.parameters.scenario_file": ("load_scenario", "dump_scenario", "load_uncertainty"),
     "kneexo.parameters.uncertainty": ("draw", "realize"),

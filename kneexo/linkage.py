@@ -149,19 +149,47 @@ def pose(link: LinkageParameters, knee_angle: ArrayLike) -> LinkagePose:
     )
 
 
-def _theta_4(link: LinkageParameters, theta_p: Array) -> Array:
+def _diagonal(link: LinkageParameters, theta_p: Array) -> NDArray[np.complex128]:
+    """Return D = O_B − O_A − a_3e^{jθ_3} in m, which links 2 and 4 must span."""
     o_a, o_b = _ground(link)
-    d = o_b - o_a - link.a_3_m * np.exp(1j * (theta_p - link.phi_rad))
+    return np.asarray(o_b - o_a - link.a_3_m * np.exp(1j * (theta_p - link.phi_rad)))
+
+
+def _theta_4(link: LinkageParameters, theta_p: Array) -> Array:
+    d = _diagonal(link, theta_p)
     cosine = (link.a_2_m**2 - link.a_4_m**2 - np.abs(d) ** 2) / (2.0 * link.a_4_m * np.abs(d))
     if np.any(bad := ~(np.abs(cosine) <= 1.0)):
         angle = np.degrees(np.broadcast_to(theta_p, bad.shape)[bad].flat[0])
         raise LinkageError(
             f"the linkage cannot be assembled at knee angle {angle:.4g} deg: links "
-            f"a_2_m = {link.a_2_m:g} m and a_4_m = {link.a_4_m:g} m do not close; change the "
-            f"lengths or the ground joints"
+            f"a_2_m = {link.a_2_m:g} m and a_4_m = {link.a_4_m:g} m do not close"
+            f"{_closing_change(link, theta_p)}"
         )
     # sin(θ_4 − θ_2) has the sign of sin(θ_4 − arg D), since a_2 e^{jθ_2} = D + a_4 e^{jθ_4}.
     return np.asarray(np.angle(d) + link.branch * np.arccos(cosine))
+
+
+def _closing_change(link: LinkageParameters, theta_p: Array) -> str:
+    """Return, as text, the lengths of link 2 or 4 with which the links close.
+
+    They close where |a_2 − a_4| ≤ |D| ≤ a_2 + a_4. The text belongs to the knee angles
+    ``theta_p`` and `FIT_RANGE_DEG`, and to the length that changes less. It keeps 0.1 % away from
+    the limits. If no change of one length suffices, it names both. It is empty if the lengths are
+    right, because a knee angle is not a number.
+    """
+    fit_range = np.radians(np.linspace(*FIT_RANGE_DEG, 187))
+    distance = np.abs(_diagonal(link, np.append(theta_p[np.isfinite(theta_p)], fit_range)))
+    least, most = distance.max(), distance.min()
+    changes = []
+    for name, other in (("a_2_m", link.a_4_m), ("a_4_m", link.a_2_m)):
+        low, high = 1.001 * max(least - other, other - most), 0.999 * (most + other)
+        change = max(low - getattr(link, name), getattr(link, name) - high)
+        if low <= high:
+            changes.append((change, f"; {name} must be {low:.4g} … {high:.4g} m"))
+    if not changes:
+        return f"; choose a_2_m = a_4_m, at least {0.501 * least:.4g} m"
+    change, text = min(changes)
+    return text if change > 0.0 else ""
 
 
 @lru_cache(maxsize=64)

@@ -388,7 +388,7 @@ def test_links_that_do_not_close_are_reported_with_angle_and_lengths():
         pose(changed(G1, a_2_m=0.2), np.radians(45.0))
     assert message_of(error) == (
         "the linkage cannot be assembled at knee angle 45 deg: links a_2_m = 0.2 m and "
-        "a_4_m = 0.0182289 m do not close; change the lengths or the ground joints"
+        "a_4_m = 0.0182289 m do not close; a_2_m must be 0.02406 … 0.03604 m"
     )
 
 
