@@ -35,6 +35,14 @@ from kneexo.analysis.impedance import (
     output_impedance,
 )
 from kneexo.analysis.interaction import InteractionMetrics, interaction_metrics
+from kneexo.analysis.leg_length import (
+    LegLength,
+    SwingClearance,
+    VoluntaryStability,
+    leg_length,
+    swing_clearance,
+    voluntary_stability,
+)
 from kneexo.analysis.margins import Margins
 from kneexo.analysis.passivity import PassivityLimits, passivity_limits
 from kneexo.analysis.plant_linearization import (
@@ -67,6 +75,7 @@ __all__ = [
     "EnergyBalance",
     "FrequencyResponse",
     "InteractionMetrics",
+    "LegLength",
     "Margins",
     "MeasuredImpedance",
     "OperatingPoint",
@@ -83,10 +92,12 @@ __all__ = [
     "StepMetrics",
     "StiffnessInterval",
     "StrideLoad",
+    "SwingClearance",
     "TorqueResponse",
     "TrackingMetrics",
     "TrackingResult",
     "Verdict",
+    "VoluntaryStability",
     "align",
     "coupled_stability",
     "crossing",
@@ -98,6 +109,7 @@ __all__ = [
     "fundamental",
     "interaction_metrics",
     "large_signal_bandwidth_hz",
+    "leg_length",
     "linearize_loop",
     "linearize_plant",
     "measure_impedance",
@@ -113,7 +125,9 @@ __all__ = [
     "step_metrics",
     "stiffness_interval",
     "stride_load",
+    "swing_clearance",
     "torque_response",
     "track",
     "tracking_metrics",
+    "voluntary_stability",
 ]

@@ -72,6 +72,7 @@ from kneexo.parameters.uncertainty import (
     Uncertainty,
     UncertaintySet,
 )
+from kneexo.parameters.walking_leg import WalkingLegParameters
 from kneexo.parameters.wearer import (
     BODIES,
     MOMENT_MASS_KG,
@@ -147,6 +148,7 @@ __all__ = [
     "TorqueParameters",
     "Uncertainty",
     "UncertaintySet",
+    "WalkingLegParameters",
     "Wearer",
     "gait_moment",
     "gait_reference",

@@ -1,0 +1,176 @@
+"""Length, toe clearance and stance of a leg whose knee is a linkage, as a prosthesis has it.
+
+A worn exoskeleton does not shorten the wearer's leg: the wearer's own knee sets its length. The
+numbers for a linkage hold if the linkage were the leg. For the wearer they hold with an
+`AnatomicalKneeParameters`. Coordinates are those of `kneexo.shank_motion`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from kneexo.gait import gait_knee_flexion
+from kneexo.parameters import AnatomicalKneeParameters, LinkageParameters, WalkingLegParameters
+from kneexo.result import Array, Result
+from kneexo.shank_motion import Points, ShankMotion, anatomical_motion, linkage_motion
+
+Knee = LinkageParameters | AnatomicalKneeParameters
+"""Type of the knee of a leg: a linkage, if it were the leg, or a wearer's own."""
+
+
+@dataclass(frozen=True, repr=False)
+class LegLength(Result):
+    """Distance from hip to ankle over the knee angle, all arrays (n,)."""
+
+    knee_angle_deg: Array
+    distance_m: Array
+    hinge_distance_m: Array
+    """Distance of a leg whose knee is a hinge at the origin."""
+
+    @property
+    def shortening_m(self) -> Array:
+        """How much shorter than with the hinge the leg is. It is negative for a longer leg."""
+        return self.hinge_distance_m - self.distance_m
+
+
+@dataclass(frozen=True, repr=False)
+class SwingClearance(Result):
+    """Height of the toe in swing if the knee were the leg's, all arrays (n,)."""
+
+    gait_percent: Array
+    """Time after heel contact in % of the gait cycle."""
+    knee_angle_deg: Array
+    """Measured flexion of the knee, of `kneexo.gait.gait_knee_flexion`."""
+    thigh_flexion_deg: Array
+    """Flexion of the thigh from the vertical, an assumption of `WalkingLegParameters`."""
+    toe_depth_m: Array
+    """How far the toe is below the hip."""
+    hinge_toe_depth_m: Array
+    """How far the toe is below the hip if the knee is a hinge at the origin."""
+
+    @property
+    def clearance_gain_m(self) -> Array:
+        """How much higher than with the hinge the toe is, at the same height of the hip."""
+        return self.hinge_toe_depth_m - self.toe_depth_m
+
+    @property
+    def least_clearance_gain_m(self) -> float:
+        """How much higher than with the hinge the lowest point of the toe's path is."""
+        return float(self.hinge_toe_depth_m.max() - self.toe_depth_m.max())
+
+
+@dataclass(frozen=True, repr=False)
+class VoluntaryStability(Result):
+    """Moments of the hip by which a person controls a loaded knee without knee muscles."""
+
+    knee_angle_deg: float
+    centre: complex
+    """Instantaneous centre of the knee in m, x backwards and y up."""
+    hip_extension_n_m: float
+    """Extension moment that keeps the knee from flexing at heel contact.
+
+    If it is negative, the knee is stable without it, up to this flexion moment.
+    """
+    hip_flexion_n_m: float
+    """Flexion moment that starts flexion at push-off, with the load on the ball of the foot.
+
+    If it is negative, the knee flexes without it.
+    """
+
+
+def leg_length(
+    knee: Knee,
+    knee_angle_deg: ArrayLike = tuple(range(91)),
+    leg: WalkingLegParameters = WalkingLegParameters(),
+) -> LegLength:
+    """Compute the distance from hip to ankle, beside that of a leg with a hinge at the origin.
+
+    Raises `LinkageError` and `ParameterError` as `linkage_motion` and `anatomical_motion` do.
+    """
+    motion = _motion(knee, knee_angle_deg)
+    ankle = -1j * leg.shank_m
+    return LegLength(
+        knee_angle_deg=np.degrees(motion.knee_angle),
+        distance_m=np.abs(_place(motion, ankle) - _hip(leg)),
+        hinge_distance_m=np.abs(ankle * motion.turn - _hip(leg)),
+    )
+
+
+def swing_clearance(
+    knee: Knee, leg: WalkingLegParameters = WalkingLegParameters()
+) -> SwingClearance:
+    """Compute the height of the toe over the measured swing, if ``knee`` were the leg's knee.
+
+    The knee flexes as measured. The thigh swings as ``leg`` assumes, and the foot keeps a right
+    angle to the shank. The heights are relative to the hip, whose own height has no measurement.
+
+    Raises `LinkageError` and `ParameterError` as `leg_length` does.
+    """
+    percent, flexion, _ = gait_knee_flexion()
+    swing = (percent >= leg.swing_percent[0]) & (percent <= leg.swing_percent[-1])
+    percent = percent[swing]
+    thigh_deg = np.interp(percent, leg.swing_percent, leg.thigh_flexion_deg)
+    motion = _motion(knee, flexion[swing])
+    toe = -leg.toe_m - 1j * (leg.shank_m + leg.ankle_height_m)
+
+    def depth(place: Points) -> Array:
+        # The thigh flexes forwards, which is clockwise.
+        return np.asarray(-np.imag((place - _hip(leg)) * np.exp(-1j * np.radians(thigh_deg))))
+
+    return SwingClearance(
+        gait_percent=percent,
+        knee_angle_deg=flexion[swing],
+        thigh_flexion_deg=thigh_deg,
+        toe_depth_m=depth(_place(motion, toe)),
+        hinge_toe_depth_m=depth(toe * motion.turn),
+    )
+
+
+def voluntary_stability(
+    knee: Knee,
+    knee_angle_deg: float = 0.0,
+    leg: WalkingLegParameters = WalkingLegParameters(),
+) -> VoluntaryStability:
+    """Compute the hip moments that keep a loaded knee straight, and that start its flexion.
+
+    The moment is (L/y)(P d − M_K) for small angles, by statics of the leg about the instantaneous
+    centre (Radcliffe, Prosthetics and Orthotics International 18, 1994, 159–173). L is the distance
+    from the contact on the ground to the hip. The centre lies d in front of this line, and y along
+    it from the contact. P is the load along the line, and M_K the extension moment of the knee.
+
+    Raises `LinkageError` and `ParameterError` as `leg_length` does.
+    """
+    motion = _motion(knee, knee_angle_deg)
+    centre, sole = complex(motion.fixed_centrode[0]), -1j * (leg.shank_m + leg.ankle_height_m)
+
+    def hip_extension(contact: complex) -> float:
+        line = _hip(leg) - complex(_place(motion, contact)[0])
+        along = np.conj(line / abs(line)) * (centre - _hip(leg) + line)
+        y, d = along.real, along.imag
+        return float(abs(line) / y * (leg.load_n * d - leg.knee_moment_n_m))
+
+    return VoluntaryStability(
+        knee_angle_deg=float(knee_angle_deg),
+        centre=centre,
+        hip_extension_n_m=hip_extension(sole + leg.heel_m),
+        hip_flexion_n_m=-hip_extension(sole - leg.forefoot_m),
+    )
+
+
+def _motion(knee: Knee, knee_angle_deg: ArrayLike) -> ShankMotion:
+    angle = np.radians(knee_angle_deg)
+    if isinstance(knee, LinkageParameters):
+        return linkage_motion(knee, angle)
+    return anatomical_motion(knee, angle)
+
+
+def _hip(leg: WalkingLegParameters) -> complex:
+    return 1j * leg.thigh_m
+
+
+def _place(motion: ShankMotion, point: complex) -> Points:
+    """Return the places (n,) of a point of the shank in the frame of the thigh."""
+    return np.asarray(motion.translation + point * motion.turn)
