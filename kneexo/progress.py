@@ -122,7 +122,7 @@ class _Whole:
     def stage(self, name: str) -> tuple[float, float]:
         """Return begin and end of the next bar of a stage, in s of typical duration.
 
-        They are the present position if there is no such stage.
+        Begin and end are the present position if there is no such stage.
         """
         if name not in self._left:
             return self._reached, self._reached

@@ -67,7 +67,7 @@ class BodeResponse(Result):
 
     ``response`` (n,) is the complex gain from the reference θ_d to the knee angle θ_p. It contains
     the feedforward of the reference. ``complementary_sensitivity`` (n,) is L/(1 + L) of the loop
-    transfer L, the feedback alone. They are equal if the controller has no feedforward.
+    transfer L, the feedback alone. Both responses are equal if the controller has no feedforward.
     """
 
     frequencies_hz: Array

@@ -141,7 +141,7 @@ async def large_signal_bandwidth_hz(
     frequency is known to 0.1 % or the gain is 1/√2 to 0.05 %.
 
     The result is nan when the gain does not fall below 1/√2 between `LOWEST_HZ` and the frequency
-    with ten samples a period. Raises `ParameterError` when the reference is no sine or does not
+    with ten samples a period. Raises `ParameterError` when the reference is not a sine or does not
     move. Also raises the errors of `kneexo.simulation.simulate`.
     """
     require_sine(scenario)

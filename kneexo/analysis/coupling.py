@@ -1,10 +1,10 @@
 """Coupled stability of knee and wearer, and the stable interval of a virtual stiffness.
 
-Knee, cuff and leg are one sampled loop (`kneexo.analysis.linearize_loop`). It is stable if all its
-eigenvalues λ for one sample have |λ| < 1. In all functions a constant torque carries the weight of
-the shank, so that the loop rests at the given knee angle. An active leg replaces a passive one,
-which has the same linear equations. Stability holds for small motions, without quantizers, slip and
-limits of the motor.
+Knee, cuff and leg are one sampled loop (`kneexo.analysis.linearize_loop`). The loop is stable if
+all its eigenvalues λ for one sample have |λ| < 1. In all functions a constant torque carries the
+weight of the shank, so that the loop rests at the given knee angle. An active leg replaces a
+passive one, which has the same linear equations. Stability holds for small motions, without
+quantizers, slip and limits of the motor.
 """
 
 from __future__ import annotations

@@ -233,8 +233,8 @@ def fundamental(time_s: Array, signal: Array, frequency_hz: float) -> complex:
     Parameters
     ----------
     time_s, signal
-        Times in s and the values of the signal, (n,) each. They should cover whole periods, so
-        that harmonics have no effect.
+        Times in s and the values of the signal, (n,) each. The samples should cover whole
+        periods, so that harmonics have no effect.
     frequency_hz
         The frequency ω/2π in Hz.
     """
@@ -356,7 +356,7 @@ def sinestream(
     Raises
     ------
     ParameterError
-        The reference is no sine or does not move, there are no trials, or a frequency has fewer
+        The reference is not a sine or does not move, there are no trials, or a frequency has fewer
         than ten samples a period.
     SimulationError
         A run fails.

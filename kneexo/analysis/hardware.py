@@ -105,7 +105,7 @@ def limited_bandwidth_hz(
 def expected_bandwidth_hz(scenario: Scenario) -> float:
     """Return `limited_bandwidth_hz` for the limits and the sinusoidal reference of a scenario.
 
-    Raises `ParameterError` when the reference is no sine or does not move.
+    Raises `ParameterError` when the reference is not a sine or does not move.
     """
     require_sine(scenario)
     speed, acceleration = rod_limits(scenario)

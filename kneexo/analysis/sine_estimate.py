@@ -185,7 +185,7 @@ async def estimate_sine(
     number of cycles until ``settings.averaged_cycles`` successive cycles agree, or until
     ``settings.largest_cycles`` are reached. Ramp and duration of the scenario are replaced.
 
-    Raises `ParameterError` when the reference is no sine, does not move, or has fewer than ten
+    Raises `ParameterError` when the reference is not a sine, does not move, or has fewer than ten
     samples a period. Also raises the errors of `kneexo.simulation.simulate`.
     """
     reference = require_sine(scenario)

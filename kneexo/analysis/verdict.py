@@ -229,8 +229,8 @@ class Verdict(Result):
 def verdict_of(scenario: Scenario, run: Run, *, step: tuple[bool, str] | None) -> Verdict:
     """Return the `Verdict` on a run. Linearizes the loop of its scenario.
 
-    ``step`` says whether the response to a step settles, and describes it in one line. It is None
-    if the reference has no step.
+    ``step`` says whether the response to a step settles, and describes it in one line. ``step`` is
+    None if the reference has no step.
     """
     tracking, tracking_lines = _tracking(scenario, run, step)
     torques, torque_lines = _torques(scenario, run)

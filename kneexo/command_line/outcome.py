@@ -174,7 +174,7 @@ def file_names(files: Iterable[str], figures: Iterable[str] = ()) -> list[str]:
 
 
 def files_line(directory: Path, files: Iterable[str], figures: Iterable[str] = ()) -> str:
-    """Return the line that says where files and figures are. It counts the figures."""
+    """Return the line that names directory and files, with the number of figures."""
     names = sorted(files)
     if count := len(list(figures)):
         names.append(f"{count} figure{'s' if count > 1 else ''} (PDF, PNG)")
@@ -186,7 +186,7 @@ def named_in_errors(path: str | None) -> Iterator[None]:
     """Context manager: put ``path``, the scenario file, before the message of an error.
 
     The message stays as it is if it begins with an argument such as ``--set``, or if the scenario
-    cannot be the cause, as of an output that cannot be written.
+    cannot be the cause, for example because an output cannot be written.
     """
     try:
         yield

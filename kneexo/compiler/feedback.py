@@ -44,8 +44,8 @@ def simulate_with_feedback(
     feedback_input
         Name of the open input.
     feedback_outputs
-        Names of the output ports whose values the function gets. They must not depend on the open
-        input at the same time.
+        Names of the output ports whose values the function gets. The ports must not depend on the
+        open input at the same time.
     sample_period_s
         Time between two calls, and between two records, in s.
     outputs

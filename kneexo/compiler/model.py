@@ -191,7 +191,7 @@ class CompiledModel(ModelBase):
             Names of the output ports to record; all by default, or none if there are reductions.
         reductions
             Numbers that the runs compute from the samples of their outputs, such as the largest
-            error. ``Simulation.reduced`` has their values. This takes less time than records.
+            error. ``Simulation.reduced`` has their values. Reductions take less time than records.
         record_period_s, options
             As in `simulate`. A reduction has a sample at the time of each record.
 

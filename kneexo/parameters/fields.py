@@ -13,7 +13,7 @@ from pydantic.fields import FieldInfo
 
 @dataclass(frozen=True)
 class Words:
-    """Words that a field accepts in place of a value. It is an item of a field's metadata."""
+    """Words that a field accepts in place of a value. `Words` are an item of a field's metadata."""
 
     values: Mapping[Any, Any] = field(default_factory=dict)
     """The values for which the words stand."""

@@ -269,10 +269,10 @@ class Parameters(BaseModel):
     def _with_numbers(self, values: Mapping[str, Any]) -> Self | None:
         """Return a copy in which only numbers change; None if that is not enough.
 
-        `changed` describes ``values``. This is much faster than a validation of all values, because
-        parts without a change are shared. Each number must be a float within the range of its
-        field, and the validators of the changed parts must accept the copy. In all other cases the
-        result is None.
+        `changed` describes ``values``. The copy is much faster than a validation of all values,
+        because parts without a change are shared. Each number must be a float within the range of
+        its field, and the validators of the changed parts must accept the copy. In all other cases
+        the result is None.
         """
         ranges = _number_ranges(type(self))
         update: dict[str, Any] = {}

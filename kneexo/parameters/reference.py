@@ -197,7 +197,7 @@ class CsvReference(Parameters):
 
         `read_table` says which files can be read. Raises `ScenarioError`, a subclass of
         `ParameterError`, if the file cannot be read or lacks a column, or if an entry is missing,
-        is no number, or is out of range.
+        is not a number, or is out of range.
         """
         path = Path(directory, self.file)
         table = read_table(path, (self.time, self.angle), "; give its names as time: and angle:")

@@ -16,7 +16,7 @@ AS_183 = ((30269, 171), (30307, 172), (30323, 170))
 
 
 class LoadCellParameters(Parameters):
-    """Load cell on the rod. It is part of a loop with a wearer or a torque controller."""
+    """Load cell on the rod, in a loop with a wearer or a torque controller."""
 
     range_n: float = quantity(
         2000.0, "N", "assumption: 1.8 times the rated pressure on A_1", ge=1, le=1e6

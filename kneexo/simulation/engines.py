@@ -29,7 +29,7 @@ class RunRequest(Request[Run]):
     """A request to simulate a scenario; the answer is a `Run`. `simulate` describes the fields.
 
     ``reductions`` are numbers that the compiled engine computes from output ports of the closed
-    loop. They must be empty if `can_reduce` refuses the scenario.
+    loop. ``reductions`` must be empty if `can_reduce` refuses the scenario.
     """
 
     scenario: Scenario

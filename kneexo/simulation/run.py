@@ -17,11 +17,13 @@ from kneexo.result import Array, Result, data_frame
 class Run(Result):
     """Logged signals of one run: ``time_s`` (n,) and ``data`` by column name, each (n,).
 
-    The logged output of a controller at time t is the value that was held until the update at t.
-    So row n has the motor speed command that belongs to the measurement of row n − 1, or n − 1 − k
+    The logged output of a controller at time t is the value that was held until the update at t. So
+    row n has the motor speed command that belongs to the measurement of row n − 1, or n − 1 − k
     with a bus of k samples latency.
-    ``settings`` names the solver of this run. If the run was repeated, it is the solver of the last
-    attempt. All values are finite. ``reduced`` has the values of the reductions of a `RunRequest`.
+
+    ``settings`` names the solver of this run. If the run was
+    repeated, ``settings`` is the solver of the last attempt. All values are finite. ``reduced`` has
+    the values of the reductions of a `RunRequest`.
     """
 
     time_s: Array

@@ -206,7 +206,7 @@ def parallel_map(
     Parameters
     ----------
     function, items
-        Function and items. They must be picklable if there is more than one worker.
+        Function and items. Both must be picklable if there is more than one worker.
     workers
         Number of processes, as in `process_pool`. Processes are spawned. So a script needs
         ``if __name__ == "__main__":`` if there is more than one process.

@@ -74,9 +74,9 @@ class WearerKnee(NamedLeaf):
     dξ_i/dt = 2π f_i (s − ξ_i),  W(θ) = m_h g l_h sin(α_thigh − θ).
     With ``passive`` motion the deflection is s = θ_h − θ_n about the neutral angle, and A = 0.
     With ``active`` motion the deflection is s = θ_h − θ_ref about the reference, and
-    A = (ε − 1) M + I_h d²θ_ref/dt² − W(θ_ref). Its muscles give the share ε of the biological
-    moment M(t). An external torque −M + I_h d²θ_ref/dt² − W(θ_ref) balances the whole moment, as
-    the ground reaction does in walking.
+    A = (ε − 1) M + I_h d²θ_ref/dt² − W(θ_ref). The muscles of the leg give the share ε of the
+    biological moment M(t). An external torque −M + I_h d²θ_ref/dt² − W(θ_ref) balances the
+    whole moment, as the ground reaction does in walking.
 
     ==================  ====  =============  ==================================================
     input port          size  unit

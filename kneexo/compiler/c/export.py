@@ -84,7 +84,7 @@ def export_c(
         Names of the input ports of the diagram that become inputs of the C code.
     samples
         Inputs in each step of the test vectors, (steps, elements of all inputs); zeros by default.
-        They are finite, within the ranges of ``interface``, and whole numbers for an int32_t.
+        The inputs are finite, within the ranges of ``interface``, and whole numbers for an int32_t.
     steps
         Number of test vectors if ``samples`` is missing.
     context

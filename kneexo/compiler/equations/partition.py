@@ -76,8 +76,8 @@ def nodes_by_count(
     graph, roots
         The graph, and the nodes whose values the code is to compute.
     is_count
-        Returns whether a node is a count. It is called for nodes whose value does not depend on
-        counts alone.
+        Returns whether a node is a count. The function is called for nodes whose value does
+        not depend on counts alone.
     cost
         Returns the cost of an operation. The cost of a node is the sum over this node and all nodes
         that it depends on. Fixed nodes and the count cost nothing.

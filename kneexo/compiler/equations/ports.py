@@ -29,7 +29,7 @@ def find_port(root: Node, name: str, kind: str) -> Port:
     Raises
     ------
     CompilationError
-        The diagram has no such port, or the port is no vector.
+        The diagram has no such port, or the port is not a vector.
     """
     index = _ports(root.system, kind).get(name)
     port = _inner_port(root, name) if index is None else (root, kind, index)

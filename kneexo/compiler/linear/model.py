@@ -380,7 +380,7 @@ def _frequencies(frequencies_hz: ArrayLike, period_s: float | None) -> Array:
     """Return frequencies as an array (n,), and check their range.
 
     Raises `LinearizationError` for a frequency that is not finite or exceeds the range, and
-    `ParameterError` for what is no number.
+    `ParameterError` for what is not a number.
     """
     try:
         frequencies = np.atleast_1d(np.asarray(frequencies_hz, dtype=float))

@@ -270,7 +270,8 @@ def contest_study(
         An uncertain value is one that no scenario has, or is out of range. The scenario has none of
         the values. The controller is a law of the user.
     SimulationError
-        The default SMC fails on a training plant. Its chattering is the budget of the tuning.
+        The default SMC fails on a training plant. The chattering of the default SMC is the
+        budget of the tuning.
     """
     with open_sweep(**options) as sweep:
         return _contest(scenario, uncertainty, settings, sweep)
@@ -442,7 +443,7 @@ def _entrant(contestant: Contestant, gains: Values) -> dict[str, Any]:
 
 
 def errors_of(metrics: Sequence[Values], name: str = "max_error_deg") -> Array:
-    """Return the metric ``name`` on each of n plants, (n,). It is inf if the plant's run failed."""
+    """Return the metric ``name`` on each of n plants, (n,), and inf where the run failed."""
     return np.array([math.inf if math.isnan(v[name]) else v[name] for v in metrics])
 
 

@@ -60,8 +60,8 @@ _STYLES: tuple[dict[str, Any], ...] = tuple(
 def figures(result: SizeResult) -> dict[str, Figure]:
     """Draw the figures of a sizing. Return a dictionary from name to figure.
 
-    They show sweeps and maps of the hardware, the gains, tracking and demand over a gait cycle, and
-    pressures over a whole stride.
+    The figures show sweeps and maps of the hardware, the gains, tracking and demand over a gait
+    cycle, and pressures over a whole stride.
     """
     return {
         "sizing_sweeps": _sweeps(result),

@@ -30,7 +30,7 @@ from kneexo.studies.size.settings import SizeSettings
 
 @dataclass(frozen=True)
 class Search:
-    """Result of a search in ``low`` … ``high`` for the smallest value with an error within a bound.
+    """Result of a search for the smallest value that keeps an error within a bound.
 
     If no value keeps the error within the bound, ``reached`` is False and ``value`` is the tried
     value with the least error.

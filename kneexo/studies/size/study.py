@@ -87,9 +87,9 @@ def smallest(
     """Search for the smallest value in ``low`` … ``high`` (> 0) with an error up to ``bound_deg``.
 
     The search bisects the value's logarithm until the result is known to the relative
-    ``tolerance``. It assumes that the error does not increase with the value. A nan error exceeds
-    every bound. If the error at ``high`` exceeds the bound, the search tries nine values from
-    ``low`` to ``high`` and returns the value of least error.
+    ``tolerance``. The search assumes that the error does not increase with the value. A nan error
+    exceeds every bound. If the error at ``high`` exceeds the bound, the search tries nine values
+    from ``low`` to ``high`` and returns the value of least error.
     """
     at_low, at_high = error_deg(low), error_deg(high)
     if at_low <= bound_deg:
