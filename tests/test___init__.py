@@ -79,9 +79,7 @@ def test_a_scenario_may_be_the_path_of_its_file(name):
 @pytest.mark.parametrize("name", EXAMPLES)
 def test_an_example_prints_what_it_shows(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    text = getattr(kneexo, name).__doc__
-    result = doctest.DocTestRunner().run(
-        doctest.DocTestParser().get_doctest(text, {}, name, None, None)
-    )
-    assert result.attempted >= 2
-    assert result.failed == 0
+    examples = doctest.DocTestFinder().find(getattr(kneexo, name), name)
+    results = [doctest.DocTestRunner().run(example) for example in examples]
+    assert sum(result.attempted for result in results) >= 2
+    assert sum(result.failed for result in results) == 0

@@ -96,16 +96,6 @@ class Scenario(Parameters):
     """One closed-loop run: plant, measurement, controller, bus, reference and simulation.
 
     ``nominal`` is the plant that the controller is designed for, by default ``plant``.
-
-    Examples
-    --------
-    A preset with a heavier piston and a slower controller. The preset itself does not change.
-
-    >>> import kneexo as kx
-    >>> bench = kx.Scenario.preset("bench")
-    >>> heavy = bench.changed({"plant.cylinder.mass_kg": 1.8, "controller.lambda_per_s": 10.0})
-    >>> heavy.plant.cylinder.mass_kg, bench.plant.cylinder.mass_kg
-    (1.8, 1.6)
     """
 
     plant: PlantParameters = PlantParameters()
@@ -143,6 +133,16 @@ class Scenario(Parameters):
         ``paper`` is the default scenario. ``bench`` adds the weight of the shank and the drive on
         its bus. ``leg`` also adds the full order of the cylinder, with friction. ``wearer`` also
         adds a wearer, and controls the torque. Raises `ParameterError` for another name.
+
+        Examples
+        --------
+        A preset with a heavier piston and a slower controller. The preset itself does not change.
+
+        >>> import kneexo as kx
+        >>> bench = kx.Scenario.preset("bench")
+        >>> heavy = bench.changed({"plant.cylinder.mass_kg": 1.8, "controller.lambda_per_s": 10.0})
+        >>> heavy.plant.cylinder.mass_kg, bench.plant.cylinder.mass_kg
+        (1.8, 1.6)
         """
         return cls(**with_preset(name, {}))
 
