@@ -141,7 +141,7 @@ class SlidingModeParameters(Parameters):
 
     @property
     def gain_ratio(self) -> float:
-        """Ratio β = √(b_max/b_min) = √(m_max/m_min) of the bounds of gain b. Eq. 23 prints 1/β."""
+        """Ratio β = √(b_max/b_min) = √(m_max/m_min) of Eq. 23, which the paper prints inverted."""
         return math.sqrt(self.mass_max_kg / self.mass_min_kg)
 
 

@@ -284,9 +284,9 @@ def reference_range_deg(parameters: Reference) -> tuple[float, float]:
 def run_range_deg(scenario: Scenario) -> tuple[float, float]:
     """Return the smallest and the largest knee angle in deg of the reference within a run.
 
-    The run lasts from 0 to ``scenario.duration_s``. Steps, angles and samples that it does not
-    reach do not count. Of a sampled reference count the samples within the run, and the curve at
-    both ends of the run.
+    The run lasts from 0 to ``scenario.duration_s``. Steps, angles and samples beyond the end of the
+    run do not count. A sampled reference counts with its samples within the run, and with its curve
+    at both ends of the run.
     """
     return _range_within(scenario.reference, scenario.duration_s)
 

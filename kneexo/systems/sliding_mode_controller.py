@@ -35,7 +35,7 @@ def sliding_mode_command(state: Any, reference: Any, p: Any, signum: bool = Fals
     k = (ΔK|v| + ΔB|a| + ΔḞ_L)/m̂ + ω̂²|ΔA/Ā||v| + |1 − β||x⃛_d − 2λë − λ²ė| + βη,
     with ω̂² = 4β_eĀ²/(m̂V_t).
 
-    The term with ΔA is not in Eq. 27, and it is zero by default. It covers chambers whose area is
+    The term with ΔA, which is zero by default and not in Eq. 27, covers chambers whose area is
     not Ā. Eq. 27 lacks the absolute values of v and a, and Eq. 23 prints the inverse of
     β = √(b_max/b_min). ``p`` has the Context parameters of `SlidingModeController` as attributes.
     With ``signum``, sgn(s) replaces sat(s/Φ).

@@ -78,19 +78,19 @@ def margins(loop: Any) -> LoopMargins:
     Nyquist frequency, or infinity, count too.
 
     python-control's ``stability_margins`` expands state spaces into polynomials. Polynomials are
-    exact enough for a continuous loop of a few states. They lose the margins of a sampled loop with
-    many states, such as a delay of 60 samples. Its ``disk_margins`` returns the smallest value on
-    the frequencies that it gets. It has no delay margin.
+    exact enough for a continuous loop of a few states, but lose the margins of a sampled loop with
+    many states, such as a delay of 60 samples. python-control's ``disk_margins`` returns the
+    smallest value on the frequencies that it gets. python-control has no delay margin.
 
     Parameters
     ----------
     loop
         The loop transfer L for negative feedback, in one of the forms that `as_transfer` describes,
         or a `PeriodicLoop`. In place of L, a `PeriodicLoop` has a factor k on its signal at all
-        times. Its margins are the smallest changes of k that move an eigenvalue of the motion over
-        a period across the unit circle. For a loop with a transfer function both definitions give
-        the same numbers. The phase margins are then the smaller one of lag and lead, and the delay
-        margin is nan.
+        times. The margins are then the smallest changes of k that move an eigenvalue of the motion
+        over a period across the unit circle. For a loop with a transfer function both definitions
+        give the same numbers. The phase margins are then the smaller one of lag and lead, and the
+        delay margin is nan.
 
     Raises
     ------

@@ -195,7 +195,7 @@ class WearerRow:
 
 @dataclass(frozen=True)
 class MarginRow:
-    """Least margins of a design in reduced order, over the legs `WEARERS` and the postures.
+    """Least margins of a design in reduced order, over the legs `WEARERS` and the knee angles.
 
     The stiffnesses are those of `kneexo.analysis.StiffnessInterval`. Numbers are nan if a loop is
     unstable or does not rest.
