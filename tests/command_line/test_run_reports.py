@@ -12,6 +12,7 @@ from kneexo.analysis.verdict import loop_lines
 from kneexo.command_line.run_reports import linear_report, tracking_report
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
+from kneexo.studies.markdown import number
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +68,10 @@ def test_numbers_without_limit_have_units(leg):
     assert float(rows["work that flows back to the motor"][0][:-2]) == pytest.approx(back, rel=0.05)
     rms = np.sqrt(np.mean(leg.error_deg**2))
     assert rows["error, root mean square"] == [f"{rms:.3g}°"]
+    change = f"{leg.metrics.mean_command_change_rpm:.3g} rpm per sample"
+    assert rows["mean change of the command"] == [change]
+    work = f"{leg.metrics.hydraulic_energy_j:.3g} J"
+    assert rows["work of the pump on the cylinder"] == [work]
 
 
 def test_a_run_shorter_than_its_period_has_dashes():
@@ -148,6 +153,8 @@ def test_margins_are_listed_once_with_criterion_and_verdict(linear):
     assert rows["more gain"] == [*more, "at least factor 1.67", "sound"]
     assert rows["phase lag"][0] == f"{m.phase_margin_deg:.3g}°"
     assert rows["phase lag"][2:] == ["at least 28.1°", "sound"]  # 2 atan(1/4)
+    assert rows["phase lead"][0] == f"{number(m.phase_lead_margin_deg)}°"
+    assert rows["gain and phase together (disk margin)"][0] == number(m.disk_margin)
     delay = f"{1e3 * m.delay_margin_s:.3g} ms ({int(m.delay_margin_s / 0.002)} samples)"
     assert rows["delay"][0] == delay
     assert rows["delay"][2:] == ["at least 2 ms", "sound"]
