@@ -8,13 +8,13 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 from unittest.mock import Mock
 
 import pytest
+from waiting import wait_for
 
 from kneexo import __version__
 from kneexo.analysis import sinestream
@@ -181,14 +181,6 @@ def cluster(tmp_path):
         for process in processes:
             process.kill()
             process.wait()
-
-
-def wait_for(condition, seconds=60.0):
-    end = time.monotonic() + seconds
-    while not condition():
-        if time.monotonic() > end:
-            raise TimeoutError(condition)
-        time.sleep(0.01)
 
 
 def _address(file):

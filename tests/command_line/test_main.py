@@ -5,12 +5,12 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
 from pydantic_core import SchemaError, SchemaValidator, core_schema
+from waiting import wait_for
 
 from kneexo.command_line import single_runs, utilities
 from kneexo.command_line.main import main
@@ -161,15 +161,6 @@ def test_a_mistake_of_ours_has_its_traceback(monkeypatch):
 
 
 # ---------------------------------------------------------------------------- interrupts
-
-
-def wait_for(condition, seconds=60.0):
-    end = time.monotonic() + seconds
-    while not (value := condition()):
-        if time.monotonic() > end:
-            raise TimeoutError(condition)
-        time.sleep(0.01)
-    return value
 
 
 def alive(session):

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import given, strategies as st
+from waiting import wait_for
 
 from kneexo.errors import WorkerError
 from kneexo.simulation.coroutines import Request, awaitable, synchronous
@@ -366,14 +367,6 @@ def note_and_wait(folder):
     Path(folder, str(os.getpid())).touch()
     time.sleep(600)
 """
-
-
-def wait_for(condition, seconds=60.0):
-    end = time.monotonic() + seconds
-    while not condition():
-        if time.monotonic() > end:
-            raise TimeoutError(condition)
-        time.sleep(0.01)
 
 
 def is_alive(process):
