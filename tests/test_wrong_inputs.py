@@ -15,6 +15,7 @@ from kneexo.diagrams import make_closed_loop
 from kneexo.diagrams.signals import SIGNALS, columns
 from kneexo.errors import KneexoError
 from kneexo.parameters import (
+    CuffParameters,
     CylinderParameters,
     PidParameters,
     PlantParameters,
@@ -252,6 +253,10 @@ CALLS = {
     "assignment to the scenario": (
         assigned(SCENARIO, "controller", "pid"),
         r"scenario.changed\({\"controller\": 'pid'}\)$",
+    ),
+    "assignment to a part": (
+        assigned(CuffParameters(), "stiffness_n_m_per_rad", 2),
+        r'scenario.changed\({"wearer.cuff.stiffness_n_m_per_rad": 2}\)$',
     ),
     "keyword": (lambda: CylinderParameters(mass=2), r"did you mean mass_kg\?$"),
     "keyword of another class": (
