@@ -88,7 +88,21 @@ def leg_length(
 ) -> LegLength:
     """Compute the distance from hip to ankle, beside that of a leg with a hinge at the origin.
 
-    Raises `LinkageError` and `ParameterError` as `linkage_motion` and `anatomical_motion` do.
+    Parameters
+    ----------
+    knee
+        A linkage, if it were the leg's knee, or a wearer's own knee.
+    knee_angle_deg
+        Knee angles in deg, (n,).
+    leg
+        Lengths of thigh and shank.
+
+    Raises
+    ------
+    LinkageError
+        The linkage cannot be assembled at a knee angle.
+    ParameterError
+        The wearer's knee has no nodes at a knee angle.
     """
     motion = _motion(knee, knee_angle_deg)
     ankle = -1j * leg.shank_m
@@ -141,7 +155,19 @@ def voluntary_stability(
     from the contact on the ground to the hip. The centre lies d in front of this line, and y along
     it from the contact. P is the load along the line, and M_K the extension moment of the knee.
 
-    Raises `LinkageError` and `ParameterError` as `leg_length` does.
+    Parameters
+    ----------
+    knee
+        A linkage, if it were the leg's knee, or a wearer's own knee.
+    knee_angle_deg
+        Knee angle in deg of the loaded leg.
+    leg
+        Lengths of leg and foot, load, and moment of the knee.
+
+    Raises
+    ------
+    LinkageError, ParameterError
+        As `leg_length`.
     """
     motion = _motion(knee, knee_angle_deg)
     centre, sole = complex(motion.fixed_centrode[0]), -1j * (leg.shank_m + leg.ankle_height_m)

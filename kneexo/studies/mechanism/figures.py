@@ -24,6 +24,7 @@ def figures(result: MechanismResult) -> dict[str, Figure]:
         "migration": plot_migration(result),
         "misplacement": plot_misplacement(result),
         "slotted_strap": plot_slotted_strap(result),
+        "leg_length": plot_leg_length(result),
     }
 
 
@@ -93,6 +94,26 @@ def plot_slotted_strap(result: MechanismResult) -> Figure:
         axes[1].plot(result.knee_angle_deg, strap.torque_ratio, **style)
     axes[0].set(ylabel="difference (deg)", title="(a)")
     axes[1].set(ylabel="torque ratio (1)", xlabel="knee angle (deg)", title="(b)")
+    _finish(figure, axes)
+    return figure
+
+
+def plot_leg_length(result: MechanismResult) -> Figure:
+    """Draw how much shorter the leg is, and how much higher the toe, if a device were the leg."""
+    figure, axes = plt.subplots(2, 1, figsize=(7.2, 6.0), layout="constrained")
+    figure.set_label(
+        "If the device were the leg, as in a prosthesis: the leg is shorter than with a hinge at "
+        "the origin (a), and the toe is higher over the measured swing (b). A worn device does not "
+        "shorten the wearer's leg."
+    )
+    leg = result.leg
+    axes[0].plot(leg.knee_angle_deg, MM * leg.shortening_m, "k", lw=1.4, label="wearer's own knee")
+    for (name, device), style in zip(result.devices.items(), _styles([], 9), strict=False):
+        swing = device.swing
+        axes[0].plot(device.leg.knee_angle_deg, MM * device.leg.shortening_m, label=name, **style)
+        axes[1].plot(swing.gait_percent, MM * swing.clearance_gain_m, **style)
+    axes[0].set(xlabel="knee angle (deg)", ylabel="shorter (mm)", title="(a)")
+    axes[1].set(xlabel="time after heel contact (%)", ylabel="toe higher (mm)", title="(b)")
     _finish(figure, axes)
     return figure
 

@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 from kneexo.parameters import GAIT2392
+from kneexo.studies.markdown import number
 from kneexo.studies.mechanism.study import MechanismResult
 from kneexo.studies.template import filled
+
+
+def _angles(name: str) -> Callable[[dict[str, Any]], str]:
+    """Return the rule for a cell with the angles ``name`` of a row in deg, or the word none."""
+    return lambda row: ", ".join(number(angle, ".4g") for angle in row[name]) or "none"
 
 
 def report(result: MechanismResult) -> str:
@@ -19,5 +28,6 @@ def report(result: MechanismResult) -> str:
         hinge=by_name["hinge"],
         best=min(rows, key=lambda row: float(row["rms_mm"])),
         slips=[name for name, device in result.devices.items() if device.forces.slips.any()],
+        angles=_angles,
         knee_is_gait2392=result.settings.knee == GAIT2392,
     )

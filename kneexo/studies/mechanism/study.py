@@ -10,7 +10,9 @@ import numpy as np
 from pydantic import BeforeValidator
 
 from kneexo.alignment import MM, Alignment, CuffForces, SlottedStrap, align
+from kneexo.analysis.leg_length import LegLength, SwingClearance, leg_length, swing_clearance
 from kneexo.files.table import SUFFIXES
+from kneexo.linkage_properties import LinkageProperties, linkage_properties
 from kneexo.parameters import (
     GAIT2392,
     HINGE,
@@ -69,10 +71,17 @@ class Device(Result):
     strap: SlottedStrap
     """Motion if the strap slides along the shank."""
     forces: CuffForces
+    properties: LinkageProperties
+    leg: LegLength
+    """Distance from hip to ankle if the device were the leg."""
+    swing: SwingClearance
+    """Height of the toe in swing if the device were the leg."""
 
-    def results(self) -> dict[str, float]:
+    def results(self) -> dict[str, Any]:
         """Return the numbers as plain data."""
-        place = self.alignment.placement
+        place, own = self.alignment.placement, self.properties
+        transmission = own.transmission_angle_deg
+        has_links = own.thigh_as_ground != "hinge"  # which has one rigid triangle
         return {
             "rms_mm": self.alignment.rms_mm,
             "largest_mm": self.alignment.largest_mm,
@@ -90,6 +99,18 @@ class Device(Result):
             "largest_across_n": float(np.max(np.abs(self.forces.across_n))),
             "largest_along_n": float(np.max(np.abs(self.forces.along_n))),
             "largest_knee_moment_n_m": float(np.max(np.abs(self.forces.knee_moment_n_m))),
+            "thigh_as_ground": own.thigh_as_ground,
+            "shank_as_ground": own.shank_as_ground,
+            "grashof_margin_mm": MM * own.grashof_margin_m if has_links else math.nan,
+            "assembly_limits_deg": list(own.assembly_limits_deg),
+            "rod_dead_centres_deg": list(own.rod_dead_centres_deg),
+            "encoder_reversals_deg": list(own.encoder_reversals_deg),
+            "least_transmission_angle_deg": transmission.least if has_links else math.nan,
+            "least_transmission_at_deg": transmission.at_deg if has_links else math.nan,
+            "shortening_at_60_deg_mm": float(
+                MM * np.interp(60.0, self.leg.knee_angle_deg, self.leg.shortening_m)
+            ),
+            "toe_clearance_gain_mm": MM * self.swing.least_clearance_gain_m,
         }
 
 
@@ -110,6 +131,11 @@ class MechanismResult(Result):
     def knee(self) -> ShankMotion:
         """Motion of the wearer's shank."""
         return anatomical_motion(self.settings.knee, np.radians(self.knee_angle_deg))
+
+    @property
+    def leg(self) -> LegLength:
+        """Distance from hip to ankle of the wearer's own leg."""
+        return leg_length(self.settings.knee, self.knee_angle_deg)
 
     def results(self) -> dict[str, Any]:
         """Return the numbers of all devices, and the centres of the knee, as plain data."""
@@ -176,4 +202,7 @@ def _device(linkage: LinkageParameters, settings: MechanismSettings) -> Device:
         placement_tolerance_mm=tolerance_mm,
         strap=best.slotted_strap(),
         forces=best.cuff_forces(),
+        properties=linkage_properties(linkage, np.radians(angles_deg)),
+        leg=leg_length(linkage, angles_deg),
+        swing=swing_clearance(linkage),
     )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from mechanism_cases import made_up
 
-from kneexo.analysis import align
+from kneexo.analysis import align, swing_clearance
 from kneexo.errors import LinkageError, ParameterError
 from kneexo.parameters import G1, HINGE, AnatomicalKneeParameters, Scenario
 from kneexo.parameters.paths import changed
@@ -41,6 +41,27 @@ def test_numbers_of_a_device_are_those_of_its_alignment():
     assert row["largest_across_n"] == pytest.approx(16.67 * 7.79, rel=1e-2)  # k u
     tolerated = align(G1, position=best.placement.position - 1e-3j * row["placement_tolerance_mm"])
     assert tolerated.rms_mm == pytest.approx(5.0, rel=1e-9)
+
+
+def test_links_and_leg_of_a_device_are_those_of_their_analyses():
+    row = made_up().devices["G1"].results()
+    assert (row["thigh_as_ground"], row["shank_as_ground"]) == ("double crank", "double rocker")
+    assert row["grashof_margin_mm"] == pytest.approx(0.6, abs=1e-3)
+    assert row["rod_dead_centres_deg"][0] == pytest.approx(-11.73, abs=0.01)
+    assert row["encoder_reversals_deg"][0] == pytest.approx(-29.03, abs=0.01)
+    assert row["least_transmission_angle_deg"] == pytest.approx(25.0, abs=0.1)
+    # Another program: 16.3 mm at 60°.
+    assert row["shortening_at_60_deg_mm"] == pytest.approx(16.3, abs=0.05)
+    swing = swing_clearance(G1)
+    assert row["toe_clearance_gain_mm"] == pytest.approx(1e3 * swing.least_clearance_gain_m)
+    hinge = made_up().devices["hinge"].results()
+    assert hinge["thigh_as_ground"] == "hinge"
+    assert math.isnan(hinge["least_transmission_angle_deg"])
+
+
+def test_the_leg_is_the_wearer_s_own():
+    leg = made_up().leg
+    assert 1e3 * leg.shortening_m[60] == pytest.approx(-6.5, abs=0.05)  # another program
 
 
 def test_a_device_that_exceeds_the_tolerance_has_no_tolerated_place():
