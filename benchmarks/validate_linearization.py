@@ -266,8 +266,9 @@ def margin_errors(loop: SampledLoop) -> tuple[float, float, float]:
     at_gain = np.exp(2j * math.pi * m.gain_margin_frequency_hz * dt)
     at_phase = np.exp(2j * math.pi * m.phase_margin_frequency_hz * dt)
     turn = np.exp(-1j * math.radians(m.phase_margin_deg))
+    scaled = replace(loop.loop, b=m.gain_margin * loop.loop.b)
     on_circle = (
-        abs(nearest(replace(loop, b=m.gain_margin * loop.b).eigenvalues, at_gain) - at_gain),
+        abs(nearest(scaled.closed_eigenvalues(), at_gain) - at_gain),
         abs(nearest(np.linalg.eigvals(system.A - turn * system.B @ system.C), at_phase) - at_phase),
     )
     return (

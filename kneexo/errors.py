@@ -14,6 +14,7 @@ from kneexo.compiler import (
     CompilationError as CompilationError,
     Error,
     LinearizationError as LinearizationError,
+    NoEquilibriumError as NoEquilibriumError,
     OutputError as OutputError,
     ParameterError as ParameterError,
     ResultError as ResultError,

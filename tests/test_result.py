@@ -136,8 +136,8 @@ def test_state_spaces_have_names():
     loop = linearize_loop(Scenario()).to_control()
     assert loop.input_labels == ["motor_speed_command_rad_s"]
     assert loop.output_labels == ["returned_command_rad_s"]
-    assert loop.state_labels[0] == "plant[0]"
-    assert loop.state_labels[-1].startswith("controller[")
+    assert loop.state_labels[0] == "plant/motor.x[0]"
+    assert loop.state_labels[-1].startswith("controller/")
 
 
 # --------------------------------------------------------------------------- parameters

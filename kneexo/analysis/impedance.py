@@ -301,7 +301,7 @@ def wearer_model(
             # derivative over x contains the load's sine, which depends on the time.
             warnings.filterwarnings("ignore", ".* of plant/cylinder.* depend on the time")
         model = linearize(
-            equilibrium.float_diagram, equilibrium.context, inputs=inputs, outputs=outputs
+            equilibrium.equations.diagram, equilibrium.context, inputs=inputs, outputs=outputs
         )
     return model, equilibrium.knee_angle_rad
 

@@ -1,29 +1,34 @@
-"""Operating points of the plant and its linearization by AutoDiff, in continuous time."""
+"""Operating points of the plant and its linearization, in continuous time."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.systems.framework import Diagram
 
+from kneexo.analysis.shared_equations import context_with, recent_equations
 from kneexo.analysis.signals import to_rpm
-from kneexo.compiler import newton, newton_failure
+from kneexo.compiler import DiagramEquations, find_equilibrium, linearize, read_diagram
 from kneexo.diagrams import SIGNALS, make_plant
-from kneexo.errors import LinearizationError
+from kneexo.diagrams.plant import plant_parts
+from kneexo.errors import LinearizationError, NoEquilibriumError
 from kneexo.parameters import PlantParameters
 from kneexo.result import Array, Result
+from kneexo.simulation.compiled import structure
 
 Complex = NDArray[np.complex128]
 """Type of an array of complex numbers."""
 
 MID_RANGE_DEG = 40.0
 """Default knee angle in deg, the middle of the paper's range 10…70°."""
+
+_COMMAND = "motor_speed_command"
 
 
 @dataclass(frozen=True, repr=False)
@@ -55,39 +60,6 @@ def _rounded(value: float) -> float:
     return value if abs(value) > 1e-9 else 0.0
 
 
-def _fix_load(diagram: Any, context: Any, knee_torque: float, disturbance: float) -> None:
-    """Fix the knee torque in N·m and the disturbance in N at the input ports of ``diagram``.
-
-    A value without a port is ignored.
-    """
-    for name, value in (("knee_torque", knee_torque), ("disturbance_force", disturbance)):
-        if diagram.HasInputPort(name):
-            diagram.GetInputPort(name).FixValue(context, [value])
-
-
-def _plant_gradients(
-    plant: Any, point: Array, outputs: tuple[str, ...], knee_torque: float, disturbance: float
-) -> tuple[Array, Array]:
-    """Return state derivatives and output ports ``outputs`` at a point, and their gradients.
-
-    ``point`` (n + 1,) contains the n states and the motor speed command in rad/s. The first result
-    contains the n derivatives and then the elements of the outputs. The second result has a row
-    for each element of the first result and n + 1 columns.
-    """
-    context = plant.CreateDefaultContext()
-    seeded = InitializeAutoDiff(point.reshape(-1, 1)).reshape(-1)
-    context.SetContinuousState(seeded[:-1])
-    plant.GetInputPort("motor_speed_command").FixValue(context, seeded[-1:])
-    _fix_load(plant, context, knee_torque, disturbance)
-    values = np.concatenate(
-        [
-            plant.EvalTimeDerivatives(context).CopyToVector(),
-            *(plant.GetOutputPort(name).Eval(context) for name in outputs),
-        ]
-    ).reshape(-1, 1)
-    return ExtractValue(values).reshape(-1), ExtractGradient(values)
-
-
 def find_operating_point(
     plant: PlantParameters | Diagram = PlantParameters(),
     *,
@@ -115,34 +87,57 @@ def find_operating_point(
     ParameterError, LinkageError
         The knee angle is impossible.
     """
-    diagram = _plant(plant, knee_angle_deg)
+    equations, rest = _at_rest(plant, (), knee_angle_deg, knee_torque_n_m, disturbance_n)
+    return _operating_point(equations.diagram, rest)
+
+
+def _at_rest(
+    plant: PlantParameters | Diagram,
+    outputs: tuple[str, ...],
+    knee_angle_deg: float,
+    knee_torque_n_m: float,
+    disturbance_n: float,
+) -> tuple[DiagramEquations, Any]:
+    """Return the equations of the plant with the ports ``outputs``, and a Context at rest."""
+    if isinstance(plant, PlantParameters):
+        plant.knee.require_posture(knee_angle_deg)
+        angle_rad = math.radians(knee_angle_deg)
+        equations = recent_equations.of(
+            ("plant", structure(plant), outputs),
+            lambda: _read(make_plant(plant, initial_knee_angle_rad=angle_rad), outputs),
+        )
+        diagram, parts = equations.diagram, plant_parts(plant, angle_rad)
+        values = ((part.name, part.values()) for part in parts)
+        start = [value for part in parts for value in part.start_state()]
+        context = context_with(diagram, values, start)
+    else:
+        equations, diagram, context = _read(plant, outputs), plant, plant.CreateDefaultContext()
     if knee_torque_n_m and not diagram.HasInputPort("knee_torque"):
         raise LinearizationError(
             f"knee_torque = {knee_torque_n_m:g} N·m: the plant has no load to apply it to; give it "
             f"one (plant.load.kind = knee)"
         )
-    automatic = diagram.ToAutoDiffXd()
-    start = diagram.CreateDefaultContext().get_continuous_state_vector().CopyToVector()
-
-    def derivatives(point: Array) -> tuple[Array, Array]:
-        """Return the array of state rates and knee angle error at a point, and its gradients."""
-        values, gradient = _plant_gradients(
-            automatic, point, ("knee_angle",), knee_torque_n_m, disturbance_n
+    for name, value in (("knee_torque", knee_torque_n_m), ("disturbance_force", disturbance_n)):
+        if diagram.HasInputPort(name):
+            diagram.GetInputPort(name).FixValue(context, [value])
+    try:
+        rest = find_equilibrium(
+            equations,
+            context,
+            free_inputs=[_COMMAND],
+            outputs={"knee_angle": math.radians(knee_angle_deg)},
         )
-        values[-1] -= math.radians(knee_angle_deg)
-        return values, gradient
-
-    point, residual = newton(derivatives, np.append(start, 0.0))
-    if not residual < 1e-8:
+    except NoEquilibriumError as error:
         raise LinearizationError(
             f"no equilibrium at knee angle {knee_angle_deg:g} deg with knee_torque = "
-            f"{knee_torque_n_m:g} N·m and disturbance = {disturbance_n:g} N: "
-            f"{newton_failure(residual, 'derivative')}; reduce the load or the leakage"
-        )
-    context = diagram.CreateDefaultContext()
-    context.SetContinuousState(point[:-1])
-    diagram.GetInputPort("motor_speed_command").FixValue(context, point[-1:])
-    _fix_load(diagram, context, knee_torque_n_m, disturbance_n)
+            f"{knee_torque_n_m:g} N·m and disturbance = {disturbance_n:g} N: where the search "
+            f"ends, {error.fault}; reduce the load or the leakage"
+        ) from None
+    return equations, rest
+
+
+def _operating_point(diagram: Any, context: Any) -> OperatingPoint:
+    """Return the operating point of the plant at a Context in which it rests."""
 
     def output(name: str) -> float:
         return float(diagram.GetOutputPort(name).Eval(context)[0])
@@ -152,16 +147,14 @@ def find_operating_point(
         motor_speed_rad_s=output("motor_speed"),
         load_pressure_pa=output("load_pressure"),
         rod_force_n=output("rod_force"),
-        state=point[:-1],
+        state=context.get_continuous_state_vector().CopyToVector(),
     )
 
 
-def _plant(plant: PlantParameters | Diagram, knee_angle_deg: float) -> Any:
-    """Return ``plant`` if it is a diagram, else a new plant that starts at ``knee_angle_deg``."""
-    if isinstance(plant, PlantParameters):
-        plant.knee.require_posture(knee_angle_deg)
-        return make_plant(plant, initial_knee_angle_rad=math.radians(knee_angle_deg))
-    return plant
+def _read(diagram: Any, outputs: Sequence[str]) -> DiagramEquations:
+    """Return the equations of a plant with open inputs."""
+    ports = map(diagram.get_input_port, range(diagram.num_input_ports()))
+    return read_diagram(diagram, inputs=[port.get_name() for port in ports], outputs=outputs)
 
 
 @dataclass(frozen=True, repr=False)
@@ -270,7 +263,7 @@ def linearize_plant(
     knee_torque_n_m: float = 0.0,
     disturbance_n: float = 0.0,
 ) -> PlantLinearization:
-    """Linearize the plant at the operating point of a knee angle under load, by AutoDiff.
+    """Linearize the plant at the operating point of a knee angle under load.
 
     Parameters
     ----------
@@ -286,30 +279,18 @@ def linearize_plant(
     ParameterError, LinkageError
         The knee angle is impossible.
     """
-    diagram = _plant(plant, knee_angle_deg)
-    point = find_operating_point(
-        diagram,
-        knee_angle_deg=knee_angle_deg,
-        knee_torque_n_m=knee_torque_n_m,
-        disturbance_n=disturbance_n,
-    )
-    n = point.state.size
-    _, gradient = _plant_gradients(
-        diagram.ToAutoDiffXd(),
-        np.append(point.state, point.motor_speed_rad_s),
-        outputs,
-        knee_torque_n_m,
-        disturbance_n,
-    )
-    require_finite(gradient, n, knee_angle_deg)
+    equations, rest = _at_rest(plant, outputs, knee_angle_deg, knee_torque_n_m, disturbance_n)
+    with warnings.catch_warnings():  # of corners, such as that of the friction at rest
+        warnings.simplefilter("ignore")
+        model = linearize(equations, rest, inputs=[_COMMAND], outputs=outputs)
     return PlantLinearization(
-        a=gradient[:n, :n],
-        b=gradient[:n, n:],
-        c=gradient[n:, :n],
-        d=gradient[n:, n:],
+        a=model.a,
+        b=model.b,
+        c=model.c,
+        d=model.d,
         outputs=outputs,
-        operating_point=point,
-        states=tuple(_state_names(diagram)),
+        operating_point=_operating_point(equations.diagram, rest),
+        states=model.state_names,
     )
 
 
@@ -323,29 +304,3 @@ def frequency_array(frequencies_hz: ArrayLike) -> Array:
     if not finite.all():
         raise LinearizationError(f"frequency = {frequencies[~finite][0]:g} Hz: must be finite")
     return frequencies
-
-
-def require_finite(gradient: Array, states: int, knee_angle_deg: float) -> None:
-    """Raise `LinearizationError` for a gradient that is not finite.
-
-    The first ``states`` rows are gradients of the state rates. The other rows are gradients of the
-    outputs. The message names the row and the knee angle.
-    """
-    finite = np.isfinite(gradient).all(axis=1)
-    if not finite.all():
-        row = int(np.argmin(finite))
-        name = f"the rate of state {row}" if row < states else f"output {row - states}"
-        raise LinearizationError(
-            f"the derivative of {name} is not finite at knee angle {knee_angle_deg:g} deg: there "
-            f"is no linear model"
-        )
-
-
-def _state_names(system: Any, path: str = "") -> Iterator[str]:
-    """Yield names of the continuous states, such as ``motor.x[0]``, in the order of the Context."""
-    if isinstance(system, Diagram):
-        for part in system.GetSystems():
-            yield from _state_names(part, f"{path}{part.get_name()}.")
-    else:
-        count = system.CreateDefaultContext().num_continuous_states()
-        yield from (f"{path}x[{i}]" for i in range(count))

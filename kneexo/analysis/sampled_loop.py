@@ -1,10 +1,8 @@
 """Exact linearization of the sampled-data loop, a continuous plant with a sampled controller.
 
-Drake's `Linearize` does not accept a diagram with continuous and discrete states. Therefore plant
-and controller are linearized separately by AutoDiff, the plant at its derivatives and the
-controller at its discrete update. The exact zero-order hold of the plant joins them without
-approximation. The quantizers of encoder and bus, whose derivatives are zero, are bypassed. The
-linear loop is valid inside the boundary layer and the speed limit.
+`kneexo.compiler.linearize` gives the linear model. The quantizers of encoder and bus, whose
+derivatives are zero, are left out. The linear loop is valid inside the boundary layer and the speed
+limit.
 """
 
 from __future__ import annotations
@@ -21,15 +19,10 @@ from numpy.typing import ArrayLike
 
 from kneexo.analysis.eigenvalue_plot import plot_eigenvalues
 from kneexo.analysis.frequency_response import MINUS_3_DB
-from kneexo.analysis.loop_equilibrium import command_and_live, find_equilibrium
+from kneexo.analysis.loop_equilibrium import find_equilibrium
 from kneexo.analysis.margins import Margins, stability_margins
-from kneexo.analysis.plant_linearization import (
-    MID_RANGE_DEG,
-    Complex,
-    frequency_array,
-    require_finite,
-)
-from kneexo.compiler import Transfer, as_transfer
+from kneexo.analysis.plant_linearization import MID_RANGE_DEG, Complex, frequency_array
+from kneexo.compiler import LinearModel, Transfer, linearize
 from kneexo.errors import LinearizationError
 from kneexo.parameters import Scenario
 from kneexo.plotting import BLUE, GOLD, RED, TEAL, axes_or_new, label_bode
@@ -50,39 +43,36 @@ negligible relative to the width of the boundary layer.
 
 @dataclass(frozen=True, repr=False)
 class SampledLoop(Result):
-    """Linear plant and controller, joined exactly at the sampling instants.
+    """Linear closed loop of plant and sampled controller.
 
-    Between samples dx/dt = A x + B u with a constant motor speed command u. At a sample the
-    controller updates its state z to z⁺ = G_z z + G_x x + G_r r, from the state x of the plant and
-    the reference r (θ_d and three derivatives). Until the next sample u = C_u z⁺. All values have
-    the units of the Contexts. C is the gradient of the port ``output`` in x. T is the sample time.
+    The inputs of ``model`` are the reference that the controller reads (θ_d and three derivatives)
+    and a perturbation of the motor speed command. Its outputs are the port ``output`` and the
+    command. Its states are those of the plant and then those of the controller, in the units of the
+    Context.
     """
 
-    a: Array
-    b: Array
-    c: Array
-    g_x: Array
-    g_z: Array
-    g_r: Array
-    c_u: Array
-    sample_time_s: float
+    model: LinearModel
     output: str
     knee_angle_rad: float
     scenario: Scenario
 
-    def plant_step(self) -> tuple[Array, Array]:
-        """Return A_d and B_d, which move the plant by one sample time: x(t + T) = A_d x + B_d u."""
-        n = self.a.shape[0]
-        block = np.zeros((n + 1, n + 1))
-        block[:n, :n], block[:n, n:] = self.a, self.b
-        step = scipy.linalg.expm(block * self.sample_time_s)
-        return step[:n, :n], step[:n, n:]
+    @property
+    def sample_time_s(self) -> float:
+        """The sample time T in s."""
+        return float(self.model.period_s or 0.0)
+
+    @cached_property
+    def moving(self) -> Any:
+        """Indices of the states that change, without the integral of a PID without K_i or so."""
+        rows = np.hstack([self.model.a, self.model.b])
+        still = (rows - np.eye(*rows.shape), rows)  # keeps its value, or becomes a constant
+        # The tolerance covers rounding of 1e-16.
+        return np.flatnonzero(np.all([(np.abs(r) > 1e-12).any(axis=1) for r in still], axis=0))
 
     @property
     def monodromy(self) -> Array:
-        """Matrix that maps (x, z) from one sample to the next, for a constant reference."""
-        a, b, c = self.loop_matrices
-        return a - b @ c
+        """Matrix of the `moving` states from one sample to the next, for a constant reference."""
+        return np.asarray(self.model.a[np.ix_(self.moving, self.moving)])
 
     @property
     def eigenvalues(self) -> Complex:
@@ -106,43 +96,29 @@ class SampledLoop(Result):
         """Whether every eigenvalue lies inside the unit circle."""
         return bool(np.abs(self.eigenvalues[0]) < 1.0)
 
-    # The loop is broken at the command: v drives the plant, and the controller returns −u.
-
-    @cached_property
-    def loop_matrices(self) -> tuple[Array, Array, Array]:
-        """Matrices A, b, c of the loop transfer L(z) = c (zI − A)⁻¹ b; A − b c is `monodromy`."""
-        a_d, b_d = self.plant_step()
-        n = a_d.shape[0]
-        m = self.g_z.shape[0]
-        a = np.block([[a_d, np.zeros((n, m))], [self.g_x, self.g_z]])
-        b = np.vstack([b_d, np.zeros((m, 1))])
-        c = -self.c_u @ np.hstack([self.g_x, self.g_z])
-        return a, b, c
-
     def to_control(self) -> Any:
         """Return the loop transfer L(z), for negative feedback, as a `control.StateSpace`.
 
         Its sample time ``dt`` is T. The input is ``motor_speed_command_rad_s``, and the output is
-        ``returned_command_rad_s``. The states are ``plant[i]`` and ``controller[i]``.
+        ``returned_command_rad_s``. The states have the names of those of ``model``.
         """
         import control
 
-        plant, controller = self.a.shape[0], self.g_z.shape[0]
+        loop = self.loop
         return control.ss(
-            *self.loop_matrices,
-            [[0.0]],
-            self.sample_time_s,
+            *(loop.a, loop.b, loop.c, loop.d, loop.period_s),
             name="loop",
             inputs=["motor_speed_command_rad_s"],
             outputs=["returned_command_rad_s"],
-            states=[f"plant[{i}]" for i in range(plant)]
-            + [f"controller[{i}]" for i in range(controller)],
+            states=[self.model.state_names[index] for index in self.moving],
         )
 
     @cached_property
     def loop(self) -> Transfer:
-        """The loop transfer L with one input and one output, for negative feedback."""
-        return as_transfer((*self.loop_matrices, [[0.0]], self.sample_time_s))
+        """The loop transfer L, broken at the motor speed command, for negative feedback."""
+        # The perturbation d adds to the command y after an update. For d = v − y the plant reads v.
+        drive, row = self.model.b[self.moving, 4:], self.model.after_updates().c[1:, self.moving]
+        return Transfer(self.monodromy - drive @ row, drive, -row, 0.0, self.sample_time_s)
 
     def loop_response(self, frequencies_hz: ArrayLike) -> Complex:
         """Return the loop transfer L(e^{j2πfT}) at frequencies f in Hz, (n,)."""
@@ -169,18 +145,21 @@ class SampledLoop(Result):
         f = frequency_array(frequencies_hz)
         if np.any(f <= 0.0):
             raise LinearizationError(f"frequency = {f.min():g} Hz: must be > 0")
-        dt = self.sample_time_s
-        n, size = self.a.shape[0], self.monodromy.shape[0]
-        _, b_d = self.plant_step()
-        drive = np.vstack([b_d @ self.c_u @ self.g_r, self.g_r])
+        model, dt = self.model, self.sample_time_s
         s = 2j * np.pi * f[:, None, None]
         z = np.exp(s * dt)
         reference = np.concatenate([np.ones_like(s), s, s * s, s * s * s], axis=1)
-        state = np.linalg.solve(z * np.eye(size) - self.monodromy, drive @ reference)
-        command = self.c_u @ (z * state[:, n:])  # the command follows from z⁺
-        hold = command * (1.0 - np.exp(-s * dt)) / (s * dt)
-        plant = self.c @ np.linalg.solve(s * np.eye(n) - self.a, self.b[None])
-        return np.asarray(plant * hold, dtype=complex)[:, 0, 0]
+        # After an update the state is J x + K r. Its discrete part is held until the next sample.
+        (tick,) = model.ticks
+        moves = tick.rate_state.any(axis=1)
+        before = np.linalg.solve(z * np.eye(len(model.a)) - model.a, model.b[:, :4] @ reference)
+        updated = tick.jump_state @ before + tick.jump_input[:, :4] @ reference
+        held = updated[:, ~moves] * (1.0 - np.exp(-s * dt)) / (s * dt)
+        rates = tick.rate_state[moves]
+        shifted = s * np.eye(len(rates)) - rates[:, moves]
+        plant = np.linalg.solve(shifted, rates[:, ~moves] @ held)
+        response = model.c[:1, moves] @ plant + model.c[:1, ~moves] @ held
+        return np.asarray(response, dtype=complex)[:, 0, 0]
 
     def bandwidth_hz(self) -> float:
         """Return the −3 dB bandwidth in Hz of `output_response`, for small signals.
@@ -314,7 +293,7 @@ class SampledLoop(Result):
         """
         nyquist = 0.5 / self.sample_time_s
         values = self.eigenvalues
-        values = np.append(values, np.linalg.eigvals(self.loop_matrices[0]))
+        values = np.append(values, np.linalg.eigvals(self.loop.a))
         modes = np.abs(np.angle(values[np.abs(values) > 0.5])) * nyquist / math.pi
         offset = np.geomspace(1e-6, 0.1, 120)  # down to a damping ratio of 1e-5
         near = modes[:, None] * (1.0 + np.concatenate([-offset, [0.0], offset]))
@@ -405,32 +384,18 @@ def linearize_loop(
     if law is not None:
         scenario = scenario.with_law(law, initial_state=initial_state)
     equilibrium = find_equilibrium(scenario, knee_angle_deg=knee_angle_deg)
-    n, m = equilibrium.continuous_states, equilibrium.point.size - equilibrium.continuous_states
     # The absolute values of Eq. 27 have a kink at the equilibrium. A small motion sees the mean of
     # the slopes on both sides; at the equilibrium itself rounding would choose one of them.
-    _, _, c = equilibrium.gradients(equilibrium.point, equilibrium.reference, output)
     jerk = np.array([0.0, 0.0, 0.0, _JERK_STEP_RAD_S3])
-    beside = _STATE_STEP * (1.0 + np.abs(equilibrium.point))
-    both = [
-        equilibrium.gradients(
-            equilibrium.point + side * beside, equilibrium.reference + side * jerk, output
-        )[1]
-        for side in (-1.0, 1.0)
-    ]
-    gradient = 0.5 * (both[0] + both[1])
-    rows = np.vstack([gradient, np.pad(c, ((0, 0), (0, gradient.shape[1] - n)))])
-    require_finite(rows, n + m, knee_angle_deg)
-    index, command, live = command_and_live(gradient, n)
-    update = gradient[n:]
+    model = linearize(
+        equilibrium.equations,
+        equilibrium.context,
+        inputs=[equilibrium.reference, equilibrium.command],
+        outputs=[output, equilibrium.command],
+        beside=[equilibrium.beside(side * _STATE_STEP, side * jerk) for side in (-1.0, 1.0)],
+    )
     return SampledLoop(
-        a=gradient[:n, :n],
-        b=gradient[:n, [n + index]],
-        c=c,
-        g_x=update[live, :n],
-        g_z=update[live, n : n + m][:, live],
-        g_r=update[live, n + m :],
-        c_u=command[None, live],
-        sample_time_s=equilibrium.sample_time_s,
+        model=model,
         output=output,
         knee_angle_rad=equilibrium.knee_angle_rad,
         scenario=scenario,

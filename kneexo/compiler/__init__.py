@@ -54,6 +54,7 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
         CompilationError as CompilationError,
         Error as Error,
         LinearizationError as LinearizationError,
+        NoEquilibriumError as NoEquilibriumError,
         OutputError as OutputError,
         ParameterError as ParameterError,
         ResultError as ResultError,
@@ -92,7 +93,6 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
         OperatingPoint as OperatingPoint,
         TickModel as TickModel,
     )
-    from .linear.newton import newton as newton, newton_failure as newton_failure
     from .linear.periodic import PeriodicLoop as PeriodicLoop
     from .model import (
         CompiledModel as CompiledModel,
@@ -132,9 +132,9 @@ else:
         "diagram_equations": ("DiagramEquations", "expressions_key", "read_diagram"),
         "equations.truth": ("truth_of_scalars",),
         "errors": (
-            *("CompilationError", "Error", "LinearizationError", "OutputError", "ParameterError"),
-            *("ResultError", "SimulationError", "StiffnessError", "UnstableStepError"),
-            *("escaped", "shortened", "shown"),
+            *("CompilationError", "Error", "LinearizationError", "NoEquilibriumError"),
+            *("OutputError", "ParameterError", "ResultError", "SimulationError"),
+            *("StiffnessError", "UnstableStepError", "escaped", "shortened", "shown"),
         ),
         "feedback": ("simulate_with_feedback",),
         "fmu.export": ("FmuFile", "export_fmu", "write_fmu"),
@@ -148,7 +148,6 @@ else:
         "linear.loops": (*("Transfer", "as_transfer", "complementary_sensitivity", "sensitivity"),),
         "linear.margins": ("LoopMargins", "margins"),
         "linear.model": ("LinearModel", "OperatingPoint", "TickModel"),
-        "linear.newton": ("newton", "newton_failure"),
         "linear.periodic": ("PeriodicLoop",),
         "model": (
             *("CompiledModel", "DiagramModel", "Simulation", "compile_by_key", "compile_diagram"),

@@ -77,3 +77,9 @@ class CompilationError(Error, TypeError):
 
 class LinearizationError(Error, ArithmeticError):
     """A diagram has no linear model or no equilibrium. The message names the state or signal."""
+
+
+class NoEquilibriumError(LinearizationError):
+    """The search for an equilibrium ends at a point that is none, because of ``fault``."""
+
+    fault: str = ""

@@ -220,11 +220,13 @@ def chosen_signals(scenario: Scenario, signals: Sequence[str] | None) -> tuple[s
     return names
 
 
-def loop_values(scenario: Scenario) -> Iterator[tuple[str, dict[str, float]]]:
+def loop_values(
+    scenario: Scenario, law: System | None = None
+) -> Iterator[tuple[str, dict[str, float]]]:
     """Yield path and Context parameters of each leaf system of `make_closed_loop`.
 
     Drake's systems without parameters are left out, and so is a controller that
-    `has_unknown_parts`.
+    `has_unknown_parts`. ``law`` replaces the law of the user. Its parameters are left out too.
     """
     for part in _plant_parts(scenario):
         yield f"plant/{part.name}", part.values()
@@ -236,7 +238,7 @@ def loop_values(scenario: Scenario) -> Iterator[tuple[str, dict[str, float]]]:
         yield "reference", knee_reference.context_values(scenario.reference)
     for part in wearer_parts(scenario):
         yield part.name, part.values()
-    for part in controller_parts(scenario):
+    for part in controller_parts(scenario, law):
         yield f"controller/{part.name}", part.values()
     if isinstance(scenario.bus, Cia402Parameters):
         yield "drive", drive.context_values(scenario.bus)

@@ -147,9 +147,9 @@ def holds_its_command(law: System) -> bool:
     return law.CreateDefaultContext().num_discrete_state_groups() > 0
 
 
-def controller_parts(scenario: Scenario) -> list[Part]:
+def controller_parts(scenario: Scenario, law: System | None = None) -> list[Part]:
     """Return the leaf systems of `make_controller`; an empty list if it `has_unknown_parts`."""
-    return [] if has_unknown_parts(scenario) else _parts(scenario)
+    return [] if law is None and has_unknown_parts(scenario) else _parts(scenario, law)
 
 
 def has_unknown_parts(scenario: Scenario) -> bool:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
 from functools import cache, lru_cache, partial
 from importlib.metadata import version
@@ -210,10 +210,10 @@ MOST_STRUCTURES = 32
 """Largest number of structures whose models and diagrams a process keeps; each has some MiB."""
 
 
-class Recent(OrderedDict[str, Any]):
+class Recent(OrderedDict[Hashable, Any]):
     """The values of the last `MOST_STRUCTURES` structures that were asked for, by their keys."""
 
-    def of(self, key: str, make: Callable[[], Any]) -> Any:
+    def of(self, key: Hashable, make: Callable[[], Any]) -> Any:
         """Return the value that is kept for a structure ``key``, or make and keep ``make()``."""
         with _lock:
             if key not in self:

@@ -13,7 +13,14 @@ from kneexo.systems.encoder_count import EncoderCount, EncoderCount_
 from kneexo.systems.energy_meter import EnergyMeter, EnergyMeter_
 from kneexo.systems.four_bar_knee import FourBarKnee, FourBarKnee_
 from kneexo.systems.full_cylinder import FullCylinder, FullCylinder_
-from kneexo.systems.function_law import FunctionLaw, FunctionLaw_, HeldCommand, HeldCommand_
+from kneexo.systems.function_law import (
+    FunctionLaw,
+    FunctionLaw_,
+    HeldCommand,
+    HeldCommand_,
+    LinearLaw,
+    LinearLaw_,
+)
 from kneexo.systems.knee_coordinates import (
     KneeCoordinates,
     KneeCoordinates_,
@@ -73,6 +80,8 @@ __all__ = [
     "KneeCoordinates_",
     "KneeLoad",
     "KneeLoad_",
+    "LinearLaw",
+    "LinearLaw_",
     "LoadCell",
     "LoadCell_",
     "PidController",

@@ -22,9 +22,6 @@ from kneexo.user_code import place_in_user_code, user_code
 LAW_COMMAND = "law_command"
 """Name of the input port of `HeldCommand`."""
 
-_RELATIVE_STEP = 6e-6  # cube root of the rounding error: the best step of a central difference
-_SMALLEST_SCALE = 1e-2  # m, rad, rad/s, …: values below it are differentiated with its step
-
 
 def context_values(parameters: LawParameters) -> dict[str, float]:
     """Return a dictionary {name: value} of the Context parameters of `FunctionLaw`."""
@@ -143,8 +140,7 @@ class FunctionLaw(NamedLeaf):
     the state of f. The output port shows the command. Context parameters by name: the gains of f,
     ``initial_state_0``, … and ``command_limit_rad_s``.
 
-    A function that cannot calculate with AutoDiffXd is differentiated by central differences. An
-    update raises `ParameterError` if the function fails or returns something else, and
+    An update raises `ParameterError` if the function fails or returns something else, and
     `SimulationError` if the command or a state is not finite.
     """
 
@@ -178,42 +174,11 @@ class FunctionLaw(NamedLeaf):
             arguments["time_s"] = np.array([context.get_time()])
         if self._states:
             arguments["state"] = context.get_discrete_state(0).CopyToVector()[1:]
-        if self._scalar is AutoDiffXd:
-            result = self._differentiated(arguments)
-        else:
-            result = call_law(self._law, self._function, arguments)
+        result = call_law(self._law, self._function, arguments)
         if self._scalar is float:
             require_finite_result(self._law, context.get_time(), result)
         limit = p.command_limit_rad_s
         return [clip(result[0], -limit, limit), *result[1:]]
-
-    def _differentiated(self, arguments: Mapping[str, Any]) -> list[Any]:
-        """Return command and next state as AutoDiffXd, by central differences if f needs floats."""
-        try:
-            return call_law(self._law, self._function, arguments)
-        except ParameterError:
-            pass  # such as math.sin, which needs floats
-        sizes = [values.size for values in arguments.values()]
-        seeds = np.concatenate(list(arguments.values()))
-        point = np.array([seed.value() for seed in seeds])
-
-        def at(values: Any) -> Any:
-            parts = np.split(values, np.cumsum(sizes)[:-1])
-            return np.array(
-                call_law(self._law, self._function, dict(zip(arguments, parts, strict=True))),
-                dtype=float,
-            )
-
-        result = [AutoDiffXd(value) for value in at(point)]
-        for index, seed in enumerate(seeds):
-            if not np.any(seed.derivatives()):
-                continue
-            step = np.zeros(point.size)
-            step[index] = _RELATIVE_STEP * max(abs(point[index]), _SMALLEST_SCALE)
-            slope = (at(point + step) - at(point - step)) / (2.0 * step[index])
-            for row, value in enumerate(slope):
-                result[row] = result[row] + value * (seed - point[index])
-        return result
 
 
 FunctionLaw_ = leaf_template(FunctionLaw)
@@ -240,6 +205,40 @@ class HeldCommand(NamedLeaf):
 
 HeldCommand_ = leaf_template(HeldCommand)
 """Template of `HeldCommand` classes by scalar type of Drake."""
+
+
+class LinearLaw(NamedLeaf):
+    """Replace a control law that runs as Python by its linear form, near an operating point.
+
+    The discrete state (u, z) of command and law becomes M (1, z, y) every ``sample_time_s``. y are
+    the elements of the inputs that the law reads, and M are Context parameters, see `set_matrix`.
+    Output port: ``motor_speed_command`` (1), the state u in rad/s, without limit.
+    """
+
+    def __init__(self, sample_time_s: float, inputs: tuple[str, ...], states: int) -> None:
+        self._ports = [self.DeclareVectorInputPort(name, LAW_INPUTS[name]) for name in inputs]
+        self._shape = 1 + states, 1 + states + sum(LAW_INPUTS[name] for name in inputs)
+        self._declare_parameters(
+            {f"m_{row}_{column}": 0.0 for row, column in np.ndindex(*self._shape)}
+        )
+        self._declare_update(sample_time_s, 1 + states, self._update)
+        self._declare_output(
+            "motor_speed_command", 1, lambda c: discrete_state(c)[:1], self.xd_ticket()
+        )
+
+    def set_matrix(self, context: Any, matrix: Any) -> None:
+        """Set the Context parameters to a matrix M with a row for u and for each element of z."""
+        context.get_mutable_numeric_parameter(0).SetFromVector(np.reshape(matrix, -1))
+
+    def _update(self, context: Any) -> list[Any]:
+        matrix = np.reshape(context.get_numeric_parameter(0).CopyToVector(), self._shape)
+        signals = [element for port in self._ports for element in port.Eval(context)]
+        values = [1.0, *discrete_state(context)[1:], *signals]
+        return [sum(m * value for m, value in zip(row, values, strict=True)) for row in matrix]
+
+
+LinearLaw_ = leaf_template(LinearLaw)
+"""Template of `LinearLaw` classes by scalar type of Drake."""
 
 
 # ------------------------------------------------------------------------------ tracing

@@ -17,6 +17,7 @@ from linear_cases import (
     nearest,
     plant_parameters,
     raises_one_line,
+    sampled_loop,
 )
 
 from kneexo.analysis.loop_equilibrium import find_equilibrium
@@ -70,29 +71,29 @@ def test_disk_margins_are_those_of_python_control(loops, margins, name):
 
 
 def scaled(loop, factor):
-    """The loop with its gain multiplied."""
-    return dataclasses.replace(loop, b=factor * loop.b)
+    """The loop transfer with its gain multiplied."""
+    return dataclasses.replace(loop.loop, b=factor * loop.loop.b)
 
 
 @pytest.mark.parametrize("name", STABLE)
 def test_the_gain_margin_puts_an_eigenvalue_on_the_unit_circle(loops, margins, name):
     loop, m = loops[name], margins[name]
     critical = np.exp(2j * math.pi * m.gain_margin_frequency_hz * T)
-    values = scaled(loop, m.gain_margin).eigenvalues
+    values = scaled(loop, m.gain_margin).closed_eigenvalues()
     assert abs(nearest(values, critical) - critical) < 1e-6
-    assert scaled(loop, 0.999 * m.gain_margin).stable
-    assert not scaled(loop, 1.001 * m.gain_margin).stable
+    assert scaled(loop, 0.999 * m.gain_margin).closed_is_stable()
+    assert not scaled(loop, 1.001 * m.gain_margin).closed_is_stable()
     assert m.lower_gain_margin == 0.0
-    assert scaled(loop, 1e-3).stable
+    assert scaled(loop, 1e-3).closed_is_stable()
 
 
 def test_the_lower_gain_margin_makes_an_unstable_loop_stable(unstable):
     m = unstable.margins()
     assert not m.stable
     assert 0.0 < m.lower_gain_margin < 1.0
-    values = scaled(unstable, m.lower_gain_margin).eigenvalues
-    assert abs(values[0]) == pytest.approx(1.0, abs=1e-6)
-    assert scaled(unstable, 0.999 * m.lower_gain_margin).stable
+    values = scaled(unstable, m.lower_gain_margin).closed_eigenvalues()
+    assert abs(values).max() == pytest.approx(1.0, abs=1e-6)
+    assert scaled(unstable, 0.999 * m.lower_gain_margin).closed_is_stable()
 
 
 @pytest.mark.parametrize("name", STABLE)
@@ -157,12 +158,12 @@ def test_a_conditionally_stable_loop_prints_both_phase_margins(conditional):
 
 def test_a_loop_that_loses_stability_with_less_gain_prints_that_margin():
     # Three integrators with the feedback (s + 10/s)³ less s³: Routh asks for a gain above 1/9.
-    three = delayed(np.eye(3, k=1), np.array([[0.0], [0.0], [1.0]]), 1.0, 0)
-    loop = dataclasses.replace(three, g_x=-np.array([[1e3, 3e2, 30.0]]))
+    drive, feedback = np.array([[0.0], [0.0], [1.0]]), -np.array([[1e3, 3e2, 30.0]])
+    loop = sampled_loop(np.eye(3, k=1), drive, feedback, np.zeros((1, 1)))
     m = loop.margins()
     assert m.lower_gain_margin == pytest.approx(1.0 / 9.0, rel=0.05)  # T adds a short delay
-    assert scaled(loop, 1.001 * m.lower_gain_margin).stable
-    assert not scaled(loop, 0.999 * m.lower_gain_margin).stable
+    assert scaled(loop, 1.001 * m.lower_gain_margin).closed_is_stable()
+    assert not scaled(loop, 0.999 * m.lower_gain_margin).closed_is_stable()
     assert f", lower {m.lower_gain_margin:.4g}\n" in str(loop)
 
 
@@ -290,11 +291,12 @@ def test_the_delay_margin_puts_an_eigenvalue_on_the_unit_circle(loops, margins, 
 def test_the_loop_of_the_diagram_has_the_same_margins(loops, margins):
     scenario = SCENARIOS["pid_tuned"]
     diagram = make_closed_loop(scenario.without_quantizers(), signals=(), external_reference=True)
-    equilibrium = find_equilibrium(scenario)
+    rest = find_equilibrium(scenario)
+    state = rest.equations.state(rest.context)
     context = diagram.CreateDefaultContext()
-    context.SetContinuousState(equilibrium.point[: equilibrium.continuous_states])
-    context.SetDiscreteState(equilibrium.point[equilibrium.continuous_states :])
-    diagram.GetInputPort("knee_reference").FixValue(context, equilibrium.reference)
+    context.SetContinuousState(state.continuous)
+    context.SetDiscreteState(state.discrete)
+    diagram.GetInputPort("knee_reference").FixValue(context, [math.radians(40.0), 0.0, 0.0, 0.0])
     opened = loop_at(diagram, "controller:motor_speed_command", context)
     f = np.geomspace(0.1, 250.0, 20)
     expected = loops["pid_tuned"].loop_response(f)

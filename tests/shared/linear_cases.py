@@ -1,12 +1,15 @@
 """Plants, loops and closed forms that several tests of the linear analysis share."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
 from kneexo.analysis.sampled_loop import SampledLoop
+from kneexo.compiler import LinearModel, OperatingPoint, TickModel
+from kneexo.compiler.linear.model import over_period
 from kneexo.parameters import (
     BldcPumpParameters,
     CylinderParameters,
@@ -137,19 +140,61 @@ def delayed(a, b, gain, samples):
     size = samples + 1
     g_x = np.zeros((size, len(a)))
     g_x[0, 0] = -gain
+    return sampled_loop(a, b, g_x, np.eye(size, k=-1))
+
+
+def sampled_loop(a, b, g_x, g_z):
+    """A loop whose plant has the last state of the controller as command.
+
+    dx/dt = A x + B u, z⁺ = G_x x + G_z z, u = z[-1]; the output is x[0].
+    """
+    n, m = len(a), len(g_z)
+    tick = TickModel(
+        time_s=0.0,
+        duration_s=T,
+        jump_state=np.block([[np.eye(n), np.zeros((n, m))], [g_x, g_z]]),
+        jump_input=np.zeros((n + m, 5)),
+        rate_state=np.block([[a, np.zeros((n, m - 1)), b], [np.zeros((m, n + m))]]),
+        rate_input=np.pad(b, ((0, m), (4, 0))),
+    )
+    step_a, step_b = over_period([tick])
+    names = (*(f"reference[{i}]" for i in range(4)), "command")
+    model = LinearModel(
+        a=step_a,
+        b=step_b,
+        c=np.vstack([np.eye(1, n + m), np.eye(n + m)[-1:]]),
+        d=np.pad([[1.0]], ((1, 0), (4, 0))),
+        period_s=T,
+        state_names=tuple(f"x[{i}]" for i in range(n + m)),
+        input_names=names,
+        output_names=("output", "command"),
+        operating_point=OperatingPoint(0.0, np.zeros(n + m), np.zeros(5), np.zeros(2)),
+        ticks=(tick,),
+    )
     return SampledLoop(
-        a=a,
-        b=b,
-        c=np.eye(1, len(a)),
-        g_x=g_x,
-        g_z=np.eye(size, k=-1),
-        g_r=np.zeros((size, 4)),
-        c_u=np.eye(size)[-1:],
-        sample_time_s=T,
+        model=model,
         output="rod_extension",
         knee_angle_rad=0.0,
         scenario=Scenario(),
     )
+
+
+class Matrices:
+    """Matrices of plant and controller of a loop, for a command that is one of the states.
+
+    dx/dt = A x + B u, y = C x, z⁺ = G_x x + G_z z + G_r r, u = C_u z.
+    """
+
+    def __init__(self, loop):
+        (tick,) = loop.model.ticks
+        n, z = 4, loop.moving[4:]
+        assert not tick.rate_state[n:].any()
+        self.a, self.b = tick.rate_state[:n, :n], tick.rate_input[:n, 4:]
+        self.c, self.c_u = loop.model.c[:1, :n], loop.model.c[1:, z]
+        self.g_x, self.g_z = tick.jump_state[z, :n], tick.jump_state[np.ix_(z, z)]
+        self.g_r = tick.jump_input[z, :4]
+        step = over_period([replace(tick, jump_state=np.eye(len(tick.jump_state)))])
+        self.a_d, self.b_d = step[0][:n, :n], step[1][:n, 4:]
 
 
 def frequency_response(loop, frequencies_hz):

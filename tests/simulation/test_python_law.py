@@ -80,6 +80,17 @@ class SystemPi(LeafSystem):
         output.SetAtIndex(0, context.get_discrete_state(0)[0])
 
 
+class SystemWithIntegrator(SystemPi):
+    """A system of floats with a continuous state."""
+
+    def __init__(self):
+        SystemPi.__init__(self)
+        self.DeclareContinuousState(1)
+
+    def DoCalcTimeDerivatives(self, context, derivatives):
+        derivatives.get_mutable_vector().SetAtIndex(0, 0.0)
+
+
 def angles(scenario, law):
     return simulate(scenario, law=law)["knee_angle_rad"]
 
@@ -191,8 +202,9 @@ def test_margins_of_a_law() -> None:
     branch = linearize_loop(law=law_with_branch)
     np.testing.assert_allclose(branch.loop_response(frequencies), loop, rtol=1e-9)
     exact = linearize_loop(law=pi).loop_response(frequencies)
-    floats = linearize_loop(law=pi_with_floats).loop_response(frequencies)
-    np.testing.assert_allclose(floats, exact, rtol=1e-6)
+    for form in (pi_with_floats, SystemPi):
+        floats = linearize_loop(law=form).loop_response(frequencies)
+        np.testing.assert_allclose(floats, exact, rtol=1e-6)
     integral = 0.002 * K_I / (np.exp(2j * np.pi * 0.1 * 0.002) - 1.0)
     np.testing.assert_allclose(exact[0] / loop[0], (K + integral) / K, rtol=1e-6)
 
@@ -202,8 +214,10 @@ def test_laws_without_a_linear_loop_say_so() -> None:
         linearize_loop(law=HiddenPi())
     with pytest.raises(LinearizationError, match="or let the law act on the error"):
         linearize_loop(law=lambda rod_extension: 5.0)
-    with pytest.raises(LinearizationError, match="write the law as a function"):
-        linearize_loop(law=SystemPi)
+    with pytest.raises(LinearizationError, match="has continuous states and does not"):
+        linearize_loop(law=SystemWithIntegrator)
+    with pytest.raises(LinearizationError, match="or a derivative is not finite where"):
+        linearize_loop(law=lambda rod_extension: math.nan * math.floor(rod_extension))
 
 
 def law_of_all(rod_extension, rod_reference, estimated_state, knee_angle, knee_reference, time_s):

@@ -10,12 +10,11 @@ import scipy.optimize
 from numpy.typing import ArrayLike
 
 from ..arguments import names, quoted
-from ..diagram_equations import require_system
 from ..equations.contexts import set_state
-from ..errors import LinearizationError, ParameterError, shown
+from ..errors import NoEquilibriumError, ParameterError, shown
 from ..run_data import Array, State
 from .newton import newton
-from .point import EQUILIBRIUM_TOLERANCE, Point, read_point, require_tolerance
+from .point import EQUILIBRIUM_TOLERANCE, Point, read_point, require_tolerance, system_of
 
 _RANK_TOLERANCE = 1e-14
 
@@ -56,7 +55,7 @@ def find_equilibrium(
 
     Raises
     ------
-    LinearizationError
+    NoEquilibriumError
         There is no equilibrium near the start. The message names the state that still moves most.
     CompilationError, ParameterError
         As in `linearize`. Also for a name in ``fixed`` that is no state, and for an output value of
@@ -69,17 +68,17 @@ def find_equilibrium(
         )
     in_names, out_names = names("free_inputs", free_inputs), names("outputs", targets)
     require_tolerance(equilibrium_tolerance)
-    require_system(diagram)
-    context = diagram.CreateDefaultContext() if context is None else context
+    system = system_of(diagram)
+    context = system.CreateDefaultContext() if context is None else context
     start = read_point(diagram, context, in_names, out_names, bypass, "free_inputs")
     for name in in_names:
-        if not diagram.HasInputPort(name):
+        if not system.HasInputPort(name):
             raise ParameterError(
                 f"free_inputs: {quoted(name)} is no input port of the diagram itself"
             )
     required = _target(start, targets)
-    n, m = start.state.size, len(start.element_names(in_names))
-    free = np.concatenate([_free_states(start, fixed), n + np.arange(m)])
+    n = start.state.size
+    free = np.concatenate([_free_states(start, fixed), n + start.input_elements(in_names)])
 
     def point_at(unknowns: Array) -> Point:
         values = np.concatenate([start.state, start.inputs])
@@ -102,11 +101,13 @@ def find_equilibrium(
         if not fault and not (np.abs(error) <= equilibrium_tolerance).all():
             fault = _wrong_output(point.element_names(out_names), slopes.outputs, required)
         if not fault:
-            return _context_at(diagram, context, point, in_names)
-    raise LinearizationError(
+            return _context_at(system, context, point, in_names)
+    failure = NoEquilibriumError(
         f"no equilibrium near the start: where the search ends, {fault}; start nearer, free an "
         f"input (free_inputs), or fix fewer states (fixed)"
     )
+    failure.fault = fault
+    raise failure
 
 
 def _wrong_output(names: tuple[str, ...], values: Array, required: Array) -> str:
@@ -167,9 +168,7 @@ def _context_at(diagram: Any, context: Any, point: Point, in_names: Iterable[str
     context = context.Clone()
     count = len(point.read.state_names)
     set_state(point.read.root, context, State(point.state[:count], point.state[count:]))
-    first = 0
     for name in in_names:
-        size = point.read.equations.inputs[name]
-        diagram.GetInputPort(name).FixValue(context, point.inputs[first : first + size])
-        first += size
+        value = point.inputs[point.input_elements([name])]
+        diagram.GetInputPort(name).FixValue(context, value)
     return context

@@ -5,20 +5,27 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Iterable, Sequence
+from itertools import chain
 from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import PortDataType
 
 from ..arguments import names, positive
-from ..diagram_equations import require_system
 from ..equations.equations import Update
 from ..errors import LinearizationError, ParameterError
 from ..native.timing import timing
 from ..run_data import Array
 from .advice import obstacles
 from .model import LinearModel, OperatingPoint, TickModel, over_period
-from .point import EQUILIBRIUM_TOLERANCE, Point, read_points, require_tolerance
+from .point import (
+    EQUILIBRIUM_TOLERANCE,
+    Point,
+    mean_slopes,
+    read_points,
+    require_tolerance,
+    system_of,
+)
 
 _MOST_TICKS = 100_000
 _MOST_TIME_CONSTANTS = 1e9
@@ -33,6 +40,7 @@ def linearize(
     bypass: Iterable[str] = (),
     period_s: float | None = None,
     equilibrium_tolerance: float = EQUILIBRIUM_TOLERANCE,
+    beside: Sequence[Any] = (),
 ) -> LinearModel:
     """Linearize a continuous, sampled, mixed or multirate diagram of floats at an equilibrium.
 
@@ -47,7 +55,9 @@ def linearize(
     Parameters
     ----------
     diagram
-        A Diagram or leaf system that `compile_diagram` accepts.
+        A Diagram or leaf system that `compile_diagram` accepts. Or the result of `read_diagram`,
+        which a caller of many models reads only once. Its ``inputs`` and ``outputs`` must contain
+        those of this function.
     context
         Its Context with parameters, state and time, by default the default Context. Values of input
         ports come from the Context too. An input port in ``inputs`` without a value has the value
@@ -74,6 +84,9 @@ def linearize(
         the units of the state. ``math.inf`` accepts every point, such as a point of a trajectory.
         The time is frozen at the time of the Context, as in Drake's `Linearize`. A warning says so
         if the model depends on the time.
+    beside
+        Contexts close to ``context``, on both sides of a corner. The derivatives are then the mean
+        of those in these Contexts, as a small motion across the corner sees them. No warnings then.
 
     Raises
     ------
@@ -88,7 +101,7 @@ def linearize(
         below zero.
     """
     options = bypass, period_s, equilibrium_tolerance
-    return _models(diagram, [context], inputs, outputs, *options)[0]
+    return _models(diagram, [context], inputs, outputs, *options, beside)[0]
 
 
 def linearize_at(
@@ -132,17 +145,21 @@ def _models(
     bypass: Iterable[str],
     period_s: float | None,
     equilibrium_tolerance: float,
+    beside: Sequence[Any] = (),
 ) -> list[LinearModel]:
-    require_system(diagram)
+    system = system_of(diagram)
     if inputs is None:
-        inputs = _vector_ports(map(diagram.get_input_port, range(diagram.num_input_ports())))
+        inputs = _vector_ports(map(system.get_input_port, range(system.num_input_ports())))
     if outputs is None:
-        outputs = _vector_ports(map(diagram.get_output_port, range(diagram.num_output_ports())))
+        outputs = _vector_ports(map(system.get_output_port, range(system.num_output_ports())))
     in_names, out_names = names("inputs", inputs), names("outputs", outputs)
     require_tolerance(equilibrium_tolerance)
+    points = read_points(diagram, chain(contexts, beside), in_names, out_names, bypass)
+    count = len(points) - len(beside)
+    near = points[count:]
     models = []  # no comprehension, which would be a stack frame for warnings on Python 3.11
-    for point in read_points(diagram, contexts, in_names, out_names, bypass):
-        models.append(_model(point, in_names, out_names, period_s, equilibrium_tolerance))
+    for point in points[:count]:
+        models.append(_model(point, near, in_names, out_names, period_s, equilibrium_tolerance))
     return models
 
 
@@ -153,6 +170,7 @@ def _vector_ports(ports: Iterable[Any]) -> tuple[str, ...]:
 
 def _model(
     point: Point,
+    beside: Sequence[Point],
     in_names: tuple[str, ...],
     out_names: tuple[str, ...],
     period_s: float | None,
@@ -160,16 +178,22 @@ def _model(
 ) -> LinearModel:
     slopes = point.slopes(out_names)
     point.require_finite(slopes, out_names)
+    outputs = slopes.outputs
     if moving := point.motion(slopes, equilibrium_tolerance):
         raise LinearizationError(
             f"the operating point is no equilibrium: {moving} (equilibrium_tolerance = "
             f"{equilibrium_tolerance:g}); use find_equilibrium, or equilibrium_tolerance=math.inf"
         )
-    _warn(point, out_names)
+    if beside:
+        slopes = mean_slopes([near.slopes(out_names) for near in beside])
+        point.require_finite(slopes, out_names)
+    else:
+        _warn(point, out_names)
     input_names = point.element_names(in_names)
-    n, columns = point.state.size, point.state.size + len(input_names)
+    n, chosen = point.state.size, point.input_elements(in_names)
+    columns = n + chosen
     updates = point.read.equations.updates
-    jacobian = slopes.rates_jacobian[:, :columns]
+    jacobian = np.hstack([slopes.rates_jacobian[:, :n], slopes.rates_jacobian[:, columns]])
     ticks: tuple[TickModel, ...] = ()
     period: float | None
     if not updates and period_s is None:
@@ -179,14 +203,12 @@ def _model(
         a, b = over_period(ticks)
         _require_period(a, b, jacobian[:, :n], period, sampled=bool(updates))
     return LinearModel(
-        *(a, b, slopes.outputs_jacobian[:, :n], slopes.outputs_jacobian[:, n:columns]),
+        *(a, b, slopes.outputs_jacobian[:, :n], slopes.outputs_jacobian[:, columns]),
         period_s=period,
         state_names=point.state_names,
         input_names=input_names,
         output_names=point.element_names(out_names),
-        operating_point=OperatingPoint(
-            point.time_s, point.state, point.inputs[: len(input_names)], slopes.outputs
-        ),
+        operating_point=OperatingPoint(point.time_s, point.state, point.inputs[chosen], outputs),
         ticks=ticks,
     )
 

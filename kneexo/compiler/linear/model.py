@@ -409,8 +409,11 @@ def over_period(ticks: Sequence[TickModel]) -> tuple[Array, Array]:
         if key not in steps:
             block = np.zeros((n + m, n + m))
             block[:n] = np.hstack([tick.rate_state, tick.rate_input])
+            acts = np.flatnonzero(block.any(axis=0) | block.any(axis=1))
+            small = np.ix_(acts, acts)
+            steps[key] = np.eye(n + m)
             with np.errstate(all="ignore"):  # the caller checks that A and B are finite
-                steps[key] = scipy.linalg.expm(block * tick.duration_s)
+                steps[key][small] = scipy.linalg.expm(block[small] * tick.duration_s)
         step = steps[key]
         a, b = step[:n, :n] @ a, step[:n, :n] @ b + step[:n, n:]
     return a, b

@@ -57,13 +57,3 @@ def newton(
         if largest < _STEP_TOLERANCE or (largest < _ROUNDING and residual >= before):
             break
     return point, residual
-
-
-def newton_failure(residual: float, quantity: str) -> str:
-    """Return the part of an error message that says why `newton` found no zero.
-
-    ``residual`` is the largest absolute value of some numbers, and ``quantity`` is their name.
-    """
-    if math.isnan(residual):
-        return "Newton's method goes where the equations are not finite"
-    return f"the largest {quantity} left is {residual:.3g}"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -41,6 +41,12 @@ class Slopes:
     outputs_jacobian: Array
 
 
+def mean_slopes(slopes: Sequence[Slopes]) -> Slopes:
+    """Return the mean of values and derivatives at several points."""
+    values = ([getattr(each, field.name) for each in slopes] for field in fields(Slopes))
+    return Slopes(*(np.mean(value, axis=0) for value in values))
+
+
 @dataclass(frozen=True)
 class Point:
     """A diagram with the values at which to evaluate its equations."""
@@ -67,6 +73,13 @@ class Point:
         equations = self.read.equations
         sizes = {name: len(nodes) for name, nodes in equations.outputs.items()} | equations.inputs
         return tuple(element_name(p, i, sizes[p]) for p in ports for i in range(sizes[p]))
+
+    def input_elements(self, ports: Iterable[str]) -> Array:
+        """Return the indices of the elements of some open inputs among those of all open inputs."""
+        sizes = self.read.equations.inputs
+        first = dict(zip(sizes, np.cumsum([0, *sizes.values()]).tolist(), strict=False))
+        indices = [first[port] + i for port in ports for i in range(sizes[port])]
+        return np.array(indices, dtype=int)
 
     def at(self, state: Array, inputs: Array | None = None) -> Point:
         """Return the point with another state, and with other inputs unless they are None."""
@@ -197,6 +210,9 @@ def read_point(
     in the Context. An input without a value, or inside the diagram, has the value zero. For the
     names and errors see `linearize`. ``setting`` is the name of ``inputs`` in the caller's
     arguments, for the message about an input that has no value.
+
+    ``diagram`` may be a diagram with its equations, which are then not read again. The open inputs
+    are those of the equations.
     """
     return read_points(diagram, [context], inputs, outputs, bypass, setting)[0]
 
@@ -213,7 +229,8 @@ def read_points(
 
     An input is open if it has a value in at least one of the Contexts.
     """
-    require_system(diagram)
+    read = diagram if isinstance(diagram, DiagramEquations) else None
+    diagram = system_of(diagram)
     try:
         contexts = list(contexts)
     except TypeError:
@@ -223,15 +240,10 @@ def read_points(
     exported = {diagram.get_output_port(i).get_name() for i in range(diagram.num_output_ports())}
     inner = [name for name in outputs if name not in exported]
     bypass = names("bypass", bypass)
-    try:
-        read = read_diagram(diagram, inputs=open_ports, outputs=inner, bypass=bypass)
-    except CompilationError as error:
-        if port := _port_without_value(diagram, open_ports, inner, bypass):
-            raise CompilationError(
-                f"input port {quoted(port)} has no value: FixValue it in the Context, or name it "
-                f"in {setting}"
-            ) from error
-        raise
+    if read is None:
+        read = _read(diagram, open_ports, inner, bypass, setting)
+    else:
+        _require_read(read, [*inputs, *outputs], bypass)
     sizes = read.equations.inputs
     states = [read.state(context) for context in contexts]
     return [
@@ -241,11 +253,46 @@ def read_points(
             parameters=read.parameters(context),
             state=np.concatenate([state.continuous, state.discrete]),
             inputs=np.concatenate(
-                [np.empty(0), *(of_port.get(name, np.zeros(sizes[name])) for name in open_ports)]
+                [np.empty(0), *(of_port.get(name, np.zeros(sizes[name])) for name in sizes)]
             ),
         )
         for context, of_port, state in zip(contexts, values, states, strict=True)
     ]
+
+
+def system_of(diagram: Any) -> Any:
+    """Return the system of a diagram with its equations, or a Diagram or leaf system itself.
+
+    Raises `CompilationError` for anything else.
+    """
+    if isinstance(diagram, DiagramEquations):
+        return diagram.diagram
+    require_system(diagram)
+    return diagram
+
+
+def _read(
+    diagram: Any, inputs: Sequence[str], outputs: Sequence[str], bypass: Sequence[str], setting: str
+) -> DiagramEquations:
+    try:
+        return read_diagram(diagram, inputs=inputs, outputs=outputs, bypass=bypass)
+    except CompilationError as error:
+        if port := _port_without_value(diagram, inputs, outputs, bypass):
+            raise CompilationError(
+                f"input port {quoted(port)} has no value: FixValue it in the Context, or name it "
+                f"in {setting}"
+            ) from error
+        raise
+
+
+def _require_read(read: DiagramEquations, ports: Iterable[str], bypass: Iterable[str]) -> None:
+    """Raise `ParameterError` for a port or a bypass without which the equations were read."""
+    known = {*read.equations.inputs, *read.equations.outputs}
+    missing = [*(port for port in ports if port not in known), *bypass]
+    if missing:
+        raise ParameterError(
+            f"{quoted(missing[0])}: is not in the equations; name it in the call of read_diagram"
+        )
 
 
 def _port_without_value(

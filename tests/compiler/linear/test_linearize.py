@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 from pydrake.examples import AcrobotPlant, PendulumPlant, QuadrotorPlant
-from pydrake.symbolic import Variable, sin
+from pydrake.symbolic import Variable, if_then_else, sin
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import (
     Adder,
@@ -25,6 +25,7 @@ from kneexo.compiler import (
     find_equilibrium,
     linearize,
     linearize_at,
+    read_diagram,
 )
 
 
@@ -340,3 +341,47 @@ def test_a_period_beyond_the_accuracy_of_the_exponential_is_refused():
     assert linearize(integrator, period_s=1e50, **ports).b == pytest.approx(1e50)
     with pytest.raises(LinearizationError, match=r"the period, 1e\+308 s, is not finite; choose a"):
         linearize(integrator, period_s=1e308, **ports)
+
+
+def test_equations_that_were_read_once_give_the_models_of_the_diagram(loop):
+    """Other open inputs, before and after those of the model, take no part."""
+    read = read_diagram(loop, inputs=["delay:u", "r", "plant:u0"], outputs=["hold:y", "plant:y0"])
+    context = find_equilibrium(read, free_inputs=["r"], outputs={"y": [0.0]})
+    for inputs in (["r"], ["plant:u0", "delay:u"]):
+        ours = linearize(read, context, inputs=inputs, outputs=["hold:y", "y"])
+        theirs = linearize(loop, context, inputs=inputs, outputs=["hold:y", "y"])
+        assert ours.input_names == theirs.input_names
+        for matrix in ("a", "b", "c", "d"):
+            np.testing.assert_array_equal(getattr(ours, matrix), getattr(theirs, matrix))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "name"),
+    [
+        ({"inputs": ["r", "plant:u0"]}, "plant:u0"),
+        ({"outputs": ["hold:y"]}, "hold:y"),
+        ({"bypass": ["gain"]}, "gain"),
+    ],
+)
+def test_equations_without_a_port_say_so(loop, arguments, name):
+    message = rf"{name}'?: is not in the equations; name it in the call of read_diagram"
+    with pytest.raises(ParameterError, match=message):
+        linearize(read_diagram(loop, inputs=["r"]), **arguments)
+
+
+@pytest.mark.filterwarnings("error")
+def test_derivatives_beside_a_corner_are_the_mean_of_both_sides():
+    """dx/dt = u − 2x for x > 0 and u − 4x else has the mean rate −3x."""
+    x, u = Variable("x"), Variable("u")
+    rate = if_then_else(x > 0.0, u - 2.0 * x, u - 4.0 * x)
+    system = SymbolicVectorSystem(state=[x], input=[u], dynamics=[rate], output=[x])
+    contexts = []
+    for value in (0.0, 1e-9, -1e-9):
+        context = system.CreateDefaultContext()
+        context.SetContinuousState([value])
+        system.get_input_port().FixValue(context, [0.0])
+        contexts.append(context)
+    at, *beside = contexts
+    model = linearize(system, at, beside=beside)
+    assert model.a == pytest.approx(np.array([[-3.0]]), rel=1e-12)
+    assert model.operating_point.state == [0.0]

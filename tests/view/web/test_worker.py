@@ -103,7 +103,7 @@ def check_run(answer, result):
 
 def dense_grid(loop):
     """Frequencies in Hz, dense also around a resonance without damping."""
-    poles = np.linalg.eigvals(loop.loop_matrices[0])
+    poles = np.linalg.eigvals(loop.loop.a)
     poles = poles[poles.imag > 0.0]
     centres = np.angle(poles) / loop.sample_time_s / math.tau
     widths = (1.0 - np.abs(poles)) / loop.sample_time_s / math.tau

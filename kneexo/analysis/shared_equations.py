@@ -1,0 +1,63 @@
+"""Equations that loops or plants of one structure share, and the Contexts of their numbers.
+
+Python 3.11 never frees a LeafSystem, and reading the equations of a diagram takes tenths of a
+second. So a sweep over numbers uses one diagram, and reads its equations once.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+from kneexo.simulation.compiled import Recent
+
+recent_equations = Recent()
+"""The equations of the structures that were asked for last."""
+
+
+def context_with(
+    diagram: Any, values: Iterable[tuple[str, dict[str, float]]], continuous_state: Sequence[float]
+) -> Any:
+    """Return a new Context of a diagram with Context parameters and continuous states.
+
+    ``values`` are paths of systems with the values of their parameters by name. States that
+    ``continuous_state`` does not contain are zero.
+    """
+    context = diagram.CreateDefaultContext()
+    set_parameters(diagram, context, values)
+    missing = context.num_continuous_states() - len(continuous_state)
+    context.SetContinuousState([*continuous_state, *[0.0] * missing])
+    return context
+
+
+def set_parameters(
+    diagram: Any, context: Any, values: Iterable[tuple[str, dict[str, float]]]
+) -> None:
+    """Set Context parameters of the systems of a diagram, by path and name.
+
+    Systems that are not in the diagram, such as the reference, are ignored.
+    """
+    for path, named in values:
+        system = _system(diagram, path)
+        if system is None:
+            continue
+        subcontext = system.GetMyMutableContextFromRoot(context)
+        for name, value in named.items():
+            if group := re.fullmatch(r"(\d+)\[(\d+)\]", name):
+                vector = subcontext.get_mutable_numeric_parameter(int(group[1]))
+                vector.SetAtIndex(int(group[2]), value)
+            else:
+                system.set_parameter(subcontext, name, value)
+
+
+def _system(diagram: Any, path: str) -> Any:
+    """Return the system at a path in ``diagram``.
+
+    The result is None if there is no system at the path or if it has no named parameters.
+    """
+    for name in path.split("/"):
+        if not diagram.HasSubsystemNamed(name):
+            return None
+        diagram = diagram.GetSubsystemByName(name)
+    return diagram if hasattr(diagram, "set_parameter") else None
