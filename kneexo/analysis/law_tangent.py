@@ -5,15 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from pydrake.systems.analysis import Simulator
 
-from kneexo.diagrams import SIGNALS
 from kneexo.diagrams.law import law_inputs, maker_arguments
-from kneexo.errors import LinearizationError
+from kneexo.errors import LinearizationError, SimulationError
 from kneexo.parameters import LawParameters, Scenario
 from kneexo.result import Array
 from kneexo.simulation.python_law import SIGNAL_OF
-from kneexo.systems import LinearLaw
-from kneexo.systems.function_law import call_law
+from kneexo.systems import FunctionLaw, LinearLaw
 from kneexo.user_code import user_code
 
 _RELATIVE_STEP = 6e-6  # cube root of the rounding error: the best step of a central difference
@@ -23,100 +22,100 @@ _SMALLEST_SCALE = 1e-2  # m, rad, rad/s, …: values below it are differentiated
 class LawTangent:
     """A law that runs as Python, and the `LinearLaw` that replaces it near an operating point.
 
-    At a sample the law computes its command u and its states z⁺ from z and the signals y. Central
-    differences give the derivatives, because such a law may need floats.
+    Central differences give the derivatives, because such a law may need floats.
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        assert isinstance(scenario.controller, LawParameters)
-        self._parameters = scenario.controller
-        self._law = self._parameters.function
+        law = scenario.controller
+        assert isinstance(law, LawParameters)
+        self._name, self._sample_time_s = law.function.short_name, law.sample_time_s
         self._inputs = law_inputs(scenario)
-        self.start = np.array(self._parameters.initial_state)
-        """States z at the start."""
-        if self._law.is_system:
-            self._system = self._law.any_system(maker_arguments(scenario))
-            context = self._system.CreateDefaultContext()
-            if context.num_continuous_states():
-                raise LinearizationError(
-                    f"law {self._law.short_name}: has continuous states and does not become "
-                    f"equations: there is no linear loop; write it with a sample time"
-                )
-            self.start = _discrete_state(context.get_discrete_state())
+        self._held: list[float] = []
+        """Discrete states of the system that are its command alone."""
+        if law.function.is_system:
+            self._system = law.function.any_system(maker_arguments(scenario))
+        else:
+            self._system, self._held = FunctionLaw(law), [0.0]
+        self._context = self._system.CreateDefaultContext()
+        continuous, discrete = self._states()
+        self.sizes = continuous.size, discrete.size
+        """Numbers of continuous and of discrete states."""
 
     def linear_law(self) -> LinearLaw:
         """Return a system with the inputs of the law, and as many states."""
-        return LinearLaw(self._parameters.sample_time_s, self._inputs, self.start.size)
+        return LinearLaw(self._sample_time_s, self._inputs, *self.sizes)
 
     def start_in(self, diagram: Any, context: Any) -> None:
         """Set the states of the `LinearLaw` of a closed loop to those of the law at the start."""
+        self._fix_inputs(self._signals(diagram, context))
+        with user_code(f"law {self._name}: the system fails"):
+            Simulator(self._system, self._context).Initialize()
+        continuous, discrete = self._states()
         subcontext = _linear_law(diagram).GetMyMutableContextFromRoot(context)
-        subcontext.SetDiscreteState([0.0, *self.start])
+        subcontext.SetContinuousState(continuous)
+        subcontext.SetDiscreteState([0.0, *discrete])
 
     def set(self, diagram: Any, context: Any) -> None:
-        """Set the Context parameters of the `LinearLaw` of a closed loop to the tangent there."""
+        """Set the Context parameters of the `LinearLaw` of a closed loop to the tangent there.
+
+        Raises `LinearizationError` for a law whose command or state is not finite there.
+        """
         linear_law = _linear_law(diagram)
         subcontext = linear_law.GetMyMutableContextFromRoot(context)
-        state = subcontext.get_discrete_state_vector().CopyToVector()[1:]
-        ports = (diagram.GetOutputPort(SIGNAL_OF[name]) for name in self._inputs)
-        point = np.concatenate([state, *(port.Eval(context) for port in ports)])
-        values, slopes = self._differentiated(point)
-        matrix = np.column_stack([values - slopes @ point, slopes])
-        if not np.isfinite(matrix).all():
-            raise LinearizationError(
-                f"law {self._law.short_name}: its command, a next state or a derivative is not "
-                f"finite where the loop should rest: there is no linear loop; correct that code"
-            )
-        linear_law.set_matrix(subcontext, matrix)
-
-    def _differentiated(self, point: Array) -> tuple[Array, Array]:
-        """Return command and next states at a point (z, y), and their central differences."""
+        continuous = subcontext.get_continuous_state_vector().CopyToVector()
+        discrete = subcontext.get_discrete_state_vector().CopyToVector()[1:]
+        point = np.concatenate([continuous, discrete, *self._signals(diagram, context)])
         steps = np.diag(_RELATIVE_STEP * np.maximum(np.abs(point), _SMALLEST_SCALE))
-        columns = [
-            (self._sample(point + step) - self._sample(point - step)) / (2.0 * step.sum())
-            for step in steps
-        ]
-        return self._sample(point), np.column_stack(columns)
+        try:
+            values = self._sample(point)
+            columns = [
+                (self._sample(point + step) - self._sample(point - step)) / (2.0 * step.sum())
+                for step in steps
+            ]
+        except SimulationError as error:
+            raise LinearizationError(str(error)) from None
+        slopes = np.column_stack(columns)
+        linear_law.set_matrix(subcontext, np.column_stack([values - slopes @ point, slopes]))
 
     def _sample(self, point: Array) -> Array:
-        """Return command and next states for the states z and signals y of an array (z, y)."""
-        sizes = [self.start.size, *(len(SIGNALS[SIGNAL_OF[name]]) for name in self._inputs)]
-        state, *signals = np.split(point, np.cumsum(sizes)[:-1])
-        inputs = dict(zip(self._inputs, signals, strict=True))
-        if self._law.is_system:
-            return self._system_sample(state, inputs)
-        law, arguments = self._law.arguments, inputs
-        arguments |= {name: np.array([value]) for name, value in self._parameters.values.items()}
-        if law.time:
-            arguments["time_s"] = np.zeros(1)
-        if law.state:
-            arguments["state"] = state
-        return np.array(call_law(self._law, self._law.copy_of_target(), arguments))
+        """Return the rates, the command and the next discrete states at a point (x, z, y).
 
-    def _system_sample(self, state: Array, inputs: dict[str, Array]) -> Array:
-        system = self._system
-        context = system.CreateDefaultContext()
-        groups = context.get_discrete_state()
-        first = 0
-        for index in range(groups.num_groups()):
-            size = groups.get_vector(index).size()
-            context.SetDiscreteState(index, state[first : first + size])
-            first += size
-        for name, value in inputs.items():
-            system.GetInputPort(name).FixValue(context, value)
-        with user_code(f"law {self._law.short_name}: the system fails"):
-            if first:
+        x and z are the continuous and discrete states, and y the signals that the law reads.
+        """
+        system, context = self._system, self._context
+        x, z, y = np.split(point, np.cumsum(self.sizes))
+        ends = np.cumsum([system.GetInputPort(name).size() for name in self._inputs])
+        self._fix_inputs(np.split(y, ends[:-1]))
+        context.SetContinuousState(x)
+        z = np.concatenate([self._held, z])
+        for index in range(context.num_discrete_state_groups()):
+            size = context.get_discrete_state(index).size()
+            context.SetDiscreteState(index, z[:size])
+            z = z[size:]
+        with user_code(f"law {self._name}: the system fails"):
+            rates = system.EvalTimeDerivatives(context).CopyToVector()
+            if context.num_discrete_state_groups():
                 updated = system.EvalUniquePeriodicDiscreteUpdate(context)
                 context.get_mutable_discrete_state().SetFrom(updated)
             command = system.GetOutputPort("motor_speed_command").Eval(context)
-        return np.append(command, _discrete_state(context.get_discrete_state()))
+        return np.concatenate([rates, command, self._states()[1]])
+
+    def _states(self) -> tuple[Array, Array]:
+        """Return the continuous states, and the discrete states of all groups but the command."""
+        context, discrete = self._context, [np.empty(0)]
+        for index in range(context.num_discrete_state_groups()):
+            discrete.append(context.get_discrete_state(index).CopyToVector())
+        own = np.concatenate(discrete)[len(self._held) :]
+        return context.get_continuous_state_vector().CopyToVector(), own
+
+    def _fix_inputs(self, signals: list[Array]) -> None:
+        for name, value in zip(self._inputs, signals, strict=True):
+            self._system.GetInputPort(name).FixValue(self._context, value)
+
+    def _signals(self, diagram: Any, context: Any) -> list[Array]:
+        """Return the signals of a closed loop that the law reads."""
+        return [diagram.GetOutputPort(SIGNAL_OF[name]).Eval(context) for name in self._inputs]
 
 
 def _linear_law(diagram: Any) -> Any:
     return diagram.GetSubsystemByName("controller").GetSubsystemByName("law")
-
-
-def _discrete_state(groups: Any) -> Any:
-    """Return the elements of all groups of discrete states as one array."""
-    vectors = [groups.get_vector(index).CopyToVector() for index in range(groups.num_groups())]
-    return np.concatenate([np.empty(0), *vectors])

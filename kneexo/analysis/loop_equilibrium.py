@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -102,8 +101,8 @@ def _shared_equations(scenario: Scenario, law: LawTangent | None) -> DiagramEqua
         inputs |= {"biological_moment"} if diagram.HasInputPort("biological_moment") else set()
         return read_diagram(diagram, inputs=sorted(inputs), outputs=[_command_port(diagram)])
 
-    if law is not None:  # such laws share a structure, but for the number of states
-        return recent_equations.of(f"{key} {law.start.size}", read)
+    if law is not None:  # such laws share a structure, but for the numbers of states
+        return recent_equations.of(f"{key} {law.sizes}", read)
     if has_unknown_parts(scenario):  # whose Context parameters cannot be set by name
         key += known_to_controller(scenario).model_dump_json()
         return remembered(users_law(scenario), key, read)
@@ -153,24 +152,33 @@ def find_equilibrium(scenario: Scenario, *, knee_angle_deg: float = MID_RANGE_DE
             "initial_offset_m": 0.0,
         }
     )
-    law = LawTangent(fixed) if runs_as_python(fixed) else None
+    unlimited = _without_motor_limits(fixed)
+    law = LawTangent(unlimited) if runs_as_python(fixed) else None
     equations = _shared_equations(fixed, law)
     loop = equations.diagram
     _require_one_sample_time(loop)
     replaced = None if law is None else law.linear_law()
-    values = loop_values(_without_motor_limits(fixed), replaced)
-    context = context_with(loop, values, [*plant_start(fixed).values()])
+    context = context_with(loop, loop_values(unlimited, replaced), [*plant_start(fixed).values()])
     reference = [math.radians(knee_angle_deg), 0.0, 0.0, 0.0]
     loop.GetInputPort("knee_reference").FixValue(context, reference)
     if (moment := moment_of(fixed)) is not None:
         at_start = moment_spline(moment).value(0.0).reshape(-1)
         loop.GetInputPort("biological_moment").FixValue(context, at_start)
+    Simulator(loop, context).Initialize()  # initializes the controller as in a run
     if law is not None:
         law.start_in(loop, context)
-    Simulator(loop, context).Initialize()  # initializes the controller as in a run
-    for start in (context, *_passive_starts(fixed, context)):
+    postures_deg = [knee_angle_deg]
+    if isinstance(fixed.wearer, LegParameters) and fixed.wearer.motion == "passive":
+        least, most = fixed.plant.knee.flexion_min_deg, fixed.plant.knee.flexion_max_deg
+        postures_deg += [least + share * (most - least) for share in _PASSIVE_STARTS]
+    for posture_deg in postures_deg:
+        posture = {"reference": StepReference(start_deg=posture_deg, end_deg=posture_deg)}
+        at_rest = [*plant_start(fixed.model_copy(update=posture)).values()]
+        state = context.get_continuous_state_vector().CopyToVector()
+        state[: len(at_rest)] = at_rest
+        context.SetContinuousState(state)
         try:
-            context = _rest(equations, start, law)
+            context = _rest(equations, context, law)
             break
         except NoEquilibriumError as error:
             fault = error.fault
@@ -189,20 +197,6 @@ def find_equilibrium(scenario: Scenario, *, knee_angle_deg: float = MID_RANGE_DE
     return Equilibrium(equations, context, law, *ports, angle)
 
 
-def _passive_starts(scenario: Scenario, context: Any) -> Iterator[Any]:
-    """Yield Contexts with other postures at the start, if the leg is passive."""
-    if not isinstance(scenario.wearer, LegParameters) or scenario.wearer.motion != "passive":
-        return
-    knee = scenario.plant.knee
-    for share in _PASSIVE_STARTS:
-        angle = knee.flexion_min_deg + share * (knee.flexion_max_deg - knee.flexion_min_deg)
-        posture = StepReference(start_deg=angle, end_deg=angle)
-        start = context.Clone()
-        at_rest = plant_start(scenario.model_copy(update={"reference": posture}))
-        start.SetContinuousState([*at_rest.values()])
-        yield start
-
-
 def _rest(equations: DiagramEquations, start: Any, law: LawTangent | None) -> Any:
     """Return a Context in which a loop rests. Raise `NoEquilibriumError` if there is none.
 
@@ -213,18 +207,13 @@ def _rest(equations: DiagramEquations, start: Any, law: LawTangent | None) -> An
     for _ in range(_TANGENTS):
         law.set(equations.diagram, start)
         rest = compiler.find_equilibrium(equations, start)
-        before, state = (np.concatenate(_states(equations, c)) for c in (start, rest))
-        if (np.abs(state - before) <= 1e-9 * (1.0 + np.abs(state))).all():
+        before, after = (equations.state(context) for context in (start, rest))
+        if np.allclose(before.continuous, after.continuous, rtol=1e-9, atol=1e-9) and np.allclose(
+            before.discrete, after.discrete, rtol=1e-9, atol=1e-9
+        ):
             return rest
         start = rest
-    error = NoEquilibriumError("the law still moves the loop")
-    error.fault = str(error)
-    raise error
-
-
-def _states(equations: DiagramEquations, context: Any) -> tuple[Array, Array]:
-    state = equations.state(context)
-    return state.continuous, state.discrete
+    raise NoEquilibriumError("no equilibrium", "the law still moves the loop")
 
 
 def _without_motor_limits(scenario: Scenario) -> Scenario:

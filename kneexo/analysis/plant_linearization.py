@@ -14,7 +14,7 @@ from pydrake.systems.framework import Diagram
 
 from kneexo.analysis.shared_equations import context_with, recent_equations
 from kneexo.analysis.signals import to_rpm
-from kneexo.compiler import DiagramEquations, find_equilibrium, linearize, read_diagram
+from kneexo.compiler import DiagramEquations, Transfer, find_equilibrium, linearize, read_diagram
 from kneexo.diagrams import SIGNALS, make_plant
 from kneexo.diagrams.plant import plant_parts
 from kneexo.errors import LinearizationError, NoEquilibriumError
@@ -236,11 +236,8 @@ class PlantLinearization(Result):
 
     def response(self, frequencies_hz: ArrayLike) -> Complex:
         """Return the response G(j2πf) of the first output to the command, (n,), at f in Hz."""
-        s = 2j * np.pi * frequency_array(frequencies_hz)
-        eye = np.eye(self.a.shape[0])
-        return np.array(
-            [(self.c[0] @ np.linalg.solve(v * eye - self.a, self.b) + self.d[0])[0] for v in s]
-        )
+        first = Transfer(self.a, self.b, self.c[:1], self.d[0, 0], None)
+        return first.response(frequency_array(frequencies_hz))
 
     def __str__(self) -> str:
         """Return operating point, poles with damping, and velocity gain as text."""

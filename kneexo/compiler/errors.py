@@ -82,4 +82,7 @@ class LinearizationError(Error, ArithmeticError):
 class NoEquilibriumError(LinearizationError):
     """The search for an equilibrium ends at a point that is none, because of ``fault``."""
 
-    fault: str = ""
+    def __init__(self, message: str, fault: str = "") -> None:
+        """Store the message, and the part of it that says what does not rest."""
+        super().__init__(message)
+        self.fault = fault

@@ -16,7 +16,7 @@ from pydrake.symbolic import Expression, Variable
 from kneexo.compiler import expressions_key, truth_of_scalars
 from kneexo.errors import ParameterError, SimulationError, shortened
 from kneexo.parameters import LAW_INPUTS, Law, LawParameters
-from kneexo.systems._leaf import NamedLeaf, clip, discrete_state, leaf_template
+from kneexo.systems._leaf import NamedLeaf, clip, discrete_state, fill, leaf_template
 from kneexo.user_code import place_in_user_code, user_code
 
 LAW_COMMAND = "law_command"
@@ -210,30 +210,43 @@ HeldCommand_ = leaf_template(HeldCommand)
 class LinearLaw(NamedLeaf):
     """Replace a control law that runs as Python by its linear form, near an operating point.
 
-    The discrete state (u, z) of command and law becomes M (1, z, y) every ``sample_time_s``. y are
-    the elements of the inputs that the law reads, and M are Context parameters, see `set_matrix`.
-    Output port: ``motor_speed_command`` (1), the state u in rad/s, without limit.
+    M (1, x, z, y) gives the rates of the continuous states x of the law. Every ``sample_time_s`` it
+    also gives the discrete state (u, z), the command u in rad/s and the discrete states z of the
+    law. y are the elements of the inputs that the law reads, and M are Context parameters, see
+    `set_matrix`. Output port: ``motor_speed_command`` (1), the state u, without limit.
     """
 
-    def __init__(self, sample_time_s: float, inputs: tuple[str, ...], states: int) -> None:
+    def __init__(
+        self, sample_time_s: float, inputs: tuple[str, ...], continuous: int, discrete: int
+    ) -> None:
         self._ports = [self.DeclareVectorInputPort(name, LAW_INPUTS[name]) for name in inputs]
-        self._shape = 1 + states, 1 + states + sum(LAW_INPUTS[name] for name in inputs)
+        rows = continuous + 1 + discrete
+        self._shape = rows, rows + sum(LAW_INPUTS[name] for name in inputs)
         self._declare_parameters(
             {f"m_{row}_{column}": 0.0 for row, column in np.ndindex(*self._shape)}
         )
-        self._declare_update(sample_time_s, 1 + states, self._update)
+        self._continuous = continuous
+        self.DeclareContinuousState(continuous)
+        self._declare_update(
+            sample_time_s, 1 + discrete, lambda c: self._linear_form(c)[continuous:]
+        )
         self._declare_output(
             "motor_speed_command", 1, lambda c: discrete_state(c)[:1], self.xd_ticket()
         )
 
     def set_matrix(self, context: Any, matrix: Any) -> None:
-        """Set the Context parameters to a matrix M with a row for u and for each element of z."""
+        """Set the Context parameters to M, with rows for the rates, for u and for z."""
         context.get_mutable_numeric_parameter(0).SetFromVector(np.reshape(matrix, -1))
 
-    def _update(self, context: Any) -> list[Any]:
+    def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
+        """Compute the rates of the continuous states."""
+        fill(derivatives.get_mutable_vector(), self._linear_form(context)[: self._continuous])
+
+    def _linear_form(self, context: Any) -> list[Any]:
         matrix = np.reshape(context.get_numeric_parameter(0).CopyToVector(), self._shape)
+        states = context.get_continuous_state_vector().CopyToVector().tolist()
         signals = [element for port in self._ports for element in port.Eval(context)]
-        values = [1.0, *discrete_state(context)[1:], *signals]
+        values = [1.0, *states, *discrete_state(context)[1:], *signals]
         return [sum(m * value for m, value in zip(row, values, strict=True)) for row in matrix]
 
 

@@ -4,7 +4,10 @@ import math
 
 import numpy as np
 import pytest
-from pydrake.systems.framework import LeafSystem
+from pydrake.autodiffutils import AutoDiffXd
+from pydrake.symbolic import Expression
+from pydrake.systems.framework import LeafSystem_
+from pydrake.systems.scalar_conversion import TemplateSystem
 
 from kneexo.analysis.loop_equilibrium import find_equilibrium
 from kneexo.analysis.sampled_loop import linearize_loop
@@ -62,25 +65,44 @@ def test_a_kink_at_rest_gives_the_mean_of_both_sides():
     np.testing.assert_allclose(responses[0], responses[1], rtol=1e-6)
 
 
-class StatelessSystem(LeafSystem):
-    """A gain of floats without state, whose command is held for a sample."""
+def continuous_pi(scalars):
+    """A PI law with a continuous integral, as a Drake system of some scalar types."""
 
-    def __init__(self):
-        LeafSystem.__init__(self)
-        self.rod = self.DeclareVectorInputPort("rod_extension", 1)
-        self.reference = self.DeclareVectorInputPort("rod_reference", 4)
-        self.DeclareVectorOutputPort("motor_speed_command", 1, self.command)
+    @TemplateSystem.define("ContinuousPi_", T_list=scalars)
+    def template(scalar):
+        class Impl(LeafSystem_[scalar]):
+            def _construct(self, converter=None):
+                LeafSystem_[scalar].__init__(self, converter)
+                self.rod = self.DeclareVectorInputPort("rod_extension", 1)
+                self.reference = self.DeclareVectorInputPort("rod_reference", 4)
+                self.DeclareContinuousState(1)
+                self.DeclareVectorOutputPort("motor_speed_command", 1, self.command)
 
-    def command(self, context, output):
-        error = self.reference.Eval(context)[0] - self.rod.Eval(context)[0]
-        output.SetAtIndex(0, 8e4 * float(error))
+            def _construct_copy(self, other, converter=None):
+                Impl._construct(self, converter=converter)
+
+            def error(self, context):
+                return self.reference.Eval(context)[0] - self.rod.Eval(context)[0]
+
+            def DoCalcTimeDerivatives(self, context, derivatives):
+                derivatives.get_mutable_vector().SetAtIndex(0, self.error(context))
+
+            def command(self, context, output):
+                integral = context.get_continuous_state_vector()[0]
+                output.SetAtIndex(0, 2e4 * self.error(context) + 5e4 * integral)
+
+        return Impl
+
+    return template[None]
 
 
-def test_a_system_without_state_has_the_loop_of_the_function():
-    assert runs_as_python(Scenario().with_law(StatelessSystem))
-    frequency_hz = [0.3, 5.0]
-    system = linearize_loop(law=StatelessSystem).loop_response(frequency_hz)
-    function = linearize_loop(
-        law=lambda rod_extension, rod_reference: 8e4 * (rod_reference[0] - rod_extension)
-    ).loop_response(frequency_hz)
-    np.testing.assert_allclose(system, function, rtol=1e-7)
+def test_a_system_with_a_continuous_state_has_the_loop_of_its_equations():
+    compiled, called = continuous_pi([float, AutoDiffXd, Expression]), continuous_pi([float])
+    runs = [runs_as_python(Scenario().with_law(law)) for law in (compiled, called)]
+    assert runs == [False, True]
+    expected, loop = linearize_loop(law=compiled), linearize_loop(law=called)
+    frequency_hz = [0.05, 0.3, 5.0, 240.0]
+    for name in ("loop_response", "output_response"):
+        ours, theirs = getattr(loop, name)(frequency_hz), getattr(expected, name)(frequency_hz)
+        np.testing.assert_allclose(ours, theirs, rtol=1e-7)
+    assert len(loop.eigenvalues) == len(expected.eigenvalues)

@@ -10,11 +10,7 @@ import pytest
 from linear_cases import (
     SCENARIOS,
     SPRING,
-    STABLE,
     T,
-    delayed,
-    frequency_response,
-    nearest,
     plant_parameters,
     raises_one_line,
     sampled_loop,
@@ -34,20 +30,6 @@ from kneexo.parameters import (
 from kneexo.parameters.paths import changed
 
 
-@pytest.mark.parametrize("name", STABLE)
-def test_margins_are_those_of_python_control(loops, margins, name):
-    loop, m = loops[name], margins[name]
-    assert m.stable
-    f = np.geomspace(0.05, 249.9, 1500)
-    data = control.FRD(frequency_response(loop, f), 2.0 * math.pi * f, smooth=True)
-    gain, phase, _, omega_phase, omega_gain, _ = control.stability_margins(data)
-    assert m.gain_margin == pytest.approx(gain, rel=1e-6)
-    assert m.phase_margin_deg == pytest.approx(phase, rel=1e-6)
-    # The argument of a crossing is as exact as the spline through the data.
-    assert 2.0 * math.pi * m.gain_margin_frequency_hz == pytest.approx(omega_phase, rel=1e-5)
-    assert 2.0 * math.pi * m.phase_margin_frequency_hz == pytest.approx(omega_gain, rel=1e-5)
-
-
 @pytest.mark.filterwarnings("ignore:stability_margins")
 @pytest.mark.parametrize("name", ["smc", "pid", "pid_tuned", "difference"])
 def test_margins_are_those_of_python_control_on_the_state_space(loops, margins, name):
@@ -57,95 +39,15 @@ def test_margins_are_those_of_python_control_on_the_state_space(loops, margins, 
     assert m.phase_margin_deg == pytest.approx(phase, rel=1e-6)
 
 
-@pytest.mark.filterwarnings("ignore:Setting the shape:DeprecationWarning:control")  # its own code
-@pytest.mark.parametrize("name", STABLE)
-def test_disk_margins_are_those_of_python_control(loops, margins, name):
-    loop, m = loops[name], margins[name]
-    # The minimum of a dense grid about it: flat to 1e-8 between its points.
-    f = m.disk_margin_frequency_hz * (1.0 + np.linspace(-0.03, 0.03, 401))
-    f = np.sort(np.concatenate([np.geomspace(0.05, 249.9, 600), f[f < 250.0]]))
-    disk, gain_db, phase = control.disk_margins(loop.to_control(), 2.0 * math.pi * f, skew=0.0)
-    assert m.disk_margin == pytest.approx(disk, rel=1e-6)
-    assert 20.0 * math.log10(m.disk_gain_margin) == pytest.approx(gain_db, rel=1e-6)
-    assert m.disk_phase_margin_deg == pytest.approx(phase, rel=1e-6)
-
-
 def scaled(loop, factor):
     """The loop transfer with its gain multiplied."""
     return dataclasses.replace(loop.loop, b=factor * loop.loop.b)
-
-
-@pytest.mark.parametrize("name", STABLE)
-def test_the_gain_margin_puts_an_eigenvalue_on_the_unit_circle(loops, margins, name):
-    loop, m = loops[name], margins[name]
-    critical = np.exp(2j * math.pi * m.gain_margin_frequency_hz * T)
-    values = scaled(loop, m.gain_margin).closed_eigenvalues()
-    assert abs(nearest(values, critical) - critical) < 1e-6
-    assert scaled(loop, 0.999 * m.gain_margin).closed_is_stable()
-    assert not scaled(loop, 1.001 * m.gain_margin).closed_is_stable()
-    assert m.lower_gain_margin == 0.0
-    assert scaled(loop, 1e-3).closed_is_stable()
-
-
-def test_the_lower_gain_margin_makes_an_unstable_loop_stable(unstable):
-    m = unstable.margins()
-    assert not m.stable
-    assert 0.0 < m.lower_gain_margin < 1.0
-    values = scaled(unstable, m.lower_gain_margin).closed_eigenvalues()
-    assert abs(values).max() == pytest.approx(1.0, abs=1e-6)
-    assert scaled(unstable, 0.999 * m.lower_gain_margin).closed_is_stable()
-
-
-@pytest.mark.parametrize("name", STABLE)
-def test_the_phase_margin_puts_an_eigenvalue_on_the_unit_circle(loops, margins, name):
-    loop, m = loops[name], margins[name]
-    system = loop.to_control()
-    turned = system.A - np.exp(-1j * math.radians(m.phase_margin_deg)) * (system.B @ system.C)
-    critical = np.exp(2j * math.pi * m.phase_margin_frequency_hz * T)
-    assert abs(nearest(np.linalg.eigvals(turned), critical) - critical) < 1e-6
-
-
-@pytest.mark.parametrize("name", STABLE)
-def test_the_delay_margin_is_the_smallest_of_all_crossings(loops, margins, name):
-    f = np.geomspace(0.05, 249.9, 4000)
-    data = control.FRD(frequency_response(loops[name], f), 2.0 * math.pi * f, smooth=True)
-    _, phases, _, _, omegas, _ = control.stability_margins(data, returnall=True)
-    expected = min(np.radians(np.mod(phases, 360.0)) / omegas)
-    # The spline is good for 1e-6 where the loop bends most (the 447 Hz mode, exact states).
-    assert margins[name].delay_margin_s == pytest.approx(expected, rel=1e-5)
 
 
 @pytest.fixture(scope="module")
 def conditional():
     """A wide boundary layer: three crossings of |L| = 1, of which one has turned past −180°."""
     return linearize_loop(Scenario(controller=SlidingModeParameters(phi_m_s2=18.0)))
-
-
-@pytest.mark.filterwarnings("ignore:stability_margins")
-def test_a_conditionally_stable_loop_has_a_phase_margin_in_both_directions(conditional):
-    m = conditional.margins()
-    _, phases, *_ = control.stability_margins(conditional.to_control(), returnall=True)
-    assert m.stable
-    assert m.phase_margin_deg == pytest.approx(phases[phases > 0.0].min(), rel=1e-6)
-    assert m.phase_lead_margin_deg == pytest.approx(-phases[phases < 0.0].max(), rel=1e-6)
-    assert (m.phase_margin_deg, m.phase_lead_margin_deg) == pytest.approx((22.5, 9.07), abs=0.05)
-    # The smaller one, as a negative number, is what python-control calls the phase margin.
-    assert control.stability_margins(conditional.to_control())[1] == pytest.approx(
-        -m.phase_lead_margin_deg, rel=1e-6
-    )
-    assert m.disk_phase_margin_deg < min(m.phase_margin_deg, m.phase_lead_margin_deg)
-
-
-@pytest.mark.parametrize(
-    ("name", "sign"), [("phase_margin", -1.0), ("phase_lead_margin", 1.0)], ids=["lag", "lead"]
-)
-def test_a_turn_by_the_margin_puts_an_eigenvalue_on_the_unit_circle(conditional, name, sign):
-    m = conditional.margins()
-    turn = np.exp(1j * sign * math.radians(getattr(m, f"{name}_deg")))
-    system = conditional.to_control()
-    values = np.linalg.eigvals(system.A - turn * (system.B @ system.C))
-    critical = np.exp(2j * math.pi * getattr(m, f"{name}_frequency_hz") * T)
-    assert abs(nearest(values, critical) - critical) < 1e-6
 
 
 def test_a_conditionally_stable_loop_prints_both_phase_margins(conditional):
@@ -165,24 +67,6 @@ def test_a_loop_that_loses_stability_with_less_gain_prints_that_margin():
     assert scaled(loop, 1.001 * m.lower_gain_margin).closed_is_stable()
     assert not scaled(loop, 0.999 * m.lower_gain_margin).closed_is_stable()
     assert f", lower {m.lower_gain_margin:.4g}\n" in str(loop)
-
-
-@pytest.mark.parametrize("delay", [0, 2])
-def test_the_phase_margin_of_a_delayed_integrator_is_that_of_the_closed_form(delay):
-    # L = g z⁻ⁿ/(z − 1) has |L| = 1 at 2 sin(ωT/2) = g, and there the phase −90° − (n + ½) ωT.
-    g = 1.2
-    loop = delayed(np.array([[0.0]]), np.array([[1.0 / T]]), g, delay)
-    angle = 2.0 * math.asin(0.5 * g)
-    margin = 90.0 - math.degrees((delay + 0.5) * angle)
-    m = loop.margins()
-    assert m.stable is (margin > 0.0)  # 53.1° and −94.4°: a lead of 94.4° is missing
-    assert m.phase_margin_deg == pytest.approx(margin % 360.0, rel=1e-9)
-    assert m.phase_lead_margin_deg == pytest.approx(-margin % 360.0, rel=1e-9)
-    assert m.phase_margin_frequency_hz == pytest.approx(angle / (2.0 * math.pi * T), rel=1e-9)
-    assert m.phase_lead_margin_frequency_hz == m.phase_margin_frequency_hz
-    # A delay only turns the phase back: an unstable loop is as far from −180° the other way round.
-    turn = margin % 360.0 / 360.0
-    assert m.delay_margin_s == pytest.approx(turn / m.phase_margin_frequency_hz, rel=1e-9)
 
 
 @pytest.mark.parametrize("name", ["difference", "pid_tuned"])
@@ -278,14 +162,6 @@ def test_an_unstable_loop_has_no_disk(unstable):
     assert not axes.patches
     assert axes.figure.get_label() == "Nyquist plot of the loop transfer L."
     plt.close(axes.figure)
-
-
-@pytest.mark.parametrize("name", STABLE)
-def test_the_delay_margin_puts_an_eigenvalue_on_the_unit_circle(loops, margins, name):
-    loop, m = loops[name], margins[name]
-    f = m.delay_margin_frequency_hz
-    delayed = loop.loop_response(f)[0] * np.exp(-2j * math.pi * f * m.delay_margin_s)
-    assert delayed == pytest.approx(-1.0, abs=1e-9)
 
 
 def test_the_loop_of_the_diagram_has_the_same_margins(loops, margins):

@@ -1,7 +1,6 @@
 """Plants, loops and closed forms that several tests of the linear analysis share."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -193,8 +192,6 @@ class Matrices:
         self.c, self.c_u = loop.model.c[:1, :n], loop.model.c[1:, z]
         self.g_x, self.g_z = tick.jump_state[z, :n], tick.jump_state[np.ix_(z, z)]
         self.g_r = tick.jump_input[z, :4]
-        step = over_period([replace(tick, jump_state=np.eye(len(tick.jump_state)))])
-        self.a_d, self.b_d = step[0][:n, :n], step[1][:n, 4:]
 
 
 def frequency_response(loop, frequencies_hz):

@@ -22,7 +22,7 @@ REQUIRED = {
     "EncoderCount": (0.1,),
     "FunctionLaw": (LawParameters(function=law, values={"gain": 2.0}),),
     "HeldCommand": (0.002, ("rod_extension",)),
-    "LinearLaw": (0.002, ("rod_extension",), 1),
+    "LinearLaw": (0.002, ("rod_extension",), 1, 1),
 }
 """Arguments of the classes that have no default for them."""
 

@@ -214,16 +214,19 @@ def test_a_branch_on_a_state_follows_its_value_in_derivatives() -> None:
 
 
 def test_a_linear_law_updates_by_its_matrix() -> None:
-    """(u, z)⁺ = M (1, z, y) with a state z and the inputs y = (x, θ_d and three derivatives)."""
-    system = LinearLaw(0.01, ("rod_extension", "rod_reference"), 1)
+    """(dx/dt, u⁺, z⁺) = M (1, x, z, y) with the inputs y = (rod, θ_d and three derivatives)."""
+    system = LinearLaw(0.01, ("rod_extension", "rod_reference"), 1, 1)
     simulator = started(system, rod_extension=[2.0], rod_reference=[3.0, 4.0, 5.0, 6.0])
     context = simulator.get_mutable_context()
-    system.set_matrix(context, [[7.0, 0.5, 1.0, 10.0, 0.0, 0.0, -1.0], [1.0, 2.0] + 5 * [0.0]])
+    rate, command, state = [3.0] + 7 * [0.0], [7.0, 0.25, 0.5, 1.0, 10.0] + 3 * [0.0], [1.0] * 8
+    system.set_matrix(context, [rate, command, state])
+    context.SetContinuousState([20.0])
     context.SetDiscreteState([100.0, 8.0])
     simulator.AdvanceTo(0.005)
-    state = context.get_discrete_state_vector().CopyToVector()
-    assert state.tolist() == [7.0 + 4.0 + 2.0 + 30.0 - 6.0, 17.0]
-    assert command_of(simulator) == state[0]
+    updated = context.get_discrete_state_vector().CopyToVector()
+    assert updated.tolist() == [7.0 + 5.0 + 4.0 + 2.0 + 30.0, 1.0 + 20.0 + 8.0 + 2.0 + 18.0]
+    assert command_of(simulator) == updated[0]
+    assert context.get_continuous_state_vector()[0] == pytest.approx(20.015, rel=1e-12)
 
 
 def relay(rod_extension, rod_reference):

@@ -16,8 +16,6 @@ from ..run_data import Array, State
 from .newton import newton
 from .point import EQUILIBRIUM_TOLERANCE, Point, read_point, require_tolerance, system_of
 
-_RANK_TOLERANCE = 1e-14
-
 
 def find_equilibrium(
     diagram: Any,
@@ -102,12 +100,11 @@ def find_equilibrium(
             fault = _wrong_output(point.element_names(out_names), slopes.outputs, required)
         if not fault:
             return _context_at(system, context, point, in_names)
-    failure = NoEquilibriumError(
+    raise NoEquilibriumError(
         f"no equilibrium near the start: where the search ends, {fault}; start nearer, free an "
-        f"input (free_inputs), or fix fewer states (fixed)"
+        f"input (free_inputs), or fix fewer states (fixed)",
+        fault,
     )
-    failure.fault = fault
-    raise failure
 
 
 def _wrong_output(names: tuple[str, ...], values: Array, required: Array) -> str:
@@ -149,7 +146,7 @@ def _searches(function: Any, start: Array) -> Iterator[Array]:
     if not start.size:
         yield start
         return
-    yield newton(function, start, rank_tolerance=_RANK_TOLERANCE, relative=True)[0]
+    yield newton(function, start)
     if not all(np.isfinite(part).all() for part in function(start)):
         return
     nearest = scipy.optimize.least_squares(
@@ -159,7 +156,7 @@ def _searches(function: Any, start: Array) -> Iterator[Array]:
         xtol=1e-15,
         max_nfev=50,
     )
-    yield newton(function, nearest.x, rank_tolerance=_RANK_TOLERANCE, relative=True)[0]
+    yield newton(function, nearest.x)
     yield nearest.x
 
 

@@ -133,16 +133,6 @@ class LinearModel:
         return values[np.argsort(-key, kind="stable")]
 
     @property
-    def monodromy(self) -> Array:
-        """The matrix A of a sampled model, which maps the state from one period to the next.
-
-        Raises `LinearizationError` for a continuous model.
-        """
-        if self.period_s is None:
-            raise LinearizationError("a continuous model has no period; pass period_s to linearize")
-        return self.a
-
-    @property
     def stable(self) -> bool:
         """Whether all deviations tend to zero.
 
@@ -409,11 +399,8 @@ def over_period(ticks: Sequence[TickModel]) -> tuple[Array, Array]:
         if key not in steps:
             block = np.zeros((n + m, n + m))
             block[:n] = np.hstack([tick.rate_state, tick.rate_input])
-            acts = np.flatnonzero(block.any(axis=0) | block.any(axis=1))
-            small = np.ix_(acts, acts)
-            steps[key] = np.eye(n + m)
             with np.errstate(all="ignore"):  # the caller checks that A and B are finite
-                steps[key][small] = scipy.linalg.expm(block[small] * tick.duration_s)
+                steps[key] = scipy.linalg.expm(block * tick.duration_s)
         step = steps[key]
         a, b = step[:n, :n] @ a, step[:n, :n] @ b + step[:n, n:]
     return a, b

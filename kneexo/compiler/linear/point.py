@@ -229,21 +229,26 @@ def read_points(
 
     An input is open if it has a value in at least one of the Contexts.
     """
-    read = diagram if isinstance(diagram, DiagramEquations) else None
-    diagram = system_of(diagram)
+    system = system_of(diagram)
     try:
         contexts = list(contexts)
     except TypeError:
         raise ParameterError(f"contexts = {quoted(contexts)}: must be a list of Contexts") from None
-    values = [_input_values(diagram, context) for context in contexts]
-    open_ports = tuple(dict.fromkeys([*inputs, *itertools.chain(*values)]))
-    exported = {diagram.get_output_port(i).get_name() for i in range(diagram.num_output_ports())}
-    inner = [name for name in outputs if name not in exported]
+    values = [_input_values(system, context) for context in contexts]
     bypass = names("bypass", bypass)
-    if read is None:
-        read = _read(diagram, open_ports, inner, bypass, setting)
+    if isinstance(diagram, DiagramEquations):
+        read = diagram
+        for name in [*inputs, *outputs, *bypass]:
+            if name not in {*read.equations.inputs, *read.equations.outputs}:
+                raise ParameterError(
+                    f"{quoted(name)}: is not in the equations; name it in the call of read_diagram"
+                )
     else:
-        _require_read(read, [*inputs, *outputs], bypass)
+        open_ports = tuple(dict.fromkeys([*inputs, *itertools.chain(*values)]))
+        ports = map(system.get_output_port, range(system.num_output_ports()))
+        exported = {port.get_name() for port in ports}
+        inner = [name for name in outputs if name not in exported]
+        read = _read(system, open_ports, inner, bypass, setting)
     sizes = read.equations.inputs
     states = [read.state(context) for context in contexts]
     return [
@@ -274,6 +279,7 @@ def system_of(diagram: Any) -> Any:
 def _read(
     diagram: Any, inputs: Sequence[str], outputs: Sequence[str], bypass: Sequence[str], setting: str
 ) -> DiagramEquations:
+    """Return the equations of a diagram. The error names an input port without a value."""
     try:
         return read_diagram(diagram, inputs=inputs, outputs=outputs, bypass=bypass)
     except CompilationError as error:
@@ -283,16 +289,6 @@ def _read(
                 f"in {setting}"
             ) from error
         raise
-
-
-def _require_read(read: DiagramEquations, ports: Iterable[str], bypass: Iterable[str]) -> None:
-    """Raise `ParameterError` for a port or a bypass without which the equations were read."""
-    known = {*read.equations.inputs, *read.equations.outputs}
-    missing = [*(port for port in ports if port not in known), *bypass]
-    if missing:
-        raise ParameterError(
-            f"{quoted(missing[0])}: is not in the equations; name it in the call of read_diagram"
-        )
 
 
 def _port_without_value(

@@ -51,7 +51,6 @@ def test_a_period_discretizes_exactly():
     for name in "abcd":
         expected = getattr(system, name.upper())
         np.testing.assert_allclose(getattr(model, name), expected, rtol=1e-12, atol=1e-13)
-    assert model.monodromy is model.a
     # The eigenvalues e^{λT} of a discretized model have the poles λ.
     assert np.sort_complex(model.poles()) == pytest.approx(np.sort_complex(linear().poles()))
     z = np.exp(2j * np.pi * 0.2 * FREQUENCIES_HZ)
@@ -112,7 +111,7 @@ def test_only_continuous_states_can_be_prescribed(held):
     model = linearize(held, inputs=["motor.speed"], outputs=["y"])
     names = model.state_names
     moved = model.prescribed(names[1:2])
-    assert moved.monodromy.shape == (3, 3)
+    assert moved.a.shape == (3, 3)
     for wrong in ("hold.x[9]", names[-1]):
         with pytest.raises(ParameterError, match=r"\Astates: .* is no continuous state; .*hold"):
             model.prescribed([wrong])
@@ -152,8 +151,6 @@ def test_texts_are_one_short_line(held):
 
 def test_what_a_model_lacks_is_one_line():
     model = linear()
-    with pytest.raises(LinearizationError, match=r"\Aa continuous model has no period; [^\n]*\Z"):
-        _ = model.monodromy
     with pytest.raises(LinearizationError, match=r"\Aa continuous model has no updates\Z"):
         model.after_updates()
     autonomous = linearize(VanDerPolOscillator(), inputs=[], outputs=["y0"])
