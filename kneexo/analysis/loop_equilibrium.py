@@ -44,14 +44,13 @@ class Equilibrium:
 
     ``equations`` are those of the closed loop with the open inputs ``reference`` and ``command``.
     Loops that differ only in numbers share them. ``context`` belongs to their diagram and holds the
-    parameters, the reference and the state of this loop. ``law`` is the law if it runs as Python.
-    ``reference`` is the port by which the reference reaches the controller alone. ``command`` is
-    the port of the motor speed command that the plant reads.
+    parameters, the reference and the state of this loop. ``reference`` is the port by which the
+    reference reaches the controller alone. ``command`` is the port of the motor speed command that
+    the plant reads.
     """
 
     equations: DiagramEquations
     context: Any
-    law: LawTangent | None
     reference: str
     command: str
     knee_angle_rad: float
@@ -69,8 +68,6 @@ class Equilibrium:
             context.SetDiscreteState(index, z + state_step * (1.0 + np.abs(z)))
         reference = diagram.GetInputPort("knee_reference")
         reference.FixValue(context, reference.Eval(context) + reference_step)
-        if self.law is not None:
-            self.law.set(diagram, context)
         return context
 
 
@@ -97,9 +94,11 @@ def _shared_equations(scenario: Scenario, law: LawTangent | None) -> DiagramEqua
             external_moment=True,
             law=None if law is None else law.linear_law(),
         )
-        inputs = {"knee_reference", _reference_port(diagram), _command_port(diagram)}
-        inputs |= {"biological_moment"} if diagram.HasInputPort("biological_moment") else set()
-        return read_diagram(diagram, inputs=sorted(inputs), outputs=[_command_port(diagram)])
+        command = _command_port(diagram)
+        inputs = [_reference_port(diagram), command, "knee_reference"]
+        if diagram.HasInputPort("biological_moment"):
+            inputs.append("biological_moment")
+        return read_diagram(diagram, inputs=dict.fromkeys(inputs), outputs=[command])
 
     if law is not None:  # such laws share a structure, but for the numbers of states
         return recent_equations.of(f"{key} {law.sizes}", read)
@@ -194,7 +193,7 @@ def find_equilibrium(scenario: Scenario, *, knee_angle_deg: float = MID_RANGE_DE
     _require_linear(loop, context, fixed)
     angle = float(loop.GetOutputPort("knee_angle").Eval(context)[0])
     ports = _reference_port(loop), _command_port(loop)
-    return Equilibrium(equations, context, law, *ports, angle)
+    return Equilibrium(equations, context, *ports, angle)
 
 
 def _rest(equations: DiagramEquations, start: Any, law: LawTangent | None) -> Any:

@@ -152,9 +152,9 @@ def _operating_point(diagram: Any, context: Any) -> OperatingPoint:
 
 
 def _read(diagram: Any, outputs: Sequence[str]) -> DiagramEquations:
-    """Return the equations of a plant with open inputs."""
-    ports = map(diagram.get_input_port, range(diagram.num_input_ports()))
-    return read_diagram(diagram, inputs=[port.get_name() for port in ports], outputs=outputs)
+    """Return the equations of a plant with open inputs, first the motor speed command."""
+    inputs = [diagram.get_input_port(i).get_name() for i in range(diagram.num_input_ports())]
+    return read_diagram(diagram, inputs=dict.fromkeys([_COMMAND, *inputs]), outputs=outputs)
 
 
 @dataclass(frozen=True, repr=False)

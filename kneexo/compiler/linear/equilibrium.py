@@ -75,8 +75,8 @@ def find_equilibrium(
                 f"free_inputs: {quoted(name)} is no input port of the diagram itself"
             )
     required = _target(start, targets)
-    n = start.state.size
-    free = np.concatenate([_free_states(start, fixed), n + start.input_elements(in_names)])
+    n, m = start.state.size, len(start.element_names(in_names))
+    free = np.concatenate([_free_states(start, fixed), n + np.arange(m)])
 
     def point_at(unknowns: Array) -> Point:
         values = np.concatenate([start.state, start.inputs])
@@ -165,7 +165,9 @@ def _context_at(diagram: Any, context: Any, point: Point, in_names: Iterable[str
     context = context.Clone()
     count = len(point.read.state_names)
     set_state(point.read.root, context, State(point.state[:count], point.state[count:]))
+    first = 0
     for name in in_names:
-        value = point.inputs[point.input_elements([name])]
-        diagram.GetInputPort(name).FixValue(context, value)
+        size = point.read.equations.inputs[name]
+        diagram.GetInputPort(name).FixValue(context, point.inputs[first : first + size])
+        first += size
     return context

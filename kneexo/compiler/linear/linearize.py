@@ -56,8 +56,8 @@ def linearize(
     ----------
     diagram
         A Diagram or leaf system that `compile_diagram` accepts. Or the result of `read_diagram`,
-        which a caller of many models reads only once. Its ``inputs`` and ``outputs`` must contain
-        those of this function.
+        which a caller of many models reads only once. The ``inputs`` of `read_diagram` must begin
+        with those of this function, and its ``outputs`` must contain those inside the diagram.
     context
         Its Context with parameters, state and time, by default the default Context. Values of input
         ports come from the Context too. An input port in ``inputs`` without a value has the value
@@ -178,7 +178,6 @@ def _model(
 ) -> LinearModel:
     slopes = point.slopes(out_names)
     point.require_finite(slopes, out_names)
-    outputs = slopes.outputs
     if moving := point.motion(slopes, equilibrium_tolerance):
         raise LinearizationError(
             f"the operating point is no equilibrium: {moving} (equilibrium_tolerance = "
@@ -190,10 +189,9 @@ def _model(
     else:
         _warn(point, out_names)
     input_names = point.element_names(in_names)
-    n, chosen = point.state.size, point.input_elements(in_names)
-    columns = n + chosen
+    n, columns = point.state.size, point.state.size + len(input_names)
     updates = point.read.equations.updates
-    jacobian = np.hstack([slopes.rates_jacobian[:, :n], slopes.rates_jacobian[:, columns]])
+    jacobian = slopes.rates_jacobian[:, :columns]
     ticks: tuple[TickModel, ...] = ()
     period: float | None
     if not updates and period_s is None:
@@ -203,12 +201,14 @@ def _model(
         a, b = over_period(ticks)
         _require_period(a, b, jacobian[:, :n], period, sampled=bool(updates))
     return LinearModel(
-        *(a, b, slopes.outputs_jacobian[:, :n], slopes.outputs_jacobian[:, columns]),
+        *(a, b, slopes.outputs_jacobian[:, :n], slopes.outputs_jacobian[:, n:columns]),
         period_s=period,
         state_names=point.state_names,
         input_names=input_names,
         output_names=point.element_names(out_names),
-        operating_point=OperatingPoint(point.time_s, point.state, point.inputs[chosen], outputs),
+        operating_point=OperatingPoint(
+            point.time_s, point.state, point.inputs[: len(input_names)], slopes.outputs
+        ),
         ticks=ticks,
     )
 

@@ -74,13 +74,6 @@ class Point:
         sizes = {name: len(nodes) for name, nodes in equations.outputs.items()} | equations.inputs
         return tuple(element_name(p, i, sizes[p]) for p in ports for i in range(sizes[p]))
 
-    def input_elements(self, ports: Iterable[str]) -> Array:
-        """Return the indices of the elements of some open inputs among those of all open inputs."""
-        sizes = self.read.equations.inputs
-        first = dict(zip(sizes, np.cumsum([0, *sizes.values()]).tolist(), strict=False))
-        indices = [first[port] + i for port in ports for i in range(sizes[port])]
-        return np.array(indices, dtype=int)
-
     def at(self, state: Array, inputs: Array | None = None) -> Point:
         """Return the point with another state, and with other inputs unless they are None."""
         return replace(self, state=state, inputs=self.inputs if inputs is None else inputs)
@@ -237,12 +230,12 @@ def read_points(
     values = [_input_values(system, context) for context in contexts]
     bypass = names("bypass", bypass)
     if isinstance(diagram, DiagramEquations):
-        read = diagram
-        for name in [*inputs, *outputs, *bypass]:
-            if name not in {*read.equations.inputs, *read.equations.outputs}:
-                raise ParameterError(
-                    f"{quoted(name)}: is not in the equations; name it in the call of read_diagram"
-                )
+        read, first = diagram, tuple(diagram.equations.inputs)[: len(tuple(inputs))]
+        if bypass or first != tuple(inputs) or not {*outputs} <= {*read.equations.outputs}:
+            raise ParameterError(
+                f"diagram: its equations were read with the inputs {quoted(first)} first, and with "
+                f"other outputs or bypass; must be read with those of this call"
+            )
     else:
         open_ports = tuple(dict.fromkeys([*inputs, *itertools.chain(*values)]))
         ports = map(system.get_output_port, range(system.num_output_ports()))
