@@ -196,16 +196,6 @@ def test_the_bandwidth_does_not_depend_on_the_unit_of_the_output(loops):
     assert loud.bandwidth_hz() == pytest.approx(loops["smc"].bandwidth_hz(), rel=1e-9)
 
 
-def test_the_bandwidth_of_the_complementary_sensitivity_is_that_of_the_closed_form():
-    # L = g/(z − 1): T = g/(z − 1 + g), and |T|² = 1/2 at cos ωT = (1 + (1 − g)² − 2g²)/(2(1 − g)).
-    g = 0.3
-    loop = delayed(np.array([[0.0]]), np.array([[1.0 / T]]), g, 0)
-    angle = math.acos((1.0 + (1.0 - g) ** 2 - 2.0 * g**2) / (2.0 * (1.0 - g)))
-    expected = angle / (2.0 * math.pi * T)
-    # It is relative to the gain at 0.01 Hz: 1 − 9e-8.
-    assert loop.complementary_sensitivity_bandwidth_hz() == pytest.approx(expected, rel=1e-6)
-
-
 @pytest.mark.parametrize("name", ["smc", "pid", "pid_tuned", "can_2", "difference"])
 def test_the_bandwidth_of_the_complementary_sensitivity_is_that_of_python_control(loops, name):
     loop = loops[name]

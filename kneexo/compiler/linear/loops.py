@@ -19,6 +19,7 @@ from .zeros import invariant_zeros
 
 _POINTS = 4_000  # of a grid of frequencies, without the points around resonances
 _SLOWEST = 1e-12  # a frequency below this share of the fastest one is a rounding error
+_ROUNDING = 1e-12  # points closer than this share of their frequency are one point
 _UNDAMPED = 1e-6  # half width, relative to its frequency, of a resonance without damping
 _REACH = 100.0  # factor by which a grid exceeds the slowest and the fastest frequency
 LARGEST = 1e100
@@ -189,7 +190,9 @@ class Transfer:
         offsets = np.outer(width, np.concatenate([-_WIDTHS, _WIDTHS]))
         around = (centre[:, None] + offsets).ravel()
         around = around[(around > low) & (around < high)]
-        return np.unique(np.concatenate([np.geomspace(low, high, _POINTS), around]))
+        grid = np.unique(np.concatenate([np.geomspace(low, high, _POINTS), around]))
+        # Equal but for rounding, as around two equal poles, two points would bracket no minimum.
+        return grid[np.append(True, np.diff(grid) > _ROUNDING * grid[1:])]
 
     def to_control(self) -> Any:
         """Return the transfer function as a `control.StateSpace`."""

@@ -6,6 +6,7 @@ import re
 import control
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from kneexo.compiler import (
     ParameterError,
@@ -95,6 +96,13 @@ def test_a_grid_has_points_on_the_flank_of_each_resonance():
 def test_a_grid_of_a_sampled_loop_ends_at_the_nyquist_frequency():
     grid = as_transfer((0.5, 1.0, 1.0, 0.0, 0.01)).frequency_grid()
     assert grid[-1] == pytest.approx(50.0, rel=1e-12)
+
+
+def test_equal_poles_give_no_two_points_that_differ_by_rounding():
+    mode = np.array([[-0.05, -1.0], [1.0, -0.05]])
+    a, b, c = block_diag(mode, mode), np.tile([[0.3], [1.0]], (2, 1)), np.tile([[1.0, 0.2]], (1, 2))
+    grid = as_transfer((a, b, c, 0.0)).frequency_grid()
+    assert (np.diff(grid) > 1e-12 * grid[1:]).all()
 
 
 class Model:
