@@ -52,7 +52,7 @@ def knee_angle_from_encoder(link: Any, encoder_angle: Any, eq6_sign: Any, xp: An
     eq6_sign
         1 or −1, the sign of the acos, as the function `eq6_sign` returns it.
     xp
-        The module of the elementary functions, such as `numpy` or `pydrake.math`.
+        The module of the elementary functions, such as ``numpy`` or ``pydrake.math``.
     """
     c_1 = link.o_b_x_m - link.o_a_x_m + link.a_4_m * xp.cos(encoder_angle)
     c_2 = link.o_b_y_m - link.o_a_y_m + link.a_4_m * xp.sin(encoder_angle)
@@ -300,7 +300,7 @@ def icr(link: Any, theta_3: Any, theta_4: Any, xp: Any = np) -> tuple[Any, Any]:
     theta_3, theta_4
         Angles of links 3 and 4 in rad, numbers or arrays.
     xp
-        The module of the elementary functions, such as `numpy` or `pydrake.math`.
+        The module of the elementary functions, such as ``numpy`` or ``pydrake.math``.
     """
     cos_4, sin_4 = xp.cos(theta_4), xp.sin(theta_4)
     d_x = link.o_b_x_m - link.o_a_x_m
