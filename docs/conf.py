@@ -112,8 +112,8 @@ EXTERNAL = {
     *("RotaryEncoders", "PassThrough", "DiscreteTimeDelay", "VectorLogSink", "TrajectorySource"),
     *("Linearize", "ValueError", "TypeError", "SystemExit", "pydrake.math"),
     *("Expression", "FramePoseVector", "MeshcatVisualizer"),
-    *("kneexo.compiler.equations.symbolic.T", "kneexo.simulation.coroutines.Result"),
-    *("kneexo.simulation.coroutines.Answer", "functools.partial", "numpy.linalg.lstsq"),
+    *("kneexo.compiler.equations.symbolic.T", "kneexo.simulation.lockstep.Result"),
+    *("kneexo.simulation.lockstep.Function", "functools.partial", "numpy.linalg.lstsq"),
     *("jinja2.UndefinedError", "Multiplexer", "RandomSource", "Stage.unpack"),
     *("control.StateSpace", "pandas.DataFrame", "concurrent.futures.Executor"),
 }

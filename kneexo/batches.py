@@ -21,7 +21,7 @@ from kneexo.parameters import LawParameters, Scenario
 from kneexo.parameters.paths import has_path
 from kneexo.parameters.scenario_file import as_scenario, dump_scenario
 from kneexo.result import Result, data_frame
-from kneexo.simulation import awaitable, needs_runs
+from kneexo.simulation import needs_runs
 from kneexo.sweeps import parallel_map
 
 METRICS = tuple(field.name for field in fields(TrackingMetrics))
@@ -286,9 +286,9 @@ def _variant(
 
 
 @needs_runs
-async def _metrics_or_error(scenario: Scenario) -> dict[str, Any]:
+def _metrics_or_error(scenario: Scenario) -> dict[str, Any]:
     """Return ``metrics`` and ``error`` of a run, as in `BatchRow`."""
     outcome: dict[str, Any] = {"metrics": None}
     with failure_noted(outcome, "error"):
-        outcome["metrics"] = await awaitable(track_metrics, scenario)
+        outcome["metrics"] = track_metrics(scenario)
     return outcome

@@ -12,7 +12,7 @@ from kneexo.analysis.reductions import TRACKING_METRICS
 from kneexo.analysis.sampled_loop import linearize_loop
 from kneexo.errors import failure_noted
 from kneexo.parameters import Scenario
-from kneexo.simulation import awaitable, needs_runs
+from kneexo.simulation import needs_runs
 from kneexo.systems.knee_reference import run_middle_deg
 
 MARGIN_METRICS = ("phase_margin_deg", "delay_margin_s", "gain_margin", "disk_margin")
@@ -20,7 +20,7 @@ MARGIN_METRICS = ("phase_margin_deg", "delay_margin_s", "gain_margin", "disk_mar
 
 
 @needs_runs
-async def assess(
+def assess(
     scenario: Scenario, *, tracking: bool = True, margins: bool = True, bandwidth: bool = False
 ) -> dict[str, Any]:
     """Return a dictionary from the name of a metric of a scenario to its value.
@@ -42,7 +42,7 @@ async def assess(
         names = TRACKING_METRICS + INTERACTION_METRICS * (scenario.wearer.kind != "none")
         metrics |= dict.fromkeys(names, math.nan)
         with failure_noted(metrics, "tracking_failure"):
-            metrics |= await awaitable(track_basic_metrics, scenario)
+            metrics |= track_basic_metrics(scenario)
     if margins:
         metrics |= dict.fromkeys(MARGIN_METRICS, math.nan)
         metrics["stable"] = None
@@ -55,7 +55,7 @@ async def assess(
     if bandwidth:
         metrics["bandwidth_hz"] = math.nan
         with failure_noted(metrics, "bandwidth_failure"):
-            metrics["bandwidth_hz"] = await awaitable(large_signal_bandwidth_hz, scenario)
+            metrics["bandwidth_hz"] = large_signal_bandwidth_hz(scenario)
             if math.isnan(metrics["bandwidth_hz"]):
                 metrics["bandwidth_failure"] = "no bandwidth: the gain does not cross 1/√2"
     return metrics

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 import scipy
@@ -34,7 +35,7 @@ from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 from kneexo.result import Array
 from kneexo.rod_polynomial import controller_polynomial
-from kneexo.simulation import awaitable, needs_runs, search_async
+from kneexo.simulation import needs_runs
 
 LOWEST_HZ = 0.02
 """Lowest frequency in Hz at which a bandwidth is searched."""
@@ -128,7 +129,7 @@ def follower_bandwidth_hz(scenario: Scenario) -> float:
 
 
 @needs_runs
-async def large_signal_bandwidth_hz(
+def large_signal_bandwidth_hz(
     scenario: Scenario = Scenario(),
     settings: SineEstimateSettings = SineEstimateSettings(averaged_cycles=2, largest_cycles=6),
 ) -> float:
@@ -147,16 +148,17 @@ async def large_signal_bandwidth_hz(
     require_sine(scenario)
     highest = highest_frequency_hz(scenario)
 
-    async def excess(log_frequency: float) -> float:
+    @cache  # the search asks for some values twice
+    def excess(log_frequency: float) -> float:
         frequency = min(math.exp(log_frequency), highest)
         at = changed(scenario, {"reference.frequency_hz": frequency})
-        estimate = await awaitable(estimate_sine, at, settings)
+        estimate = estimate_sine(at, settings)
         log_gain = math.log(max(estimate.gain, _NO_GAIN) / MINUS_3_DB)
         return log_gain if abs(log_gain) > _GAIN_TOLERANCE else 0.0
 
     bottom, top = math.log(LOWEST_HZ), math.log(highest)
     start = min(max(bottom, math.log(0.8 * _expected_hz(scenario))), top)
-    return await search_async(lambda value: _first_fall_hz(value, bottom, start, top), excess)
+    return _first_fall_hz(excess, bottom, start, top)
 
 
 def _first_fall_hz(

@@ -25,7 +25,7 @@ from kneexo.parameters.quantity import Parameters, ordered_limits, quantities, q
 from kneexo.parameters.uncertainty import draw
 from kneexo.plotting import BLUE, TEAL, axes_or_new
 from kneexo.result import Array, Result, data_frame
-from kneexo.simulation import awaitable, needs_runs, simulate
+from kneexo.simulation import needs_runs, simulate
 from kneexo.sweeps.parallel import parallel_map
 
 _LEAKAGE = "plant.pump.internal_leakage_m3_per_s_pa"
@@ -274,7 +274,7 @@ def crossing(frequencies_hz: Array, gain: Array) -> float:
 
 
 @needs_runs
-async def _measure(settings: SinestreamSettings, work: tuple[float, Scenario]) -> complex:
+def _measure(settings: SinestreamSettings, work: tuple[float, Scenario]) -> complex:
     """Simulate one sine and return its complex response θ_p/θ_d.
 
     ``work`` is the frequency in Hz and the scenario.
@@ -283,7 +283,7 @@ async def _measure(settings: SinestreamSettings, work: tuple[float, Scenario]) -
     cycles = settings.transient_cycles + settings.measured_cycles
     at = {"reference.frequency_hz": frequency, "simulation.duration_s": cycles / frequency}
     signals = ("knee_reference", "knee_angle")
-    run = await awaitable(simulate, changed(scenario, at), signals=signals)
+    run = simulate(changed(scenario, at), signals=signals)
     measured = run.time_s >= settings.transient_cycles / frequency
     measured[-1] = False  # the last sample repeats the phase of the first one
     time = run.time_s[measured]

@@ -17,11 +17,11 @@ from kneexo.analysis.signals import period_s
 from kneexo.analysis.tracking import TrackingMetrics
 from kneexo.compiler import Reduction
 from kneexo.parameters import Scenario
-from kneexo.simulation import awaitable, can_reduce, needs_runs, reduce_run, simulate
+from kneexo.simulation import can_reduce, needs_runs, reduce_run, simulate
 
 
 @needs_runs
-async def track_basic_metrics(scenario: Scenario) -> dict[str, float]:
+def track_basic_metrics(scenario: Scenario) -> dict[str, float]:
     """Simulate a scenario and return its `TRACKING_METRICS`.
 
     With a wearer the result has the `INTERACTION_METRICS` too, over the samples after the first
@@ -32,13 +32,13 @@ async def track_basic_metrics(scenario: Scenario) -> dict[str, float]:
     settled_s = period_s(scenario)
     basic = basic_reductions(settled_s, scenario.command_limit_rad_s)
     more = torque_reductions(settled_s) if scenario.wearer.kind != "none" else ()
-    values = await _values(scenario, basic + more)
+    values = _values(scenario, basic + more)
     torques = dict(zip(INTERACTION_METRICS, values[len(basic) :], strict=False))
     return basic_metrics(values[: len(basic)]) | torques
 
 
 @needs_runs
-async def track_metrics(scenario: Scenario) -> TrackingMetrics:
+def track_metrics(scenario: Scenario) -> TrackingMetrics:
     """Simulate a scenario and return the metrics of `track`.
 
     As in `track_basic_metrics`, the compiled engine computes them without a log.
@@ -50,15 +50,15 @@ async def track_metrics(scenario: Scenario) -> TrackingMetrics:
         plant.cylinder.pressure_rating_pa,
         plant.pump.rated_power_w,
     )
-    return TrackingMetrics(**all_metrics(await _values(scenario, reductions)))
+    return TrackingMetrics(**all_metrics(_values(scenario, reductions)))
 
 
-async def _values(scenario: Scenario, reductions: tuple[Reduction, ...]) -> Sequence[float]:
+def _values(scenario: Scenario, reductions: tuple[Reduction, ...]) -> Sequence[float]:
     """Simulate a scenario and return the values of ``reductions``."""
     if can_reduce(scenario):
-        values: Sequence[float] = (await awaitable(reduce_run, scenario, reductions)).tolist()
+        values: Sequence[float] = reduce_run(scenario, reductions).tolist()
         return values
     outputs = [output for r in reductions for output in (r.output, r.minus) if output]
     names = dict.fromkeys(output.partition("[")[0] for output in outputs)
-    run = await awaitable(simulate, scenario, signals=tuple(names))
+    run = simulate(scenario, signals=tuple(names))
     return reduce_signals(reductions, run.time_s, run.data)

@@ -26,7 +26,7 @@ from kneexo.parameters.paths import value_at
 from kneexo.parameters.quantity import Parameters
 from kneexo.result import Array, Result
 from kneexo.simulation import simulate
-from kneexo.simulation.coroutines import map_concurrently
+from kneexo.simulation.lockstep import map_in_lockstep
 from kneexo.systems.knee_reference import run_middle_deg
 
 _DIFFERENTIABLE = (
@@ -107,7 +107,7 @@ def tracking_sensitivities(
 
     def measure(scenarios: Sequence[Scenario]) -> list[dict[str, float]]:
         sizes = [math.nan] * len(scenarios)
-        for index, signals in map_concurrently(run, scenarios):
+        for index, signals in map_in_lockstep(run, scenarios):
             error = np.degrees(signals["knee_reference_rad"] - signals["knee_angle_rad"])
             sizes[index] = rms(error[settled if settled + 1 < error.size else 0 :])
         return [{"rms_error_deg": size} for size in sizes]

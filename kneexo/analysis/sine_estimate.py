@@ -17,7 +17,7 @@ from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 from kneexo.parameters.quantity import Parameters, quantity
 from kneexo.result import Array, Result
-from kneexo.simulation import Run, awaitable, needs_runs, simulate
+from kneexo.simulation import Run, needs_runs, simulate
 
 
 class SineEstimateSettings(Parameters):
@@ -175,7 +175,7 @@ def response_uncertainty(responses: Any) -> float:
 
 
 @needs_runs
-async def estimate_sine(
+def estimate_sine(
     scenario: Scenario = Scenario(),
     settings: SineEstimateSettings = SineEstimateSettings(),
 ) -> SineEstimate:
@@ -194,8 +194,7 @@ async def estimate_sine(
     ramp = max(settings.ramp_cycles / frequency, settings.ramp_min_s)
     cycles = min(settings.averaged_cycles + 1, settings.largest_cycles)
     while True:
-        run = await awaitable(
-            simulate,
+        run = simulate(
             changed(
                 scenario,
                 {"reference.ramp_s": ramp, "simulation.duration_s": ramp + cycles / frequency},
@@ -208,7 +207,7 @@ async def estimate_sine(
         if settled or cycles == settings.largest_cycles:
             break
         cycles = min(2 * cycles, settings.largest_cycles)
-        del run  # saves memory while concurrent calls hold runs too
+        del run  # saves memory while other calls in lockstep hold runs too
     if not settled:
         count = max(settings.averaged_cycles, cycles // 2)
     averaged = responses[-count:]

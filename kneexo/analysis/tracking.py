@@ -21,7 +21,7 @@ from kneexo.parameters import Scenario
 from kneexo.parameters.scenario_file import as_scenario
 from kneexo.plotting import BLUE, GOLD, PURPLE, RED, TEAL, axes_or_new
 from kneexo.result import Array, Result, data_frame
-from kneexo.simulation import Run, awaitable, needs_runs, simulate
+from kneexo.simulation import Run, needs_runs, simulate
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -394,7 +394,7 @@ def _verdict_signals(scenario: Scenario) -> tuple[str, ...]:
 
 
 @needs_runs
-async def track(
+def track(
     scenario: Scenario | str | PathLike[str] = Scenario(),
     *,
     all_signals: bool = False,
@@ -444,6 +444,6 @@ async def track(
     signals: tuple[str, ...] | None = None
     if not all_signals:
         signals = TRACKING_SIGNALS + _verdict_signals(scenario)
-    run = await awaitable(simulate, scenario, signals=signals, progress=progress)
+    run = simulate(scenario, signals=signals, progress=progress)
     metrics = run_metrics(scenario, run.time_s, run.data, settled_s=period_s(scenario))
     return TrackingResult(scenario, run, metrics)

@@ -26,7 +26,7 @@ from kneexo.gait import gait_start_percent
 from kneexo.parameters import KneeLoadParameters, Scenario, gait_reference
 from kneexo.parameters.paths import changed
 from kneexo.result import Array, Result, data_frame
-from kneexo.simulation import awaitable, needs_runs, simulate
+from kneexo.simulation import needs_runs, simulate
 
 WALKING_METRICS = (
     "max_error_deg",
@@ -218,7 +218,7 @@ def _load_force(scenario: Scenario, time: Array, angle: Array, arm: Array) -> Ar
 
 
 @needs_runs
-async def walk(scenario: Scenario, frequency_hz: float = 1.0, cycles: int = 3) -> dict[str, Array]:
+def walk(scenario: Scenario, frequency_hz: float = 1.0, cycles: int = 3) -> dict[str, Array]:
     """Simulate ``cycles`` strides; return ``time_s`` and signal columns after the first stride.
 
     The closed loop follows the measured gait with ``frequency_hz`` strides a second. Raises
@@ -229,13 +229,13 @@ async def walk(scenario: Scenario, frequency_hz: float = 1.0, cycles: int = 3) -
         raise ParameterError(f"cycles = {cycles}: must be >= 2, the first of which is discarded")
     walking = scenario.model_copy(update={"reference": gait_reference(frequency_hz, cycles)})
     walking = changed(walking, {"simulation.duration_s": cycles / frequency_hz})
-    run = await awaitable(simulate, walking, signals=(*TRACKING_SIGNALS, "motor_speed"))
+    run = simulate(walking, signals=(*TRACKING_SIGNALS, "motor_speed"))
     late = run.time_s >= 1.0 / frequency_hz - 1e-9
     return {"time_s": run.time_s[late]} | {n: values[late] for n, values in run.data.items()}
 
 
 @needs_runs
-async def walking_metrics(
+def walking_metrics(
     scenario: Scenario, frequency_hz: float = 1.0, cycles: int = 3
 ) -> dict[str, Any]:
     """Simulate walking by `walk` and return a dictionary of `WALKING_METRICS` and ``failure``.
@@ -245,7 +245,7 @@ async def walking_metrics(
     """
     row: dict[str, Any] = dict.fromkeys(WALKING_METRICS, math.nan)
     with failure_noted(row):
-        signals = await awaitable(walk, scenario, frequency_hz, cycles)
+        signals = walk(scenario, frequency_hz, cycles)
         row |= _metrics(scenario, signals, cycles - 1)
     return row
 

@@ -18,14 +18,14 @@ from kneexo.errors import (
 )
 from kneexo.parameters import Scenario
 from kneexo.result import Array
-from kneexo.simulation.coroutines import Request, synchronous
 from kneexo.simulation.drake import simulate_diagram
+from kneexo.simulation.lockstep import ask, needs_runs
 from kneexo.simulation.python_law import sign_hint
 from kneexo.simulation.run import Run
 
 
 @dataclass(frozen=True)
-class RunRequest(Request[Run]):
+class RunRequest:
     """A request to simulate a scenario; the answer is a `Run`. `simulate` describes the fields.
 
     ``reductions`` are numbers that the compiled engine computes from output ports of the closed
@@ -165,16 +165,8 @@ def _batches(group: Sequence[int], requests: Mapping[int, RunRequest]) -> Iterat
         del waiting[:size]
 
 
-needs_runs = synchronous(serve_runs)
-"""Decorator that turns an async function that awaits runs into a plain function.
-
-In the async function, ``await awaitable(simulate, scenario)`` returns a `Run`. Concurrent calls
-share batches of runs, for example when `kneexo.sweeps.parallel_map` makes the calls.
-"""
-
-
 @needs_runs
-async def simulate(
+def simulate(
     scenario: Scenario = Scenario(),
     *,
     signals: Sequence[str] | None = None,
@@ -211,13 +203,14 @@ async def simulate(
     """
     if law is not None:
         scenario = scenario.with_law(law, initial_state=initial_state)
-    return await _run(RunRequest(scenario, signals, progress))
+    return _run(RunRequest(scenario, signals, progress))
 
 
-async def _run(request: RunRequest) -> Run:
+def _run(request: RunRequest) -> Run:
     """Return the answer to a request. An error says so if the law seems to have a wrong sign."""
     try:
-        return await request
+        run: Run = ask(serve_runs, request)
+        return run
     except SimulationError as error:
         if hint := sign_hint(request.scenario):
             error.args = (f"{error}; {hint}",)
@@ -230,10 +223,10 @@ def can_reduce(scenario: Scenario) -> bool:
 
 
 @needs_runs
-async def reduce_run(scenario: Scenario, reductions: tuple[Reduction, ...]) -> Array:
+def reduce_run(scenario: Scenario, reductions: tuple[Reduction, ...]) -> Array:
     """Run the closed loop of a scenario that `can_reduce`; return the values of ``reductions``.
 
     Their outputs are names of `kneexo.diagrams.SIGNALS`, and a sample is taken at each control
     period. The run logs no signals. Raises the errors of `simulate`.
     """
-    return (await _run(RunRequest(scenario, (), reductions=reductions))).reduced
+    return _run(RunRequest(scenario, (), reductions=reductions)).reduced

@@ -26,7 +26,7 @@ from kneexo.compiler import available_cores
 from kneexo.errors import WorkerError
 from kneexo.interruption import interrupt_later
 from kneexo.progress import progress_bar
-from kneexo.simulation.coroutines import is_synchronous, map_concurrently
+from kneexo.simulation.lockstep import is_in_lockstep, map_in_lockstep
 from kneexo.sweeps.checkpoint import Checkpoint, UnknownLawError, piece_keys
 from kneexo.version import __version__
 
@@ -43,10 +43,7 @@ CONNECT_S = 10.0
 """Largest time in s to wait for a Dask scheduler, and then for its first worker."""
 
 LARGEST_LOT = 512
-"""Largest number of concurrent calls that share batches of runs.
-
-`kneexo.simulation.engines.needs_runs` describes such calls.
-"""
+"""Largest number of calls in lockstep, which share batches of runs."""
 
 _BLAS_THREADS = "OPENBLAS_NUM_THREADS"  # NumPy reads it when it is imported
 _UNITS_PER_WORKER = 4  # units submitted per worker, so that no worker runs out of work
@@ -199,8 +196,8 @@ def parallel_map(
 ) -> list[Result]:
     """Return ``[function(item) for item in items]``, computed in parallel.
 
-    Calls of a function with the decorator `kneexo.simulation.engines.needs_runs` share batches of
-    runs, which does not change the results. The first exception of a call, and KeyboardInterrupt,
+    Calls of a function with the decorator `kneexo.simulation.needs_runs` share batches of runs,
+    which does not change the results. The first exception of a call, and KeyboardInterrupt,
     ends the map and is raised.
 
     Parameters
@@ -260,17 +257,13 @@ def parallel_map(
         order = sorted((n for n in range(len(items)) if n not in results), key=key.__getitem__)
         if pool is not None:
             _by_executor(function, items, order, pool, keep)
-        elif is_synchronous(function):
+        else:
             units = _Units(order, _first_unit(function, len(order), 1))
             while unit := units.take(LARGEST_LOT):
                 begin = time.perf_counter()
-                batch = [items[index] for index in unit]
-                for position, result in map_concurrently(function, batch):
+                for position, result in _ended(function, [items[index] for index in unit]):
                     keep(unit[position], result)
                 units.give_back([], len(unit), time.perf_counter() - begin)
-        else:
-            for index in order:
-                keep(index, function(items[index]))
     return [results[index] for index in range(len(items))]
 
 
@@ -310,9 +303,18 @@ def _first_unit(function: Callable[..., Any], count: int, workers: int) -> int:
     The size is 1 unless calls of ``function`` share batches and there are at least 8 items for
     each worker.
     """
-    if not is_synchronous(function):
+    if not is_in_lockstep(function):
         return 1
     return max(1, min(_FIRST_UNIT, count // (_UNITS_PER_WORKER * workers)))
+
+
+def _ended(
+    function: Callable[[Item], Result], items: Sequence[Item]
+) -> Iterator[tuple[int, Result]]:
+    """Yield the index of each item and ``function(item)``, as soon as the call ends."""
+    if is_in_lockstep(function):
+        return map_in_lockstep(function, items)
+    return enumerate(map(function, items))
 
 
 def _unit(function: Callable[[Item], Result], items: Sequence[Item]) -> tuple[list[Result], float]:
@@ -322,10 +324,10 @@ def _unit(function: Callable[[Item], Result], items: Sequence[Item]) -> tuple[li
     in the order of ``items``, and the elapsed time in s.
     """
     begin = time.perf_counter()
-    lot = LARGEST_LOT if is_synchronous(function) else 1
+    lot = LARGEST_LOT if is_in_lockstep(function) else 1
     results: dict[int, Result] = {}
     for first in range(0, len(items), lot):
-        ended = map_concurrently(function, items[first : first + lot])
+        ended = _ended(function, items[first : first + lot])
         results |= {first + n: result for n, result in ended}
         if time.perf_counter() - begin >= UNIT_S:
             break

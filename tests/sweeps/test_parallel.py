@@ -19,7 +19,7 @@ from hypothesis import given, strategies as st
 from waiting import wait_for
 
 from kneexo.errors import WorkerError
-from kneexo.simulation.coroutines import Request, awaitable, synchronous
+from kneexo.simulation.lockstep import ask, needs_runs
 from kneexo.sweeps import parallel, parallel_map, process_pool
 from kneexo.sweeps.checkpoint import Checkpoint, piece_keys
 
@@ -165,7 +165,7 @@ def test_no_more_is_submitted_than_the_workers_need():
     assert 3 <= executor.most <= 12
 
 
-# ------------------------------------------------------------------------- async functions
+# ---------------------------------------------------------------- functions that need runs
 
 
 def count_requests(requests):
@@ -184,19 +184,19 @@ def batches():
     return BATCHES
 
 
-@synchronous(count_requests)
-async def square(item):
+@needs_runs
+def square(item):
     """Make as many requests as the last digit says."""
     for _ in range(item % 10):
-        await Request()
+        ask(count_requests, item)
     return item * item
 
 
-@synchronous(count_requests)
-async def square_below(limit, item):
+@needs_runs
+def square_below(limit, item):
     if item >= limit:
         raise ValueError(f"{item} is too much")
-    return await awaitable(square, item)
+    return square(item)
 
 
 def test_calls_go_on_together_with_the_results_of_each_alone(batches, monkeypatch, at_once):

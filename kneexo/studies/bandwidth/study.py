@@ -32,7 +32,7 @@ from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 from kneexo.parameters.quantity import Parameters, quantities, require_increasing
 from kneexo.result import Array, Result, data_frame
-from kneexo.simulation import awaitable, needs_runs
+from kneexo.simulation import needs_runs
 from kneexo.sweeps import SweepOptions, open_sweep
 
 
@@ -216,9 +216,7 @@ Frequency None asks for the −3 dB frequency instead of the response at one fre
 
 
 @needs_runs
-async def _measure(
-    scenario: Scenario, settings: SineEstimateSettings, item: _Item
-) -> dict[str, Any]:
+def _measure(scenario: Scenario, settings: SineEstimateSettings, item: _Item) -> dict[str, Any]:
     """Measure the response to one sine, or search for the −3 dB frequency. Return plain data.
 
     If a run fails, the numbers are nan and ``failure`` has the reason. Otherwise ``failure`` is
@@ -232,9 +230,9 @@ async def _measure(
     row = CELL | {"measured_hz": math.nan, "response": [math.nan, math.nan]}
     with failure_noted(row, kind=SimulationError):
         if frequency is None:
-            row["measured_hz"] = await awaitable(large_signal_bandwidth_hz, at)
+            row["measured_hz"] = large_signal_bandwidth_hz(at)
         else:
-            estimate = await awaitable(estimate_sine, at, settings)
+            estimate = estimate_sine(at, settings)
             row |= {name: getattr(estimate, name) for name in CELL}
             row["response"] = [estimate.response.real, estimate.response.imag]
     return row

@@ -37,7 +37,7 @@ from kneexo.parameters.quantity import Parameters, quantities, quantity
 from kneexo.parameters.uncertainty import applicable, draw, realize
 from kneexo.progress import progress_bar
 from kneexo.result import Array, Result
-from kneexo.simulation import awaitable, needs_runs
+from kneexo.simulation import needs_runs
 from kneexo.studies.paper import PID_FEEDFORWARD, PID_PAPER, PID_TUNED
 from kneexo.studies.robustness.study import Values
 from kneexo.sweeps import Sweep, SweepOptions, open_sweep
@@ -399,9 +399,7 @@ def search(
 
 
 @needs_runs
-async def objective_deg(
-    budget_rpm: float, least_disk_margin: float, plants: Sequence[Scenario]
-) -> float:
+def objective_deg(budget_rpm: float, least_disk_margin: float, plants: Sequence[Scenario]) -> float:
     """Return the objective of one candidate: its largest error in deg, averaged over ``plants``.
 
     A candidate that violates a constraint gets a larger objective, which grows with the violation.
@@ -409,7 +407,7 @@ async def objective_deg(
     chattering, and `INFEASIBLE_DEG` with too little margin on any plant. The margin of an unstable
     loop counts as zero.
     """
-    tracked = [await awaitable(assess, plant, margins=False) for plant in plants]
+    tracked = [assess(plant, margins=False) for plant in plants]
     failed = np.mean([bool(values["tracking_failure"]) for values in tracked])
     if failed > 0.0:
         return float(INFEASIBLE_DEG * (3.0 + failed))

@@ -25,7 +25,7 @@ from kneexo.parameters import (
 )
 from kneexo.parameters.paths import changed
 from kneexo.result import Array
-from kneexo.simulation import awaitable, needs_runs
+from kneexo.simulation import needs_runs
 from kneexo.studies.controller.result import (
     MAP_METRICS,
     METRICS,
@@ -155,11 +155,11 @@ def settling_time_s(time_s: Array, error: Array, band: float) -> float:
 
 
 @needs_runs
-async def _measure(settings: ControllerSettings, scenario: Scenario) -> dict[str, Any]:
+def _measure(settings: ControllerSettings, scenario: Scenario) -> dict[str, Any]:
     """Return the `METRICS` of one point of the grid. ``failure`` has the first failure's reason."""
     cases = experiments(scenario, settings)
-    at_reference = await awaitable(assess, scenario)
-    fast = await awaitable(assess, cases["fast"], margins=False)
+    at_reference = assess(scenario)
+    fast = assess(cases["fast"], margins=False)
     metrics: dict[str, Any] = {name: at_reference[name] for name in METRICS if name in at_reference}
     metrics["fast_max_error_deg"] = fast["max_error_deg"]
     reasons = {name: at_reference[name] for name in ("tracking_failure", "margins_failure")}
@@ -167,7 +167,7 @@ async def _measure(settings: ControllerSettings, scenario: Scenario) -> dict[str
     for name, key in (("step", "settling_s"), ("large_step", "large_settling_s")):
         metrics[key] = math.nan
         with failure_noted(reasons, name):
-            step = await awaitable(track, cases[name])
+            step = track(cases[name])
             band = settings.settling_band_deg
             metrics[key] = settling_time_s(step.run.time_s, step.error_deg, band)
     metrics["failure"] = next(filter(None, reasons.values()), "")
@@ -175,13 +175,13 @@ async def _measure(settings: ControllerSettings, scenario: Scenario) -> dict[str
 
 
 @needs_runs
-async def _limit_cycle(settings: ControllerSettings, scenario: Scenario) -> dict[str, Any]:
+def _limit_cycle(settings: ControllerSettings, scenario: Scenario) -> dict[str, Any]:
     """Return, as plain data, all fields of a `LimitCycleCase` except λ and variant."""
     linear = assess(scenario, tracking=False)
     row = {name: linear[name] for name in ("stable", "disk_margin")}
     with failure_noted(row):
-        tracked = await awaitable(track, scenario)
-        hold = await awaitable(track, experiments(scenario, settings)["hold"])
+        tracked = track(scenario)
+        hold = track(experiments(scenario, settings)["hold"])
         late = hold.run.time_s >= 0.5 * hold.run.time_s[-1]
         row |= {
             "max_error_deg": tracked.metrics.max_error_deg,

@@ -28,7 +28,7 @@ from kneexo.analysis.tracking import mean_change
 from kneexo.parameters import G4, RodPolynomialParameters, Scenario, SineReference
 from kneexo.parameters.paths import changed
 from kneexo.result import Array, Result
-from kneexo.simulation import awaitable, needs_runs
+from kneexo.simulation import needs_runs
 from kneexo.studies.paper import (
     EQ_27_DIFFERENCES,
     EQ_27_EXACT_STATES,
@@ -155,8 +155,8 @@ _RUNS: tuple[tuple[str, Callable[[Scenario], Any], Mapping[str, Scenario]], ...]
 
 
 @needs_runs
-async def _call(task: partial[Any]) -> Any:
-    return await awaitable(task)
+def _call(task: partial[Any]) -> Any:
+    return task()
 
 
 def _cost(task: partial[Any]) -> float:

@@ -26,7 +26,7 @@ from kneexo.parameters.paths import value_at
 from kneexo.parameters.quantity import Parameters, choice, quantity
 from kneexo.parameters.uncertainty import applicable, draw, options_of, realize
 from kneexo.result import Array, Result
-from kneexo.simulation import awaitable, needs_runs
+from kneexo.simulation import needs_runs
 from kneexo.sweeps import Sweep, SweepOptions, open_sweep
 
 
@@ -114,7 +114,7 @@ class Assessment:
 
 
 @needs_runs
-async def assess_plant(
+def assess_plant(
     scenario: Scenario,
     uncertainty: UncertaintySet,
     judge: Callable[[Scenario], dict[str, Any]],
@@ -139,7 +139,7 @@ async def assess_plant(
     metrics: dict[str, Any] = {"stable": None}
     with failure_noted(metrics, "tracking_failure"):
         plant = realize(scenario, uncertainty, values)
-        return await awaitable(judge, plant)
+        return judge(plant)
     return metrics
 
 

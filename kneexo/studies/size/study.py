@@ -40,7 +40,7 @@ from kneexo.parameters import (
 )
 from kneexo.parameters.paths import changed, value_at
 from kneexo.result import Array
-from kneexo.simulation import awaitable, needs_runs
+from kneexo.simulation import needs_runs
 from kneexo.studies.size.result import Search, SizeResult, WalkingDesign
 from kneexo.studies.size.settings import SizeSettings
 from kneexo.sweeps import SweepOptions, open_sweep
@@ -52,7 +52,7 @@ _IMPLICIT_STEP_S = 1e-3
 
 
 @needs_runs
-async def _at_reference(scenario: Scenario) -> dict[str, Any]:
+def _at_reference(scenario: Scenario) -> dict[str, Any]:
     """Return a dictionary with bandwidths and errors at the scenario's sine.
 
     If a computation fails, its numbers are nan, and ``failure`` has the reason.
@@ -63,12 +63,12 @@ async def _at_reference(scenario: Scenario) -> dict[str, Any]:
     failures: dict[str, str] = {}
     row["expected_bandwidth_hz"] = expected_bandwidth_hz(scenario)
     with failure_noted(failures, "large signal"):
-        row["bandwidth_hz"] = await awaitable(large_signal_bandwidth_hz, scenario)
+        row["bandwidth_hz"] = large_signal_bandwidth_hz(scenario)
     with failure_noted(failures, "small signal"):
         loop = linearize_loop(scenario, knee_angle_deg=require_sine(scenario).mean_deg)
         row["small_signal_bandwidth_hz"] = loop.bandwidth_hz() if loop.stable else math.nan
     with failure_noted(failures, "tracking"):
-        metrics = (await awaitable(track, scenario)).metrics
+        metrics = track(scenario).metrics
         row |= {name: getattr(metrics, name) for name in errors}
     return row | {"failure": "; ".join(filter(None, failures.values()))}
 

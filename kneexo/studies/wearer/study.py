@@ -37,7 +37,7 @@ from kneexo.parameters import (
 from kneexo.parameters.paths import changed, value_at
 from kneexo.parameters.quantity import Parameters, quantities, quantity
 from kneexo.result import Result
-from kneexo.simulation import Run, awaitable, needs_runs, simulate
+from kneexo.simulation import Run, needs_runs, simulate
 from kneexo.sweeps import SweepOptions, open_sweep
 
 
@@ -337,7 +337,7 @@ def in_motion(
 
 
 @needs_runs
-async def measured(cycles: int, scenario: Scenario) -> dict[str, Any]:
+def measured(cycles: int, scenario: Scenario) -> dict[str, Any]:
     """Return the numbers of a `WearerRow` for the cycles after the first one."""
     moment = scenario.wearer.kind == "leg" and scenario.wearer.moment is not None
     full = scenario.plant.full_order is not None
@@ -349,7 +349,7 @@ async def measured(cycles: int, scenario: Scenario) -> dict[str, Any]:
     period = scenario.duration_s / cycles
     row: dict[str, Any] = {}
     with failure_noted(row):
-        run = await awaitable(simulate, scenario, signals=signals)
+        run = simulate(scenario, signals=signals)
         metrics = asdict(interaction_metrics(run, period_s=period))
         late = run.time_s >= metrics["start_s"] - 1e-9
         deviation = (run["wearer_angle_rad"] - run["knee_reference_rad"])[late]
