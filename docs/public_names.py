@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import importlib
 import importlib.util
 import inspect
@@ -54,6 +55,7 @@ def top_level(module: str) -> list[ast.stmt]:
     return [*tree.body, *itertools.chain(*inner)]
 
 
+@functools.cache
 def imported(module: str) -> dict[str, str]:
     """Return the names that a module imports from kneexo, and from where."""
     names = {}

@@ -65,9 +65,6 @@ NUMBERS = {key: entry for key, entry in FIELDS.items() if is_number(entry[2].ann
 del NUMBERS["LawParameters.initial_state"]  # its units are those of the user's law
 BOUNDED = {key: entry for key, entry in NUMBERS.items() if entry[2].annotation in (int, float)}
 
-each_number = pytest.mark.parametrize(("model", "name", "field"), NUMBERS.values(), ids=NUMBERS)
-each_bounded = pytest.mark.parametrize(("model", "name", "field"), BOUNDED.values(), ids=BOUNDED)
-
 
 def bounds_of(field: FieldInfo) -> tuple[float, float, bool]:
     """Lower and upper bound, and whether the lower one is excluded."""
@@ -98,24 +95,23 @@ def test_introspection_sees_every_class() -> None:
     assert {LinkageParameters, KneeLoadParameters, PidParameters, SampledReference} <= {*CLASSES}
 
 
-@each_number
-def test_number_has_unit_range_and_provenance(
-    model: type[Parameters], name: str, field: FieldInfo
-) -> None:
-    assert unit_of(field)
-    listed = typing.get_origin(field.annotation) is tuple
-    assert listed or re.fullmatch(r">=? \S+ and <= \S+", allowed_range(field))
+def test_each_number_has_unit_range_and_provenance() -> None:
     kinds = "Tables? |Sections? |Eq\\. |Fig\\. |assumption|given by the user|standard gravity"
     kinds += "|Winter 2009|arXiv "
     run = "three periods|the control period|accuracy of|rod position minus reference"
-    assert re.match(f"({kinds}|{run})", source_of(field)), source_of(field)
+    for key, (_, _, field) in NUMBERS.items():
+        assert unit_of(field), key
+        listed = typing.get_origin(field.annotation) is tuple
+        assert listed or re.fullmatch(r">=? \S+ and <= \S+", allowed_range(field)), key
+        assert re.match(f"({kinds}|{run})", source_of(field)), key
 
 
-@pytest.mark.parametrize("model", CLASSES)
-def test_no_class_has_a_validator_that_changes_its_values(model: type[Parameters]) -> None:
+def test_no_class_has_a_validator_that_changes_its_values() -> None:
     # Otherwise a copy with changed numbers would need the whole validation.
-    validators = model.__pydantic_decorators__.model_validators
-    assert {v.info.mode for name, v in validators.items() if name != "_completed"} <= {"after"}
+    for model in CLASSES:
+        validators = model.__pydantic_decorators__.model_validators
+        modes = {v.info.mode for name, v in validators.items() if name != "_completed"}
+        assert modes <= {"after"}, model
 
 
 def test_limits_are_numbers_that_the_field_takes() -> None:
@@ -170,22 +166,22 @@ SUFFIXES = {
 }
 
 
-@each_number
-def test_name_ends_with_the_unit(model: type[Parameters], name: str, field: FieldInfo) -> None:
-    longest = max((s for s in SUFFIXES.values() if name.endswith(s)), key=len)
-    assert longest == SUFFIXES[unit_of(field)]
+def test_each_name_ends_with_the_unit() -> None:
+    for key, (_, name, field) in NUMBERS.items():
+        longest = max((s for s in SUFFIXES.values() if name.endswith(s)), key=len)
+        assert longest == SUFFIXES[unit_of(field)], key
 
 
-@pytest.mark.parametrize("model", CLASSES)
-def test_classes_are_documented_and_frozen(model: type[Parameters]) -> None:
-    assert model.__doc__
+def test_classes_are_documented_and_frozen() -> None:
     samples = {"times_s": (0.0, 1.0, 2.0), "angles_deg": (1.0, 2.0, 3.0)}
-    needed = samples if model is SampledReference else NEEDED.get(model, {})
-    instance = model(**needed)
-    for name in model.model_fields:
-        with pytest.raises(ParameterError, match=f"{model.__name__} is frozen; .*{name}"):
-            setattr(instance, name, getattr(instance, name))
-    assert hash(instance) == hash(instance.model_copy())
+    for model in CLASSES:
+        assert model.__doc__, model
+        needed = samples if model is SampledReference else NEEDED.get(model, {})
+        instance = model(**needed)
+        for name in model.model_fields:
+            with pytest.raises(ParameterError, match=f"{model.__name__} is frozen; .*{name}"):
+                setattr(instance, name, getattr(instance, name))
+        assert hash(instance) == hash(instance.model_copy())
 
 
 # ------------------------------------------------------------------------------- faults
@@ -200,12 +196,15 @@ def assert_tells(
     assert line.endswith(f"{allowed_range(field)}{unit}")
 
 
-@each_bounded
-def test_number_must_be_finite(model: type[Parameters], name: str, field: FieldInfo) -> None:
-    for value in (math.nan, math.inf, -math.inf):
-        line = fault(model, **{name: value})
-        assert_tells(line, name, f"{value:g}", field)
-        assert field.annotation is int or "is out of range: must be finite and " in line
+def test_each_number_must_be_a_finite_number() -> None:
+    for model, name, field in BOUNDED.values():
+        for value in (math.nan, math.inf, -math.inf):
+            line = fault(model, **{name: value})
+            assert_tells(line, name, f"{value:g}", field)
+            assert field.annotation is int or "is out of range: must be finite and " in line
+        for value in ("1", True, (1.0,), {}):
+            line = fault(model, **{name: value})
+            assert_tells(line, name, f"{value!r}: must be", field, is_number=False)
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf], ids=str)
@@ -219,25 +218,18 @@ def test_samples_and_coefficients_must_be_finite(value: float) -> None:
     assert line.startswith(f"RodPolynomialParameters: p_mm_deg.1 = {value:g} mm/deg^n is out of")
 
 
-@each_bounded
-def test_number_must_be_a_number(model: type[Parameters], name: str, field: FieldInfo) -> None:
-    for value in ("1", True, (1.0,), {}):
-        line = fault(model, **{name: value})
-        assert_tells(line, name, f"{value!r}: must be", field, is_number=False)
-
-
-@each_bounded
-def test_bounds_are_exact(model: type[Parameters], name: str, field: FieldInfo) -> None:
-    low, high, exclusive = bounds_of(field)
-    if field.annotation is int:
-        outside = (low - 1, high + 1)
-    else:
-        outside = (low if exclusive else math.nextafter(low, -1e9), math.nextafter(high, 1e99))
-    for value in outside:
-        line = fault(model, **{name: value})
-        shown = "int" if field.annotation is int else f"{value:g}"
-        assert_tells(line, name, repr(value) if f" = {value!r}" in line else shown, field)
-        assert "is out of range" in line
+def test_bounds_are_exact() -> None:
+    for model, name, field in BOUNDED.values():
+        low, high, exclusive = bounds_of(field)
+        if field.annotation is int:
+            outside = (low - 1, high + 1)
+        else:
+            outside = (low if exclusive else math.nextafter(low, -1e9), math.nextafter(high, 1e99))
+        for value in outside:
+            line = fault(model, **{name: value})
+            shown = "int" if field.annotation is int else f"{value:g}"
+            assert_tells(line, name, repr(value) if f" = {value!r}" in line else shown, field)
+            assert "is out of range" in line
 
 
 COUPLED = (

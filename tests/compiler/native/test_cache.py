@@ -220,7 +220,6 @@ def test_the_next_process_removes_stale_temporary_files_of_the_cache_alone(direc
 
 WORKER = """
 import random, sys, time
-import kneexo
 from kneexo.compiler.native import cache
 
 assert not {"numpy", "pydrake", "llvmlite", "numba"} & set(sys.modules)

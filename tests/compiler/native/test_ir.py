@@ -47,6 +47,20 @@ def evaluate(native):
 
 
 @pytest.fixture
+def check(evaluate):
+    """``check(trace, right, *inputs)``: in any number of lanes the bits, but for those of NaN."""
+
+    def run(trace, right, *inputs):
+        number = ~np.isnan(right)
+        for lanes in LANES:
+            got = evaluate(trace, *inputs, lanes=lanes)
+            np.testing.assert_array_equal(got, right)
+            np.testing.assert_array_equal(np.signbit(got[number]), np.signbit(right[number]))
+
+    return run
+
+
+@pytest.fixture
 def scalar(native):
     """``scalar(trace, *numbers)``: what a function of integers leaves as its result."""
 
@@ -64,20 +78,15 @@ def scalar(native):
 # ------------------------------------------------------------------------------- values
 
 
-@pytest.mark.parametrize("lanes", LANES)
 @pytest.mark.parametrize(
     "of", [operator.add, operator.sub, operator.mul, operator.truediv, lambda a, b: 3.0 / a - b]
 )
-def test_arithmetic_of_doubles(evaluate, of, lanes):
+def test_arithmetic_of_doubles(check, of):
     with np.errstate(all="ignore"):
         right = of(DOUBLES, OTHERS)
-    got = evaluate(lambda f, a, b: of(a, b), DOUBLES, OTHERS, lanes=lanes)
-    np.testing.assert_array_equal(got, right)
-    number = ~np.isnan(right)
-    np.testing.assert_array_equal(np.signbit(got[number]), np.signbit(right[number]))
+    check(lambda f, a, b: of(a, b), right, DOUBLES, OTHERS)
 
 
-@pytest.mark.parametrize("lanes", LANES)
 @pytest.mark.parametrize(
     "of",
     [
@@ -89,9 +98,8 @@ def test_arithmetic_of_doubles(evaluate, of, lanes):
         lambda a, b: (a & 255) >> b,
     ],
 )
-def test_arithmetic_of_integers(evaluate, of, lanes):
-    got = evaluate(lambda f, a, b: of(a, b), WHOLE, SMALL, lanes=lanes)
-    np.testing.assert_array_equal(got, of(WHOLE, SMALL))
+def test_arithmetic_of_integers(check, of):
+    check(lambda f, a, b: of(a, b), of(WHOLE, SMALL), WHOLE, SMALL)
 
 
 def test_remainder_has_the_sign_of_the_dividend(evaluate):
@@ -104,7 +112,6 @@ def test_right_shift_fills_with_zeros(evaluate):
     assert evaluate(lambda f, a: a >> 60, np.array([-1]))[0] == 15
 
 
-@pytest.mark.parametrize("lanes", LANES)
 @pytest.mark.parametrize(
     ("of", "same"),
     [
@@ -117,13 +124,11 @@ def test_right_shift_fills_with_zeros(evaluate):
         (lambda a, b: ~(a < b) ^ (a > b), lambda a, b: ~(a < b) ^ (a > b)),
     ],
 )
-@pytest.mark.parametrize("operands", [(DOUBLES, OTHERS), (WHOLE, SMALL)])
-def test_comparisons(evaluate, of, same, operands, lanes):
-    got = evaluate(lambda f, a, b: of(a, b), *operands, lanes=lanes)
-    np.testing.assert_array_equal(got, same(*operands))
+def test_comparisons(check, of, same):
+    for operands in ((DOUBLES, OTHERS), (WHOLE, SMALL)):
+        check(lambda f, a, b: of(a, b), same(*operands), *operands)
 
 
-@pytest.mark.parametrize("lanes", LANES)
 @pytest.mark.parametrize(
     ("of", "same"),
     [
@@ -138,54 +143,44 @@ def test_comparisons(evaluate, of, same, operands, lanes):
         (lambda f, a: f.select(a > 0.0, 1.0, 7.0), lambda a: np.where(a > 0.0, 1.0, 7.0)),
     ],
 )
-def test_functions_of_doubles(evaluate, of, same, lanes):
+def test_functions_of_doubles(check, of, same):
     x = np.concatenate(
         [DOUBLES[:-1], [0.5, 1.5, 2.5, -0.5, -1.7, 1e-310, -5e-324, 2.0**52 + 1.0, 1.2]]
     )
     x = x[:16]
     with np.errstate(all="ignore"):
         right = same(x)
-    got = evaluate(of, x, lanes=lanes)
-    np.testing.assert_array_equal(got, right)
-    number = ~np.isnan(right)
-    np.testing.assert_array_equal(np.signbit(got[number]), np.signbit(right[number]))
+    check(of, right, x)
 
 
-@pytest.mark.parametrize("lanes", LANES)
-def test_smaller_and_larger_as_in_c(evaluate, lanes):
-    smaller = evaluate(lambda f, a, b: f.minimum(a, b), DOUBLES, OTHERS, lanes=lanes)
-    larger = evaluate(lambda f, a, b: f.maximum(a, b), DOUBLES, OTHERS, lanes=lanes)
-    np.testing.assert_array_equal(smaller, np.where(OTHERS < DOUBLES, OTHERS, DOUBLES))
-    np.testing.assert_array_equal(larger, np.where(DOUBLES < OTHERS, OTHERS, DOUBLES))
+def test_smaller_and_larger_as_in_c(check):
+    smaller = np.where(OTHERS < DOUBLES, OTHERS, DOUBLES)
+    check(lambda f, a, b: f.minimum(a, b), smaller, DOUBLES, OTHERS)
+    check(
+        lambda f, a, b: f.maximum(a, b),
+        np.where(DOUBLES < OTHERS, OTHERS, DOUBLES),
+        DOUBLES,
+        OTHERS,
+    )
     np.testing.assert_array_equal(np.signbit(smaller[2:4]), [False, True])  # the first of equals
 
 
-@pytest.mark.parametrize("lanes", LANES)
-def test_conversions(evaluate, lanes):
-    np.testing.assert_array_equal(
-        evaluate(lambda f, n: f.to_double(n), WHOLE, lanes=lanes), WHOLE.astype(float)
-    )
+def test_conversions(check):
+    check(lambda f, n: f.to_double(n), WHOLE.astype(float), WHOLE)
     x = np.array([1.9, -1.9, 0.0, 3e9] * 4)
-    np.testing.assert_array_equal(
-        evaluate(lambda f, a: f.to_int(a), x, lanes=lanes), np.trunc(x).astype(np.int64)
-    )
-    np.testing.assert_array_equal(
-        evaluate(lambda f, a: f.bits(a), DOUBLES, lanes=lanes), DOUBLES.view(np.int64)
-    )
+    check(lambda f, a: f.to_int(a), np.trunc(x).astype(np.int64), x)
+    check(lambda f, a: f.bits(a), DOUBLES.view(np.int64), DOUBLES)
 
 
-@pytest.mark.parametrize("lanes", LANES)
-def test_only_fma_is_rounded_once(evaluate, lanes):
+def test_only_fma_is_rounded_once(check):
     x = 1.0 + 2.0**-30 * np.arange(1, 17)
     y, z = x[::-1].copy(), np.full(16, -1.0)
-    plain = evaluate(lambda f, a, b, c: a * b + c, x, y, z, lanes=lanes)
-    fused = evaluate(lambda f, a, b, c: f.fma(a, b, c), x, y, z, lanes=lanes)
-    np.testing.assert_array_equal(plain, x * y + z)
     exact = [
         float(Fraction(a) * Fraction(b) - 1) for a, b in zip(x.tolist(), y.tolist(), strict=True)
     ]
-    np.testing.assert_array_equal(fused, exact)
-    assert (plain != fused).any()
+    check(lambda f, a, b, c: a * b + c, x * y + z, x, y, z)
+    check(lambda f, a, b, c: f.fma(a, b, c), np.array(exact), x, y, z)
+    assert (x * y + z != exact).any()
 
 
 @pytest.mark.parametrize("value", [0.1, -0.0, math.inf, -math.inf, math.nan, 5e-324, 1.8e308])
@@ -194,13 +189,11 @@ def test_literals_are_exact(evaluate, value):
     np.testing.assert_array_equal(got.view(np.int64), np.array([value]).view(np.int64))
 
 
-@pytest.mark.parametrize("lanes", LANES)
-def test_the_c_library_lane_by_lane(evaluate, lanes):
+def test_the_c_library_lane_by_lane(check):
     x, y = np.linspace(-2.0, 2.0, 16), np.linspace(1.0, 3.0, 16)
-    sinh = evaluate(lambda f, a: f.library("sinh", a), x, lanes=lanes)
-    np.testing.assert_array_equal(sinh, [math.sinh(a) for a in x])
-    power = evaluate(lambda f, a, b: f.library("pow", a, b), y, x, lanes=lanes)
-    np.testing.assert_array_equal(power, [math.pow(*pair) for pair in zip(y, x, strict=True)])
+    check(lambda f, a: f.library("sinh", a), np.array([math.sinh(a) for a in x]), x)
+    powers = np.array([math.pow(*pair) for pair in zip(y, x, strict=True)])
+    check(lambda f, a, b: f.library("pow", a, b), powers, y, x)
 
 
 def test_values_of_other_kinds_do_not_mix():
@@ -382,8 +375,7 @@ def test_memory_of_the_caller(native):
     assert numbers_.tolist() == [1.0, 2.0, 3.0, 4.0, 5.0, 4.0, 6.0, 8.0, 10.0]
 
 
-@pytest.mark.parametrize("lanes", LANES)
-def test_variables(evaluate, lanes):
+def test_variables(check):
     def trace(f, a):
         variable = f.variable(a)
         for _ in f.each(f.constant(3, INT)):
@@ -392,6 +384,4 @@ def test_variables(evaluate, lanes):
             variable.set(0.0)
         return variable.get()
 
-    np.testing.assert_array_equal(
-        evaluate(trace, np.arange(16.0), lanes=lanes), 8.0 * np.arange(16.0)
-    )
+    check(trace, 8.0 * np.arange(16.0), np.arange(16.0))
