@@ -123,6 +123,11 @@ def pytest_collection_finish():
     gc.set_threshold(100_000, 50, 100)
 
 
+def pytest_sessionfinish():
+    """Leave everything out of the search for garbage with which pytest ends."""
+    gc.freeze()
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _compilers_remember(tmp_path_factory):
     """C compilers on the PATH keep what they made beside the compiled models."""

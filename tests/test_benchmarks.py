@@ -134,6 +134,7 @@ def test_without_a_c_compiler_the_row_says_so(load, monkeypatch):
         hand_written.c_compiler()
 
 
+@pytest.mark.slow
 def test_the_exported_loop_is_measured_against_c_by_hand(load, monkeypatch, capsys):
     speed, hand_written = load("exported_speed"), load("hand_written")
     try:

@@ -269,6 +269,7 @@ LOOPS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loop", LOOPS)
 def test_the_drive_receives_the_integers_of_the_simulated_loop(loop, networks):
     controller, unit_rpm, transmission_type = LOOPS[loop]

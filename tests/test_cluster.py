@@ -141,11 +141,9 @@ SWEEPS = {
 }
 
 
-SLOW = set(SWEEPS) - {"bandwidth", "study controller"}
-
-
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=pytest.mark.slow if n in SLOW else ()) for n in SWEEPS]
+    "name",
+    [pytest.param(n, marks=() if n == "study controller" else pytest.mark.slow) for n in SWEEPS],
 )
 def test_every_sweep_runs_on_the_callers_executor_alone(name, monkeypatch):
     sweep, settings = SWEEPS[name]

@@ -36,6 +36,7 @@ def test_an_example_has_at_most_40_lines(name):
     assert len((EXAMPLES / f"{name}.py").read_text(encoding="utf-8").splitlines()) <= 40
 
 
+@pytest.mark.slow
 def test_the_law_of_the_example_moves_the_knee_to_its_target(run_example):
     (line,), (ax,) = run_example("drake_loop")
     angle = float(re.fullmatch(r"knee angle after 1 s: (.*) deg", line)[1])
@@ -67,6 +68,7 @@ def test_the_bode_example_shows_the_phase_margin_that_it_prints(run_example):
     assert labels[:2] == ["knee angle / reference", "L/(1 + L), feedback alone"]
 
 
+@pytest.mark.slow
 def test_the_table_of_many_runs_has_a_line_for_each(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     source = (EXAMPLES / "thousand_runs.py").read_text(encoding="utf-8")

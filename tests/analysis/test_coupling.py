@@ -187,6 +187,7 @@ def test_runs_confirm_the_border_at_60_random_cells():
     assert ends >= 60
 
 
+@pytest.mark.slow
 def test_runs_confirm_the_ends_of_a_stiffness_interval():
     case = scenario("swing", **NO_DAMPING)
     interval = stiffness_interval(case, knee_angle_deg=45.0)

@@ -33,7 +33,12 @@ BRISK = Scenario(
 )
 
 
-@pytest.mark.parametrize("change", [{}, {"simulation.integrator": "radau3"}])
+each_engine = pytest.mark.parametrize(
+    "change", [{}, pytest.param({"simulation.integrator": "radau3"}, marks=pytest.mark.slow)]
+)
+
+
+@each_engine
 def test_the_basic_metrics_are_those_of_the_whole_result(change):
     scenario = BRISK.changed(change)
     basic, metrics = track_basic_metrics(scenario), track(scenario).metrics
@@ -45,7 +50,7 @@ def test_the_basic_metrics_are_those_of_the_whole_result(change):
         assert basic[name] == expected[name]
 
 
-@pytest.mark.parametrize("change", [{}, {"simulation.integrator": "radau3"}])
+@each_engine
 def test_metrics_without_a_log_are_those_of_the_log(change):
     # The ratings are exceeded in a part of the samples, and power flows in both directions.
     scenario = BRISK.changed({"simulation.duration_s": 0.6, **change})

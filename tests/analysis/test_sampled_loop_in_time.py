@@ -116,8 +116,8 @@ RARE = ("pid_tuned", "can_1", "difference")
 @pytest.mark.parametrize(
     "name",
     [
-        *("smc", "pid", "can_2", "other_plant"),
-        *(pytest.param(name, marks=pytest.mark.slow) for name in RARE),
+        "pid",
+        *(pytest.param(n, marks=pytest.mark.slow) for n in ("smc", "can_2", "other_plant", *RARE)),
     ],
 )
 def test_monodromy_is_that_of_the_simulator(loops, name):
@@ -213,9 +213,10 @@ def assert_response(scenario, frequency_hz, *settings):
 
 # Amplitudes stay inside the boundary layer, whose s grows with f², and below the motor's
 # acceleration limit, 100 rad/s of sudden command.
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("frequency_hz", "amplitude_deg"),
-    [pytest.param(20.0, 1e-3, marks=pytest.mark.slow), (100.0, 1e-4)],
+    [(20.0, 1e-3), (100.0, 1e-4)],
 )
 def test_the_response_to_a_small_sine_is_that_of_the_simulator(frequency_hz, amplitude_deg):
     assert_response(SCENARIOS["smc"], frequency_hz, amplitude_deg, 0.5, 0.1, 2e-4)

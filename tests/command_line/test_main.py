@@ -42,12 +42,14 @@ def test_a_full_device_is_a_line(arguments, short, run_command):
     assert (process.returncode, process.stderr) == (2, "kneexo: No space left on device\n")
 
 
+@pytest.mark.slow
 def test_a_closed_output_is_no_failure():
     line = ["sh", "-c", 'exec "$0" -m kneexo setup cache >&-', sys.executable]
     process = subprocess.run(line, capture_output=True, text=True)
     assert (process.returncode, process.stderr) == (0, "")
 
 
+@pytest.mark.slow
 def test_an_unknown_matplotlib_backend_does_not_matter(monkeypatch):
     monkeypatch.setenv("MPLBACKEND", "bogus")
     assert main(["setup", "cache"]) == 0
@@ -96,6 +98,7 @@ runs_without(["params"], "scipy.optimize", "scipy.linalg", "matplotlib")
 """In an order in which no command may import what the next one must not."""
 
 
+@pytest.mark.slow
 def test_commands_import_no_more_than_they_need(short):
     line = [sys.executable, "-c", LIGHT, short]
     out = subprocess.run(line, capture_output=True, text=True, check=True).stdout
@@ -198,10 +201,11 @@ def started(*arguments, **options):
 SWEEP = ["study", "bandwidth", "--workers", "2"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("number", "word", "code"),
     [
-        pytest.param(signal.SIGINT, "interrupted", 130, marks=pytest.mark.slow),
+        (signal.SIGINT, "interrupted", 130),
         (signal.SIGTERM, "terminated", 143),
     ],
 )

@@ -95,6 +95,7 @@ def test_a_csv_reference_runs_for_its_own_length(capsys, scenario_file, tmp_path
     assert notice.startswith("the reference ends at 0.4 s")
 
 
+@pytest.mark.slow
 def test_terminal_json_and_page_have_the_verdict(capsys, short, tmp_path, undrawn):
     command = ["simulate", short, "--preset", "leg", "--set", "plant.cylinder.mass_kg=3.2"]
     assert main([*command, "--out", str(tmp_path), "--html"]) == 0
@@ -137,6 +138,7 @@ def test_a_step_has_rise_time_overshoot_and_settling_time(capsys, tmp_path, undr
     assert printed["verdict"]["tracks"] is True
 
 
+@pytest.mark.slow
 def test_the_reference_engine_can_be_asked_for(capsys, short, tmp_path, undrawn):
     results = {}
     for engine in ("compiled", "drake"):
@@ -196,6 +198,7 @@ def test_every_key_of_the_results_is_documented():
         assert f"`{key}`" in text, key
 
 
+@pytest.mark.slow
 def test_linearize_writes_what_it_finds_and_refuses_a_posture_out_of_range(capsys, tmp_path):
     posture = ["--knee-angle", "30"]
     assert main(["linearize", *posture, "--out", str(tmp_path / "out"), "--json"]) == 0

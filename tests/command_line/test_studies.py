@@ -13,6 +13,7 @@ from kneexo.studies.bandwidth import study as bandwidth
 from kneexo.studies.catalogue import STUDIES, Study, repeating_commands
 
 
+@pytest.mark.slow
 def test_bandwidth_measures_writes_and_leaves_no_checkpoint(capsys, tmp_path, small_map):
     out = tmp_path / "out"
     assert (

@@ -2,6 +2,8 @@ import json
 import os
 from pathlib import Path
 
+import pytest
+
 import kneexo
 from kneexo.command_line.main import main
 from kneexo.compiler.native import cache
@@ -76,6 +78,7 @@ def test_params_prints_a_json_schema(capsys):
     assert "plant" in json.loads(capsys.readouterr().out)["properties"]
 
 
+@pytest.mark.slow
 def test_diagram_writes_the_loop_as_svg_and_png(capsys, scenario_file, tmp_path):
     path, out = scenario_file("controller: {kind: pid}"), tmp_path / "out"
     assert main(["diagram", path, "--out", str(out)]) == 0

@@ -34,7 +34,7 @@ def run_logged(system, names, duration_s, period_s, value=None):
     return [log.FindLog(context) for log in logs], diagram.GetSubsystemContext(system, context)
 
 
-@pytest.mark.parametrize("integrator", ["exact_hold", "rk4"])
+@pytest.mark.parametrize("integrator", ["exact_hold", pytest.param("rk4", marks=pytest.mark.slow)])
 def test_logs_are_the_records_of_a_direct_run_bit_by_bit(servo, integrator):
     model, parameters, state = servo
     direct = model.simulate(parameters, state, 0.5, outputs=SIGNALS, integrator=integrator)

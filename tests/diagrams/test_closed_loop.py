@@ -169,6 +169,7 @@ def test_without_signals_there_is_no_log_but_every_output():
     assert all(diagram.HasOutputPort(name) for name in OUTPUTS)
 
 
+@pytest.mark.slow
 def test_bare_simulator_with_drakes_defaults_follows_the_reference():
     scenario = Scenario()
     diagram = make_closed_loop()
@@ -217,7 +218,7 @@ def test_the_motor_receives_the_rounded_command_of_n_samples_ago(
     )
 
 
-@pytest.mark.parametrize("controller", ["smc", "pid"])
+@pytest.mark.parametrize("controller", ["smc", pytest.param("pid", marks=pytest.mark.slow)])
 def test_a_fine_unit_gives_the_loop_without_rounding(controller):
     scenario = Scenario(
         controller={"kind": controller},
@@ -269,7 +270,7 @@ def ideal_error(*times):
 def test_ideal_sliding_mode_closes_89_mm_along_the_sliding_surface():
     # On the surface s = 0 with λ = 10 1/s, from rest: e = e_0 (1 + λt) exp(−λt). 0.1 %: reaching
     # the surface takes 30 µs, and the boundary layer leaves s = 1e-5 m/s².
-    times = [0.25, 0.5]
+    times = [0.03, 0.06]
     expected = [-89.0 * (1.0 + 10.0 * t) * math.exp(-10.0 * t) for t in times]
     np.testing.assert_allclose(ideal_error(*times), expected, rtol=1e-3)
 
@@ -348,7 +349,7 @@ def with_phase(phase, **changes):
 
 
 def test_encoder_phase_moves_the_counts_and_leaves_no_mean_error(four_bar):
-    phases = COUNT * np.arange(64) / 16.0  # four counts
+    phases = COUNT * np.arange(32) / 16.0  # two counts
     loops = [make_closed_loop(with_phase(phase), signals=()) for phase in phases]
     for knee in np.radians([5.0, 37.0, 80.0]):
         readings, errors = [], []
@@ -370,9 +371,10 @@ def test_encoder_phase_moves_the_counts_and_leaves_no_mean_error(four_bar):
         assert np.max(np.abs(errors)) <= 1.02 * 0.5 * count
         counts = np.array(readings) / COUNT
         np.testing.assert_allclose(counts, np.round(counts), atol=1e-9)
-        assert np.unique(np.round(counts)).size == 5
+        assert np.unique(np.round(counts)).size == 3
 
 
+@pytest.mark.slow
 def test_encoder_phase_changes_the_commands_but_hardly_the_knee(fixed_step):
     runs = []
     for phase in (0.0, 0.4 * COUNT):

@@ -105,7 +105,10 @@ def assert_same(values, expected):
         )
 
 
-@pytest.mark.parametrize("case", CONVERTED)
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(c, marks=() if c == "difference" else pytest.mark.slow) for c in CONVERTED],
+)
 def test_other_scalars_give_the_same_values_at_random_contexts(case, fixed_step):
     for encoder in QUANTIZED:
         scenario = Scenario(**{"plant": VARIED, "encoder": encoder} | CONVERTED[case])

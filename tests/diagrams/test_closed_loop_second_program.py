@@ -229,6 +229,7 @@ def test_oracle_of_the_linkage_has_the_check_values_of_geometry_g1(four_bar):
     assert 1e3 * four_bar.rod(math.radians(90.001)) == pytest.approx(2.223, abs=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loop", ["smc", "pid"])
 def test_commands_and_rod_agree_with_a_second_program_at_every_sample(loop, four_bar, fixed_step):
     ours, other = both_loops(four_bar, fixed_step, loop, 150, PERIOD / 20, quantized=False)
@@ -243,7 +244,13 @@ def test_commands_and_rod_agree_with_a_second_program_at_every_sample(loop, four
 
 @pytest.mark.parametrize(
     ("loop", "delay"),
-    [("smc", 0), ("smc", 1), ("signum", 0), ("difference", 0), ("pid", 0), ("pid", 2)],
+    [
+        *(("smc", 1), ("pid", 0)),
+        *(
+            pytest.param(loop, delay, marks=pytest.mark.slow)
+            for loop, delay in (("smc", 0), ("signum", 0), ("difference", 0), ("pid", 2))
+        ),
+    ],
 )
 def test_commands_agree_with_a_second_program_from_encoder_counts(
     loop, delay, four_bar, fixed_step
@@ -259,6 +266,7 @@ def test_commands_agree_with_a_second_program_from_encoder_counts(
     assert np.max(np.abs(other[:, 1])) > 150.0
 
 
+@pytest.mark.slow
 def test_commands_from_exact_states_agree_with_a_second_program(four_bar, fixed_step):
     ours, other = both_loops(four_bar, fixed_step, "exact", 75, PERIOD / 20, quantized=False)
     peak = np.max(np.abs(other[:, 1]))

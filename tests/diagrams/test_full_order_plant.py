@@ -162,7 +162,9 @@ def test_rod_speed_follows_the_loaded_chamber_not_the_direction(
     assert exchanged == pytest.approx((AREA_1 - AREA_2) * velocity, rel=1e-3)
 
 
-@pytest.mark.parametrize(("direction", "area"), [(1.0, AREA_1), (-1.0, AREA_2)])
+@pytest.mark.parametrize(
+    ("direction", "area"), [pytest.param(1.0, AREA_1, marks=pytest.mark.slow), (-1.0, AREA_2)]
+)
 def test_friction_without_load_makes_the_speeds_of_the_directions_differ(
     direction, area, fixed_step
 ):
@@ -199,6 +201,7 @@ def test_linearized_mode_is_that_of_the_loaded_chamber_damped_by_the_make_up_val
 # --------------------------------------------------------------------------------- valves
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("line", "force", "rpm"), [(0, 0.0, 5000.0), (1, -1600.0, -5000.0)], ids=["P_1", "P_2"]
 )
@@ -252,13 +255,14 @@ def test_oil_is_balanced_over_a_run(fixed_step):
 # 130 mm/s at 12…23 N and below 1e-3 mm/s at 10 N and less and at 25 N and more; with make-up valves
 # that open over 0.05 MPa the zone is 5…30 N. At +5000 rpm nothing oscillates. 145 mm/s is what
 # radau3 at 0.1 ms and runge_kutta3 at 40 µs agree upon; coarser steps damp the mode.
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("force", "rpm", "lowest", "highest"),
     [
         (0.0, -5000.0, 0.0, 1e-3),
         (40.0, -5000.0, 0.0, 1e-3),
-        pytest.param(14.0, 5000.0, 0.0, 1e-3, marks=pytest.mark.slow),
-        pytest.param(14.0, -5000.0, 50.0, 250.0, marks=pytest.mark.slow),
+        (14.0, 5000.0, 0.0, 1e-3),
+        (14.0, -5000.0, 50.0, 250.0),
     ],
 )
 def test_rod_oscillates_near_the_switching_force_when_it_retracts(

@@ -286,6 +286,7 @@ def test_knee_and_encoder_angle_are_those_of_the_linkage_at_the_rod(four_bar):
         assert arm == pytest.approx(four_bar.arm(knee), rel=1e-10)
 
 
+@pytest.mark.slow
 def test_a_shank_with_inertia_swings_as_a_pendulum(four_bar):
     """I d²θ/dt² = m g l sin(α − θ) + r K (x − x_0), integrated in θ, where the inertia is constant.
 

@@ -102,7 +102,9 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case", ["sine", *(pytest.param(c, marks=pytest.mark.slow) for c in CASES if c != "sine")]
+)
 def test_every_state_follows_the_exact_solution(case, fixed_step):
     numbers, duration, step, start, command = CASES[case]
     command = {"force": 0.0} | command

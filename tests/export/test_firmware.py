@@ -88,7 +88,7 @@ PLANTS = {
 }
 
 
-QUICK = ("default", "full order")
+QUICK = ("default",)
 
 
 @pytest.mark.parametrize("what", ["plant", pytest.param("loop", marks=pytest.mark.slow)])
@@ -270,6 +270,7 @@ def test_export_c_takes_set_and_what(tmp_path, short, what, no_compiler):
     assert "1.75, /* mass_kg */" in (out / f"{what}_params.c").read_text()
 
 
+@pytest.mark.slow
 def test_step_s_of_the_command_line_is_that_of_the_code(tmp_path, short, no_compiler):
     plants = []
     for step_s in (None, 5e-4):
@@ -296,6 +297,7 @@ def test_the_export_has_the_scenario_that_it_came_from(tmp_path, short, capsys, 
     assert source.files()["controller.c"] == (out / "controller.c").read_text()
 
 
+@pytest.mark.slow
 def test_outputs_that_nobody_asks_for_are_not_computed(tmp_path, short, no_compiler):
     ports = ["load_pressure", "icr"]
     chosen, vectors = make_firmware(scenario_of(), "plant", outputs=ports, vectors_s=0.1)

@@ -71,6 +71,19 @@ def make_fmu(scenario, what, fmi=3, step_s=None):
     return _fmu(scenario, what, fmi, step_s)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _effects_once():
+    """Compute the effects of the numbers of a scenario, half the time of an export, once."""
+
+    @cache
+    def effects(scenario, names):
+        return parameter_effects(scenario, list(names))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(exports, "parameter_effects", lambda s, names: effects(s, tuple(names)))
+        yield
+
+
 @pytest.fixture(scope="module")
 def path(tmp_path_factory, worker_id):
     """``path(what, fmi, scenario)``: a written FMU, which all workers of pytest share."""
@@ -121,10 +134,9 @@ def _loop_run(loop, steps, *names):
 # --------------------------------------------------------------------------------- contents
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fmi", [2, 3])
-@pytest.mark.parametrize(
-    "what", ["controller", *(pytest.param(w, marks=pytest.mark.slow) for w in WHAT[1:])]
-)
+@pytest.mark.parametrize("what", WHAT)
 def test_description_is_valid(what, fmi, path):
     pytest.importorskip("fmpy", reason="needs FMPy: pip install '.[fmu]'")
     from fmpy.validation import validate_fmu
@@ -132,7 +144,8 @@ def test_description_is_valid(what, fmi, path):
     assert validate_fmu(path(what, fmi)) == []
 
 
-@pytest.mark.parametrize("fmi", [pytest.param(2, marks=pytest.mark.slow), 3])
+@pytest.mark.slow
+@pytest.mark.parametrize("fmi", [2, 3])
 def test_fields_of_the_three_targets(path, fmi):
     fmpy = pytest.importorskip("fmpy", reason="needs FMPy: pip install '.[fmu]'")
     fields = {}
@@ -161,7 +174,9 @@ def test_fields_of_the_three_targets(path, fmi):
     assert plant["shaft_power_w"] == "W"
 
 
-@pytest.mark.parametrize("what", WHAT)
+@pytest.mark.parametrize(
+    "what", ["controller", *(pytest.param(w, marks=pytest.mark.slow) for w in WHAT[1:])]
+)
 def test_scenario_parameters_are_those_of_kneexo_params(what):
     """Value, unit and range as `kneexo params` tells them."""
     fmu = make_fmu(LOADED, what)
@@ -275,6 +290,7 @@ def make_user_controller(scenario):
     return make_controller(scenario.model_copy(update={"controller": PidParameters()}))
 
 
+@pytest.mark.slow
 def test_names_of_the_scenario_do_not_stand_for_numbers_of_a_users_system(path, fmu_instance):
     scenario = SHORT.with_law(make_user_controller)
     for what in ("controller", "loop"):
@@ -302,7 +318,8 @@ def test_start_values_of_inputs_are_those_of_the_loop():
 # ------------------------------------------------------------------------------------- runs
 
 
-@pytest.mark.parametrize("fmi", [pytest.param(2, marks=pytest.mark.slow), 3])
+@pytest.mark.slow
+@pytest.mark.parametrize("fmi", [2, 3])
 def test_plant_and_controller_follow_the_compiled_run(path, fmu_instance, fmi):
     """The controller steps first, so that its command acts in the sample that computes it."""
     data = _compiled(PAPER)
@@ -381,6 +398,7 @@ def test_loop_with_a_wearer_follows_the_compiled_run_with_the_moment_as_input(pa
         assert _relative(values, data[name]) < 1e-9, name
 
 
+@pytest.mark.slow
 def test_sampled_reference_is_an_input(path, fmu_instance):
     samples = SampledReference(times_s=(0.0, 0.3, 0.6), angles_deg=(20.0, 30.0, 25.0))
     scenario = Scenario(reference=samples, simulation=SimulationParameters(duration_s=0.6))
@@ -397,7 +415,7 @@ def test_sampled_reference_is_an_input(path, fmu_instance):
     assert _relative(angles, data["knee_angle_rad"]) < 1e-9
 
 
-@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("fmi", [pytest.param(2, marks=pytest.mark.slow), 3])
 def test_outputs_at_the_start_are_those_of_drake(path, fmu_instance, fmi):
     loop = fmu_instance(path("loop", fmi)).start()
     diagram = make_closed_loop(PAPER, signals=())
@@ -525,6 +543,7 @@ def test_fmpy_simulates_the_loop_by_itself(path, fmi):
     assert _relative(result["rod_extension_m"], data["rod_extension_m"]) < 1e-9
 
 
+@pytest.mark.slow
 def test_libcosim_couples_plant_and_controller(path, tmp_path):
     """A master of others: all step at once, so that the command arrives a sample later."""
     pytest.importorskip("libcosimpy", reason="needs libcosim: pip install '.[fmu]'")
@@ -712,6 +731,7 @@ def test_command_without_a_compiler(tmp_path, capsys, no_compiler):
     assert set(document["scenario_parameters"]) < set(document["parameters"])
 
 
+@pytest.mark.slow
 def test_a_gain_of_the_users_law_is_a_parameter(tmp_path: Path) -> None:
     scenario = Scenario().with_law(lambda rod_extension, k=2.0: k * rod_extension)
     file = export_fmu(scenario, tmp_path / "law.fmu", "controller")

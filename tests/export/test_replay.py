@@ -55,8 +55,19 @@ def largest_difference(exported, scenario, precision, duration_s=DURATION_S):
     return np.abs(exported.Replay(source)(vectors.inputs) - vectors.outputs).max()
 
 
-@pytest.mark.parametrize("precision", ["double", "float"])
-@pytest.mark.parametrize("name", ["smc", "load", "pid"])
+@pytest.mark.parametrize(
+    ("name", "precision"),
+    [
+        *(("smc", "double"), ("pid", "float")),
+        *(
+            pytest.param(name, precision, marks=pytest.mark.slow)
+            for name, precision in (
+                *(("smc", "float"), ("pid", "double")),
+                *(("load", "double"), ("load", "float")),
+            )
+        ),
+    ],
+)
 def test_c_gives_the_commands_of_the_compiled_controller(exported, name, precision):
     difference = largest_difference(exported, SCENARIOS[name], precision)
     assert difference <= TOLERANCES[precision]
@@ -117,7 +128,7 @@ def test_parameters_of_the_uncertainty_set_go_into_a_single_build(exported):
 
 @pytest.mark.parametrize(
     "name",
-    ["smc", "pid_tuned", *(pytest.param(n, marks=pytest.mark.slow) for n in ("pid", "load"))],
+    ["smc", *(pytest.param(n, marks=pytest.mark.slow) for n in ("pid_tuned", "pid", "load"))],
 )
 def test_single_precision_tracks_as_well_as_double(exported, name):
     scenario = SCENARIOS[name]

@@ -172,6 +172,7 @@ def fits_the_motion(changes):
     return 0.0 <= mean - amplitude < mean + amplitude <= 90.0
 
 
+@pytest.mark.slow
 def test_a_page_runs_the_loop_of_the_engine(run_on_page):
     model = model_of(Scenario())
     require_same_curves(run_on_page, Scenario(), model, {}, 0.4)

@@ -373,6 +373,7 @@ def test_the_message_of_a_fault_on_line_1_has_all_its_parts(
     assert all(part in message for part in parts), message
 
 
+@pytest.mark.slow
 def test_each_wrong_value_is_reported_on_its_line(file: File) -> None:
     lines = dump_scenario(Scenario()).splitlines()
     path: list[str] = []
@@ -448,7 +449,7 @@ def damaged(draw: st.DrawFn) -> str:
     return text
 
 
-@settings(max_examples=200)
+@settings(max_examples=20)
 @given(text=st.one_of(damaged(), st.text(max_size=20)))
 def test_any_text_is_a_scenario_or_one_line(file: File, text: str) -> None:
     try:
@@ -551,7 +552,7 @@ def instances_of(model: type[Parameters]) -> st.SearchStrategy[Parameters]:
     return st.fixed_dictionaries(fields).map(build)
 
 
-@settings(max_examples=60)
+@settings(max_examples=5)
 @given(scenario=instances_of(Scenario))
 def test_round_trip(file: File, scenario: Scenario) -> None:
     assert file.load(dump_scenario(scenario)) == scenario

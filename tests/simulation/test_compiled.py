@@ -150,7 +150,7 @@ STRUCTURES = {
 }
 """Every choice that changes the equations, in some combination."""
 
-QUICK = ("loaded", "pid, can 1, samples", "full order", "assist as needed, passive wearer")
+QUICK = ("loaded", "pid, can 1, samples")
 
 
 @pytest.mark.parametrize(
@@ -362,6 +362,7 @@ def test_faults_are_those_of_the_diagram(scenario, error, compiled_run):
     assert str(ours.value) == str(drake.value)
 
 
+@pytest.mark.slow
 def test_a_known_structure_needs_no_diagram_and_no_symbolic_work():
     code = (
         "from kneexo.parameters import Scenario\n"

@@ -84,6 +84,7 @@ def angles(scenario, law):
     return simulate(scenario, law=law)["knee_angle_rad"]
 
 
+@pytest.mark.slow
 def test_a_law_in_python_moves_the_knee_as_the_compiled_law_does() -> None:
     """All forms of one law give the same motion within the tolerance of the integrator."""
     assert not runs_as_python(SHORT.with_law(pi))
@@ -228,7 +229,9 @@ def law_of_all_with_floats(
     )
 
 
-@pytest.mark.parametrize("estimator", [None, ExactParameters()])
+@pytest.mark.parametrize(
+    "estimator", [None, pytest.param(ExactParameters(), marks=pytest.mark.slow)]
+)
 def test_every_input_reaches_a_law_in_python(estimator) -> None:
     scenario = SHORT if estimator is None else SHORT.model_copy(update={"estimator": estimator})
     assert not runs_as_python(scenario.with_law(law_of_all))
@@ -241,6 +244,7 @@ def test_every_input_reaches_a_law_in_python(estimator) -> None:
     )
 
 
+@pytest.mark.slow
 def test_a_sampled_reference_reaches_a_law_in_python() -> None:
     times = np.linspace(0.0, 0.3, 31)
     reference = SampledReference(

@@ -308,6 +308,7 @@ def square_or_die(item):
     return item * item
 
 
+@pytest.mark.slow
 def test_results_before_the_death_of_a_worker_are_stored(tmp_path, monkeypatch):
     path = tmp_path / "checkpoint.jsonl"
     items = list(range(40))
@@ -376,6 +377,7 @@ def is_alive(process):
         return False
 
 
+@pytest.mark.slow
 def test_workers_die_with_their_parent(tmp_path):
     (tmp_path / "tests_of_parallel.py").write_text(NOTE_AND_WAIT)
     (tmp_path / "orphans.py").write_text(ORPHANS)

@@ -282,6 +282,7 @@ def test_a_view_goes_beside_the_scene_graph_of_a_user(meshcat):
     assert meshcat.HasPath("/drake/knees/mine/shank")
 
 
+@pytest.mark.slow
 def test_diagrams_do_not_import_the_geometry_that_only_views_need():
     code = "import sys, kneexo.diagrams, kneexo.systems; print('pydrake.geometry' in sys.modules)"
     process = subprocess.run(

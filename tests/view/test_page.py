@@ -91,6 +91,7 @@ def test_a_leg_has_the_rating_of_its_scenario():
     assert (leg.pressure_rating_pa, failure) == (5e6, "")
 
 
+@pytest.mark.slow
 def test_a_page_tells_where_it_ends_and_stays_small():
     time = np.linspace(0.0, 2000.0, 200_001)
     legs = [a_leg("a", time), a_leg("b", time)]

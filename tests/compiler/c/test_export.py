@@ -169,6 +169,7 @@ def stiff():
     return system
 
 
+@pytest.mark.slow
 def test_steps_follow_the_fastest_mode_of_any_diagram(tmp_path):
     options = {"name": "stiff", "inputs": ["u0"], "tick_s": 2e-3, "samples": np.full((5, 1), 2.0)}
     with pytest.raises(SimulationError, match=r"cannot follow model\.x\[0\], which moves in"):

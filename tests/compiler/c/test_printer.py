@@ -69,7 +69,7 @@ def assert_same(values, expected):
 
 
 @settings(
-    max_examples=15,
+    max_examples=3,
     derandomize=True,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )

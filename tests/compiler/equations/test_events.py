@@ -115,6 +115,7 @@ print(*sorted(words), sep=chr(10))
 """
 
 
+@pytest.mark.slow
 def test_witness_functions_are_refused_without_a_crash():
     # In a process of its own: pydrake frees witness functions of C++ twice, and crashes later.
     run = subprocess.run(

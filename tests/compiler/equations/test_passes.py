@@ -15,6 +15,7 @@ from kneexo.compiler.native.llvm import Library, compile_text
 from kneexo.compiler.native.time_loop import start_text
 
 property_test = settings(max_examples=40, derandomize=True)
+short_property_test = settings(max_examples=15, derandomize=True)
 seeds = st.integers(0, 2**32 - 1)
 
 
@@ -47,6 +48,7 @@ RESIDUES = {
 }
 
 
+@pytest.mark.slow
 @property_test
 @given(data=st.data(), seed=seeds)
 def test_regrouped_formulas_are_equal(interpreted, random_graphs, data, seed):
@@ -72,7 +74,7 @@ def test_regrouped_formulas_are_equal(interpreted, random_graphs, data, seed):
     assert evaluate(regrouped(graph, roots)) == expected
 
 
-@property_test
+@short_property_test
 @given(data=st.data(), seed=seeds)
 def test_regrouped_values_differ_by_rounding(interpreted, random_graphs, data, seed):
     # Of each operation the error is half an ulp of its result, and the sum of the magnitudes of all
@@ -217,6 +219,7 @@ def decisions(graph):
     return roots
 
 
+@pytest.mark.slow
 @property_test
 @given(data=st.data(), seed=seeds)
 def test_decisions_stay_to_the_bit(printed, interpreted, random_graphs, data, seed):
@@ -268,7 +271,7 @@ def test_quotients_behind_a_decision_stay(printed):
     root = graph.unary("floor", graph.divide(graph.divide(n, p), p))
     sizes = {"parameter": 1, "state": 0, "discrete": 1, "input": 0}
     program = Program(equations_of(graph, [root], sizes))
-    n = np.arange(20000.0)[None]
+    n = np.arange(2000.0)[None]
     code = printed.groups(program, program.groups)
     for p in (7.0, 49.0, 0.1):
         constants = np.repeat(constants_of(program, np.array([[p]])), n.size, axis=1)
@@ -279,7 +282,7 @@ def test_quotients_behind_a_decision_stay(printed):
 # -------------------------------------------------------------------------------- hoisting
 
 
-@property_test
+@short_property_test
 @given(data=st.data())
 def test_hoisted_is_what_depends_on_parameters_alone(random_graphs, data):
     graph, roots = data.draw(random_graphs.graphs())
@@ -393,7 +396,7 @@ def test_layout_survives_json():
     assert layout.input_count == 2
 
 
-@property_test
+@short_property_test
 @given(data=st.data(), seed=seeds)
 def test_jacobian_is_that_of_complex_steps(interpreted, random_graphs, data, seed):
     kinds = ("add", "multiply", "sin", "cos", "tanh", "sinh", "exp", "sin", "cos")

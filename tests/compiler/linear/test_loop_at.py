@@ -300,7 +300,13 @@ def assert_loops_close(random):
         np.testing.assert_allclose(ours, expected, rtol=1e-11)
 
 
-@pytest.mark.parametrize("kind", ["continuous", "sampled", "mixed", "multirate"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        *("continuous", "sampled"),
+        *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("mixed", "multirate")),
+    ],
+)
 def test_the_loops_of_a_random_diagram_close_again(random_diagram, kind):
     assert_loops_close(random_diagram(3, kind))
 

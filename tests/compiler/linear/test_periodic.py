@@ -77,6 +77,7 @@ def test_the_gain_margin_of_a_multirate_loop_destabilizes_the_diagram():
         assert linearize(closed, inputs=[], outputs=["y"]).stable is stable
 
 
+@pytest.mark.slow
 def test_a_multirate_loop_is_unstable_with_more_than_its_margin():
     m = margins(loop_at(loop(60.0, others=[(1.5 * T, 0.0, 0.4)]), "law:y0"))
     assert not m.stable
@@ -117,7 +118,9 @@ FREE = [  # modes outside of the loop of LAG: a state that the loop drives but d
 
 
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("plant", FREE)
+@pytest.mark.parametrize(
+    "plant", [FREE[0], *(pytest.param(p, marks=pytest.mark.slow) for p in FREE[1:])]
+)
 def test_a_mode_that_the_loop_does_not_move_changes_no_margin(plant):
     # LAG alone has the pole p = e^−T − k g (1 − e^−T), which is −1 at the gain margin.
     gain, decay = 4.0, math.exp(-T)

@@ -239,6 +239,7 @@ print(hits)
 """
 
 
+@pytest.mark.slow
 def test_processes_store_load_shrink_and_clear_at_the_same_time(directory, monkeypatch):
     monkeypatch.setenv("KNEEXO_CACHE_SIZE_MB", "1")
     workers = [

@@ -181,6 +181,7 @@ def operations(functions):
     return {name: function(i) for i, name in enumerate((*FUNCTIONS, "atan2", "power"))}
 
 
+@pytest.mark.slow
 @property_test
 @given(data=st.data(), seed=seeds)
 def test_composed_graphs_in_all_lanes(
@@ -234,6 +235,7 @@ def test_sums_are_fused(printed, interpreted_fused, random_graphs):
 # ---------------------------------------------------------------------- groups, conditions
 
 
+@pytest.mark.slow
 @property_test
 @given(data=st.data(), seed=seeds)
 def test_groups_under_conditions(printed, interpreted_fused, operations, random_graphs, data, seed):
@@ -411,6 +413,7 @@ def test_lines_of_a_memo(printed):
     assert tags[-1, 0] == 2.0**31 - 1.0
 
 
+@pytest.mark.slow
 @property_test
 @given(data=st.data())
 def test_memos_under_conditions(printed, data):

@@ -103,6 +103,13 @@ def without_discrete():
 
 
 MODELS = {"mixed": mixed, "without states": without_states, "without discrete": without_discrete}
+SLOW_MODELS = [pytest.param(n, marks=pytest.mark.slow) for n in ("mixed", "without discrete")]
+QUICK = {("mixed", "rk4"), *(("without states", integrator) for integrator in INTEGRATORS)}
+RUNS = [
+    pytest.param(name, integrator, marks=() if (name, integrator) in QUICK else pytest.mark.slow)
+    for name in MODELS
+    for integrator in INTEGRATORS
+]
 
 
 @pytest.fixture(scope="module")
@@ -174,8 +181,7 @@ ENDS = {
 """Errors of which models and integrators the random runs must show."""
 
 
-@pytest.mark.parametrize("integrator", INTEGRATORS)
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize(("name", "integrator"), RUNS)
 def test_runs_in_lanes_are_the_runs_alone(models, name, integrator):
     texts = []
 
@@ -209,8 +215,7 @@ def test_sets_of_lanes(models, count):
 
 
 @pytest.mark.parametrize("lanes", [1, 8])
-@pytest.mark.parametrize("integrator", INTEGRATORS)
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize(("name", "integrator"), RUNS)
 def test_pieces_of_a_run_are_the_whole_run(models, name, integrator, lanes):
     model, outcomes = models[name], set()
     runner = Runner(
@@ -383,7 +388,7 @@ def plain_run(interpreted, equations, run, duration, tick, step, every):
     return records, fault(last * tick, x, d) or np.concatenate([x, d])
 
 
-@pytest.mark.parametrize("name", MODELS)
+@pytest.mark.parametrize("name", ["without states", *SLOW_MODELS])
 def test_runs_are_those_of_a_plain_loop(models, interpreted, name):
     model, equations = models[name], MODELS[name]()
     tick = {"mixed": 0.001, "without states": 0.001, "without discrete": 0.01}[name]

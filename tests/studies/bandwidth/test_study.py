@@ -117,6 +117,7 @@ def test_every_row_of_the_map_is_that_of_its_own_run(mapped, tables, check_cells
     assert result.follower == pytest.approx(np.array(follower))
 
 
+@pytest.mark.slow
 def test_a_bus_that_rounds_is_a_quantizer_of_the_map():
     settings = changed(SMALL_MAP, {"amplitudes_deg": (0.3,)})
     free = {"encoder.quantized": False}

@@ -143,6 +143,7 @@ def weighted(formula):
     return replace
 
 
+@pytest.mark.slow
 def test_the_worst_of_many_corners_is_found_where_effects_add_up(weighted):
     highest, lowest = weighted()
     result = robustness_study(UNCERTAIN_KNEE, UNCERTAINTY, FEW)
@@ -155,6 +156,7 @@ def test_the_worst_of_many_corners_is_found_where_effects_add_up(weighted):
     assert f"{FEW.corners_max} of 27648 corners" in report(result)
 
 
+@pytest.mark.slow
 def test_the_search_finds_a_corner_that_no_single_effect_points_at(weighted):
     # Mass and lag are each best low alone, but worst high together.
     weighted(interaction=30.0, margin=False)
@@ -175,13 +177,14 @@ def test_the_search_finds_a_corner_that_no_single_effect_points_at(weighted):
 def test_a_small_budget_is_kept_and_reported(weighted):
     weighted(interaction=30.0)
     result = robustness_study(
-        UNCERTAIN_KNEE, UNCERTAINTY, FEW.model_copy(update={"corners_max": 60})
+        UNCERTAIN_KNEE, UNCERTAINTY, FEW.model_copy(update={"corners_max": 20})
     )
-    assert len(result.corners) == 60
+    assert len(result.corners) == 20
     assert result.corners_settled is False
     assert "ran out of its budget" in report(result)
 
 
+@pytest.mark.slow
 def test_results_do_not_depend_on_the_number_of_samples(formula):
     formula(lambda scenario: merits(rms_error_deg=scenario.plant.cylinder.mass_kg))
     few = robustness_study(UNCERTAIN_KNEE, SMALL, FEW)
@@ -192,6 +195,7 @@ def test_results_do_not_depend_on_the_number_of_samples(formula):
 # ------------------------------------------------------------------------- what is left out
 
 
+@pytest.mark.slow
 def test_values_that_do_not_apply_are_left_out_and_reported(formula):
     formula(lambda scenario: merits())
     result = robustness_study(Scenario(), UNCERTAINTY, FEW.model_copy(update={"corners_max": 40}))
@@ -454,7 +458,13 @@ def test_a_plants_figures_do_not_depend_on_the_workers(one_by_one, workers):
     assert repr(parallel_map(judge, points, workers=workers)) == expected
 
 
-@pytest.mark.parametrize(("first", "lot", "batch"), [(1, 1, 1), (8, 256, 3), (40, 7, 64)])
+@pytest.mark.parametrize(
+    ("first", "lot", "batch"),
+    [
+        (8, 256, 3),
+        *(pytest.param(*c, marks=pytest.mark.slow) for c in ((1, 1, 1), (40, 7, 64))),
+    ],
+)
 def test_a_plants_figures_do_not_depend_on_its_company(one_by_one, monkeypatch, first, lot, batch):
     judge, points, expected = one_by_one
     monkeypatch.setattr(parallel, "_first_unit", lambda *_: first)
@@ -523,6 +533,7 @@ def test_the_summary_of_each_figure_is_that_of_its_visits(by_hand, flat, check_r
             assert by_path[path] == pytest.approx(spearmanr(x, values).statistic)
 
 
+@pytest.mark.slow
 def test_with_torque_control_the_torque_of_the_wearer_is_ranked_and_the_angle_is_not():
     scenario = REAL.changed({"wearer": "leg", "controller": "torque"})
     cuff = uncertain(

@@ -123,6 +123,7 @@ def by_formula(monkeypatch):
     monkeypatch.setattr(size, "assess", judge)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("by_formula")
 def test_every_row_of_the_sweeps_is_that_of_its_own_hardware(in_numbers):
     base = changed(
@@ -151,6 +152,7 @@ def test_every_row_of_the_sweeps_is_that_of_its_own_hardware(in_numbers):
         assert {n: row[n] for n in names} == pytest.approx({n: expected[n] for n in names})
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("by_formula")
 def test_a_knee_that_walks_by_formula_gets_the_hardware_of_the_formula(monkeypatch):
     def fail(*_, **__):

@@ -61,6 +61,7 @@ def test_a_larger_pump_keeps_the_gains_in_flow():
     assert with_flow(REDUCED, 2.0).plant.full_order is None
 
 
+@pytest.mark.slow
 def test_a_larger_pump_works_through_a_loaded_chamber_in_slow_motion():
     # Make-up valves enlarged with the pump would pass this motion: |Z| = 0.34 at 50 times the flow.
     slow = {"controller.mode": "zero_torque", "wearer.motion": "prescribed"}
@@ -73,6 +74,7 @@ def test_a_larger_pump_works_through_a_loaded_chamber_in_slow_motion():
     assert abs(ample.impedance) == pytest.approx(12.17, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_the_lowest_pressure_of_a_row_is_that_of_its_late_cycles():
     case = in_motion(with_flow(WEARER_KNEE, 16.3), SMALL, QUICK)
     run = simulate(case)
