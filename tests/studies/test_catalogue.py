@@ -27,3 +27,16 @@ def test_each_stage_is_the_description_of_a_progress_bar(study):
     assert (figures, files) == (FIGURES, FILES)
     assert [name for name in bars if f'"{name}"' not in text] == []
     assert study.duration_s == sum(stage.duration_s for stage in study.stages)
+
+
+def test_motions_and_failed_runs_are_those_of_the_modules_that_have_them(monkeypatch):
+    for name, place in (
+        ("reproduce", "figures.motions"),
+        ("size", "figures.motions"),
+        ("robustness", "report.failed_runs"),
+        ("contest", "report.failed_runs"),
+    ):
+        monkeypatch.setattr(f"kneexo.studies.{name}.{place}", lambda result: {"run": result})
+        runs = getattr(STUDIES[name], place.partition(".")[2])
+        assert runs(3) == {"run": 3}
+    assert STUDIES["bandwidth"].motions(3) == STUDIES["bandwidth"].failed_runs(3) == {}
