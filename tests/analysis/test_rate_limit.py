@@ -2,7 +2,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
 
 from kneexo import linkage
 from kneexo.analysis import fundamental
@@ -25,8 +24,7 @@ def simulated_gain(ratio):
     return fundamental(time[last], follower[last], 1.0) / fundamental(time[last], target[last], 1.0)
 
 
-@settings(max_examples=4)
-@given(ratio=st.floats(0.2, 1.2))
+@pytest.mark.parametrize("ratio", [0.3, 0.55, 0.7, 0.9, 1.1])
 def test_the_closed_form_is_what_a_follower_does(ratio):
     # 10 000 steps a period: the follower turns within one step, 1e-4 of a period.
     assert rate_limited_gain(ratio) == pytest.approx(simulated_gain(ratio), abs=1e-3)

@@ -156,7 +156,6 @@ def test_the_worst_of_many_corners_is_found_where_effects_add_up(weighted):
     assert f"{FEW.corners_max} of 27648 corners" in report(result)
 
 
-@pytest.mark.slow
 def test_the_search_finds_a_corner_that_no_single_effect_points_at(weighted):
     # Mass and lag are each best low alone, but worst high together.
     weighted(interaction=30.0, margin=False)
