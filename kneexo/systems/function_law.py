@@ -211,9 +211,18 @@ class LinearLaw(NamedLeaf):
     """Replace a control law that runs as Python by its linear form, near an operating point.
 
     M (1, x, z, y) gives the rates of the continuous states x of the law. Every ``sample_time_s`` it
-    also gives the discrete state (u, z), the command u in rad/s and the discrete states z of the
-    law. y are the elements of the inputs that the law reads, and M are Context parameters, see
-    `set_matrix`. Output port: ``motor_speed_command`` (1), the state u, without limit.
+    also gives the discrete state (u, z) of this system, with the command u in rad/s. y contains the
+    elements of the inputs. M are Context parameters, see `set_matrix`. The output port
+    ``motor_speed_command`` (1) shows the state u, without limit.
+
+    Parameters
+    ----------
+    sample_time_s
+        Time in s between two updates.
+    inputs
+        Names of the inputs that the law reads, see `kneexo.parameters.law.LAW_INPUTS`.
+    continuous, discrete
+        Numbers of elements of x and z.
     """
 
     def __init__(
