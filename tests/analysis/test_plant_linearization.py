@@ -182,22 +182,6 @@ def test_an_ideal_motor_has_no_pole():
     assert distance(poles, roots(cubic(SOFT))) <= 1e-9 * np.abs(poles).max()
 
 
-@pytest.mark.parametrize("name", SETS)
-def test_damping_is_that_of_the_closed_form(name):
-    n = SETS[name]
-    frequency, ratio = linearize_plant(plant_parameters(n)).damping
-    m, c_2, c_1, c_0 = cubic(n)
-    oscillating = np.flatnonzero(ratio < 1.0 - 1e-6)
-    assert oscillating.size == 2
-    omega, zeta = frequency[oscillating[0]], ratio[oscillating[0]]
-    slow = 0.0 if c_0 == 0.0 else max(roots([m, c_2, c_1, c_0]).real)
-    # The pair and the slow root −σ: c_2/m = σ + 2ζω, c_1/m = ω² + 2ζωσ.
-    assert 2.0 * zeta * omega - slow == pytest.approx(c_2 / m, rel=1e-8)
-    assert omega**2 - 2.0 * zeta * omega * slow == pytest.approx(c_1 / m, rel=1e-9)
-    real = np.setdiff1d(np.arange(4), oscillating)
-    assert ratio[real] == pytest.approx([1.0, 1.0])
-
-
 def test_the_papers_hydraulic_mode_lies_at_447_hz_and_is_nearly_undamped():
     frequency, ratio = linearize_plant().damping
     assert frequency[-1] / (2.0 * math.pi) == pytest.approx(446.8, abs=0.1)
