@@ -217,7 +217,7 @@ def check(links, largest_deg):
             # Differences of 1e-6 rad have errors of 1e-10, times the conditioning of the extremum.
             # They see nothing that is nearer than some steps to a limit.
             seen, walked_by = (
-                all_of[(all_of > low + 1e-5) & (all_of < high - 1e-5)]
+                all_of[(np.abs(all_of - low) > 1e-5) & (np.abs(all_of - high) > 1e-5)]
                 for all_of in (angles, by_differences)
             )
             np.testing.assert_allclose(seen, walked_by, rtol=0.0, atol=1e-5)
@@ -255,7 +255,7 @@ def check_angles(passing, step):
 
 
 def assert_named_change_closes(link):
-    """The links close over 0…90° at both ends of the named range of one length, or of both."""
+    """The links close over −2…91° at both ends of the named range of one length, or of both."""
     with pytest.raises(LinkageError) as error:
         linkage_properties(link)
     text = str(error.value)
@@ -265,7 +265,7 @@ def assert_named_change_closes(link):
         equal = float(re.search(r"; choose a_2_m = a_4_m, at least (\S+) m$", text)[1])
         changes = [{"a_2_m": equal, "a_4_m": equal}]
     for change in changes:
-        pose(link.changed(change), np.radians(np.linspace(0.0, 90.0, 901)))
+        pose(link.changed(change), np.radians(np.linspace(-2.0, 91.0, 931)))
 
 
 @pytest.mark.slow
@@ -278,9 +278,9 @@ def test_linkages_agree_with_loop_closure_by_root_finding(link):
     assert check([link], largest_deg=10.0) == 1
 
 
-@pytest.mark.parametrize("n", range(20))
+@pytest.mark.parametrize("n", range(10, 30))
 def test_a_random_linkage_agrees_with_loop_closure_by_root_finding(n):
-    check(random_links(20, seed=2)[n : n + 1], largest_deg=10.0)
+    check(random_links(30, seed=2)[n : n + 1], largest_deg=10.0)
 
 
 # --------------------------------------------------------------------------- known figures
