@@ -39,7 +39,8 @@ class BatchRow(Result):
 
     ``values`` maps the path of each changed value to the value of this run. A run that succeeds has
     ``metrics``, and its ``error`` is an empty text. A run that fails has no ``metrics`` (None), and
-    its ``error`` is the reason in one line. ``scenario`` is None if it refuses the values.
+    its ``error`` is the reason in one line. If the values make no valid scenario, ``scenario`` is
+    None.
     """
 
     values: Mapping[str, Any]

@@ -179,15 +179,15 @@ def _closing_change(link: LinkageParameters, theta_p: Array) -> str:
     """
     fit_range = np.radians(np.linspace(*FIT_RANGE_DEG, 187))
     distance = np.abs(_diagonal(link, np.append(theta_p[np.isfinite(theta_p)], fit_range)))
-    least, most = distance.max(), distance.min()
+    farthest, nearest = distance.max(), distance.min()
     changes = []
     for name, other in (("a_2_m", link.a_4_m), ("a_4_m", link.a_2_m)):
-        low, high = 1.001 * max(least - other, other - most), 0.999 * (most + other)
+        low, high = 1.001 * max(farthest - other, other - nearest), 0.999 * (nearest + other)
         change = max(low - getattr(link, name), getattr(link, name) - high)
         if low <= high:
             changes.append((change, f"; {name} must be {low:.4g} … {high:.4g} m"))
     if not changes:
-        return f"; choose a_2_m = a_4_m, at least {0.501 * least:.4g} m"
+        return f"; choose a_2_m = a_4_m, at least {0.501 * farthest:.4g} m"
     change, text = min(changes)
     return text if change > 0.0 else ""
 

@@ -71,12 +71,13 @@ def _default_polynomial(link: LinkageParameters) -> RodPolynomialParameters:
 
 
 def controller_polynomial(scenario: Scenario) -> RodPolynomialParameters:
-    """Return the polynomials that the controller of a scenario uses.
+    """Return the polynomials of Eq. 10 and 11 that the controller of a scenario uses.
 
-    A scenario with a ``polynomial`` uses this one. Without it, the linkage of the plant for which
-    the controller is designed decides. A linkage of `TABLE_1_LINKAGES` has the polynomials of
-    Table 1, because it is identified from Table 1. Another linkage has its `fitted_polynomial`.
-    Raises `LinkageError` when the linkage cannot be assembled.
+    Eq. 10 gives the rod extension at a knee angle, and Eq. 11 the knee angle at a rod extension. If
+    the scenario has a ``polynomial``, the controller uses ``polynomial``. Otherwise the linkage of
+    the plant for which the controller is designed decides. A linkage of `TABLE_1_LINKAGES` has the
+    polynomials of Table 1, because it is identified from Table 1. Another linkage has its
+    `fitted_polynomial`. Raises `LinkageError` when the linkage cannot be assembled.
     """
     return scenario.polynomial or _default_polynomial(scenario.believed_plant.linkage)
 

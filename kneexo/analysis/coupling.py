@@ -62,9 +62,9 @@ def stable_interval(
 ) -> tuple[float, float]:
     """Return the ends of the interval of a parameter in which the loop is stable.
 
-    Stability is computed at each of ``values`` and at the value that the scenario has. If the loop
-    is stable at one of two neighbouring values only, a root search for max|λ| = 1 gives the end
-    between both values to 1e-6. If the loop is stable at the first or last value, the first or
+    Stability is computed at each of ``values`` and at the value that the scenario has. Between a
+    stable and an unstable neighbour a root search finds the end, where max|λ| = 1, with a relative
+    error of 1e-6. If the loop is stable at the first or last value, the first or
     last value is an end. Of several intervals the result is the one with the scenario's value, or
     else the one nearest to the scenario's value. If the loop is stable at no value, both ends are
     nan.
@@ -129,8 +129,9 @@ class StiffnessInterval(Result):
     """Interval of the virtual stiffness in N·m/rad in which knee and wearer are stable together.
 
     Both ends are nan if no stiffness is stable. ``high_n_m_per_rad`` is 1e6 if the loop is stable
-    there. With B_v = 0 a large stiffness is a position loop, which the lags of motor and hold
-    limit. A low end above zero means that the zero-torque loop is unstable.
+    there. Without virtual damping a large stiffness controls the position, and the lags of motor
+    and hold limit it. A low end above zero means that the loop is unstable at a stiffness just
+    below. `stable_interval` says which of several intervals counts.
 
     The interval is that of small motions without encoder counts. A count of the encoder times a
     large stiffness is a large torque: 0.088° times 37 kN·m/rad is 57 N·m.
@@ -157,14 +158,14 @@ class StiffnessInterval(Result):
 def stiffness_interval(
     scenario: Scenario, *, knee_angle_deg: float = MID_RANGE_DEG
 ) -> StiffnessInterval:
-    """Return the stable interval of the virtual stiffness K_v, for the scenario's wearer and gains.
+    """Return the stable interval of the virtual stiffness K_v, with the other gains as they are.
 
     The law is τ_d = −K_v (θ − θ_ref) − B_v dθ/dt with a constant θ_ref. In the mode
     ``assist_as_needed``, which has no damping, B_v is zero. `stable_interval` says which
     of several intervals counts.
 
     Raises `ParameterError` if the controller does not control the torque, and `LinearizationError`
-    if the loop does not rest at the angle.
+    if the loop does not rest at ``knee_angle_deg``.
     """
     law = scenario.controller
     if not isinstance(law, TorqueParameters):

@@ -352,12 +352,12 @@ def measure_impedance(
     knee_angle_deg: float = MID_RANGE_DEG,
     settings: SineEstimateSettings = SineEstimateSettings(ramp_min_s=2.0),
 ) -> MeasuredImpedance:
-    """Measure the output impedance at the cuff in a run, with all limits of the scenario.
+    """Return the output impedance at the cuff, measured in a run with all limits of the scenario.
 
     The wearer's leg moves by a sine, whose amplitude grows smoothly from zero. The run is repeated
-    with twice the number of cycles until the response has settled, as in
-    `kneexo.analysis.estimate_sine`. The torque is recorded eight times a sample of the controller,
-    because the torque moves between the samples.
+    with twice the number of cycles until the response has settled, or until the largest number of
+    cycles of ``settings`` is reached, as in `kneexo.analysis.estimate_sine`. The torque is recorded
+    eight times a sample of the controller, because the torque moves between the samples.
 
     Parameters
     ----------
@@ -376,7 +376,7 @@ def measure_impedance(
     Raises
     ------
     ParameterError
-        The scenario has no wearer. The controller follows the reference, and with it the leg. The
+        The scenario has no wearer. The controller follows the reference, as the leg does too. The
         amplitude is zero, or a period has fewer than ten samples of the controller.
     SimulationError
         The run fails.

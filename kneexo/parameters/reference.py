@@ -120,7 +120,8 @@ _INTERPOLATION = (
 class SampledReference(_KneeReference):
     """Knee angle that passes through samples.
 
-    The default curve is a cubic spline with continuous acceleration. Times and angles can be
+    The default curve is a cubic spline with continuous acceleration. ``interpolation`` chooses
+    another curve. Times and angles can be
     tuples, lists, NumPy arrays or pandas columns.
     """
 

@@ -8,7 +8,7 @@ from kneexo.parameters.quantity import Parameters, quantity
 class StrapParameters(Parameters):
     """Place of the cuff on the shank, and stiffness and friction of its strap.
 
-    `CuffParameters` has the stiffness that the loop of a worn exoskeleton feels, about the knee.
+    `CuffParameters` has the rotational stiffness about the knee, with which a run is simulated.
     """
 
     distance_m: float = quantity(

@@ -70,7 +70,7 @@ class WearerKnee(NamedLeaf):
     """Knee of the wearer, whose leg moves with the cuff.
 
     With ``prescribed`` motion θ_h = θ_ref and dθ_h/dt = dθ_ref/dt, without state. Otherwise
-    I_h d²θ_h/dt² = A + W(θ_h) − k_0 s − b ds/dt − h Σ κ_i (s − ξ_i) − τ_i,
+    I_h d²θ_h/dt² = A + W(θ_h) − k_0 s − b ds/dt − h Σ κ_i (s − ξ_i) − τ_int,
     dξ_i/dt = 2π f_i (s − ξ_i),  W(θ) = m_h g l_h sin(α_thigh − θ).
     With ``passive`` motion the deflection is s = θ_h − θ_n about the neutral angle, and A = 0.
     With ``active`` motion the deflection is s = θ_h − θ_ref about the reference, and
@@ -83,7 +83,7 @@ class WearerKnee(NamedLeaf):
     ==================  ====  =============  ==================================================
     knee_reference      4     rad, rad/s, …  θ_ref and derivatives to the third
     biological_moment   1     N·m            M, positive flexes; 0 if unconnected
-    interaction_torque  1     N·m            τ_i on the exoskeleton; 0 if unconnected
+    interaction_torque  1     N·m            τ_int on the exoskeleton; 0 if unconnected
     **output port**
     wearer_motion       2     rad, rad/s     θ_h and dθ_h/dt
     ==================  ====  =============  ==================================================
@@ -91,7 +91,8 @@ class WearerKnee(NamedLeaf):
     State: θ_h in rad, dθ_h/dt in rad/s and ξ_i in rad. Context parameters by name: numbers of
     `LegParameters`, with k_0 in place of k, and ``thigh_inclination_rad`` (α_thigh) and
     ``gravity_m_s2`` of the load. Source: the Maxwell elements approximate hysteretic damping (see
-    `kneexo.parameters.wearer.MAXWELL_BANK`).
+    `kneexo.parameters.wearer.MAXWELL_BANK`). The Maxwell element i has the weight κ_i and the
+    corner frequency f_i, and h is the loss modulus.
 
     Parameters
     ----------

@@ -22,11 +22,13 @@ _LONGEST_SUM = 12
 
 
 def fast_rates(graph: Graph, derivatives: Sequence[int], parameters: Array) -> dict[int, int]:
-    """Return a dictionary from each node that ``derivatives`` require to a faster node.
+    """Return a dictionary from nodes of the derivatives to nodes that are computed faster.
 
-    The new node computes the same value up to rounding, in a graph that gets these nodes. Four
-    rewritings follow each other, each a class below. For a parameter p, p = 0 at first, and the
-    states x, y and z:
+    ``derivatives`` are the numbers of the derivatives' nodes in ``graph``. ``parameters`` decide
+    which factors are zero. Each derivative is in the dictionary, and so is each node that a
+    derivative still requires after all rewritings. The new node computes the same value up to
+    rounding, in a graph that gets these nodes. Four rewritings follow each other, each a class
+    below. For a parameter p, p = 0 at first, and the states x, y and z:
 
     - sin(x)·p → 0 if p = 0, else sin(x)·p
     - 2·min(x, y) → min(2·x, 2·y)

@@ -79,10 +79,10 @@ class CSource:
     subject
         Short description of the model, part of the first line of each file.
     checks_steps
-        If True, a step of the model fails if the last step of RK4 in it seems to be unstable.
+        If True, a tick returns an error if its last step of RK4 seems to be unstable.
     origin
-        Name and text of the file that the diagram was made from. The export has a copy. ``#``
-        begins a comment in such a file.
+        Name and text of the file from which the diagram was made. The export gets a copy of the
+        text, in which ``#`` begins a comment.
 
     Raises
     ------

@@ -54,7 +54,7 @@ def wasm_files(source: CSource) -> dict[str, str]:
 
 
 def wasm_table(source: CSource) -> dict[str, Any]:
-    """Return names and order of what a WebAssembly module of ``source`` keeps in its memory.
+    """Return the layout of the memory of the WebAssembly module that ``source`` gives.
 
     The result is the `WasmModule.table` of the module, without ``sha256``.
     """

@@ -23,7 +23,7 @@ _RANK = 1e-10  # relative size of a singular value that counts as zero
 
 @dataclass(frozen=True)
 class Obstacle:
-    """A block whose equations have no useful linear model at an operating point."""
+    """What prevents a useful linear model at an operating point: block, reason and remedy."""
 
     path: str
     """Path of the leaf system."""

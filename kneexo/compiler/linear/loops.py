@@ -293,7 +293,8 @@ def _control_matrices(system: Any) -> tuple[list[Any], float | None]:
 def sensitivity(loop: Any) -> Transfer:
     """Return the sensitivity S = 1/(1 + L) of a loop transfer L for negative feedback.
 
-    S maps a disturbance that is added at the break to the signal behind the sum. `as_transfer`
+    S is the transfer from a disturbance that is added at the break to the signal just after this
+    sum. `as_transfer`
     describes the forms of ``loop`` and the errors. Also raises `ParameterError` if L = −1 at
     infinite frequency.
     """

@@ -47,8 +47,11 @@ class LoopMargins:
 
     Frequencies are in Hz. ``gain_margin`` and ``disk_gain_margin`` are factors. ``disk_margin`` is
     1/max|(S − T)/2| with S = 1/(1 + L) and T = L/(1 + L), the balanced disk margin (Seiler,
-    Packard, Gahinet, *An introduction to disk margins*, IEEE Control Systems 2020). If no change
-    of a kind destabilizes the loop, the margin is inf and its frequency is nan.
+    Packard, Gahinet, *An introduction to disk margins*, IEEE Control Systems 2020).
+
+    If no change of a kind destabilizes the loop, the margin is inf and its frequency is nan. The
+    lower gain margin is then 0. The disk margin is at most 2, which means that no gain and no phase
+    up to 90° destabilize the loop. A loop that is periodic in time has no delay margin (nan).
     """
 
     stable: bool

@@ -38,7 +38,7 @@ def _read(value: Any) -> Any:
 
 
 class MechanismSettings(Parameters):
-    """Settings of ``kneexo study mechanism``: the wearer's knee, the cuff and the flexion."""
+    """Settings of ``kneexo study mechanism``: knee, cuff, flexion, wrong place, tolerance."""
 
     knee: Annotated[
         AnatomicalKneeParameters,

@@ -122,8 +122,8 @@ def assess_plant(
 ) -> dict[str, Any]:
     """Make one plant with sampled values and return its metrics; runs in a worker process.
 
-    If the values contradict each other, the metrics are only ``stable``, which is None, and the
-    reason as ``tracking_failure``.
+    If the values make no valid scenario or the metrics fail, the result has two entries:
+    ``stable`` is None, and ``tracking_failure`` is the reason.
 
     Parameters
     ----------
