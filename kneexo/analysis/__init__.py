@@ -43,6 +43,7 @@ from kneexo.analysis.leg_length import (
     swing_clearance,
     voluntary_stability,
 )
+from kneexo.analysis.linkage_design import LinkageDesign, TradeOff, design_linkage, trade_off
 from kneexo.analysis.margins import Margins
 from kneexo.analysis.passivity import PassivityLimits, passivity_limits
 from kneexo.analysis.plant_linearization import (
@@ -76,6 +77,7 @@ __all__ = [
     "FrequencyResponse",
     "InteractionMetrics",
     "LegLength",
+    "LinkageDesign",
     "Margins",
     "MeasuredImpedance",
     "OperatingPoint",
@@ -96,11 +98,13 @@ __all__ = [
     "TorqueResponse",
     "TrackingMetrics",
     "TrackingResult",
+    "TradeOff",
     "Verdict",
     "VoluntaryStability",
     "align",
     "coupled_stability",
     "crossing",
+    "design_linkage",
     "draw_trials",
     "energy_balance",
     "estimate_sine",
@@ -129,5 +133,6 @@ __all__ = [
     "torque_response",
     "track",
     "tracking_metrics",
+    "trade_off",
     "voluntary_stability",
 ]

@@ -25,6 +25,7 @@ from kneexo.parameters.control import (
     PidParameters,
     SlidingModeParameters,
 )
+from kneexo.parameters.design_limits import DesignLimits
 from kneexo.parameters.law import LAW_INPUTS, Law
 from kneexo.parameters.linkages import (
     G1,
@@ -114,6 +115,7 @@ __all__ = [
     "CsvReference",
     "CuffParameters",
     "CylinderParameters",
+    "DesignLimits",
     "DifferenceParameters",
     "EncoderParameters",
     "ExactParameters",

@@ -1,0 +1,167 @@
+"""Synthesis of linkages: errors and limits against the linkage's own mathematics, known optima."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kneexo.analysis import design_linkage
+from kneexo.analysis.linkage_design import (
+    _drawn,
+    _linkage_of,
+    _points_of,
+    _Problem,
+    _slopes,
+)
+from kneexo.linkage import moment_arm, pose, rod_extension
+from kneexo.parameters import (
+    G2,
+    G3,
+    G4,
+    GAIT2392,
+    DesignLimits,
+    LinkageParameters,
+    RodPolynomialParameters,
+)
+from kneexo.shank_motion import anatomical_motion, linkage_motion
+
+ANGLE = np.radians(np.arange(91.0))
+CHECKED = np.radians(np.arange(-5.0, 95.5, 5.0))
+TABLE_1 = 1e-3 * np.polyval(RodPolynomialParameters().p_mm_deg, np.degrees(ANGLE))
+THIGH = pytest.mark.parametrize("link", [G2, G3, G4], ids=["G2", "G3", "G4"])
+WIDE = DesignLimits(
+    link_angle_deg=5.0, joint_box_m=0.2, pin_radius_m=1.5, pin_offset_m=1.0, largest_arm_m=1.0
+)
+
+
+def problem(limits=DesignLimits(), motion=None, **values):
+    motion = motion or anatomical_motion(GAIT2392, ANGLE)
+    return replace(_Problem(motion, ANGLE, TABLE_1, limits, (1.0, 1.0), 5.0), **values)
+
+
+def changed(link, **values):
+    return LinkageParameters(**(link.model_dump() | values))
+
+
+def best_strap_rms_mm(link, motion):
+    """Migration with the best strap, by linear least squares over the strap's place."""
+    here = linkage_motion(link, motion.knee_angle)
+    vector = (here.translation - motion.translation) * np.exp(-1j * motion.knee_angle)
+    rows = np.concatenate([vector.real, vector.imag])
+    n = vector.size
+    basis = np.zeros((2 * n, 2))
+    basis[:n, 0] = basis[n:, 1] = 1.0
+    rest = rows - basis @ np.linalg.lstsq(basis, rows, rcond=None)[0]
+    return 1e3 * math.sqrt(np.sum(rest**2) / n)
+
+
+# ------------------------------------------------------------------ errors and constraints
+
+
+@THIGH
+def test_points_give_the_linkage_back(link):
+    again = _linkage_of(problem(), _points_of(link))
+    # 1 nm and 1 nrad of rounding, at a lever of at most 1 m.
+    np.testing.assert_allclose(pose(again, ANGLE).rod_pin, pose(link, ANGLE).rod_pin, atol=5e-9)
+    mean = np.mean(rod_extension(again, ANGLE) - TABLE_1)
+    assert abs(mean) < 1e-9
+    assert again.branch == link.branch
+
+
+@THIGH
+def test_errors_are_those_of_the_linkage(link):
+    motion = anatomical_motion(GAIT2392, ANGLE)
+    migration, rod, _ = problem().errors(_points_of(link))
+    rms = 1e3 * np.sqrt(np.mean(np.abs(migration) ** 2))
+    # Double precision of lengths of 1 m.
+    assert rms == pytest.approx(best_strap_rms_mm(link, motion), abs=1e-10)
+    x = rod_extension(link, ANGLE) - TABLE_1
+    np.testing.assert_allclose(rod, x - np.mean(x), atol=1e-13)
+
+
+@THIGH
+def test_constraints_are_the_limits_of_the_pose(link):
+    limits = DesignLimits()
+    met = problem(limits, shortest=0).errors(_points_of(link))[2]
+    at = pose(link, CHECKED)
+    between = at.theta_4 - at.theta_2
+    links = abs(np.array([
+        complex(link.o_b_x_m - link.o_a_x_m, link.o_b_y_m - link.o_a_y_m),
+        link.a_2_m, link.a_3_m, link.a_4_m,
+    ]))  # fmt: skip
+    arm = moment_arm(link, CHECKED)
+    travel = -np.diff(rod_extension(link, np.radians([0.0, 90.0])))
+    straight = pose(link, 0.0)
+    anchor = link.rod_anchor_radius_m * np.exp(1j * link.rod_anchor_angle_rad)
+    pins = np.array([anchor, straight.rod_pin])
+    joints = [link.o_a_x_m, link.o_a_y_m, link.o_b_x_m, link.o_b_y_m]
+    joints += [straight.joint_a.real, straight.joint_a.imag]
+    joints += [straight.joint_b.real, straight.joint_b.imag]
+    expected = {
+        "link_angle_deg": 10 * (math.cos(math.radians(30)) - np.max(np.abs(np.cos(between)))),
+        "encoder_angle_deg": 3
+        * (np.min(np.abs(np.sin(at.theta_3 - at.theta_2))) - math.sin(math.radians(5))),
+        "least_link_m": 100 * (links.min() - 5e-3),
+        "joint_box_m": 100 * (0.06 - np.max(np.abs(joints))),
+        "pin_radius_m": 10 * (0.45 - np.max(np.abs(pins))),
+        "pin_offset_m": 10 * (0.15 - np.max(np.abs(pins.real))),
+        "cylinder_height_m": 10 * (anchor.imag - 0.02),
+        "least_arm_m": 20 * (arm.min() - 5e-3),
+        "largest_arm_m": 20 * (0.2 - arm.max()),
+        "stroke_m": 20 * (0.15 - travel[0]),
+        "grashof": 100 * (np.sort(links) @ [-1, 1, 1, -1] - 0.5e-3)
+        if np.argmin(links) == 0
+        else np.min(met["grashof"]),
+    }
+    # Differences of numbers of order 1 to 10 in double precision, with factor 1000.
+    assert {name: np.min(values) for name, values in met.items()} == pytest.approx(
+        expected, abs=1e-11
+    )
+
+
+def test_the_class_of_the_shortest_link_decides_on_the_sign():
+    shortest = {"G2": 2, "G3": 0, "G4": 0}
+    for name, link in {"G2": G2, "G3": G3, "G4": G4}.items():
+        for index in range(4):
+            met = problem(shortest=index).errors(_points_of(link))[2]
+            assert (np.min(met["grashof"]) > -1e-2) == (index == shortest[name])
+
+
+def test_where_the_links_do_not_close_the_errors_are_finite_and_the_angle_is_violated():
+    x = _points_of(changed(G3))
+    x[0:2] += [0.0, 0.2]  # O_A is 200 mm higher
+    x[4:6] += [0.0, 0.2]
+    x[4] += 0.15
+    migration, rod, met = problem().errors(x)
+    assert np.all(np.isfinite(migration))
+    assert np.all(np.isfinite(rod))
+    assert np.min(met["link_angle_deg"]) < -1.0
+
+
+def test_slopes_are_the_derivative():
+    assert _slopes(lambda x: np.sin(30.0 * x), np.array([0.01, 0.02])) == pytest.approx(
+        np.diag(30.0 * np.cos([0.3, 0.6])), abs=1e-7
+    )
+
+
+# ---------------------------------------------------------------------------------- search
+
+
+def test_random_linkages_depend_on_the_seed_alone():
+    here = problem().thinned
+    first, again, other = (np.array([x for _, x in _drawn(here, seed, 2)]) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(first, again)
+    assert np.all(first != other)
+    assert np.all(np.abs(first[:, :8]) <= 0.6 * 0.06)
+
+
+def test_a_linkage_near_the_right_one_finds_its_motion_again():
+    motion = linkage_motion(G3, ANGLE[::10])
+    target = (np.degrees(ANGLE), 1e3 * rod_extension(G3, ANGLE))
+    near = changed(G3, a_2_m=G3.a_2_m + 1e-4, rod_anchor_radius_m=G3.rod_anchor_radius_m + 1e-3)
+    design = design_linkage(motion, target, WIDE, starts=0, first=near)
+    # 1e-6 of the motion, which has about 50 mm.
+    assert design.largest_mm < 5e-5
+    assert design.rod_largest_mm < 1e-4
+    assert design.binding == ()
