@@ -48,6 +48,7 @@ _MINOR = 1e-3
 _PENALTY_M = 3e-3  # error in m that weighs as much as one scaled unit of violation
 _STEP_M = 1e-6  # of central differences
 _VIOLATION = 1e-7  # largest scaled violation of a result
+_NEARLY = 1e-3  # largest scaled violation of a start that is refined
 _BINDING = 1e-6  # scaled distance below which a limit counts as reached
 _CHECKED_DEG = (-5.0, 95.0)  # knee angles at which the links must close
 _SAME = 1e-6  # relative difference of the costs of two linkages that count as equally good
@@ -221,9 +222,12 @@ class _Problem:
         cylinder_to_pin = o_b + now_4 + lever - cylinder
         length = abs(cylinder_to_pin)
         rod_error = length[..., rod] - self.rod_target
+        rod_length = rod_error.mean(-1, keepdims=True)
+        rod_error = rod_error - rod_length
 
         limits, d, now_2, now_4 = self.limits, d[..., check], now_2[..., check], now_4[..., check]
         now_3 = coupler * turn[check]
+        # Cosine of the angle between links 2 and 4; beyond ±1 where they do not close.
         folded = (abs(link_2) ** 2 + abs(link_4) ** 2 - abs(d) ** 2) / 2 / abs(link_2 * link_4)
         least = np.cos(np.radians(limits.link_angle_deg))
         encoder = _cross(now_2, now_3) / abs(link_2 * coupler)
@@ -248,8 +252,8 @@ class _Problem:
             "least_arm_m": 20.0 * (arm - limits.least_arm_m),
             "largest_arm_m": 20.0 * (limits.largest_arm_m - arm),
             "stroke_m": 20.0 * (limits.stroke_m - travel),
+            "rod_length_m": 10.0 * (rod_length - limits.rod_length_m),
         }
-        rod_error = rod_error - rod_error.mean(-1, keepdims=True)
         if self.shortest is not None:
             others = np.delete(lengths, self.shortest, -1)
             pair = lengths[..., [self.shortest]] + others
@@ -313,12 +317,11 @@ _Start = tuple[_Problem, Array]
 def _drawn(problem: _Problem, seed: int, count: int) -> list[_Start]:
     """Return the best ``count`` of many random linkages."""
     limits = problem.limits
-    low, high = np.empty(12), np.empty(12)
-    low[:8], high[:8] = -0.6 * limits.joint_box_m, 0.6 * limits.joint_box_m
-    offset = min(limits.pin_offset_m, 0.3 * limits.pin_radius_m)
-    low[8:], high[8:] = -offset, offset
-    low[9], high[9] = 0.1 * limits.pin_radius_m, 0.9 * limits.pin_radius_m
-    low[11], high[11] = -high[9], -low[9]
+    radius, height = 0.9 * limits.pin_radius_m, limits.cylinder_height_m
+    offset = min(limits.pin_offset_m, radius)
+    high = np.array([0.6 * limits.joint_box_m] * 8 + [offset, radius, offset, radius])
+    low = -high
+    low[9] = min(height, radius)
     x = np.random.default_rng(seed).uniform(low, high, (_DRAWN * count, 12))
     parts = np.array_split(x, 1 + len(x) // 500)
     guide = np.concatenate([problem.thinned.guide(part) for part in parts])
@@ -427,9 +430,8 @@ def _design(problem: _Problem, x: Array, finished: list[_Start]) -> LinkageDesig
     link, motion = _linkage_of(problem, x), problem.motion
     strap = (linkage_motion(link, motion.knee_angle).translation - motion.translation) / motion.turn
     met = problem.errors(x)[2]
-    within = [(p, x) for p, x in finished if math.isfinite(p.cost(x, allowed=1e-3))]
-    within.sort(key=lambda start: start[0].cost(start[1], allowed=1e-3))
-    errors = [problem.errors(x)[:2] for problem, x in within]
+    ranked = sorted((p.cost(y, allowed=_NEARLY), i) for i, (p, y) in enumerate(finished))
+    errors = [problem.errors(finished[i][1])[:2] for cost, i in ranked if math.isfinite(cost)]
     return LinkageDesign(
         linkage=link,
         limits=problem.limits,
@@ -442,7 +444,7 @@ def _design(problem: _Problem, x: Array, finished: list[_Start]) -> LinkageDesig
     )
 
 
-def _excluding(improved: list[_Start], finished: list[_Start]) -> str:
+def _excluding(improved: list[_Start]) -> str:
     """Return a message with the names of the limits that no linkage meets together.
 
     Errors do not count here. The least violations that remain belong to the limits in conflict.
@@ -453,7 +455,7 @@ def _excluding(improved: list[_Start], finished: list[_Start]) -> str:
     problem, x = _best(nearest, 1, lambda p, x: p.guide(x))[0]
     met = problem.errors(x)[2]
     limits = problem.limits
-    names = [n for n, values in met.items() if n != "rod_error_mm" and np.min(values) < -1e-3]
+    names = [n for n, values in met.items() if n != "rod_error_mm" and np.min(values) < -_NEARLY]
     if not names:
         names = ["rod_error_mm"]
     shown = ", ".join(f"{name} = {getattr(limits, name)}" for name in names)
@@ -518,6 +520,8 @@ def design_linkage(
     _require_range("rod", rod_angle)
     if first is not None and shank_is_ground(first):
         raise ParameterError("first: has the shank as ground; must have the thigh as ground")
+    if starts < (0 if first else 1):
+        raise ParameterError(f"starts = {starts}: must be >= 1, or >= 0 with a linkage as first")
     weights = _MINOR if motion is None else 1.0, _MINOR if rod is None else 1.0
     problems = [
         _Problem(followed, rod_angle, rod_target, limits, weights, _COARSE_DEG, shortest)
@@ -534,12 +538,12 @@ def design_linkage(
     ]
     refined = [
         (fine := replace(problem, step_deg=_FINE_DEG), _finished(fine, x, rounds=6))
-        for problem, x in _best(finished, _REFINED, lambda p, x: p.cost(x, allowed=1e-3))
+        for problem, x in _best(finished, _REFINED, lambda p, x: p.cost(x, allowed=_NEARLY))
     ]
     costs = np.array([problem.cost(x, allowed=_VIOLATION) for problem, x in refined])
     least = float(np.min(costs))
     if math.isinf(least):
-        raise ParameterError(_excluding(improved, finished))
+        raise ParameterError(_excluding(improved))
     problem, x = refined[int(np.argmax(costs <= (1.0 + _SAME) * least + _SAME**2))]
     return _design(problem, x, [(p, x) for p, x in (*refined, *finished)])
 
@@ -555,11 +559,12 @@ def trade_off(
 ) -> TradeOff:
     """Return the designs with the least migration for limits of the rod's rms error, in mm.
 
-    The limits are taken in rising order, and each design is one of the starts of the next, so that
-    the migration falls. Raises `ParameterError` as `design_linkage` does.
+    Each design is one of the starts of the next, which has less error of the rod. A design with
+    less error that also migrates less takes the place of a design. Raises `ParameterError` as
+    `design_linkage` does.
     """
     designs: list[LinkageDesign] = []
-    for limit_mm in sorted(rod_errors_mm):
+    for limit_mm in sorted(rod_errors_mm, reverse=True):
         designs.append(
             design_linkage(
                 motion,
@@ -570,4 +575,8 @@ def trade_off(
                 first=designs[-1].linkage if designs else None,
             )
         )
-    return TradeOff(tuple(designs))
+    falling = [designs.pop()]
+    while designs:
+        looser = designs.pop()
+        falling.append(looser if looser.rms_mm < falling[-1].rms_mm else falling[-1])
+    return TradeOff(tuple(falling))

@@ -61,6 +61,10 @@ class DesignLimits(Parameters):
     """Largest moment arm of the rod over −5…95°."""
     stroke_m: float = _length(0.15, "CylinderParameters.stroke_m")
     """Largest travel of the rod over 0…90°."""
+    rod_length_m: float = _length(
+        0.15, "assumption: the cylinder with the rod retracted is longer than its stroke"
+    )
+    """Least distance of the pins of cylinder and rod at x = 0, L_0."""
     rod_error_mm: float | None = quantity(
         None, "mm", "chosen by the user; None: the error is weighed", ge=1e-3, le=100
     )

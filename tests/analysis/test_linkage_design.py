@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kneexo.analysis import design_linkage
+from kneexo.analysis import design_linkage, trade_off
 from kneexo.analysis.linkage_design import (
     _drawn,
     _linkage_of,
@@ -14,8 +14,10 @@ from kneexo.analysis.linkage_design import (
     _Problem,
     _slopes,
 )
+from kneexo.errors import ParameterError
 from kneexo.linkage import moment_arm, pose, rod_extension
 from kneexo.parameters import (
+    G1,
     G2,
     G3,
     G4,
@@ -92,6 +94,7 @@ def test_constraints_are_the_limits_of_the_pose(link):
     ]))  # fmt: skip
     arm = moment_arm(link, CHECKED)
     travel = -np.diff(rod_extension(link, np.radians([0.0, 90.0])))
+    rod = rod_extension(link, ANGLE)
     straight = pose(link, 0.0)
     anchor = link.rod_anchor_radius_m * np.exp(1j * link.rod_anchor_angle_rad)
     pins = np.array([anchor, straight.rod_pin])
@@ -110,6 +113,7 @@ def test_constraints_are_the_limits_of_the_pose(link):
         "least_arm_m": 20 * (arm.min() - 5e-3),
         "largest_arm_m": 20 * (0.2 - arm.max()),
         "stroke_m": 20 * (0.15 - travel[0]),
+        "rod_length_m": 10 * (link.rod_length_m + np.mean(rod - TABLE_1) - 0.15),
         "grashof": 100 * (np.sort(links) @ [-1, 1, 1, -1] - 0.5e-3)
         if np.argmin(links) == 0
         else np.min(met["grashof"]),
@@ -165,3 +169,177 @@ def test_a_linkage_near_the_right_one_finds_its_motion_again():
     assert design.largest_mm < 5e-5
     assert design.rod_largest_mm < 1e-4
     assert design.binding == ()
+
+
+# ------------------------------------------------------------------------------ wrong input
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"motion": replace(linkage_motion(G3, ANGLE), knee_angle=np.degrees(ANGLE))},
+         "motion: knee angle 114.6 deg must be -5 … 95 deg"),
+        ({"motion": replace(linkage_motion(G3, ANGLE), knee_angle=-ANGLE)},
+         "motion: knee angle -6 deg must be -5 … 95 deg, flexion positive"),
+        ({"rod": ([0.0, 120.0, 10.0], [1.0, 2.0, 3.0])}, "rod: knee angle 120 deg"),
+        ({"rod": ([0.0, 90.0], [1.0, 2.0, 3.0])}, "rod: has 2 knee angles and 3 extensions"),
+        ({"rod": ([0.0, 1.0, 2.0], [1.0, math.nan, 3.0])}, "rod: has an extension that is not"),
+        ({"first": G1}, "first: has the shank as ground"),
+        ({"starts": 0}, "starts = 0: must be >= 1"),
+    ],
+)  # fmt: skip
+def test_wrong_input_is_named(values, message):
+    with pytest.raises(ParameterError) as raised:
+        design_linkage(**values)
+    assert str(raised.value).startswith(message)
+    assert "\n" not in str(raised.value)
+
+
+# ------------------------------------------------------------------------- figures (slow)
+
+
+def figures(design):
+    """The figures that the limits bound, of the linkage of a design, on a fine grid."""
+    link = design.linkage
+    at = pose(link, np.radians(np.linspace(-5.0, 95.0, 401)))
+    straight = pose(link, 0.0)
+    anchor = link.rod_anchor_radius_m * np.exp(1j * link.rod_anchor_angle_rad)
+    ground = complex(link.o_b_x_m - link.o_a_x_m, link.o_b_y_m - link.o_a_y_m)
+    joints = np.array([
+        complex(link.o_a_x_m, link.o_a_y_m), complex(link.o_b_x_m, link.o_b_y_m),
+        complex(straight.joint_a), complex(straight.joint_b),
+    ])  # fmt: skip
+    pins = np.array([anchor, complex(straight.rod_pin)])
+    fold = np.abs(np.sin(np.array([at.theta_4 - at.theta_2, at.theta_3 - at.theta_2])))
+    links = np.sort([abs(ground), link.a_2_m, link.a_3_m, link.a_4_m])
+    return {
+        "link_angle_deg": np.degrees(np.arcsin(fold[0].min())),
+        "encoder_angle_deg": np.degrees(np.arcsin(fold[1].min())),
+        "least_link_m": links[0],
+        "joint_box_m": np.max(np.abs([joints.real, joints.imag])),
+        "pin_radius_m": np.max(np.abs(pins)),
+        "pin_offset_m": np.max(np.abs(pins.real)),
+        "cylinder_height_m": anchor.imag,
+        "least_arm_m": at.moment_arm.min(),
+        "largest_arm_m": at.moment_arm.max(),
+        "stroke_m": -np.diff(rod_extension(link, np.radians([0.0, 90.0])))[0],
+        "rod_length_m": link.rod_length_m,
+        "grashof": links @ [-1, 1, 1, -1],
+    }
+
+
+@pytest.fixture(scope="module")
+def free():
+    """The linkage that follows the knee best, with an angle of at least 30° of links 2 and 4."""
+    return design_linkage(rod=None)
+
+
+@pytest.mark.slow
+def test_the_best_linkage_leaves_less_than_0_08_mm(free):
+    assert free.rms_mm < 0.08
+    motion = anatomical_motion(GAIT2392, ANGLE)
+    assert free.rms_mm == pytest.approx(best_strap_rms_mm(free.linkage, motion), abs=1e-9)
+    # The grid of the search has steps of 1°.
+    assert figures(free)["link_angle_deg"] > 29.99
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "limits",
+    [
+        {"link_angle_deg": 35.0},
+        {"encoder_angle_deg": 60.0},
+        {"least_link_m": 8e-3},
+        {"joint_box_m": 0.015},
+        {"pin_radius_m": 0.3},
+        {"pin_offset_m": 0.1},
+        {"cylinder_height_m": 0.44},
+        {"least_arm_m": 0.05},
+        {"largest_arm_m": 0.105},
+        {"stroke_m": 0.1},
+        {"rod_length_m": 0.5},
+        {"rod_error_mm": 0.3},
+        {"grashof": "drag link", "grashof_margin_m": 1e-3},
+    ],
+    ids=lambda limits: next(iter(limits)),
+)
+def test_a_limit_binds(free, limits):
+    design = design_linkage(rod=None, limits=DesignLimits(**limits), starts=4, first=free.linkage)
+    name, limit = next(iter(limits.items()))
+    assert name in design.binding
+    reached = figures(design) | {"rod_error_mm": design.rod_rms_mm}
+    limit = limits.get("grashof_margin_m", limit)
+    # Steps of 1° of the search change angles by less than 0.01° at their minimum.
+    assert reached[name] == pytest.approx(limit, rel=5e-4)
+
+
+@pytest.mark.slow
+def test_the_best_linkage_of_grashof(free):
+    design = design_linkage(rod=None, limits=DesignLimits(grashof="grashof"))
+    assert figures(design)["grashof"] > 0.5e-3 - 2e-9
+    # 0.0799 mm was measured. One limit more cannot make the optimum better.
+    assert free.rms_mm <= design.rms_mm < 0.0805
+
+
+@pytest.mark.slow
+def test_the_trade_off_with_table_1_falls():
+    curve = trade_off((0.12, 0.03, 0.3))
+    rms = [design.rms_mm for design in curve.designs]
+    assert [design.rod_rms_mm for design in curve.designs] == pytest.approx([0.03, 0.12, 0.3])
+    assert rms[0] < 1.5
+    assert rms == sorted(rms, reverse=True)
+    assert curve.to_dataframe().rms_mm.tolist() == rms
+    for design in curve.designs:
+        assert figures(design)["link_angle_deg"] > 29.99
+
+
+@pytest.mark.slow
+def test_at_0_12_mm_of_table_1_a_linkage_aligns_to_0_33_mm():
+    limits = DesignLimits(rod_error_mm=0.12, link_angle_deg=8.0, pin_radius_m=0.5, pin_offset_m=0.5)
+    assert design_linkage(limits=limits).rms_mm < 0.33
+
+
+def random_linkages(count):
+    """Linkages with the thigh as ground that meet the default limits of angles and joints."""
+    rng = np.random.default_rng(3)
+    here = problem(DesignLimits(link_angle_deg=20.0))
+    found = []
+    while len(found) < count:
+        x = rng.uniform(-0.06, 0.06, (5000, 12))
+        x[:, 9], x[:, 11] = rng.uniform(0.1, 0.4, 5000), rng.uniform(-0.4, -0.1, 5000)
+        within = np.min(here.cost_and_constraints(x)[:, 1:], axis=1) > 0.0
+        found += [_linkage_of(here, points) for points in x[within]]
+    return found[:count]
+
+
+@pytest.mark.slow
+def test_random_linkages_are_found_again_from_their_motion():
+    limits = DesignLimits(link_angle_deg=15.0, encoder_angle_deg=2.0, joint_box_m=0.1)
+    for link in random_linkages(20):
+        motion = linkage_motion(link, ANGLE[::3])
+        x = (np.degrees(ANGLE), 1e3 * rod_extension(link, ANGLE))
+        design = design_linkage(motion, x, limits, starts=12)
+        size_mm = 1e3 * np.max(np.abs(motion.translation))
+        assert design.largest_mm < 1e-6 * size_mm
+
+
+@pytest.mark.slow
+def test_designs_are_the_same_with_other_rounding(free):
+    """Noise of the last digits in the start stands for another processor."""
+    x = _points_of(free.linkage) * (1.0 + 1e-9 * np.random.default_rng(0).normal(size=12))
+    noisy = _linkage_of(problem(), x)
+    again = design_linkage(rod=None, starts=0, first=noisy)
+    assert again.rms_mm == pytest.approx(free.rms_mm, abs=1e-8)
+
+
+@pytest.mark.slow
+def test_the_limits_in_conflict_are_named():
+    limits = DesignLimits(link_angle_deg=60.0, joint_box_m=0.004, least_link_m=8e-3)
+    with pytest.raises(ParameterError) as raised:
+        design_linkage(limits=limits, starts=8)
+    text = str(raised.value)
+    assert "joint_box_m = 0.004" in text
+    assert "least_link_m = 0.008" in text
+    assert "stroke_m" not in text
+    with pytest.raises(ParameterError, match=r"meets rod_error_mm = 0\.001;"):
+        design_linkage(limits=DesignLimits(rod_error_mm=0.001), starts=4)
