@@ -43,7 +43,7 @@ FIT_DEGREE = 25
 """Degree of the polynomials of `RodInverse`.
 
 The error of the knee angle is below 5e-12 rad for the linkages G1, G2 and G3, and below 5e-11 rad
-for the linkage G4.
+for the linkages G4 and G5.
 """
 
 _FIT_TOLERANCE_RAD = 1e-8

@@ -83,7 +83,7 @@ FILES = {
     "controller: [pid]": r"must be smc, pid, .* or a mapping$",
     "bus: canbus": r"must be none, cia402, can or a mapping; did you mean can\?$",
     "bus: {kind: can}": r"must be 'none' or 'cia402'; did you mean cia402\?$",
-    "plant: {linkage: g1}": r"must be G1, G2, G3, G4, hinge or a mapping; did you mean G1\?$",
+    "plant: {linkage: g1}": r"must be G1, G2, G3, G4, G5, hinge or a mapping; did you mean G1\?$",
     "plant: {full_order: yes}": r"must be true, false or a mapping$",
     "reference: walk": r"must be sine, step, ramp, samples, gait, csv or a mapping",
     "preset: legs": r"must be paper, bench, leg or wearer; did you mean leg\?$",

@@ -102,7 +102,7 @@ class Scenario(Parameters):
     nominal: PlantParameters | None = None
     polynomial: RodPolynomialParameters | None = choice(
         None,
-        "the controller's Eq. 10, 11; left out: Table 1 for the linkages G1…G4, which are "
+        "the controller's Eq. 10, 11; left out: Table 1 for the linkages G1…G5, which are "
         "identified from it, and for another linkage a fit to it, as in Fig. 5",
     )
     encoder: EncoderParameters = EncoderParameters()

@@ -16,9 +16,9 @@ from kneexo.studies.mechanism import MechanismSettings, mechanism_study
 
 
 def test_the_linkage_of_the_scenario_is_the_first_of_the_devices():
-    assert list(made_up().devices) == ["G1", "hinge", "G2", "G3", "G4"]
+    assert list(made_up().devices) == ["G1", "hinge", "G2", "G3", "G4", "G5"]
     hinge = Scenario(plant={"linkage": "hinge"})
-    assert list(mechanism_study(hinge).devices) == ["hinge", "G1", "G2", "G3", "G4"]
+    assert list(mechanism_study(hinge).devices) == ["hinge", "G1", "G2", "G3", "G4", "G5"]
     longer = G1.model_copy(update={"rod_pin_radius_m": 0.27})
     own = mechanism_study(Scenario(plant={"linkage": longer}))
     assert next(iter(own.devices)) == "the scenario's"
