@@ -6,12 +6,13 @@ The short names for users, as in ``import kneexo as kx``:
 - `kneexo.analysis.track`: simulate it, with metrics, verdict and plots
 - `kneexo.responses.linearize`: poles and margins of its sampled closed loop
 - `kneexo.responses.bode`, `kneexo.responses.step`: frequency response and step response
+- `kneexo.analysis.design_linkage`: search a four-bar linkage that follows a knee
 - `kneexo.batches.batch`: simulate many variants of it
 - `kneexo.view.play.play`: make a page with sliders on which a scenario runs in the browser
 - `kneexo.simulation.compile`: machine code of a scenario, or of a Drake diagram with symbolic
   support
 
-Each accepts a scenario or the path of a scenario file.
+All but `design_linkage` accept a scenario or the path of a scenario file.
 
 Each subpackage of this list imports only those before it: ``kneexo.compiler`` (Drake diagrams as
 machine code, C and FMU), ``kneexo.parameters`` (every physical number), ``kneexo.linkage``
@@ -31,10 +32,20 @@ from typing import TYPE_CHECKING, Any
 
 from kneexo.version import __version__ as __version__
 
-__all__ = ["Scenario", "batch", "bode", "compile", "linearize", "play", "step", "track"]
+__all__ = [
+    "Scenario",
+    "batch",
+    "bode",
+    "compile",
+    "design_linkage",
+    "linearize",
+    "play",
+    "step",
+    "track",
+]
 
 if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and for editors
-    from kneexo.analysis import track as track
+    from kneexo.analysis import design_linkage as design_linkage, track as track
     from kneexo.batches import batch as batch
     from kneexo.parameters import Scenario as Scenario
     from kneexo.responses import bode as bode, linearize as linearize, step as step
@@ -46,6 +57,7 @@ else:
         "batch": "kneexo.batches",
         "bode": "kneexo.responses",
         "compile": "kneexo.simulation",
+        "design_linkage": "kneexo.analysis",
         "linearize": "kneexo.responses",
         "play": "kneexo.view.play",
         "step": "kneexo.responses",

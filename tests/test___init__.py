@@ -17,13 +17,16 @@ HOMES = {
     "batch": batches,
     "bode": responses,
     "compile": simulation,
+    "design_linkage": analysis,
     "linearize": responses,
     "play": play,
     "step": responses,
     "track": analysis,
 }
 FUNCTIONS = sorted(set(HOMES) - {"Scenario"})
-EXAMPLES = [pytest.param(n, marks=pytest.mark.slow) if n == "play" else n for n in HOMES]  # 5 s
+OF_SCENARIOS = sorted({*FUNCTIONS} - {"design_linkage"})
+SLOW = ("design_linkage", "play")  # 20 s, 5 s
+EXAMPLES = [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in HOMES]
 
 
 def test_only_the_public_names_are_listed():
@@ -62,7 +65,7 @@ def test_help_shows_the_types_of_arguments_and_result(name):
     assert f"-> '{result.__name__}'" in text
 
 
-@pytest.mark.parametrize("name", sorted({*FUNCTIONS} - {"compile", "play"}))
+@pytest.mark.parametrize("name", sorted({*OF_SCENARIOS} - {"compile", "play"}))
 def test_a_law_may_be_given(name):
     parameters = inspect.signature(getattr(kneexo, name)).parameters
     for argument, default in {"law": None, "initial_state": ()}.items():
@@ -70,7 +73,7 @@ def test_a_law_may_be_given(name):
         assert parameters[argument].kind is inspect.Parameter.KEYWORD_ONLY
 
 
-@pytest.mark.parametrize("name", FUNCTIONS)
+@pytest.mark.parametrize("name", OF_SCENARIOS)
 def test_a_scenario_may_be_the_path_of_its_file(name):
     first = next(iter(inspect.signature(getattr(kneexo, name)).parameters.values()))
     assert first.annotation.startswith("Scenario | str | PathLike[str]")

@@ -500,17 +500,38 @@ def design_linkage(
     """Return the four-bar linkage that follows a motion and obeys a rod map best, within limits.
 
     The sum of the mean squares of the strap's migration and of the rod's error is least. With
-    ``limits.rod_error_mm`` the migration alone is least. ``motion`` is an anatomical knee over
-    0…90° or the motion of a shank. If it is None, only the rod map counts, and of equal linkages
-    the one that follows `GAIT2392` best is chosen. If ``rod`` is None, only the motion counts, and
-    the pins of the rod are those that obey Table 1 best.
+    ``limits.rod_error_mm`` the migration alone is least. Two starts whose costs agree to 1e-6 are
+    equally good. The first of them is the result, so that the result does not depend on the last
+    digits of a processor.
 
-    ``starts`` of the random linkages are improved. ``first`` is one more start, a linkage with the
-    thigh as ground. A start is as good as another if their costs agree to 1e-6, and the first of
-    them is the result, so that it does not depend on the last digits of a processor.
+    >>> import kneexo as kx
+    >>> design = kx.design_linkage(rod=None)  # a search of 20 s
+    >>> f"{design.rms_mm:.2f} mm of migration, {design.rod_rms_mm:.2f} mm off Table 1"
+    '0.08 mm of migration, 0.32 mm off Table 1'
+    >>> scenario = kx.Scenario(plant={"linkage": design.linkage})
 
-    Raises `ParameterError` for a knee angle outside −5…95°, and if no start meets all limits. Then
-    the message names the limits that exclude each other.
+    Parameters
+    ----------
+    motion
+        An anatomical knee, which is followed over 0…90°, or the motion of a shank. If None, only
+        the rod map counts, and of equal linkages the one that follows `GAIT2392` best is chosen.
+    rod
+        The rod map: a polynomial, or knee angles in deg and rod extensions in mm. If None, only the
+        motion counts, and the pins of the rod are those that obey Table 1 best.
+    limits
+        Class, angles, lengths and places that the linkage must obey.
+    seed
+        Seed of the random linkages.
+    starts
+        Number of random linkages that are improved.
+    first
+        One more start, a linkage with the thigh as ground.
+
+    Raises
+    ------
+    ParameterError
+        A knee angle is outside −5…95°, or no start meets all limits. Then the message names the
+        limits that exclude each other.
     """
     followed = GAIT2392 if motion is None else motion
     if isinstance(followed, AnatomicalKneeParameters):
@@ -560,8 +581,19 @@ def trade_off(
     """Return the designs with the least migration for limits of the rod's rms error, in mm.
 
     Each design is one of the starts of the next, which has less error of the rod. A design with
-    less error that also migrates less takes the place of a design. Raises `ParameterError` as
-    `design_linkage` does.
+    less error that also migrates less takes the place of a design.
+
+    Parameters
+    ----------
+    rod_errors_mm
+        Limits of the rod's rms error in mm.
+    motion, rod, limits, seed, starts
+        As in `design_linkage`.
+
+    Raises
+    ------
+    ParameterError
+        As `design_linkage`.
     """
     designs: list[LinkageDesign] = []
     for limit_mm in sorted(rod_errors_mm, reverse=True):

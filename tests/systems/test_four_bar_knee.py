@@ -123,7 +123,8 @@ def test_knee_and_encoder_angles_meet_the_compass_construction(name, compass):
     link = LINKAGES[name]
     walk = compass(link, np.radians(np.linspace(*THETA_4_DEG[name], 301)))
     values = many_outputs(FourBarKnee(link), walk.rod_extension)
-    # The fit leaves 4e-13 m at arms of 0.03 m or more, and up to 4e-12 rad; on G4 and G5 ten times that.
+    # The fit leaves 4e-13 m at arms of 0.03 m or more, and up to 4e-12 rad; ten times that on G4
+    # and G5.
     limit = 1e-10 if name in ("G4", "G5") else 2e-11
     np.testing.assert_allclose(values["knee_angle"][:, 0], walk.knee_angle, rtol=0.0, atol=limit)
     np.testing.assert_allclose(values["encoder_angle"][:, 0], walk.theta_4, rtol=0.0, atol=limit)
