@@ -80,6 +80,14 @@ def test_the_best_turn_is_no_worse_than_its_neighbours():
     assert align(HINGE, turn_rad=None).placement.turn_rad == 0.0
 
 
+def test_the_best_turn_at_a_given_place_is_no_worse_than_its_neighbours():
+    position = 0.02 - 0.03j
+    best = align(G1, position=position, turn_rad=None)
+    for step in (-1e-2, 1e-2):
+        turn_rad = best.placement.turn_rad + step
+        assert align(G1, position=position, turn_rad=turn_rad).rms_mm > best.rms_mm
+
+
 @pytest.mark.parametrize("direction_deg", [0.0, 77.0, 200.0])
 @pytest.mark.parametrize("name", ["hinge", "G1"])
 def test_a_place_10_mm_off_adds_its_closed_form(name, direction_deg):
