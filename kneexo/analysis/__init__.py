@@ -35,14 +35,6 @@ from kneexo.analysis.impedance import (
     output_impedance,
 )
 from kneexo.analysis.interaction import InteractionMetrics, interaction_metrics
-from kneexo.analysis.leg_length import (
-    LegLength,
-    SwingClearance,
-    VoluntaryStability,
-    leg_length,
-    swing_clearance,
-    voluntary_stability,
-)
 from kneexo.analysis.linkage_design import LinkageDesign, TradeOff, design_linkage, trade_off
 from kneexo.analysis.margins import Margins
 from kneexo.analysis.passivity import PassivityLimits, passivity_limits
@@ -53,6 +45,14 @@ from kneexo.analysis.plant_linearization import (
     linearize_plant,
 )
 from kneexo.analysis.polynomial_fit import PolynomialFit, fit_polynomials
+from kneexo.analysis.prosthetic_leg import (
+    LegLength,
+    SwingClearance,
+    VoluntaryStability,
+    leg_length,
+    swing_clearance,
+    voluntary_stability,
+)
 from kneexo.analysis.rate_limit import rate_limit_bandwidth_hz, rate_limited_gain
 from kneexo.analysis.sampled_loop import SampledLoop, linearize_loop
 from kneexo.analysis.sine_estimate import SineEstimate, estimate_sine

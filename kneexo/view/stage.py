@@ -113,7 +113,7 @@ def _centre_paths(linkage: LinkageParameters) -> list[dict[str, Any]]:
         },
         {
             "colour": "#1b7a3d",
-            "label": "path of a wearer's centre (gait2392), with the device at its best place: "
+            "label": "path of the centre of an anatomical knee (gait2392) at its best place: "
             f"the strap migrates by {best.rms_mm:.2g} mm (rms)",
             "points": np.round(np.stack([-centre.real, centre.imag], axis=1), 6).tolist(),
         },

@@ -132,7 +132,7 @@ MATRICES = """(async (time) => {
 def test_a_browser_places_all_parts_where_the_placements_have_them(stage):
     names = sorted(LINKAGES)
     links = [LINKAGES[name] for name in names]
-    runs = [a_run(pressure=p) for p in (2e6, -4e6, 2e3, 3e6)]
+    runs = [a_run(pressure=p) for p in (2e6, -4e6, 2e3, 3e6, 1e6, -1e6)]
     browser = stage(links, runs)
     for time in (0.0, 1.234, 3.1):
         shown = browser.evaluate(f"{MATRICES}({time})")

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import BeforeValidator
 
 from kneexo.alignment import MM, Alignment, CuffForces, SlottedStrap, align
-from kneexo.analysis.leg_length import LegLength, SwingClearance, leg_length, swing_clearance
+from kneexo.analysis.prosthetic_leg import LegLength, SwingClearance, leg_length, swing_clearance
 from kneexo.files.table import SUFFIXES
 from kneexo.linkage_properties import LinkageProperties, linkage_properties
 from kneexo.parameters import (

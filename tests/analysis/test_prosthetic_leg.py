@@ -47,7 +47,7 @@ def hip_and_foot(link, angle, forwards_m, down_m):
 
 
 @pytest.mark.parametrize("link", [G1, G2, G3, G4], ids=["G1", "G2", "G3", "G4"])
-def test_leg_length_is_that_of_its_joints(link):
+def test_prosthetic_leg_is_that_of_its_joints(link):
     degrees = np.linspace(0.0, 90.0, 7)
     hip, _, ankle, _ = hip_and_foot(link, np.radians(degrees), 0.0, 0.40)
     of = leg_length(link, degrees)
