@@ -183,7 +183,8 @@ class _Problem:
         """Rotations of all knee angles, and the indices of motion, rod map and checks in them."""
         parts = [self.motion.knee_angle, self.rod_angle, self._checked]
         angle, index = np.unique(np.concatenate(parts).round(12), return_inverse=True)
-        return np.exp(1j * angle), *np.split(index, np.cumsum([part.size for part in parts[:2]]))
+        motion, rod, check = np.split(index, np.cumsum([part.size for part in parts[:2]]))
+        return np.exp(1j * angle), motion, rod, check
 
     @cached_property
     def thinned(self) -> _Problem:
