@@ -34,7 +34,7 @@ def add_studies(subparsers: Any, studies: Iterable[Study]) -> None:
     for study in studies:
         group, _, name = study.command.rpartition(" ")
         if group not in groups:
-            summary = "answer a question by many runs: speed, robustness, wearer, plant order"
+            summary = "answer a question by many runs: speed, robustness, mechanism, wearer"
             groups[group] = arguments.add_group(subparsers, group, summary, "STUDY")
         _add_study(groups[group], name, study)
 
