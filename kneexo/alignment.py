@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from kneexo.errors import ParameterError
 from kneexo.parameters import GAIT2392, AnatomicalKneeParameters, LinkageParameters, StrapParameters
@@ -30,7 +30,7 @@ FLEXION_DEG = tuple(range(91))
 """Default knee angles of an alignment in deg, 0…90°."""
 
 FARTHEST_M = 0.5
-"""Largest distance in m of a device's place from the wearer's knee that a placement may have."""
+"""Largest distance in m of a place that the user gives from the wearer's knee."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -53,6 +53,10 @@ class Alignment(Result):
     knee: AnatomicalKneeParameters
     cuff: StrapParameters
     placement: Placement
+    counts: Literal["both", "across"]
+    """The migration that counts: both directions, or that across the shank alone."""
+    is_best: bool
+    """Whether the device is at its best place. Only then the effect of a wrong place is known."""
     knee_angle_deg: Array
     across_mm: Array
     """Place of the strap minus place of the cuff, backwards across the shank, in mm."""
@@ -61,17 +65,19 @@ class Alignment(Result):
 
     @property
     def distance_mm(self) -> Array:
-        """Distance (n,) between strap and cuff in mm."""
+        """Migration that counts, (n,) in mm: the distance between strap and cuff, or |across|."""
+        if self.counts == "across":
+            return np.abs(self.across_mm)
         return np.hypot(self.across_mm, self.along_mm)
 
     @property
     def rms_mm(self) -> float:
-        """Root of the mean square of the distance in mm."""
+        """Root of the mean square of ``distance_mm`` in mm."""
         return float(np.sqrt(np.mean(self.distance_mm**2)))
 
     @property
     def largest_mm(self) -> float:
-        """Largest distance in mm."""
+        """Largest ``distance_mm`` in mm."""
         return float(np.max(self.distance_mm))
 
     @property
@@ -84,42 +90,61 @@ class Alignment(Result):
     def misplaced_rms_mm(self, error_mm: ArrayLike) -> Array:
         """Return the rms in mm that errors of the best place leave, with the strap put on anew.
 
-        All directions of an error cost the same: √(rms² + error² (1 − |mean e^{jθ}|²)).
+        The direction is the worst one. If both directions of the migration count, all directions of
+        an error cost the same: √(rms² + error² (1 − |mean e^{jθ}|²)). Raises `ParameterError` if
+        the place is not the best one.
         """
-        mean_turn = np.mean(np.exp(1j * np.radians(self.knee_angle_deg)))
-        share = np.sqrt(1.0 - np.abs(mean_turn) ** 2)
-        return np.asarray(np.hypot(self.rms_mm, share * np.asarray(error_mm, dtype=float)))
+        worst = self._rms_per_error()[1]
+        return np.asarray(np.hypot(self.rms_mm, worst * np.asarray(error_mm, dtype=float)))
 
-    def placement_tolerance_mm(self, limit_mm: float = 5.0, *, slotted: bool = False) -> Array:
+    def placement_tolerance_mm(self, limit_mm: float = 5.0) -> Array:
         """Return the semi-axes (2,) in mm of the ellipse of position errors that a limit allows.
 
         Within the ellipse the rms of the migration stays below ``limit_mm``, with the strap put on
-        anew. ``self`` has the best placement. A rigid cuff has a circle. ``slotted`` counts the
-        migration across alone. Raises `ParameterError` if the best placement exceeds the limit.
+        anew. The ellipse is a circle if both directions of the migration count. Raises
+        `ParameterError` if the place is not the best one, or if the best place exceeds the limit.
         """
-        rms_mm = float(np.sqrt(np.mean(self.across_mm**2))) if slotted else self.rms_mm
-        if not rms_mm < limit_mm:
+        if not self.rms_mm < limit_mm:
             raise ParameterError(
-                f"limit_mm = {limit_mm:g} mm: must exceed {rms_mm:.4g} mm, which the best "
+                f"limit_mm = {limit_mm:g} mm: must exceed {self.rms_mm:.4g} mm, which the best "
                 f"placement leaves"
             )
-        # The migration (1, 2, n) of a position error of 1 m backwards, and of 1 m up.
+        return np.asarray(np.sqrt(limit_mm**2 - self.rms_mm**2) / self._rms_per_error())
+
+    def _rms_per_error(self) -> Array:
+        """Return the least and the largest added rms per error of the place, (2,)."""
+        if not self.is_best:
+            raise ParameterError(
+                "placement: is not the best one, so that a wrong place has no known effect; call "
+                "align without position and placement"
+            )
+        # The migration (2, n) of a position error of 1 m backwards, and of 1 m up.
         unit = np.exp(-1j * np.radians(self.knee_angle_deg)) * np.array([[1.0], [1.0j]])
         unit = unit - unit.mean(axis=1, keepdims=True)
-        parts = [unit.real] if slotted else [unit.real, unit.imag]
+        parts = [unit.real] if self.counts == "across" else [unit.real, unit.imag]
         squares = sum(part @ part.T for part in parts) / unit.shape[1]
-        return np.asarray(np.sqrt((limit_mm**2 - rms_mm**2) / np.linalg.eigvalsh(squares)))
+        return np.asarray(np.sqrt(np.linalg.eigvalsh(squares)))
 
     def slotted_strap(self) -> SlottedStrap:
-        """Return the motion if the strap is a pin in a slot along the shank, by Newton's method."""
+        """Return the motion if the strap is a pin in a slot along the shank, by Newton's method.
+
+        Raises `ParameterError` if no angle of the device puts the pin into the slot.
+        """
         motion = anatomical_motion(self.knee, np.radians(self.knee_angle_deg))
         back = np.conj(motion.turn)
         angle = motion.knee_angle
         for _ in range(20):
             strap, strap_rate = self._strap(linkage_motion(self.linkage, angle))
-            across = np.real(back * (strap - motion.translation)) - self._cuff_place.real
             slope = np.real(back * strap_rate)
-            angle = angle - across / slope
+            step = np.real(back * (strap - motion.translation)) / slope
+            if np.all(np.abs(step) < 1e-12):
+                break
+            angle = angle - step
+        else:
+            raise ParameterError(
+                "placement: at a knee angle no angle of the device puts the strap into the slot; "
+                "choose a place nearer to the best one"
+            )
         knee_slope = np.real(back * (1j * (motion.translation - strap) - motion.rate))
         return SlottedStrap(
             knee_angle_deg=self.knee_angle_deg,
@@ -137,16 +162,17 @@ class Alignment(Result):
         """
         motion = anatomical_motion(self.knee, np.radians(self.knee_angle_deg))
         across_n = self.cuff.normal_stiffness_n_per_m * self.across_mm / MM
-        along_n = self.cuff.shear_stiffness_n_per_m * self.along_mm / MM
+        spring_n = self.cuff.shear_stiffness_n_per_m * self.along_mm / MM
         hold_n = self.cuff.friction * self.cuff.preload_n
-        force = motion.turn * (across_n + 1j * np.clip(along_n, -hold_n, hold_n))
+        along_n = np.clip(spring_n, -hold_n, hold_n)
+        force = motion.turn * (across_n + 1j * along_n)
         strap, strap_rate = self._strap(linkage_motion(self.linkage, motion.knee_angle))
         leg_rate = motion.rate + 1j * (strap - motion.translation)
         return CuffForces(
             knee_angle_deg=self.knee_angle_deg,
             across_n=across_n,
-            along_n=np.clip(along_n, -hold_n, hold_n),
-            slips=np.abs(along_n) > hold_n,
+            along_n=along_n,
+            slips=np.abs(spring_n) > hold_n,
             knee_moment_n_m=np.real(np.conj(force) * leg_rate),
             device_moment_n_m=-np.real(np.conj(force) * strap_rate),
         )
@@ -168,10 +194,6 @@ class Alignment(Result):
         ax.set(xlabel="knee angle (deg)", ylabel="migration of the strap (mm)")
         ax.legend()
         return ax
-
-    @property
-    def _cuff_place(self) -> complex:
-        return -1j * self.cuff.distance_m
 
     def _strap(self, device: ShankMotion) -> tuple[Points, Points]:
         """Return place (n,) of the strap in the frame of the thigh, and its rate over the angle."""
@@ -205,7 +227,7 @@ class CuffForces(Result):
     """Force on the leg in N, backwards across the shank."""
     along_n: Array
     """Force on the leg in N, up along the shank."""
-    slips: Any
+    slips: NDArray[np.bool_]
     """True where the springs alone would exceed the friction, so that the strap slips."""
     knee_moment_n_m: Array
     """Moment of the forces on the wearer's knee in N·m, positive in flexion."""
@@ -255,16 +277,19 @@ def align(
     LinkageError
         The linkage cannot be assembled at one of the knee angles.
     ParameterError
-        A knee angle is outside the nodes of the anatomical knee, or the place of the device is more
-        than 0.5 m from the wearer's knee.
+        There is no knee angle, a knee angle is outside the nodes of the anatomical knee, or the
+        given place of the device is more than 0.5 m from the wearer's knee.
     """
     angle_deg = np.atleast_1d(np.asarray(knee_angle_deg, dtype=float))
+    if not angle_deg.size:
+        raise ParameterError("knee_angle_deg: has no knee angle; must have at least one")
     angle = np.radians(angle_deg)
     device, motion = linkage_motion(linkage, angle), anatomical_motion(knee, angle)
+    is_best = placement is None and position is None
     if placement is None:
         fit = _Fit(device, motion, position, cuff.distance_m, counts)
         placement = fit.placement(fit.best_turn_rad() if turn_rad is None else turn_rad)
-    if not abs(placement.position) <= FARTHEST_M:
+    if not (is_best or abs(placement.position) <= FARTHEST_M):
         raise ParameterError(
             f"position = {placement.position:.4g} m: must be at most {FARTHEST_M:g} m from the "
             f"wearer's knee"
@@ -277,6 +302,8 @@ def align(
         knee=knee,
         cuff=cuff,
         placement=placement,
+        counts=counts,
+        is_best=is_best,
         knee_angle_deg=angle_deg,
         across_mm=MM * u.real,
         along_mm=MM * u.imag,

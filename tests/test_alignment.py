@@ -117,25 +117,39 @@ def test_position_errors_on_the_rim_of_the_tolerance_reach_the_limit():
 
 def test_a_slotted_cuff_counts_the_migration_across_alone():
     best = align(HINGE, counts="across")
-
-    def rms_across(at):
-        return math.sqrt(np.mean(at.across_mm**2))
-
-    assert rms_across(best) < rms_across(align(HINGE))
-    long, short = best.placement_tolerance_mm(5.0, slotted=True)
+    np.testing.assert_array_equal(best.distance_mm, np.abs(best.across_mm))
+    assert best.rms_mm < math.sqrt(np.mean(align(HINGE).across_mm ** 2))
+    long, short = best.placement_tolerance_mm(5.0)
     assert long > short
     around = [
-        rms_across(
-            align(
-                HINGE,
-                position=best.placement.position + 1e-3 * short * cmath.exp(1j * angle),
-                counts="across",
-            )
-        )
+        align(
+            HINGE,
+            position=best.placement.position + 1e-3 * short * cmath.exp(1j * angle),
+            counts="across",
+        ).rms_mm
         for angle in np.radians(np.arange(0.0, 180.0, 1.0))
     ]
     # 1° beside the short axis the rms is (1° in rad)²/2 of the largest one lower.
     assert max(around) == pytest.approx(5.0, rel=2e-4)
+    assert best.misplaced_rms_mm(short) == pytest.approx(5.0, rel=1e-9)
+
+
+@pytest.mark.parametrize("given", ["position", "placement"])
+def test_the_effect_of_a_wrong_place_is_known_at_the_best_place_alone(given):
+    best = align(G1)
+    at = align(G1, **{given: best.placement if given == "placement" else best.placement.position})
+    for call in (at.placement_tolerance_mm, lambda: at.misplaced_rms_mm(1.0)):
+        with pytest.raises(ParameterError, match=r"placement: is not the best one, .*; call align"):
+            call()
+
+
+def test_the_frame_of_a_linkage_may_be_far_from_its_knee():
+    far = LinkageParameters(
+        **(HINGE.model_dump() | dict.fromkeys(("o_a_x_m", "o_b_x_m"), 0.9)),
+    )
+    at = align(far)
+    assert at.rms_mm == pytest.approx(align(HINGE).rms_mm, abs=1e-9)
+    assert at.placement.position == pytest.approx(align(HINGE).placement.position - 0.9)
 
 
 def test_a_limit_below_the_best_placement_is_refused():
@@ -274,6 +288,16 @@ def test_plot_and_table_have_the_migration_in_mm():
 def test_a_place_metres_away_is_refused():
     with pytest.raises(ParameterError, match=r"position = 2-0.1j m: must be at most 0.5 m"):
         align(HINGE, position=2.0 - 0.1j)
+
+
+def test_a_strap_that_reaches_no_slot_is_refused():
+    with pytest.raises(ParameterError, match="no angle of the device puts the strap into the slot"):
+        align(HINGE, position=0.45 + 0.2j).slotted_strap()
+
+
+def test_a_motion_without_angles_is_refused():
+    with pytest.raises(ParameterError, match="knee_angle_deg: has no knee angle"):
+        align(HINGE, knee_angle_deg=[])
 
 
 def test_a_motion_beyond_the_nodes_is_refused():
