@@ -46,8 +46,8 @@ class AnatomicalKneeParameters(Parameters):
     """Position of the tibia's origin in the frame of the femur, over the flexion.
 
     Natural cubic splines join the nodes. Flexion is positive; the files of OpenSim have the other
-    sign. The defaults are one knee of one model, gait2392. The instantaneous centres of two people
-    differ by about as much as the centre of this knee moves. So test a conclusion on more knees.
+    sign. The defaults are one knee of one model, gait2392. The instantaneous centres of other knees
+    move about as far. Test a conclusion on several knees.
     """
 
     anterior_angles_rad: tuple[float, ...] = _angles(_ANTERIOR)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
+from kneexo.parameters.plant import CylinderParameters
 from kneexo.parameters.quantity import Parameters, choice, quantity
 
 _ENVELOPE = "assumption: a device beside thigh and shank"
@@ -59,7 +60,7 @@ class DesignLimits(Parameters):
     """Least moment arm of the rod over −5…95°."""
     largest_arm_m: float = _length(0.2, "assumption: twice the largest arm of Table 1")
     """Largest moment arm of the rod over −5…95°."""
-    stroke_m: float = _length(0.15, "CylinderParameters.stroke_m")
+    stroke_m: float = _length(CylinderParameters().stroke_m, "stroke of CylinderParameters")
     """Largest travel of the rod over 0…90°."""
     rod_length_m: float = _length(
         0.15, "assumption: the cylinder with the rod retracted is longer than its stroke"

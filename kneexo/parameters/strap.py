@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from kneexo.parameters.quantity import Parameters, quantity
+from kneexo.parameters.wearer import CuffParameters
 
 
 class StrapParameters(Parameters):
@@ -15,9 +16,9 @@ class StrapParameters(Parameters):
         0.20, "m", "assumption: the cuff is on the calf, below the tibia's origin", ge=0.01, le=1
     )
     normal_stiffness_n_per_m: float = quantity(
-        1500.0 / 0.30**2,
+        CuffParameters().stiffness_n_m_per_rad / 0.30**2,
         "N/m",
-        "assumption: 1500 N·m/rad of CuffParameters, 0.30 m from the knee",
+        "assumption: stiffness of CuffParameters, whose strap is 0.30 m from the knee",
         ge=1,
         le=1e7,
     )

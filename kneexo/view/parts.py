@@ -102,7 +102,7 @@ def parts(linkage: LinkageParameters) -> dict[str, Part]:
     at = {name: complex(values[0]) for name, values in points(linkage, 0.0).items()}
     result: dict[str, Part] = {}
     for name, bar in BARS.items():
-        length = max(abs(at[bar.end] - at[bar.start]), 1e-9)  # the ground link of a hinge has none
+        length = max(abs(at[bar.end] - at[bar.start]), 1e-12)  # the ground link of a hinge has none
         side = 2.0 * bar.radius_m
         shape = Box(side, side, length) if bar.is_flat else Cylinder(bar.radius_m, length)
         pose = _between(at[bar.start], at[bar.end], bar.layer_m)

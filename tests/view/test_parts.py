@@ -46,7 +46,7 @@ def test_bars_and_pins_are_at_their_points_at_each_angle(link, degrees):
         for sign, point in ((-1.0, at[bar.start][0]), (1.0, at[bar.end][0])):
             tip = poses[name].multiply(np.array([0.0, 0.0, sign * half]))
             expected = [point.real, bar.layer_m, point.imag]
-            np.testing.assert_allclose(tip, expected, atol=1e-9, err_msg=name)
+            np.testing.assert_allclose(tip, expected, atol=1e-12, err_msg=name)
     for name in (*PINS, "icr"):
         pose, point = poses[f"pin_{name}"], at[name][0]
         np.testing.assert_allclose(pose.translation(), [point.real, 0.0, point.imag], atol=1e-12)

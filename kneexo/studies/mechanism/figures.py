@@ -15,6 +15,11 @@ from kneexo.studies.plots import legend_below
 
 _MARKED_DEG = 15.0  # distance of the marked knee angles
 _LARGEST_MISPLACEMENT = 2.0  # relative to the setting
+_KNEE: dict[str, Any] = {"color": "k", "ls": "-", "lw": 1.4}
+_STYLES: list[dict[str, Any]] = [
+    {"color": c, "ls": dash, "lw": 1.4} for dash in ("-", "--") for c in SERIES
+]
+"""Styles of the curves of devices, of which there are seven at most."""
 
 
 def figures(result: MechanismResult) -> dict[str, Figure]:
@@ -38,7 +43,7 @@ def plot_centres(result: MechanismResult) -> Figure:
     marks = np.flatnonzero(result.knee_angle_deg % _MARKED_DEG == 0.0)
     paths = {"wearer's knee": result.knee.fixed_centrode}
     paths |= {name: device.alignment.device_centre for name, device in result.devices.items()}
-    for (name, path), style in zip(paths.items(), _styles(["k"], len(paths)), strict=True):
+    for (name, path), style in zip(paths.items(), [_KNEE, *_STYLES], strict=False):
         x, y = -MM * path.real, MM * path.imag  # forwards is to the right
         ax.plot(x, y, marker="o", ms=3.5, markevery=marks.tolist(), label=name, **style)
         ax.plot(x[:1], y[:1], "o", ms=8.0, mfc="none", color=style["color"])
@@ -55,7 +60,7 @@ def plot_migration(result: MechanismResult) -> Figure:
         "Migration of the strap on the shank, each device at its best place: across the shank (a) "
         "and along it (b)."
     )
-    for (name, device), style in zip(result.devices.items(), _styles([], 9), strict=False):
+    for (name, device), style in zip(result.devices.items(), _STYLES, strict=False):
         axes[0].plot(result.knee_angle_deg, device.alignment.across_mm, label=name, **style)
         axes[1].plot(result.knee_angle_deg, device.alignment.along_mm, **style)
     axes[0].set(ylabel="across, backwards (mm)", title="(a)")
@@ -73,7 +78,7 @@ def plot_misplacement(result: MechanismResult) -> Figure:
     )
     settings = result.settings
     error_mm = np.linspace(0.0, _LARGEST_MISPLACEMENT * settings.misplacement_mm, 101)
-    for (name, device), style in zip(result.devices.items(), _styles([], 9), strict=False):
+    for (name, device), style in zip(result.devices.items(), _STYLES, strict=False):
         ax.plot(error_mm, device.alignment.misplaced_rms_mm(error_mm), label=name, **style)
     ax.axhline(settings.tolerance_mm, color="0.4", ls=":", lw=1.0, label="tolerated")
     ax.set(xlabel="error of the place (mm)", ylabel="migration, rms (mm)", ylim=(0.0, None))
@@ -88,7 +93,7 @@ def plot_slotted_strap(result: MechanismResult) -> Figure:
         "A strap that slides along the shank: knee angle of the device minus the wearer's (a), and "
         "torque on the wearer's knee relative to the device's (b)."
     )
-    for (name, device), style in zip(result.devices.items(), _styles([], 9), strict=False):
+    for (name, device), style in zip(result.devices.items(), _STYLES, strict=False):
         strap = device.strap
         axes[0].plot(result.knee_angle_deg, strap.angle_difference_deg, label=name, **style)
         axes[1].plot(result.knee_angle_deg, strap.torque_ratio, **style)
@@ -107,8 +112,8 @@ def plot_leg_length(result: MechanismResult) -> Figure:
         "shorten the wearer's leg."
     )
     leg = result.leg
-    axes[0].plot(leg.knee_angle_deg, MM * leg.shortening_m, "k", lw=1.4, label="wearer's own knee")
-    for (name, device), style in zip(result.devices.items(), _styles([], 9), strict=False):
+    axes[0].plot(leg.knee_angle_deg, MM * leg.shortening_m, label="wearer's own knee", **_KNEE)
+    for (name, device), style in zip(result.devices.items(), _STYLES, strict=False):
         swing = device.swing
         axes[0].plot(device.leg.knee_angle_deg, MM * device.leg.shortening_m, label=name, **style)
         axes[1].plot(swing.gait_percent, MM * swing.clearance_gain_m, **style)
@@ -116,14 +121,6 @@ def plot_leg_length(result: MechanismResult) -> Figure:
     axes[1].set(xlabel="time after heel contact (%)", ylabel="toe higher (mm)", title="(b)")
     _finish(figure, axes)
     return figure
-
-
-def _styles(first: list[str], count: int) -> list[dict[str, Any]]:
-    """Return colours and dashes that tell the curves of devices apart."""
-    colours = [*first, *SERIES, *SERIES]
-    dashes = ["-"] * (len(first) + len(SERIES)) + ["--"] * len(SERIES)
-    pairs = zip(colours, dashes, strict=True)
-    return [{"color": colour, "ls": dash, "lw": 1.4} for colour, dash in pairs][:count]
 
 
 def _finish(figure: Figure, axes: Any) -> None:

@@ -26,7 +26,6 @@ def report(result: MechanismResult) -> str:
         rows=rows,
         own=rows[0],
         hinge=by_name["hinge"],
-        best=min(rows, key=lambda row: float(row["rms_mm"])),
         slips=[name for name, device in result.devices.items() if device.forces.slips.any()],
         angles=_angles,
         knee_is_gait2392=result.settings.knee == GAIT2392,

@@ -47,7 +47,11 @@ class MechanismSettings(Parameters):
     ] = GAIT2392
     cuff: StrapParameters = StrapParameters()
     flexion_max_deg: float = quantity(
-        90.0, "deg", "Section 2: the range of motion is 0…90°", ge=10, le=150
+        90.0,
+        "deg",
+        "Section 2: the range of motion is 0…90°; G5 closes up to 123°",
+        ge=10,
+        le=115,
     )
     misplacement_mm: float = quantity(
         10.0, "mm", "assumption: error of putting a device on", gt=0, le=200
@@ -80,6 +84,7 @@ class Device(Result):
     def results(self) -> dict[str, Any]:
         """Return the numbers as plain data."""
         place, own = self.alignment.placement, self.properties
+        at_60_deg = leg_length(self.alignment.linkage, 60.0)  # a motion may end before
         transmission = own.transmission_angle_deg
         has_links = own.thigh_as_ground != "hinge"  # which has one rigid triangle
         return {
@@ -107,9 +112,7 @@ class Device(Result):
             "encoder_reversals_deg": list(own.encoder_reversals_deg),
             "least_transmission_angle_deg": transmission.least if has_links else math.nan,
             "least_transmission_at_deg": transmission.at_deg if has_links else math.nan,
-            "shortening_at_60_deg_mm": float(
-                MM * np.interp(60.0, self.leg.knee_angle_deg, self.leg.shortening_m)
-            ),
+            "shortening_at_60_deg_mm": MM * float(at_60_deg.shortening_m[0]),
             "toe_clearance_gain_mm": MM * self.swing.least_clearance_gain_m,
         }
 

@@ -59,6 +59,14 @@ def test_links_and_leg_of_a_device_are_those_of_their_analyses():
     assert math.isnan(hinge["least_transmission_angle_deg"])
 
 
+@pytest.mark.parametrize("flexion_max_deg", [40.0, 115.0])
+def test_the_shortening_at_60_deg_is_that_at_60_deg_whatever_the_motion(flexion_max_deg):
+    other = mechanism_study(settings=MechanismSettings(flexion_max_deg=flexion_max_deg))
+    for name, device in other.devices.items():
+        expected = made_up().devices[name].results()["shortening_at_60_deg_mm"]
+        assert device.results()["shortening_at_60_deg_mm"] == pytest.approx(expected, rel=1e-12)
+
+
 def test_the_leg_is_the_wearer_s_own():
     leg = made_up().leg
     assert 1e3 * leg.shortening_m[60] == pytest.approx(-6.5, abs=0.05)  # another program
@@ -113,8 +121,9 @@ def test_faults_are_one_line(tmp_path):
         changed(MechanismSettings(), {"knee": str(tmp_path / "missing.csv")})
     with pytest.raises(ParameterError, match="knee = 'left': must be gait2392, the path of"):
         changed(MechanismSettings(), {"knee": "left"})
-    with pytest.raises(ParameterError, match="knee angle 121 deg is outside the nodes"):
-        mechanism_study(settings=MechanismSettings(flexion_max_deg=130.0))
+    short = AnatomicalKneeParameters(up_angles_rad=(0.0, 0.5, 1.0), up_m=(-0.4, -0.405, -0.41))
+    with pytest.raises(ParameterError, match="knee angle 58 deg is outside the nodes"):
+        mechanism_study(settings=MechanismSettings(knee=short))
     broken = HINGE.model_copy(update={"a_2_m": 70e-3})
     with pytest.raises(LinkageError, match="cannot be assembled"):
         mechanism_study(Scenario(plant={"linkage": broken}))
