@@ -449,13 +449,28 @@ def damaged(draw: st.DrawFn) -> str:
     return text
 
 
-@settings(max_examples=20)
-@given(text=st.one_of(damaged(), st.text(max_size=20)))
-def test_any_text_is_a_scenario_or_one_line(file: File, text: str) -> None:
+def require_scenario_or_line(file: File, text: str) -> None:
+    """A text becomes a scenario, or its fault is one line."""
     try:
         assert isinstance(file.load(text.encode(errors="surrogatepass")), Scenario)
     except ScenarioError as error:
         file.line(error)
+
+
+TEXTS = st.one_of(damaged(), st.text(max_size=20))
+
+
+@settings(max_examples=20)
+@given(text=TEXTS)
+def test_any_text_is_a_scenario_or_one_line(file: File, text: str) -> None:
+    require_scenario_or_line(file, text)
+
+
+@pytest.mark.slow
+@settings(max_examples=200)
+@given(text=TEXTS)
+def test_each_of_many_texts_is_a_scenario_or_one_line(file: File, text: str) -> None:
+    require_scenario_or_line(file, text)
 
 
 # ---------------------------------------------------------------------------- round trip
@@ -555,6 +570,13 @@ def instances_of(model: type[Parameters]) -> st.SearchStrategy[Parameters]:
 @settings(max_examples=5)
 @given(scenario=instances_of(Scenario))
 def test_round_trip(file: File, scenario: Scenario) -> None:
+    assert file.load(dump_scenario(scenario)) == scenario
+
+
+@pytest.mark.slow
+@settings(max_examples=60)
+@given(scenario=instances_of(Scenario))
+def test_round_trip_of_many(file: File, scenario: Scenario) -> None:
     assert file.load(dump_scenario(scenario)) == scenario
 
 

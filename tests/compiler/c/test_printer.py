@@ -68,15 +68,33 @@ def assert_same(values, expected):
     assert (bits | both).all()
 
 
-@settings(
-    max_examples=3,
-    derandomize=True,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
-@given(st.data(), st.integers(0, 2**32 - 1))
+ANY_GRAPH = given(st.data(), st.integers(0, 2**32 - 1))
+
+
+def examples(count):
+    """Settings of a test with a number of random graphs, the same ones in each run."""
+    unscoped = [HealthCheck.function_scoped_fixture]
+    return settings(max_examples=count, derandomize=True, suppress_health_check=unscoped)
+
+
+@examples(3)
+@ANY_GRAPH
 def test_exact_operations_have_the_bits_of_the_interpreter(
     interpreted, random_graphs, c_text, data, seed
 ):
+    require_bits_of_the_interpreter(interpreted, random_graphs, c_text, data, seed)
+
+
+@pytest.mark.slow
+@examples(15)
+@ANY_GRAPH
+def test_exact_operations_of_many_graphs_have_the_bits_of_the_interpreter(
+    interpreted, random_graphs, c_text, data, seed
+):
+    require_bits_of_the_interpreter(interpreted, random_graphs, c_text, data, seed)
+
+
+def require_bits_of_the_interpreter(interpreted, random_graphs, c_text, data, seed):
     graph, roots = data.draw(random_graphs.graphs(constants=ORDINARY))
     samples = random_graphs.samples(seed, 16)
     with np.errstate(all="ignore"):
