@@ -26,6 +26,8 @@ def number(value: float, form: str = ".3g") -> str:
     if math.isinf(value):
         return "∞" if value > 0.0 else "−∞"
     text = f"{value or 0:{form}}"  # or 0: no negative zero
+    if text.startswith("-") and float(text) == 0.0:  # nor one by rounding
+        text = text[1:]
     return f"{float(text):.0f}" if "e+" in text and abs(value) < 1e6 else text
 
 

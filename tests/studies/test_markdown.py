@@ -22,6 +22,7 @@ def test_numbers_that_are_none_have_a_sign_of_their_own(value, shown):
 
 def test_a_number_has_the_form_asked_for():
     assert number(-1.25, "+.1f") == "-1.2"
+    assert number(-0.003, ".1f") == "0.0"
     assert number(math.nan, "+.1f") == "–"
 
 

@@ -107,9 +107,9 @@ def plot_leg_length(result: MechanismResult) -> Figure:
     """Draw how much shorter the leg is, and how much higher the toe, if a device were the leg."""
     figure, axes = plt.subplots(2, 1, figsize=(7.2, 6.0), layout="constrained")
     figure.set_label(
-        "If the device were the leg, as in a prosthesis: the leg is shorter than with a hinge at "
-        "the origin (a), and the toe is higher over the measured swing (b). A worn device does not "
-        "shorten the wearer's leg."
+        "A leg whose knee is the device, as in a prosthesis, beside a leg whose knee is a hinge at "
+        "the origin: how much shorter the leg is (a), and how much higher the toe is over the "
+        "measured swing (b). A worn device does not shorten the wearer's leg."
     )
     leg = result.leg
     axes[0].plot(leg.knee_angle_deg, MM * leg.shortening_m, label="wearer's own knee", **_KNEE)
