@@ -24,7 +24,7 @@ def test_the_controller_knows_the_hinge_and_the_paper_s_loop_tracks_as_with_g1()
     assert metrics.max_error_overall_deg < 0.1
     # The lever of both differs by 4 % at most, and the gain margin with it.
     assert linearize_loop(scenario).margins().gain_margin == pytest.approx(
-        linearize_loop(Scenario()).margins().gain_margin, rel=0.2
+        linearize_loop(Scenario()).margins().gain_margin, rel=0.05
     )
 
 

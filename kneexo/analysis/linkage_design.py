@@ -51,6 +51,7 @@ _VIOLATION = 1e-7  # largest scaled violation of a result
 _NEARLY = 1e-3  # largest scaled violation of a start that is refined
 _BINDING = 1e-6  # scaled distance below which a limit counts as reached
 _CHECKED_DEG = (-5.0, 95.0)  # knee angles at which the links must close
+_LEAST_SPAN_DEG = 10.0  # less is a range in the wrong unit
 _SAME = 1e-6  # relative difference of the costs of two linkages that count as equally good
 _DIGITS = 9  # decimals of lengths in m and angles in rad
 _SHORTEST = {
@@ -487,6 +488,11 @@ def _require_range(name: str, angle: Array) -> None:
             f"{name}: knee angle {degrees[bad][0]:.4g} deg must be {low:g} … {high:g} deg, flexion "
             f"positive; a motion has angles in rad, pairs of a rod map in deg"
         )
+    if not np.ptp(degrees) >= _LEAST_SPAN_DEG:
+        raise ParameterError(
+            f"{name}: spans {np.ptp(degrees):.3g} deg of knee angle, must span at least "
+            f"{_LEAST_SPAN_DEG:g} deg; a motion has angles in rad, pairs of a rod map in deg"
+        )
 
 
 def design_linkage(
@@ -531,8 +537,8 @@ def design_linkage(
     Raises
     ------
     ParameterError
-        A knee angle is outside −5…95°, or no start meets all limits. Then the message names the
-        limits that exclude each other.
+        A knee angle is outside −5…95°, all knee angles span less than 10°, or no start meets all
+        limits. Then the message names the limits that exclude each other.
     """
     followed = GAIT2392 if motion is None else motion
     if isinstance(followed, AnatomicalKneeParameters):

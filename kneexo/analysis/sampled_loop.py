@@ -137,7 +137,8 @@ class SampledLoop(Result):
         """Return the response of the output to a sine in θ_d, at frequencies in Hz, (n,).
 
         The continuous output has components at ω + 2πk/T for all integers k. The result is the
-        component at ω. It is exact, also above the Nyquist frequency. The samples U e^{jωkT} of the
+        component at ω. It is exact, also above the Nyquist frequency, but for a law with continuous
+        states, whose states see a held reference here. The samples U e^{jωkT} of the
         command are held for T. The held command has the component U (1 − e^{−jωT})/(jωT) at ω, and
         the plant responds to it with G(jω). Raises `LinearizationError` unless all frequencies are
         positive.

@@ -182,6 +182,8 @@ def test_a_linkage_near_the_right_one_finds_its_motion_again():
         ({"motion": replace(linkage_motion(G3, ANGLE), knee_angle=-ANGLE)},
          "motion: knee angle -6 deg must be -5 … 95 deg, flexion positive"),
         ({"rod": ([0.0, 120.0, 10.0], [1.0, 2.0, 3.0])}, "rod: knee angle 120 deg"),
+        ({"rod": (np.radians([0.0, 45.0, 90.0]), [148.0, 73.0, 38.0])},
+         "rod: spans 1.57 deg of knee angle, must span at least 10 deg; a motion"),
         ({"rod": ([0.0, 90.0], [1.0, 2.0, 3.0])}, "rod: has 2 knee angles and 3 extensions"),
         ({"rod": ([0.0, 1.0, 2.0], [1.0, math.nan, 3.0])}, "rod: has an extension that is not"),
         ({"first": G1}, "first: has the shank as ground"),
