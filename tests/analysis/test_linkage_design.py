@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kneexo.analysis import design_linkage, trade_off
+from kneexo.analysis import align, design_linkage, fit_polynomials, trade_off
 from kneexo.analysis.linkage_design import (
+    _design,
     _drawn,
     _linkage_of,
     _points_of,
@@ -69,6 +70,22 @@ def test_points_give_the_linkage_back(link):
     mean = np.mean(rod_extension(again, ANGLE) - TABLE_1)
     assert abs(mean) < 1e-9
     assert again.branch == link.branch
+
+
+@THIGH
+def test_the_numbers_of_a_design_are_those_of_its_linkage_in_mm(link):
+    design = _design(problem(), _points_of(link), [])
+    at = align(design.linkage, position=0j)
+    # 1 nm and 1 nrad of rounding, at a lever of at most 1 m.
+    assert design.rms_mm == pytest.approx(at.rms_mm, abs=5e-6)
+    assert design.largest_mm == pytest.approx(at.largest_mm, abs=5e-6)
+    fit = fit_polynomials(design.linkage, samples=91)
+    assert design.rod_rms_mm == pytest.approx(np.sqrt(np.mean(fit.table_p_error_mm**2)), abs=5e-6)
+    assert design.rod_largest_mm == pytest.approx(np.abs(fit.table_p_error_mm).max(), abs=5e-6)
+    across, along, rod = design.plot().lines
+    np.testing.assert_allclose(across.get_ydata(), at.across_mm, atol=5e-6)
+    np.testing.assert_allclose(along.get_ydata(), at.along_mm, atol=5e-6)
+    np.testing.assert_allclose(rod.get_ydata(), fit.table_p_error_mm, atol=5e-6)
 
 
 @THIGH
