@@ -3,10 +3,9 @@
 The linkage is six points with the knee extended: the joints O_A, O_B, A and B, the cylinder's pin
 on the thigh and the rod's pin on the shank. The strap's place on the shank and the rod's length L_0
 appear linearly in the errors, so that their best values are means. The other twelve numbers are
-searched, from random starts. Many starts are drawn, and the best of them are improved by damped
-least squares with penalties, and the best of those by sequential quadratic programming (Nocedal and
-Wright, Numerical Optimization, 2006, ch. 10 and 18). The numbers of the result are those of the
-linkage with its parameters rounded to 1 nm and 1 nrad.
+searched, from random starts. Damped least squares with penalties improve the best starts, and
+sequential quadratic programming improves the best results (Nocedal and Wright, Numerical
+Optimization, 2006, ch. 10 and 18). The parameters of the result are rounded to 1 nm and 1 nrad.
 """
 
 from __future__ import annotations
