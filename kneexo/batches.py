@@ -20,6 +20,7 @@ from kneexo.files.writing import write_file
 from kneexo.parameters import LawParameters, Scenario
 from kneexo.parameters.paths import has_path
 from kneexo.parameters.scenario_file import as_scenario, dump_scenario
+from kneexo.plotting import PURPLE, RED, axes_or_new
 from kneexo.result import Result, data_frame
 from kneexo.simulation import needs_runs
 from kneexo.sweeps import parallel_map
@@ -131,6 +132,27 @@ class BatchResult(Result):
             columns[name] = [getattr(row.metrics, name, None) for row in self.rows]
         columns["error"] = [row.error for row in self.rows]
         return data_frame(columns).astype(dict.fromkeys(METRICS, "Float64"))
+
+    def plot(self, ax: Any = None) -> Any:
+        """Plot the largest error of each run; return the Matplotlib axes.
+
+        The horizontal axis shows the changed value if only one value changes and it is a number,
+        else the number of the run. A failed run is a red cross at zero.
+        """
+        ax = axes_or_new(ax, caption="Largest error of each run.", figsize=(7, 3))
+        x, label = np.arange(1.0, 1.0 + len(self.rows)), "run"
+        (path, first), *others = self.rows[0].values.items()
+        if not others and isinstance(first, int | float):
+            x, label = np.array([row.values[path] for row in self.rows], dtype=float), path
+        error = np.array([_value(row, "max_error_deg") for row in self.rows])
+        overall = [_value(row, "max_error_overall_deg") for row in self.rows]
+        error = np.where(np.isnan(error), overall, error)  # of a run within the first period
+        ax.plot(x, error, "o", color=PURPLE, ms=4, label="largest error")
+        if failed := [n for n, row in enumerate(self.rows) if row.error]:
+            ax.plot(x[failed], np.zeros(len(failed)), "x", color=RED, label="failed")
+            ax.legend()
+        ax.set(xlabel=label, ylabel="largest error (deg)")
+        return ax
 
     def __str__(self) -> str:
         """Return the number of runs, the largest error and its values, and the first failure."""

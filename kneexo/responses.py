@@ -90,6 +90,14 @@ class BodeResponse(Result):
         """The −3 dB bandwidth in Hz for small signals, or nan (`SampledLoop.bandwidth_hz`)."""
         return self.loop.bandwidth_hz()
 
+    def __str__(self) -> str:
+        """Return the lines of the `SampledLoop`, and the largest gain with its frequency."""
+        peak = int(np.argmax(self.gain))
+        return (
+            f"{self.loop}\n"
+            f"  largest gain {self.gain[peak]:.4g} at {self.frequencies_hz[peak]:.4g} Hz"
+        )
+
     def to_dataframe(self) -> Any:
         """Return gain and phase as a `pandas.DataFrame` with the index ``frequency_hz``.
 

@@ -108,10 +108,10 @@ def pytest_terminal_summary(terminalreporter, config):
 
 
 def pytest_collection_modifyitems(items):
-    """Give slow tests, which `timeout` in pyproject.toml would stop, an hour each."""
+    """Give slow tests, which `timeout` in pyproject.toml would stop, a quarter of an hour each."""
     for item in items:
         if item.get_closest_marker("slow") and not item.get_closest_marker("timeout"):
-            item.add_marker(pytest.mark.timeout(3600))
+            item.add_marker(pytest.mark.timeout(900))
 
 
 def pytest_collection_finish():

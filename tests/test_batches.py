@@ -189,6 +189,26 @@ def test_a_summary_names_the_largest_error_and_the_first_failure(mixed):
     assert "largest" not in str(BatchResult(mixed.failures))
 
 
+def test_the_plot_has_a_point_for_each_run_and_a_cross_for_each_failure(mixed):
+    ax = mixed.plot()
+    errors, failed = ax.lines
+    assert list(errors.get_xdata()) == [1.0, 2.0, 3.0, 4.0, 5.0]
+    largest = [np.nan if r.error else r.metrics.max_error_deg for r in mixed.rows]
+    np.testing.assert_array_equal(errors.get_ydata(), largest)
+    assert list(failed.get_xdata()) == [2.0, 4.0, 5.0]
+    assert (ax.get_xlabel(), ax.get_ylabel()) == ("run", "largest error (deg)")
+
+
+def test_the_plot_is_over_the_only_value_that_changes():
+    rows = batch(SHORT, {FREQUENCY: [1.0, 4.0]}).rows
+    (errors,) = (ax := BatchResult(rows).plot()).lines
+    assert list(errors.get_xdata()) == [1.0, 4.0]
+    assert ax.get_xlabel() == FREQUENCY
+    # The first run ends within the first period, so that its whole error counts.
+    expected = [rows[0].metrics.max_error_overall_deg, rows[1].metrics.max_error_deg]
+    assert list(errors.get_ydata()) == expected
+
+
 @pytest.mark.parametrize(
     ("metric", "message"),
     [

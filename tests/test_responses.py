@@ -70,6 +70,12 @@ def test_gain_phase_and_frame(response):
     np.testing.assert_allclose(feedback, response.complementary_sensitivity)
 
 
+def test_the_text_has_the_loop_and_the_largest_gain(response):
+    assert np.argmax(response.gain) == 1
+    last = f"  largest gain {response.gain[1]:.4g} at 1 Hz"
+    assert str(response) == f"{linearize_loop()}\n{last}"
+
+
 def test_the_plot_shows_both_responses_and_the_bandwidth(file):
     response = bode(file)
     assert response.frequencies_hz[[0, -1]] == pytest.approx([0.02, 250.0])

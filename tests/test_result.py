@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import base64
 import inspect
+import io
+import re
 import sys
 from dataclasses import dataclass
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from matplotlib.image import imread
 
 import kneexo.analysis
 from kneexo.analysis import FrequencyResponse, linearize_loop, linearize_plant, track
@@ -26,6 +31,7 @@ from kneexo.parameters import (
     SimulationParameters,
     SineReference,
 )
+from kneexo.plotting import axes_or_new
 from kneexo.result import Result, data_frame, short
 
 SHORT = Scenario(
@@ -47,12 +53,14 @@ class Example(Result):
     many: tuple[int, ...]
 
 
-EXAMPLE = Example(1.0 / 3.0, np.zeros((2, 3)), dict.fromkeys("abcd", 1), tuple(range(100)))
+VALUES = np.array([[0.0, 4.0, np.nan], [-1.5, 1.0, 2.0]])
+EXAMPLE = Example(1.0 / 3.0, VALUES, dict.fromkeys("abcd", 1), tuple(range(100)))
 
 
 def test_repr_names_each_field_in_a_few_words():
     assert repr(EXAMPLE) == (
-        "Example(gain=0.333333, values=array(2, 3), by_name={a, b, c, … 4 names}, many=100 × int)"
+        "Example(gain=0.333333, values=array(2, 3) -1.5 … 4, by_name={a, b, c, … 4 names}, "
+        "many=100 × int)"
     )
 
 
@@ -62,6 +70,41 @@ def test_notebooks_get_a_table_with_a_row_a_field():
     assert "left'>gain</th><td>0.333333</td>" in html
     escaped = Example(0.0, np.zeros(1), {"<b>": 1}, ())
     assert "<b>" not in escaped._repr_html_()
+    assert "<img" not in html
+
+
+def test_the_table_has_a_row_for_each_array_of_a_dictionary(tracked):
+    html = tracked.run._repr_html_()
+    for name, values in tracked.run.columns.items():
+        row = f">{name}</th><td>array({values.size},) {values.min():.4g} … {values.max():.4g}</td>"
+        assert row in html
+
+
+@pytest.mark.parametrize("values", [np.ones(2) * 1j, np.array(["a"]), np.zeros(0), [np.nan]])
+def test_arrays_without_real_numbers_have_no_range(values):
+    values = np.asarray(values)
+    assert short(values) == f"array{values.shape}"
+
+
+class Drawn(Result):
+    def __str__(self):
+        return "gain < 2\nphase"
+
+    def plot(self, ax=None):
+        ax = axes_or_new(ax, 2, 1, caption='a "line"')
+        ax[0].plot([0.0, 1.0])
+        return ax
+
+
+def test_notebooks_get_text_and_picture():
+    before = plt.get_fignums()
+    html = Drawn()._repr_html_()
+    assert ">gain &lt; 2\nphase</pre>" in html
+    alt, data = re.search(r'<img alt="(.*?)" src="data:image/png;base64,(.*?)">', html).groups()
+    assert alt == "a &quot;line&quot;"
+    picture = imread(io.BytesIO(base64.b64decode(data)))
+    assert np.ptp(picture[..., :3]) > 0.5
+    assert plt.get_fignums() == before  # none is left that a notebook would show again
 
 
 @pytest.mark.parametrize(("count", "shown"), [(3, "{a, b, c}"), (4, "{a, b, c, … 4 names}")])
