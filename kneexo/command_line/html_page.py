@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import base64
 import html
+import re
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -98,9 +99,10 @@ def html_page(
     title
         The command that computed the report.
     report
-        Text in Markdown.
+        Text in Markdown. A paragraph ``![](NAME.png)`` is the place of the figure NAME.
     figures
-        Dictionary from name to Matplotlib figure. The figures stay open.
+        Dictionary from name to Matplotlib figure. A figure without place comes after the text. The
+        figures stay open.
     origin
         The first items of every JSON result: version, scenario and settings.
     view
@@ -115,7 +117,10 @@ def html_page(
     )
     if not body.lstrip().startswith("<h1"):
         body = f"<h1>{html.escape(title)}</h1>\n{body}"
-    pictures = "\n".join(_picture(name, figure) for name, figure in figures.items())
+    rest = dict(figures)
+    place = re.compile(r'<p><img src="(\w+)\.png" alt="" /></p>')
+    body = place.sub(lambda found: _picture(found[1], rest.pop(found[1])), body)
+    pictures = "\n".join(_picture(name, figure) for name, figure in rest.items())
     inputs = {key: value for key, value in origin.items() if key != "kneexo"}
     text = yaml.dump(inputs, Dumper=_lists_in_lines(), sort_keys=False, allow_unicode=True)
     from kneexo.view.web_page import self_contained_page

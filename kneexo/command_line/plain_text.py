@@ -12,14 +12,15 @@ COLUMNS = 100
 def plain_text(markdown: str) -> str:
     """Return Markdown as plain text: paragraphs, lists and tables in lines of `COLUMNS`.
 
-    The text is the same for each terminal, and for a file or pipe. A word longer than a line, such
-    as a path, is broken.
+    Pictures are left out. The text is the same for each terminal, and for a file or pipe. A word
+    longer than a line, such as a path, is broken.
     """
     from rich.console import Console
     from rich.markdown import Markdown
 
     stream = io.StringIO()
     console = Console(file=stream, width=COLUMNS, color_system=None, force_terminal=False)
+    markdown = re.sub(r"^!\[\]\(.*\)$", "", markdown, flags=re.MULTILINE)
     title, _, body = markdown.removeprefix("# ").partition("\n")
     console.print(Markdown(body, hyperlinks=False))
     lines = (line.rstrip() for line in stream.getvalue().splitlines())

@@ -82,6 +82,17 @@ def test_the_caption_of_a_figure_is_below_it_and_its_text_for_screen_readers(fig
     assert f'alt="{escaped}"' in text
 
 
+def test_a_figure_is_at_its_place_in_the_report_or_after_the_text(figure):
+    other = plt.figure()
+    report = "# Title\n\nFirst.\n\n![](placed.png)\n\nLast.\n"
+    text = html_page("t", report, {"unplaced": other, "placed": figure}, {"kneexo": "1"})
+    plt.close(other)
+    parts = ["First.", "<figcaption>placed", "Last.", "<figcaption>unplaced"]
+    assert sorted(parts, key=text.index) == parts
+    assert text.count("<figure>") == 2
+    assert ".png" not in text
+
+
 def test_equal_reports_are_equal_pages(figure):
     pages = [html_page("t", "text", {"a": figure}, {"kneexo": "1"}) for _ in range(2)]
     assert pages[0] == pages[1]

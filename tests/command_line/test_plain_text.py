@@ -13,6 +13,8 @@ REPORT = """# A title
 | --- | --- |
 | 1 | x |
 
+![](picture.png)
+
 The last line.
 
 ## Next

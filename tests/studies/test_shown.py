@@ -207,6 +207,12 @@ def test_the_screen_has_the_findings(name, check_screen):
 
 
 @pytest.mark.parametrize("name", STUDIES)
+def test_each_figure_has_one_place_in_the_report(name):
+    places = re.findall(r"^!\[\]\((\w+)\.png\)$", report_of(name), re.MULTILINE)
+    assert sorted(places) == sorted(figures_of(name))
+
+
+@pytest.mark.parametrize("name", STUDIES)
 def test_each_figure_has_a_caption_and_its_axes_have_labels(name, check_caption):
     for figure in figures_of(name).values():
         check_caption(figure)
