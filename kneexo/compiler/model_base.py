@@ -58,21 +58,24 @@ class ModelBase:
         `ValueError` for an array of a wrong shape, `ParameterError` for a parameter that is not
         finite.
         """
-        c = self.constants(parameters)
+        constants = self.constants(parameters)
         table = inputs or self.no_inputs
-        x, d = self._checked_state(state, table)
-        u, after = table.value(0.0), d.copy()
-        self.code.start("initialize")(*map(address, (x, d, u, c, after)))
-        return State(x, after)
+        continuous, discrete = self._checked_state(state, table)
+        after = discrete.copy()
+        initialize = self.code.start_function("initialize")
+        arrays = continuous, discrete, table.value(0.0), constants, after
+        initialize(*map(address, arrays))
+        return State(continuous, after)
 
     def constants(self, parameters: Array) -> Array:
         """Return the values in the equations that depend on parameters alone, (constants,).
 
         Raises `ParameterError` for a parameter that is not finite.
         """
-        row = self.checked_parameters(np.asarray(parameters, dtype=float)[None])[0]
+        values = self.checked_parameters(np.asarray(parameters, dtype=float)[None])[0]
         constants = np.empty(self.layout.constants)
-        self.code.start("constants")(address(row), address(constants))
+        compute_constants = self.code.start_function("constants")
+        compute_constants(address(values), address(constants))
         return constants
 
     def checked_parameters(self, parameters: Array) -> Array:
@@ -95,13 +98,14 @@ class ModelBase:
 
         Raises `ValueError` if the state or the input table has a wrong shape.
         """
-        x, d = (np.array(values, dtype=float) for values in (state.continuous, state.discrete))
-        _require_shape("state.continuous", x, (len(self.state_names),))
-        _require_shape("state.discrete", d, (len(self.discrete_names),))
+        continuous = np.array(state.continuous, dtype=float)
+        discrete = np.array(state.discrete, dtype=float)
+        _require_shape("state.continuous", continuous, (len(self.state_names),))
+        _require_shape("state.discrete", discrete, (len(self.discrete_names),))
         table = inputs.coefficients
         expected = (inputs.breaks.size + 1, max(self.layout.input_count, 1), table.shape[2])
         _require_shape("inputs.coefficients", table, expected)
-        return x, d
+        return continuous, discrete
 
     def fault(
         self,

@@ -35,11 +35,12 @@ def fast_rates(graph: Graph, derivatives: Sequence[int], parameters: Array) -> d
     - 2·(3·x) → 6·x
     - sin(x) + y + z → (y + z) + sin(x), since the sine is available last
     """
-    total = {node: node for node in graph.reachable(derivatives)}
+    latest = {node: node for node in graph.reachable(derivatives)}
     for rewriting in (_ZeroFactors, _ScaledLimits, _Regrouping, _ShortSums):
-        new = rewriting(graph, [total[root] for root in derivatives], parameters).nodes()
-        total = {node: new[before] for node, before in total.items() if before in new}
-    return total
+        roots = [latest[root] for root in derivatives]
+        new = rewriting(graph, roots, parameters).nodes()
+        latest = {node: new[before] for node, before in latest.items() if before in new}
+    return latest
 
 
 class _Rewriting:
@@ -95,10 +96,10 @@ class _ZeroFactors(_Rewriting):
 
 
 class _ScaledLimits(_Rewriting):
-    """Moves a positive number into the minimum or maximum that it scales.
+    """Moves a positive factor k into a minimum or maximum: k·min(a, b) becomes min(k·a, k·b).
 
-    A positive number times min(a, b) becomes the minimum of the products, and likewise for max, so
-    that the number can join other factors.
+    There k can join other factors. A minimum or maximum with another use stays, because it would
+    be computed twice.
     """
 
     def __init__(self, graph: Graph, roots: Sequence[int], parameters: Array) -> None:
@@ -111,12 +112,12 @@ class _ScaledLimits(_Rewriting):
         graph = self.graph
         if graph.nodes[node][0] != "multiply" or len(arguments) != 2:
             return None
-        for factor, limited, old in zip(
-            arguments, arguments[::-1], graph.arguments(node)[::-1], strict=True
-        ):
-            is_limited = graph.nodes[limited][0] in ("min", "max") and self.uses[old] == 1
-            if is_limited and (graph.value(factor) or 0.0) > 0.0:
-                return self._scaled(factor, limited)
+        left, right = arguments
+        old_left, old_right = graph.arguments(node)
+        for factor, limit, old_limit in ((left, right, old_right), (right, left, old_left)):
+            is_limit = graph.nodes[limit][0] in ("min", "max") and self.uses[old_limit] == 1
+            if is_limit and (graph.value(factor) or 0.0) > 0.0:
+                return self._scaled(factor, limit)
         return None
 
     def _scaled(self, factor: int, node: int) -> int:
@@ -136,34 +137,38 @@ class _Regrouping(_Rewriting):
 class _ShortSums(_Rewriting):
     """Adds the terms of a sum in the order in which their values are available.
 
-    In a chain from left to right, every addition would wait for the addition before. A time counts
-    from the start of a stage, in durations of an addition; see `Operation.cost`.
+    In a chain from left to right, every addition would wait for the addition before it. Times
+    count from the start of a stage of RK4, in durations of an addition (see `Operation.cost`).
     """
 
     def __init__(self, graph: Graph, roots: Sequence[int], parameters: Array) -> None:
         super().__init__(graph, roots, parameters)
         self.deciding = deciding_nodes(graph, graph.reachable(roots))
         self.times: list[int] = []
+        """Time at which the value of each node is available, by the number of the node."""
 
     def changed(self, node: int, arguments: tuple[int, ...]) -> int | None:
         graph = self.graph
         is_sum = graph.nodes[node][0] == "add" and node not in self.deciding
         if not is_sum or len(arguments) > _LONGEST_SUM:
             return None
-        terms = [(self._time_of(term), place, term) for place, term in enumerate(arguments)]
+        # The place decides between equal times, so that the order does not depend on node numbers.
+        terms = [(self._available(term), place, term) for place, term in enumerate(arguments)]
         heapq.heapify(terms)
         while len(terms) > 1:
-            (_, _, a), (_, place, b) = heapq.heappop(terms), heapq.heappop(terms)
-            total = graph.operation("add", a, b)
-            heapq.heappush(terms, (self._time_of(total), place, total))
-        return terms[0][2]
+            (_, _, first), (_, place, second) = heapq.heappop(terms), heapq.heappop(terms)
+            partial_sum = graph.operation("add", first, second)
+            heapq.heappush(terms, (self._available(partial_sum), place, partial_sum))
+        _, _, sum_of_all = terms[0]
+        return sum_of_all
 
-    def _time_of(self, node: int) -> int:
+    def _available(self, node: int) -> int:
+        """Return the time at which the value of a node is available."""
         graph, times = self.graph, self.times
         for number in range(len(times), node + 1):  # arguments have smaller numbers
-            kind, behind = graph.nodes[number][0], graph.arguments(number)
+            kind, arguments = graph.nodes[number][0], graph.arguments(number)
             is_early = kind in SOURCES or graph.depends[number] <= TICK_SOURCES
-            times.append(0 if is_early else _cost(kind) + max(times[a] for a in behind))
+            times.append(0 if is_early else _cost(kind) + max(times[a] for a in arguments))
         return times[node]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
-from typing import Any, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 from pydrake.symbolic import ExpressionKind, FormulaKind
 
@@ -52,6 +52,13 @@ def completed(steps: Steps[T]) -> T:
     return result
 
 
+class _Operation(NamedTuple):
+    """An operation whose arguments are converted first."""
+
+    name: str
+    argument_count: int
+
+
 class Conversion:
     """Converts symbolic expressions of one leaf, such as an output port's, to nodes of a graph."""
 
@@ -83,23 +90,24 @@ class Conversion:
     def _node(self, expression: Any) -> Steps[int]:
         """Return the node of an expression. The nodes of its arguments come first, in order.
 
-        A list has the items to convert, so a deep expression does not reach the limit of recursion.
-        An item with a name is an operation whose arguments are converted before it.
+        Two stacks replace a recursion, which a deep expression would drive to Python's limit.
+        ``pending`` has expressions to convert, and operations whose arguments stand above them.
+        ``nodes`` has the nodes of the finished arguments, which an operation replaces by its own.
         """
         graph = self._graph
         nodes: list[int] = []
-        pending: list[tuple[str, Any]] = [("", expression)]
+        pending: list[Any] = [expression]
         while pending:
-            name, item = pending.pop()
-            if name:
-                arguments = nodes[-item:]
-                key = name, tuple(arguments)
+            item = pending.pop()
+            if isinstance(item, _Operation):
+                arguments = tuple(nodes[-item.argument_count :])
+                key = item.name, arguments
                 if key not in self._known:
-                    self._known[key] = graph.simplified(name, *arguments)
-                nodes[-item:] = [self._known[key]]
+                    self._known[key] = graph.simplified(item.name, *arguments)
+                nodes[-item.argument_count :] = [self._known[key]]
             elif isinstance(item, float | int):
                 nodes.append(graph.constant(item))
-            elif (name := self._name(item.get_kind())) == "true" or name == "false":
+            elif (name := self._name(item.get_kind())) in ("true", "false"):
                 nodes.append(graph.compare("gt", graph.constant(name == "true"), graph.zero))
             else:
                 _, arguments = item.Unapply()
@@ -108,8 +116,8 @@ class Conversion:
                 elif name == "constant":
                     nodes.append(graph.constant(*arguments))
                 else:
-                    pending.append((name, len(arguments)))
-                    pending += [("", argument) for argument in reversed(arguments)]
+                    pending.append(_Operation(name, len(arguments)))
+                    pending += reversed(arguments)
         return nodes[0]
 
     def _name(self, kind: Any) -> str:

@@ -118,9 +118,10 @@ class _Survey:
         self.nodes, self.place = self.derivatives.nodes, self.derivatives.place
         names = {node: str(self.graph.nodes[node][0]) for node in self.nodes}
         self.roles = {n: OPERATIONS[name].role for n, name in names.items() if name in OPERATIONS}
-        self.values, self.rows = self._derivatives(())
-        rounding = self._rounding(self.nodes)
-        self.smooth_rows = self._derivatives(rounding)[1] if rounding else self.rows
+        self.values, self.gradients = self._evaluated(())
+        """Value of each node (nodes,), and its derivatives by the variables (nodes, variables)."""
+        quantizers = self._quantizers_among(self.nodes)
+        self.smooth_gradients = self._evaluated(quantizers)[1] if quantizers else self.gradients
         """The derivatives if all quantizers had the derivative 1."""
 
     def faults(self) -> Iterator[tuple[Section, str, str]]:
@@ -130,31 +131,31 @@ class _Survey:
         the derivative 1. Otherwise all derivatives behind a quantizer would be zero.
         """
         sections = list(self._sections())
-        rounded = [self._rounds(ends, inside) for _, ends, inside in sections]
-        if any(rounded):
-            self.rows = self._derivatives([node for nodes in rounded for node in nodes])[1]
-        for (section, ends, inside), nodes in zip(sections, rounded, strict=True):
-            if nodes:
+        harmful = [self._harmful_quantizers(results, nodes) for _, results, nodes in sections]
+        if any(harmful):
+            self.gradients = self._evaluated([node for nodes in harmful for node in nodes])[1]
+        for (section, results, own_nodes), quantizers in zip(sections, harmful, strict=True):
+            if quantizers:
                 yield section, "rounds its input: its derivative is zero", "remove the quantizer"
-            for node in inside:
-                if fault := self._fault(node, ends):
+            for node in own_nodes:
+                if fault := self._fault(node, results):
                     yield section, *fault
 
     def _sections(self) -> Iterator[tuple[Section, list[int], list[int]]]:
-        """Yield each section with the nodes that it computes, and the nodes of its own.
+        """Yield each section with its results, and with the nodes that no earlier section has.
 
-        Nodes without effect are left out, such as those of the other branch of a choice.
+        Nodes without effect are left out, such as those of a branch that is not taken.
         """
-        acting = set(self.graph.reachable(self.roots, self.taken))
+        acting = set(self.graph.reachable(self.roots, self.acting_arguments))
         known: set[int] = set()
         for section in self.point.read.equations.sections:
-            ends = [node for node in section.nodes if node in acting]
-            inside = set(self.graph.reachable(ends, self.taken)) - known
-            known |= inside
-            yield section, ends, sorted(inside)
+            results = [node for node in section.nodes if node in acting]
+            own_nodes = set(self.graph.reachable(results, self.acting_arguments)) - known
+            known |= own_nodes
+            yield section, results, sorted(own_nodes)
 
-    def taken(self, node: int) -> tuple[int, ...]:
-        """Return the arguments that act on the value of a node. A choice has its taken branch."""
+    def acting_arguments(self, node: int) -> tuple[int, ...]:
+        """Return the arguments that act on the value of a node; for a choice, the taken branch."""
         arguments = self.graph.arguments(node)
         if self.graph.nodes[node][0] == "where":
             condition, positive, otherwise = arguments
@@ -164,25 +165,30 @@ class _Survey:
     def value(self, node: int) -> float:
         return float(self.values[self.place[node]])
 
-    def row(self, node: int) -> Array:
-        return np.asarray(self.rows[self.place[node]])
+    def gradient(self, node: int) -> Array:
+        return np.asarray(self.gradients[self.place[node]])
 
-    def _derivatives(self, rounding: Iterable[int]) -> tuple[Array, Array]:
-        """Return values and derivatives of all nodes, with the derivative 1 of some quantizers."""
-        return self.derivatives.at(self.point.sources, rounding)
+    def _evaluated(self, smooth: Iterable[int]) -> tuple[Array, Array]:
+        """Return values and derivatives of all nodes. The quantizers ``smooth`` have derivative 1.
 
-    def _rounding(self, nodes: Iterable[int]) -> list[int]:
+        All other quantizers have the derivative 0.
+        """
+        return self.derivatives.at(self.point.sources, smooth)
+
+    def _quantizers_among(self, nodes: Iterable[int]) -> list[int]:
         return [node for node in nodes if self.roles.get(node) is Role.ROUNDING]
 
-    def _rounds(self, ends: list[int], inside: list[int]) -> list[int]:
-        """Return the quantizers in a section that cost one of its results a derivative."""
-        rounding = self._rounding(inside)
-        return rounding if rounding and any(self._is_rounded(end) for end in ends) else []
+    def _harmful_quantizers(self, results: list[int], own_nodes: list[int]) -> list[int]:
+        """Return the quantizers in a section if one of its results loses a derivative, else []."""
+        quantizers = self._quantizers_among(own_nodes)
+        if quantizers and any(map(self._loses_derivative, results)):
+            return quantizers
+        return []
 
-    def _fault(self, node: int, ends: list[int]) -> tuple[str, str] | None:
-        """Return reason and remedy if a node of the section that computes ``ends`` is at fault."""
+    def _fault(self, node: int, results: list[int]) -> tuple[str, str] | None:
+        """Return reason and remedy if a node spoils the derivatives of the nodes ``results``."""
         name = str(self.graph.nodes[node][0])
-        if not self._is_finite(node) and all(map(self._is_finite, self.taken(node))):
+        if not self._is_finite(node) and all(map(self._is_finite, self.acting_arguments(node))):
             return f"the derivative of {name} is not finite", "choose another operating point"
         if self.roles.get(node) is not Role.CORNER:
             return None
@@ -191,7 +197,7 @@ class _Survey:
                 f"{_CORNERS[name]} is at its corner: the derivatives on both sides differ",
                 "choose another operating point",
             )
-        if self._is_constant(node) and any(self._blocks(node, end) for end in ends):
+        if self._is_constant(node) and any(self._blocks(node, result) for result in results):
             return (
                 f"is constant at {self.value(node):.6g} here, as at a limit or in a dead zone: its "
                 f"derivative is zero",
@@ -201,32 +207,34 @@ class _Survey:
 
     def _is_finite(self, node: int) -> bool:
         """Return whether all derivatives of a node are finite."""
-        return bool(np.isfinite(self.row(node)).all())
+        return bool(np.isfinite(self.gradient(node)).all())
 
-    def _blocks(self, node: int, end: int) -> bool:
-        """Return whether ``node`` may be why the result ``end`` has no derivative.
+    def _blocks(self, node: int, result: int) -> bool:
+        """Return whether ``node`` may be why the node ``result`` has no derivative.
 
-        The result depends on the node, but all its derivatives are zero.
+        ``result`` depends on ``node``, but all derivatives of ``result`` are zero.
         """
-        return not self.row(end).any() and node in self.graph.reachable([end], self.taken)
+        if self.gradient(result).any():
+            return False
+        return node in self.graph.reachable([result], self.acting_arguments)
 
-    def _is_rounded(self, node: int) -> bool:
-        """Return whether a node loses its derivative, or a part of it, by a quantizer.
+    def _loses_derivative(self, node: int) -> bool:
+        """Return whether a quantizer takes the derivative, or a part of it, from a node.
 
-        An angle without whole turns, ψ − 2π ⌈ψ/2π − ½⌉, loses nothing. With the derivative 1 of
-        the quantizer its derivative would be zero.
+        An angle without whole turns, ψ − 2π ⌈ψ/2π − ½⌉, loses nothing: with the derivative 1 of
+        the quantizer, the derivative of this angle would be zero.
         """
-        smooth, rounded = self.smooth_rows[self.place[node]], self.row(node)
-        changes = bool((smooth != rounded).any())
-        return changes and np.abs(smooth).max() > _ROUNDING * np.abs(rounded).max()
+        smooth, actual = self.smooth_gradients[self.place[node]], self.gradient(node)
+        differs = bool((smooth != actual).any())
+        return differs and np.abs(smooth).max() > _ROUNDING * np.abs(actual).max()
 
     def _at_corner(self, node: int) -> bool:
         """Return whether a corner operation is at its corner, and its two derivatives differ."""
         name, arguments = self.graph.nodes[node][0], self.graph.arguments(node)
         if name == "abs":
-            return bool(abs(self.value(arguments[0])) <= _AT_CORNER and self.row(*arguments).any())
+            return abs(self.value(arguments[0])) <= _AT_CORNER and self._depends(arguments)
         branches = arguments[-2:]
-        if np.array_equal(self.row(branches[0]), self.row(branches[1])):
+        if np.array_equal(self.gradient(branches[0]), self.gradient(branches[1])):
             return False
         if name != "where":
             return self._equal(*arguments)
@@ -235,22 +243,23 @@ class _Survey:
             for n in self.graph.reachable(arguments[:1], self._conditions)
             if self.roles.get(n) is Role.COMPARISON
         ]
-        return any(self._equal(*pair) and self._moves(pair) for pair in compared)
+        return any(self._equal(*pair) and self._depends(pair) for pair in compared)
 
     def _conditions(self, node: int) -> tuple[int, ...]:
         return self.graph.arguments(node) if self.roles.get(node) is Role.LOGIC else ()
 
-    def _moves(self, nodes: Iterable[int]) -> bool:
-        return any(self.row(node).any() for node in nodes)
+    def _depends(self, nodes: Iterable[int]) -> bool:
+        """Return whether a derivative of one of the nodes is not zero."""
+        return any(self.gradient(node).any() for node in nodes)
 
     def _equal(self, left: int, right: int) -> bool:
         a, b = self.value(left), self.value(right)
         return abs(a - b) <= _AT_CORNER * max(1.0, abs(a), abs(b))
 
     def _is_constant(self, node: int) -> bool:
-        """Return whether a corner operation has the derivative zero, and its other branch not."""
+        """Return whether a corner operation has the derivative zero, and a branch of it has not."""
         branches = self.graph.arguments(node)[-2:]
-        return not self.row(node).any() and self._moves(branches)
+        return not self.gradient(node).any() and self._depends(branches)
 
 
 def _moving_state(point: Point, slopes: Slopes, tolerance: float) -> list[Obstacle]:
@@ -273,19 +282,21 @@ def _moving_state(point: Point, slopes: Slopes, tolerance: float) -> list[Obstac
 def _blocked_states(point: Point, slopes: Slopes, tolerance: float) -> Iterator[Obstacle]:
     """Yield an obstacle for each combination of rates that no state can bring to zero.
 
-    Such a combination w is a left null vector of the Jacobian of the residual r, with w·r ≠ 0.
+    The combinations are w·r of the rates r, where w is a left null vector of the Jacobian of r and
+    w·r ≠ 0.
     """
     residual, jacobian = point.residual(slopes.rates), point.residual_jacobian(slopes)
     jacobian = jacobian[:, : residual.size]
     if not residual.size or not np.isfinite(jacobian).all():
         return
-    size = np.linalg.norm(jacobian, axis=1)
-    size[size == 0.0] = 1.0
-    basis, singular, _ = np.linalg.svd(jacobian / size[:, None])
-    for vector in basis.T[singular <= _RANK * max(1.0, singular[0])]:
-        if abs(vector @ (residual / size)) <= tolerance * np.max(np.abs(vector) / size):
+    scale = np.linalg.norm(jacobian, axis=1)  # the rates have different units
+    scale[scale == 0.0] = 1.0
+    left_vectors, singular_values, _ = np.linalg.svd(jacobian / scale[:, None])
+    is_null = singular_values <= _RANK * max(1.0, singular_values[0])
+    for weights in left_vectors.T[is_null]:
+        if abs(weights @ (residual / scale)) <= tolerance * np.max(np.abs(weights) / scale):
             continue
-        index = int(np.argmax(np.abs(vector * residual / size)))
+        index = int(np.argmax(np.abs(weights * residual / scale)))
         name = point.state_names[index]
         rate = "per s" if index < len(point.read.state_names) else "per update"
         yield Obstacle(

@@ -71,28 +71,30 @@ class MachineCode:
                 self._program = Program(source if isinstance(source, Equations) else source())
             return self._program
 
-    def start(self, name: str) -> Callable[..., None]:
+    def start_function(self, name: str) -> Callable[..., None]:
         """Return the machine-code function ``name``, which is ``constants`` or ``initialize``.
 
         See `define_constants` and `define_initialize`.
         """
         arguments = {"constants": 2, "initialize": 5}[name]
-        return self._library("start", lambda: start_text(self.program)).function(name, arguments)
+        library = self._library("start", lambda: start_text(self.program))
+        return library.function(name, arguments)
 
-    def run(self, integrator: str, lanes: int) -> Callable[..., None]:
+    def run_function(self, integrator: str, lanes: int) -> Callable[..., None]:
         """Return the machine-code function ``run`` for an integrator. `RUN` lists its arguments."""
         part = f"run, {integrator}, {lanes} lanes"
         library = self._library(part, lambda: run_text(self.program, integrator, lanes))
         return library.function("run", 1)
 
-    def between(self) -> Callable[..., None]:
+    def between_function(self) -> Callable[..., None]:
         """Return the machine-code function ``between``. `BETWEEN` lists its arguments."""
         library = self._library("between", lambda: between_text(self.program))
         return library.function("between", 1)
 
-    def rates(self) -> Callable[..., None]:
+    def rates_function(self) -> Callable[..., None]:
         """Return the machine-code function ``rates``. See `define_rates`."""
-        return self._library("rates", lambda: rates_text(self.program)).function("rates", 7)
+        library = self._library("rates", lambda: rates_text(self.program))
+        return library.function("rates", 7)
 
     def _library(self, part: str, text: Callable[[], str]) -> Library:
         return library(self.key, part, text)

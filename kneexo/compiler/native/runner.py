@@ -150,8 +150,8 @@ class Runner:
         steps = 10.0 if integrator == "exact_hold" else max(1.0, self.timing.tick / step_s)
         self.piece = max(1, int(_FIRST_PIECE / steps))
         """Number of ticks that the first machine-code call of a long run makes."""
-        self._run = code.run(integrator, lanes)
-        self._constants = code.start("constants")
+        self._run = code.run_function(integrator, lanes)
+        self._constants = code.start_function("constants")
         self._lane_c = np.empty((lanes, layout.constants))
         self._c = np.empty((layout.constants, lanes))
         memory = jacobian_slots.Memory(len(layout.states))
@@ -340,13 +340,13 @@ class Runner:
 
     def _rates(self, lane: int) -> Rates:
         """Return the rates of the states as a Python function, with the parameters of a lane."""
-        function, size, c = self.code.rates(), self._vectors[0], self._lane_c[lane]
+        compute_rates, size, c = self.code.rates_function(), self._vectors[0], self._lane_c[lane]
 
         def rates(d: Array, u: Array, t: float, x: Array) -> tuple[Array, Array]:
-            out, jacobian = np.empty(size), np.empty((size, size))
-            arrays = np.array([t]), x, d, u, c, out, jacobian
-            function(*map(address, arrays))
-            return out, jacobian.T
+            values, jacobian = np.empty(size), np.empty((size, size))
+            arrays = np.array([t]), x, d, u, c, values, jacobian
+            compute_rates(*map(address, arrays))
+            return values, jacobian.T  # the machine code writes column by column
 
         return rates
 
@@ -381,9 +381,10 @@ class Runner:
             windows=self._windows,
             suspects=self._suspects,
         )
+        compute_records = self.code.between_function()
         while True:
             self._suspects[0, :, 0] = 0.0
-            self.code.between()(ctypes.addressof(arguments))
+            compute_records(ctypes.addressof(arguments))
             if (unstable := self.unstable_step(0, "rk4")) is None:
                 return record
             arguments.step = unstable.safe_s

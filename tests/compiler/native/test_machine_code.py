@@ -61,11 +61,11 @@ def test_a_pickled_model_has_the_same_code():
     code = pickle.loads(pickle.dumps(model.code))
     assert code.key == model.code.key
     assert code.layout == model.code.layout
-    assert code.start("constants") is model.code.start("constants")
+    assert code.start_function("constants") is model.code.start_function("constants")
 
 
 def test_unknown_functions_are_refused():
     x = Variable("x")
     model = compile_diagram(SymbolicVectorSystem(state=[x], dynamics=[-x], output=[x]))
     with pytest.raises(KeyError, match="finish"):
-        model.code.start("finish")
+        model.code.start_function("finish")
