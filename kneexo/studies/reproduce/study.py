@@ -60,98 +60,42 @@ class ReproduceResult(Result):
 
     def results(self) -> dict[str, Any]:
         """Return the numbers of all figures as plain data, with units in the names."""
-        table = RodPolynomialParameters()
-        fit, error = self.fit, rod_error_mm(self.fig9)
-        peak_rpm, saturation_hz = speed_demand()
-        response = self.fig13
-        g4 = fit_polynomials(G4, start_deg=5.0, samples=FIG_5_POINTS)
-        numbers = {
-            "table1": {
-                "x_at_10deg_mm": float(np.polyval(table.p_mm_deg, 10.0)),
-                "x_at_70deg_mm": float(np.polyval(table.p_mm_deg, 70.0)),
-                "linkage_rmse_mm": rms(fit.table_p_error_mm),
-                "linkage_max_mm": float(np.max(np.abs(fit.table_p_error_mm))),
-                "refit_p_mm_deg": fit.p_mm_deg,
-                "refit_p_rmse_mm": rms(fit.p_error_mm),
-                "refit_p_sse_mm2": fit.p_sse_mm2,
-                "refit_q_sse_deg2": fit.q_sse_deg2,
-                "strokes_per_period_mm": 2.0
-                * float(np.polyval(table.p_mm_deg, 10.0) - np.polyval(table.p_mm_deg, 70.0)),
-                "refit_q_deg_mm": fit.q_deg_mm,
-                "refit_q_rmse_deg": rms(fit.q_error_deg),
-                "table_q_rmse_deg": rms(fit.table_q_error_deg),
-            },
-            "table1_g4": {
-                "refit_p_sse_mm2": g4.p_sse_mm2,
-                "refit_q_sse_deg2": g4.q_sse_deg2,
-                "refit_p_rmse_mm": math.sqrt(g4.p_sse_mm2 / g4.degrees_of_freedom),
-                "refit_q_rmse_deg": math.sqrt(g4.q_sse_deg2 / g4.degrees_of_freedom),
-            },
-            "fig9": {
-                "initial_error_mm": float(abs(error[0])),
-                "error_after_1s_mm": float(abs(np.interp(1.0, self.fig9.time_s, error))),
-                "final_error_mm": float(abs(error[-1])),
-            },
-            "fig12": {
-                name: asdict(tracked.metrics)
-                | {"controller": tracked.scenario.controller.model_dump(exclude_defaults=True)}
-                for name, tracked in self.fig12.items()
-            },
+        numbers: dict[str, Any] = {
+            "table1": _table_1(self.fit),
+            "table1_g4": _table_1_of_g4(),
+            "fig9": _fig_9(self.fig9),
+            "fig12": {name: _fig_12(tracked) for name, tracked in self.fig12.items()},
             "fig12_start": start_errors(self.fig12["smc"]),
-            "fig13": {
-                "frequencies_hz": response.frequencies_hz,
-                "gain": response.gain,
-                "phase_deg": response.phase_deg,
-                "bandwidth_hz": response.bandwidth_hz,
-                "phase_at_bandwidth_deg": response.phase_at_bandwidth_deg,
-                "gain_spread": np.ptp(np.abs(response.response), axis=0),
-                "trials": [
-                    {"values": trial, "gain": np.abs(values)}
-                    for trial, values in zip(response.trials, response.response, strict=True)
-                ],
-            },
-            "scaling": {
-                name: {
-                    "bandwidth_hz": scaled.bandwidth_hz,
-                    "ratio": scaled.bandwidth_hz / self.scaling["nominal"].bandwidth_hz,
-                }
-                for name, scaled in self.scaling.items()
-            },
-            "speed_limit": {
-                "peak_speed_demand_at_0.1hz_rpm": peak_rpm,
-                "saturation_from_hz": saturation_hz,
-            },
-            "eq27_exact_states": {
-                name: {
-                    "growth_rate_per_s": growth_rate(run),
-                    "mean_command_change_rpm": to_rpm(
-                        mean_change(run["motor_speed_command_rad_s"])
-                    ),
-                }
-                for name, run in self.eq27_exact.items()
-            },
+            "fig13": _fig_13(self.fig13),
+            "scaling": _scaling(self.scaling),
+            "speed_limit": _speed_limit(),
+            "eq27_exact_states": {name: _eq_27_exact(run) for name, run in self.eq27_exact.items()},
             "eq27_differences": {
-                name: {
-                    "max_error_deg": tracked.metrics.max_error_deg,
-                    "rms_error_deg": tracked.metrics.rms_error_deg,
-                    "mean_command_change_rpm": tracked.metrics.mean_command_change_rpm,
-                }
-                for name, tracked in self.eq27_differences.items()
+                name: _eq_27_differences(tracked) for name, tracked in self.eq27_differences.items()
             },
         }
         return numbers | {"comparison": [row.as_dict() for row in compared(numbers)]}
 
 
-_RUNS: tuple[tuple[str, Callable[[Scenario], Any], Mapping[str, Scenario]], ...] = (
-    ("fig9", partial(simulate, signals=("rod_reference", "rod_extension")), {"": IDEAL_SMC}),
-    ("fig12", track, FIG_12),
-    (
-        "exact",
-        partial(simulate, signals=("load_pressure", "motor_speed_command")),
-        EQ_27_EXACT_STATES,
+@dataclass(frozen=True)
+class _Group:
+    """Scenarios that one function runs for one figure."""
+
+    run: Callable[[Scenario], Any]
+    scenarios: Mapping[str, Scenario]
+
+
+_GROUPS = {
+    "fig9": _Group(
+        partial(simulate, signals=("rod_reference", "rod_extension")), {"ideal_smc": IDEAL_SMC}
     ),
-    ("differences", track, EQ_27_DIFFERENCES),
-)
+    "fig12": _Group(track, FIG_12),
+    "eq27_exact": _Group(
+        partial(simulate, signals=("load_pressure", "motor_speed_command")), EQ_27_EXACT_STATES
+    ),
+    "eq27_differences": _Group(track, EQ_27_DIFFERENCES),
+}
+"""Dictionary from a field of `ReproduceResult` to its runs."""
 
 
 @needs_runs
@@ -193,9 +137,9 @@ def reproduce_study(
     """
     engine: Literal["compiled", "drake"] = "compiled" if scenario.simulation.compiled else "drake"
     tasks = {
-        (key, name): partial(run, case.with_engine(engine))
-        for key, run, cases in _RUNS
-        for name, case in cases.items()
+        (figure, name): partial(group.run, case.with_engine(engine))
+        for figure, group in _GROUPS.items()
+        for name, case in group.scenarios.items()
     }
     processes = workers if engine == "drake" else 1
     with open_sweep(workers=processes, executor=executor, progress=progress) as sweep:
@@ -206,25 +150,121 @@ def reproduce_study(
         response = measure(scenario, settings)
         scaling = {}
         for name, (case, narrow) in FIG_13_SCALING.items():
-            scaled = case.with_engine(engine)
-            scaling[name] = measure(scaled, narrow, trials=[{}])
-    by_task = dict(zip(tasks, values, strict=True))
-
-    def group(key: str) -> dict[str, Any]:
-        return {name: value for (kind, name), value in by_task.items() if kind == key}
-
+            scaling[name] = measure(case.with_engine(engine), narrow, trials=[{}])
+    runs: dict[str, dict[str, Any]] = {figure: {} for figure in _GROUPS}
+    for (figure, name), value in zip(tasks, values, strict=True):
+        runs[figure][name] = value
     return ReproduceResult(
         fit=fit_polynomials(),
-        fig9=by_task["fig9", ""],
-        fig12=group("fig12"),
+        fig9=runs["fig9"]["ideal_smc"],
+        fig12=runs["fig12"],
         fig13=response,
         scaling=scaling,
-        eq27_exact=group("exact"),
-        eq27_differences=group("differences"),
+        eq27_exact=runs["eq27_exact"],
+        eq27_differences=runs["eq27_differences"],
     )
 
 
 # --------------------------------------------------------------------------------- numbers
+
+
+def _table_1(fit: PolynomialFit) -> dict[str, Any]:
+    """Return how Table 1 fits the linkage, and the polynomials of ``fit`` in its place."""
+    table_p_mm_deg = RodPolynomialParameters().p_mm_deg
+    x_10_mm, x_70_mm = (float(np.polyval(table_p_mm_deg, angle)) for angle in (10.0, 70.0))
+    return {
+        "x_at_10deg_mm": x_10_mm,
+        "x_at_70deg_mm": x_70_mm,
+        "linkage_rmse_mm": rms(fit.table_p_error_mm),
+        "linkage_max_mm": float(np.max(np.abs(fit.table_p_error_mm))),
+        "refit_p_mm_deg": fit.p_mm_deg,
+        "refit_p_rmse_mm": rms(fit.p_error_mm),
+        "refit_p_sse_mm2": fit.p_sse_mm2,
+        "refit_q_sse_deg2": fit.q_sse_deg2,
+        "strokes_per_period_mm": 2.0 * (x_10_mm - x_70_mm),
+        "refit_q_deg_mm": fit.q_deg_mm,
+        "refit_q_rmse_deg": rms(fit.q_error_deg),
+        "table_q_rmse_deg": rms(fit.table_q_error_deg),
+    }
+
+
+def _table_1_of_g4() -> dict[str, float]:
+    """Return the errors of polynomials that are fitted to the geometry G4 as in Fig. 5."""
+    fit = fit_polynomials(G4, start_deg=5.0, samples=FIG_5_POINTS)
+    return {
+        "refit_p_sse_mm2": fit.p_sse_mm2,
+        "refit_q_sse_deg2": fit.q_sse_deg2,
+        "refit_p_rmse_mm": math.sqrt(fit.p_sse_mm2 / fit.degrees_of_freedom),
+        "refit_q_rmse_deg": math.sqrt(fit.q_sse_deg2 / fit.degrees_of_freedom),
+    }
+
+
+def _fig_9(run: Run) -> dict[str, float]:
+    """Return the magnitude of the rod's position error at the start, after 1 s and at the end."""
+    error_mm = rod_error_mm(run)
+    return {
+        "initial_error_mm": float(abs(error_mm[0])),
+        "error_after_1s_mm": float(abs(np.interp(1.0, run.time_s, error_mm))),
+        "final_error_mm": float(abs(error_mm[-1])),
+    }
+
+
+def _fig_12(tracked: TrackingResult) -> dict[str, Any]:
+    """Return the metrics of a run, and the parameters of its controller that are no defaults."""
+    controller = tracked.scenario.controller.model_dump(exclude_defaults=True)
+    return asdict(tracked.metrics) | {"controller": controller}
+
+
+def _fig_13(response: FrequencyResponse) -> dict[str, Any]:
+    """Return the mean frequency response of the trials, and the gain of each trial."""
+    return {
+        "frequencies_hz": response.frequencies_hz,
+        "gain": response.gain,
+        "phase_deg": response.phase_deg,
+        "bandwidth_hz": response.bandwidth_hz,
+        "phase_at_bandwidth_deg": response.phase_at_bandwidth_deg,
+        "gain_spread": np.ptp(np.abs(response.response), axis=0),
+        "trials": [
+            {"values": trial, "gain": np.abs(values)}
+            for trial, values in zip(response.trials, response.response, strict=True)
+        ],
+    }
+
+
+def _scaling(responses: Mapping[str, FrequencyResponse]) -> dict[str, dict[str, float]]:
+    """Return the bandwidth of each changed setup, and its ratio to the nominal bandwidth."""
+    nominal_hz = responses["nominal"].bandwidth_hz
+    return {
+        name: {"bandwidth_hz": response.bandwidth_hz, "ratio": response.bandwidth_hz / nominal_hz}
+        for name, response in responses.items()
+    }
+
+
+def _speed_limit() -> dict[str, float]:
+    """Return the two numbers of `speed_demand` with the names of the results."""
+    peak_rpm, saturation_hz = speed_demand()
+    return {
+        "peak_speed_demand_at_0.1hz_rpm": peak_rpm,
+        "saturation_from_hz": saturation_hz,
+    }
+
+
+def _eq_27_exact(run: Run) -> dict[str, float]:
+    """Return how Eq. 27 with exact states behaves at 2 ms."""
+    change_rad_s = mean_change(run["motor_speed_command_rad_s"])
+    return {
+        "growth_rate_per_s": growth_rate(run),
+        "mean_command_change_rpm": to_rpm(change_rad_s),
+    }
+
+
+def _eq_27_differences(tracked: TrackingResult) -> dict[str, float]:
+    """Return how Eq. 27 with differences of encoder readings behaves at 2 ms."""
+    return {
+        "max_error_deg": tracked.metrics.max_error_deg,
+        "rms_error_deg": tracked.metrics.rms_error_deg,
+        "mean_command_change_rpm": tracked.metrics.mean_command_change_rpm,
+    }
 
 
 def rod_error_mm(run: Run) -> Array:
@@ -235,25 +275,26 @@ def rod_error_mm(run: Run) -> Array:
 def start_errors(tracked: TrackingResult) -> dict[str, float]:
     """Return the largest errors in deg in the first quarter period of the sine, and afterwards."""
     run = tracked.run
-    error = np.abs(np.degrees(run["knee_angle_rad"] - run["knee_reference_rad"]))
-    first = run.time_s <= 0.25 / SineReference().frequency_hz
+    error_deg = np.abs(np.degrees(run["knee_angle_rad"] - run["knee_reference_rad"]))
+    in_first_quarter = run.time_s <= 0.25 / SineReference().frequency_hz
     return {
-        "first_quarter_period_deg": float(error[first].max()),
-        "later_deg": float(error[~first].max()),
+        "first_quarter_period_deg": float(error_deg[in_first_quarter].max()),
+        "later_deg": float(error_deg[~in_first_quarter].max()),
     }
 
 
 def speed_demand() -> tuple[float, float]:
     """Return what the paper's sine asks of the motor: a peak speed, and a highest frequency.
 
-    The first number is the peak motor speed in rpm at the frequency of the paper. The second is
-    the frequency in Hz at which the peak motor speed of the same sine equals the speed limit of
+    The first number is the peak motor speed in rpm at the frequency of the paper. The second number
+    is the frequency in Hz at which the peak motor speed of the same sine equals the speed limit of
     the motor. Eq. 10 relates knee and rod.
     """
     scenario = changed(Scenario(), {"plant.rod_map": "polynomial"})
     reached_hz = speed_limit_reached_hz(scenario)
-    share = SineReference().frequency_hz / reached_hz
-    return share * to_rpm(scenario.plant.pump.speed_limit_rad_s), reached_hz
+    limit_rpm = to_rpm(scenario.plant.pump.speed_limit_rad_s)
+    # The peak speed of a sine is proportional to its frequency.
+    return SineReference().frequency_hz / reached_hz * limit_rpm, reached_hz
 
 
 def growth_rate(run: Run) -> float:
@@ -261,12 +302,13 @@ def growth_rate(run: Run) -> float:
 
     Only the second half of the run counts.
     """
-    half = run.time_s >= 0.5 * run.time_s[-1]
-    time, pressure = run.time_s[half], run["load_pressure_pa"][half]
-    blocks = np.array_split(np.arange(time.size), 10)
-    level = [np.log(np.std(pressure[block]) + 1e-12) for block in blocks]
-    centre = [float(np.mean(time[block])) for block in blocks]
-    return float(np.polyfit(centre, level, 1)[0])
+    second_half = run.time_s >= 0.5 * run.time_s[-1]
+    time_s, pressure_pa = run.time_s[second_half], run["load_pressure_pa"][second_half]
+    blocks = np.array_split(np.arange(time_s.size), 10)
+    # The tiny term keeps the logarithm finite where the pressure does not move at all.
+    log_amplitudes = [np.log(np.std(pressure_pa[block]) + 1e-12) for block in blocks]
+    centres_s = [float(np.mean(time_s[block])) for block in blocks]
+    return float(np.polyfit(centres_s, log_amplitudes, 1)[0])
 
 
 FIG_12_TITLES = {
