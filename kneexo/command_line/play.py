@@ -51,12 +51,22 @@ def play(
     preset: str | None = None,
     compare: str | None = None,
 ) -> Outcome:
-    """Return an HTML page on which the closed loops of scenarios run and can be changed.
+    """Return an outcome with an HTML page on which a user runs and changes closed loops.
 
-    A scenario starts from ``preset`` if it is given. ``values`` (each NAME=VALUE) change every
-    scenario. Without files the page has the preset, by default the paper's setup. ``compare`` is
-    the name of a preset that the page adds without these changes. If ``browser`` is True, the
-    browser opens the page.
+    Parameters
+    ----------
+    scenarios
+        Paths of scenario files. Without files the page has ``preset``.
+    values
+        Changes of every scenario, each NAME=VALUE.
+    out
+        Path of the page, which the message names.
+    browser
+        Whether the browser opens the page.
+    preset
+        Name of the preset from which every scenario starts, by default the paper's setup.
+    compare
+        Name of a preset that the page also has, without the changes ``values``.
     """
     from kneexo.command_line.output import to_json
     from kneexo.parameters import Scenario
@@ -74,7 +84,7 @@ def play(
         loaded.append(Scenario.preset(compare))
     with named_in_errors(scenarios[0] if len(scenarios) == 1 else None):
         page = playground_page(loaded, names)
-    notices = [
+    shortened_runs = [
         f"kneexo: {shown(name)}: a run on the page has the first {LONGEST_RUN_S:g} of "
         f"{scenario.duration_s:g} s"
         for name, scenario in zip(names, loaded, strict=True)
@@ -84,7 +94,7 @@ def play(
     return Outcome(
         f"{shown(out)} ({size_mb:.1f} MB): {', '.join(map(shown, names))}; open it in a browser\n",
         to_json({"kneexo": __version__, "page": str(out), "scenarios": names}),
-        notices,
+        shortened_runs,
         page=page,
         open_in_browser=browser,
     )

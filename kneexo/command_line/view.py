@@ -45,7 +45,7 @@ def view(
     browser: bool,
     preset: str | None = None,
 ) -> Outcome:
-    """Return an HTML page that shows runs in three dimensions.
+    """Return an outcome with an HTML page that shows runs in three dimensions.
 
     Each of ``runs`` is a scenario file, or a directory that ``kneexo simulate`` wrote. ``values``
     (each NAME=VALUE) change the scenarios of files, which start from ``preset`` if it is given.

@@ -16,14 +16,13 @@ from kneexo.files.reading import read_bytes
 def lock(file: int | FileIO) -> None:
     """Lock an open file for this process.
 
-    On a file system without locks the function does nothing. Raises `BlockingIOError` if the file
-    is locked already.
+    Raises `BlockingIOError` if the file is locked already.
     """
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         raise
-    except OSError:
+    except OSError:  # a file system without locks, where the file stays unlocked
         pass
 
 
@@ -55,8 +54,9 @@ class LockedFile:
         Raises `OSError` if writing fails. Then the file can contain a part of ``data``.
         """
         stream = self._open()
-        while data:  # a disk that is almost full accepts a part, then raises
-            data = data[stream.write(data) :]
+        while data:
+            written = stream.write(data)  # can be less than all, if the disk is almost full
+            data = data[written:]
 
     def clear(self) -> None:
         """Remove the content of the file."""
@@ -90,11 +90,12 @@ class LockedFile:
             if (former := _LOCKED.pop(inode, None)) is not None:
                 former._release()
             lock(stream)
+            # Another process can delete the file between opening and locking. Then the lock is
+            # worth nothing, because the path names no file or a new one: open the path again.
             with suppress(FileNotFoundError):
                 if self._path.stat().st_ino == status.st_ino:
                     self._stream = stream
                     _LOCKED[inode] = self
-            # Otherwise another process has deleted the file since it was opened.
         return self._stream
 
     def _release(self) -> None:
@@ -104,4 +105,4 @@ class LockedFile:
 
 
 _LOCKED: WeakValueDictionary[tuple[int, int], LockedFile] = WeakValueDictionary()
-"""Dictionary from device and inode to the file that this process has locked."""
+"""Dictionary from device and inode to the `LockedFile` of this process that holds the lock."""

@@ -49,7 +49,7 @@ def fill(vector: Any, values: Sequence[Any]) -> None:
         vector.SetAtIndex(index, value)
 
 
-def _named_values(names: Sequence[str]) -> Any:
+def _named_tuple(names: Sequence[str]) -> Any:
     return namedtuple("Values", names)
 
 
@@ -62,14 +62,14 @@ class NamedLeaf(LeafSystem):
     are instances of ``Component``.
     """
 
-    _scalar: Any = None
-    _values: Any = _named_values(())
+    _scalar: Any = None  # Drake's scalar type, set by `leaf_template`
+    _parameter_class: Any = _named_tuple(())  # named tuple of the Context parameters
     check: Callable[[Any], None]
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the Context parameters; the compiler reads them."""
-        names: tuple[str, ...] = self._values._fields
+        names: tuple[str, ...] = self._parameter_class._fields
         return names
 
     def __new__(cls, *_: Any, **__: Any) -> Self:
@@ -81,7 +81,7 @@ class NamedLeaf(LeafSystem):
 
     def _declare_parameters(self, values: Mapping[str, float]) -> None:
         """Declare a vector of numeric Context parameters with their names and values."""
-        self._values = _named_values(tuple(values))
+        self._parameter_class = _named_tuple(tuple(values))
         self.DeclareNumericParameter(
             BasicVector_[self._scalar]([float(value) for value in values.values()])
         )
@@ -129,7 +129,8 @@ class NamedLeaf(LeafSystem):
 
     def parameters(self, context: Any) -> Any:
         """Return the named Context parameters of this system, as a named tuple of scalars."""
-        return self._values._make(context.get_numeric_parameter(0).CopyToVector().tolist())
+        vector = context.get_numeric_parameter(0)
+        return self._parameter_class._make(vector.CopyToVector().tolist())
 
     def set_parameter(self, context: Any, name: str, value: Any) -> None:
         """Set one Context parameter by its name.
