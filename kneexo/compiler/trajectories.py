@@ -42,10 +42,10 @@ def input_table(
         raise ValueError(f"trajectory: has {trajectory.cols()} columns; must have 1")
     if derivatives < 0:
         raise ValueError(f"derivatives = {derivatives}: must be >= 0")
-    orders = [trajectory.derivative(order) for order in range(derivatives + 1)]
+    signals = [trajectory.derivative(order) for order in range(derivatives + 1)]
     times = np.array(trajectory.get_segment_times())
     if not np.isfinite(times).all():  # a constant, without start and end
-        value = np.concatenate([order.value(0.0)[:, 0] for order in orders])
+        value = np.concatenate([signal.value(0.0)[:, 0] for signal in signals])
         return InputTable(coefficients=value[None, :, None])
     rows = trajectory.rows()
     width = 1 + max(
@@ -53,39 +53,40 @@ def input_table(
         for segment in range(times.size - 1)
         for row in range(rows)
     )
-    table = np.zeros((times.size + 1, rows * len(orders), width))
-    for number, order in enumerate(orders):
-        first = number * rows
-        if number == 0 or not zero_derivatives_beyond_limits:
+    # Segment 0 of the table lies before the first time, and the last segment after the last time.
+    table = np.zeros((times.size + 1, rows * len(signals), width))
+    for order, signal in enumerate(signals):
+        first = order * rows
+        if order == 0 or not zero_derivatives_beyond_limits:
             for segment, time in ((0, times[0]), (-1, times[-1])):
-                table[segment, first : first + rows, 0] = order.value(time)[:, 0]
+                table[segment, first : first + rows, 0] = signal.value(time)[:, 0]
         for segment in range(times.size - 1):
             for row in range(rows):
-                powers = order.getPolynomial(segment, row, 0).GetCoefficients()
+                powers = signal.getPolynomial(segment, row, 0).GetCoefficients()
                 table[segment + 1, first + row, : powers.size] = powers
     return InputTable(times, table)
 
 
 def stack_tables(*tables: InputTable) -> InputTable:
-    """Return one table with the inputs of several tables, in their order.
+    """Return one table with the inputs of several tables, in the order of the tables.
 
-    The result has the breaks of all tables. So a segment of a table can be split into several
-    segments, and each new segment has powers of the time since its own beginning.
+    The result has the breaks of all tables. A segment of a table can become several segments, each
+    with powers of the time since its own beginning.
     """
     breaks = np.unique(np.concatenate([_breaks(table) for table in tables]))
-    inputs = sum(table.coefficients.shape[1] for table in tables)
+    input_count = sum(table.coefficients.shape[1] for table in tables)
     width = max(table.coefficients.shape[2] for table in tables)
-    stacked = np.zeros((breaks.size + 1, inputs, width))
+    stacked = np.zeros((breaks.size + 1, input_count, width))
     for segment in range(breaks.size + 1):
         start = breaks[segment - 1] if segment else -np.inf
-        first = 0
+        row = 0
         for table in tables:
-            number = int(np.searchsorted(_breaks(table), start, side="right"))
-            shift = start - table.breaks[number - 1] if number else 0.0
-            for powers in table.coefficients[number]:
-                moved = Polynomial(powers)(Polynomial([shift, 1.0])).coef
-                stacked[segment, first, : moved.size] = moved
-                first += 1
+            old_segment = int(np.searchsorted(_breaks(table), start, side="right"))
+            shift = start - table.breaks[old_segment - 1] if old_segment else 0.0
+            for powers in table.coefficients[old_segment]:
+                shifted = Polynomial(powers)(Polynomial([shift, 1.0])).coef
+                stacked[segment, row, : shifted.size] = shifted
+                row += 1
     return InputTable(breaks, stacked)
 
 

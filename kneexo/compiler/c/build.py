@@ -71,7 +71,7 @@ def replay(name: str, files: Mapping[str, str]) -> Replay:
         raise BuildError(f"this machine has no C compiler ({', '.join(COMPILERS)})")
     with temporary_folder(files) as folder:
         _run(folder, compiler, *FLAGS, *_sources(files), "-o", "harness", "-lm")
-        process = _ended(folder, str(folder / "harness"))
+        process = _finished(folder, str(folder / "harness"))
     rows = re.findall(
         r"^(\w+): difference (\S+), largest value (\S+)$", process.stdout, re.MULTILINE
     )
@@ -129,35 +129,37 @@ def code_sizes(name: str, files: Mapping[str, str]) -> dict[str, CodeSize]:
                 flags = (*FLAGS, *options.split(), "-fstack-usage")
                 _run(folder, compiler, *flags, "-c", source)
                 objects.append(source.replace(".c", ".o"))
-            table = _run(folder, size, *objects).splitlines()[1:]
+            _, *rows = _run(folder, size, *objects).splitlines()
             usage = (folder / f"{name}.su").read_text()
-        stack = {
-            line.split(":")[3].split("\t")[0]: int(line.split("\t")[1])
-            for line in usage.splitlines()
-        }
-        other = (f"{name}_init", f"{name}_update_parameters", f"{name}_outputs")
+        frames = {}  # a line of the file is "NAME.c:LINE:COLUMN:FUNCTION\tBYTES\tKIND"
+        for line in usage.splitlines():
+            place, frame_bytes, _ = line.split("\t")
+            frames[place.split(":")[3]] = int(frame_bytes)
+        outside_step = (f"{name}_init", f"{name}_update_parameters", f"{name}_outputs")
         sizes[target] = CodeSize(
-            sum(int(line.split()[0]) for line in table),
-            sum(bytes_ for function, bytes_ in stack.items() if function not in other),
+            sum(int(row.split()[0]) for row in rows),  # the column "text"
+            sum(frame for function, frame in frames.items() if function not in outside_step),
         )
     return sizes
 
 
 def _run(folder: Path, *command: str) -> str:
-    process = _ended(folder, *command)
+    """Run a command in a folder; return its output. Raise `BuildError` if the command fails."""
+    process = _finished(folder, *command)
     if process.returncode:
         lines = process.stderr.splitlines() or ["no message"]
-        line = next((line for line in lines if "error" in line.lower()), lines[0])
-        raise BuildError(f"{_program(command)}: {line.strip()}")
+        reason = next((line for line in lines if "error" in line.lower()), lines[0])
+        raise BuildError(f"{_program(command)}: {reason.strip()}")
     return process.stdout
 
 
 def _program(command: Sequence[str]) -> str:
-    """Return the name of the program in a command: of ``python -m ziglang cc``, ziglang."""
+    """Return the name of the program in a command, such as ziglang for ``python -m ziglang cc``."""
     return command[2] if command[1:2] == ("-m",) else Path(command[0]).name
 
 
-def _ended(folder: Path, *command: str) -> subprocess.CompletedProcess[str]:
+def _finished(folder: Path, *command: str) -> subprocess.CompletedProcess[str]:
+    """Run a command in a folder to its end. Raise `BuildError` if the command cannot start."""
     try:
         return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     except OSError as error:

@@ -119,9 +119,11 @@ class Trace:
         numbers: dict[tuple[str, str], set[float]] = {}
         for section in self.equations.sections:
             system = section.where.rpartition(": ")[0], section.equation.partition(":")[0]
-            read = {node for new in self._new_nodes[section.where] for node in graph.arguments(new)}
-            values = {value for node in read if (value := graph.value(node)) is not None}
-            numbers.setdefault(system, set()).update(values.difference(_UNITS))
+            found = numbers.setdefault(system, set())
+            for operation in self._new_nodes[section.where]:
+                values = map(graph.value, graph.arguments(operation))
+                found.update(value for value in values if value is not None)
+            found.difference_update(_UNITS)
         return [
             (path, kind.rstrip("."), ", ".join(f"{value:.6g}" for value in sorted(values)))
             for (path, kind), values in numbers.items()
@@ -130,26 +132,28 @@ class Trace:
 
     def _tests(self, section: Section) -> str:
         """Return what depends on a section: numbers of outputs in the test vectors, or status."""
-        constant = self.equations.graph.value
-        values = (node for node in section.nodes if constant(node) is None)
-        nodes = self._new_nodes[section.where].union(values)
-        numbers = [number for number, behind in enumerate(self._behind, 1) if nodes & behind]
+        value = self.equations.graph.value
+        results = (node for node in section.nodes if value(node) is None)
+        nodes = self._new_nodes[section.where].union(results)
+        numbers = [n for n, needed in enumerate(self._needed_nodes, 1) if nodes & needed]
         status = ["status"] if section.where.endswith(": margin") else []
         return ", ".join([*_ranges(numbers), *status]) or "none"
 
     @cached_property
     def _new_nodes(self) -> dict[str, set[int]]:
-        """For each section the operations that no earlier section computes: its lines in C."""
-        graph, earlier, new = self.equations.graph, set[int](), {}
+        """For each section, the operations that no earlier section computes: its lines in C."""
+        graph, earlier = self.equations.graph, set[int]()
+        operations: dict[str, set[int]] = {}
         for section in self.equations.sections:
             nodes = set(graph.reachable(section.nodes)) - earlier
-            new[section.where] = {node for node in nodes if graph.nodes[node][0] not in SOURCES}
             earlier |= nodes
-        return new
+            is_source = {node for node in nodes if graph.nodes[node][0] in SOURCES}
+            operations[section.where] = nodes - is_source
+        return operations
 
     @cached_property
-    def _behind(self) -> list[set[int]]:
-        """For each output all nodes that its value depends on, at this or an earlier time."""
+    def _needed_nodes(self) -> list[set[int]]:
+        """For each output, all nodes that the output depends on, at the same or an earlier time."""
         graph, equations = self.equations.graph, self.equations
         updates = {i: node for update in equations.updates for i, node in update.values}
 

@@ -71,14 +71,15 @@ class Graph:
         return self._node(name, *arguments)
 
     def _node(self, *operation: Any) -> int:
+        # 0.0 equals -0.0 as a key, but both are different nodes.
         key = ("constant", str(operation[1])) if operation == ("constant", 0.0) else operation
-        number = self._numbers.setdefault(key, len(self.nodes))  # 0.0 equals -0.0
+        number = self._numbers.setdefault(key, len(self.nodes))
         if number == len(self.nodes):
             self.nodes.append(operation)
             kind = str(operation[0])
-            itself = {kind} if kind in SOURCES and kind != "constant" else set()
-            behind = (self.depends[argument] for argument in self.arguments(number))
-            self.depends.append(frozenset(itself).union(*behind))
+            own = {kind} if kind in SOURCES and kind != "constant" else set()
+            of_arguments = (self.depends[argument] for argument in self.arguments(number))
+            self.depends.append(frozenset(own).union(*of_arguments))
         return number
 
     def is_fixed(self, node: int) -> bool:
@@ -129,18 +130,20 @@ class Graph:
         The coefficients are fixed values. The sum uses Estrin's scheme, whose products do not wait
         for each other. (Each product of Horner's rule waits for the product before.)
         """
-        for constant, product in (terms, terms[::-1]) if len(terms) == 2 else ():
+        if len(terms) != 2:
+            return None
+        for c, product in (terms, terms[::-1]):
             name, *factors = self.nodes[product]
-            if not self.is_fixed(constant) or name != "multiply" or len(factors) != 2:
+            if not self.is_fixed(c) or name != "multiply" or len(factors) != 2:
                 continue
-            for inner, t in (factors, factors[::-1]):
-                higher: tuple[int, ...] = ()
-                if self.is_fixed(inner) and not self.is_fixed(t):
-                    higher = (inner,)
-                elif self._polynomials.get(inner, ((), None))[1] == t:
-                    higher = self._polynomials[inner][0]
-                if higher:
-                    coefficients = (constant, *higher)
+            for p, t in (factors, factors[::-1]):
+                p_coefficients: tuple[int, ...] = ()
+                if self.is_fixed(p) and not self.is_fixed(t):
+                    p_coefficients = (p,)
+                elif self._polynomials.get(p, ((), None))[1] == t:
+                    p_coefficients = self._polynomials[p][0]
+                if p_coefficients:
+                    coefficients = (c, *p_coefficients)
                     node = self._polynomial(coefficients, t)
                     self._polynomials[node] = coefficients, t
                     return node
@@ -150,10 +153,11 @@ class Graph:
         """Make the polynomial in ``t`` by Estrin's scheme; the first coefficient belongs to t⁰."""
         if len(coefficients) > 4:
             square = self.multiply(t, t)
-            even, odd = (self._polynomial(coefficients[n::2], square) for n in (0, 1))
+            even = self._polynomial(coefficients[::2], square)
+            odd = self._polynomial(coefficients[1::2], square)
             return self._node("add", even, self._node("multiply", odd, t))
         *lower, node = coefficients
-        for coefficient in reversed(lower):
+        for coefficient in reversed(lower):  # Horner's rule
             node = self._node("add", coefficient, self._node("multiply", node, t))
         return node
 

@@ -135,7 +135,8 @@ def _function(
     return Operation(value, partials, drake, native, c, role, arguments=1, **properties)
 
 
-# The lambdas of the derivatives take the graph g, the argument a and the node f of the value.
+# The lambdas of the derivatives take the graph g, the argument or arguments a and the node f of the
+# value. The texts behind a star are `drake`, `native` and `c`.
 OPERATIONS: dict[str, Operation] = {
     "add": Operation(
         lambda *a: reduce(np.add, a),

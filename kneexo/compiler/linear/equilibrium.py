@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike
 from ..arguments import names, quoted
 from ..equations.contexts import set_state
 from ..errors import NoEquilibriumError, ParameterError, shown
-from ..run_data import Array, State
+from ..run_data import Array, Integers, State
 from .newton import newton
 from .point import EQUILIBRIUM_TOLERANCE, Point, read_point, require_tolerance, system_of
 
@@ -29,10 +30,10 @@ def find_equilibrium(
 ) -> Any:
     """Return a new Context in which all states of a diagram of floats rest.
 
-    There all rates of continuous states are zero, and no update changes a discrete state. The
-    search is Newton's method with exact derivatives, from the state in ``context``. Where it fails,
-    a search by least squares follows. A state without influence keeps its value. The time is that
-    of the Context.
+    A state rests if its rate is zero, or, for a discrete state, if no update changes the state. The
+    search is Newton's method with exact derivatives, from the state in ``context``. If Newton's
+    method fails, a search by least squares follows. A state without influence keeps its value. The
+    time is the time of the Context.
 
     Parameters
     ----------
@@ -74,29 +75,17 @@ def find_equilibrium(
             raise ParameterError(
                 f"free_inputs: {quoted(name)} is no input port of the diagram itself"
             )
-    required = _target(start, targets)
-    n, m = start.state.size, len(start.element_names(in_names))
-    free = np.concatenate([_free_states(start, fixed), n + np.arange(m)])
-
-    def point_at(unknowns: Array) -> Point:
-        values = np.concatenate([start.state, start.inputs])
-        values[free] = unknowns
-        return start.at(values[:n], values[n:])
-
-    def function(unknowns: Array) -> tuple[Array, Array]:
-        point = point_at(unknowns)
-        slopes = point.slopes(out_names)
-        return (
-            np.concatenate([point.residual(slopes.rates), slopes.outputs - required]),
-            np.vstack([point.residual_jacobian(slopes), slopes.outputs_jacobian])[:, free],
-        )
-
-    for unknowns in _searches(function, np.concatenate([start.state, start.inputs])[free]):
-        point = point_at(unknowns)
+    required = _required_values(start, targets)
+    free_inputs_count = len(start.element_names(in_names))
+    inputs_after_states = start.state.size + np.arange(free_inputs_count)
+    free = np.concatenate([_free_states(start, fixed), inputs_after_states])
+    problem = _Problem(start, free, out_names, required)
+    for unknowns in _searches(problem.residual, problem.start_values[problem.free]):
+        point = problem.point(unknowns)
         slopes = point.slopes(out_names)
         fault = point.motion(slopes, equilibrium_tolerance)
-        error = slopes.outputs - required
-        if not fault and not (np.abs(error) <= equilibrium_tolerance).all():
+        is_reached = np.abs(slopes.outputs - required) <= equilibrium_tolerance  # False for nan
+        if not fault and not is_reached.all():
             fault = _wrong_output(point.element_names(out_names), slopes.outputs, required)
         if not fault:
             return _context_at(system, context, point, in_names)
@@ -107,26 +96,64 @@ def find_equilibrium(
     )
 
 
+@dataclass(frozen=True)
+class _Problem:
+    """Equations of an equilibrium with required outputs. The unknowns are free states and inputs.
+
+    ``free`` has the indices of the unknowns among all states, followed by all inputs.
+    """
+
+    start: Point
+    free: Integers
+    outputs: tuple[str, ...]
+    required: Array
+
+    @property
+    def start_values(self) -> Array:
+        """States and inputs at the start, one after the other."""
+        return np.concatenate([self.start.state, self.start.inputs])
+
+    def point(self, unknowns: Array) -> Point:
+        """Return the start with other values of the unknowns."""
+        values = self.start_values
+        values[self.free] = unknowns
+        state_count = self.start.state.size
+        return self.start.at(values[:state_count], values[state_count:])
+
+    def residual(self, unknowns: Array) -> tuple[Array, Array]:
+        """Return what must become zero, and its Jacobian by the unknowns."""
+        point = self.point(unknowns)
+        slopes = point.slopes(self.outputs)
+        jacobian = np.vstack([point.residual_jacobian(slopes), slopes.outputs_jacobian])
+        return (
+            np.concatenate([point.residual(slopes.rates), slopes.outputs - self.required]),
+            jacobian[:, self.free],
+        )
+
+
 def _wrong_output(names: tuple[str, ...], values: Array, required: Array) -> str:
     """Return a text that names the output with the largest error."""
     element = int(np.argmax(np.abs(values - required)))
     return f"{names[element]} = {values[element]:.6g} in place of {required[element]:.6g}"
 
 
-def _target(point: Point, targets: Mapping[str, ArrayLike]) -> Array:
-    """Return the values of all elements of the outputs, one after the other."""
-    rows = [np.empty(0)]
+def _required_values(point: Point, targets: Mapping[str, ArrayLike]) -> Array:
+    """Return the required values of all elements of the outputs, one after the other.
+
+    Raises `ParameterError` for values that are not finite, or too many or too few.
+    """
+    vectors = [np.empty(0)]
     for name, value in targets.items():
         size = len(point.element_names([name]))
         try:
-            row = np.atleast_1d(np.asarray(value, dtype=float))
+            vector = np.atleast_1d(np.asarray(value, dtype=float))
         except (TypeError, ValueError):
-            row = np.empty(0)
-        if row.shape != (size,) or not np.isfinite(row).all():
+            vector = np.empty(0)
+        if vector.shape != (size,) or not np.isfinite(vector).all():
             kind = "a finite number" if size == 1 else f"{size} finite numbers"
             raise ParameterError(f"outputs: {shown(name)} = {quoted(value)}: must be {kind}")
-        rows.append(row)
-    return np.concatenate(rows)
+        vectors.append(vector)
+    return np.concatenate(vectors)
 
 
 def _free_states(point: Point, fixed: Iterable[str]) -> Array:
@@ -142,13 +169,16 @@ def _free_states(point: Point, fixed: Iterable[str]) -> Array:
 
 
 def _searches(function: Any, start: Array) -> Iterator[Array]:
-    """Yield points that may be zeros of a function with Jacobian, by Newton and least squares."""
+    """Yield points that may be zeros of a function, by Newton's method and by least squares.
+
+    ``function(point)`` returns value and Jacobian.
+    """
     if not start.size:
         yield start
         return
     yield newton(function, start)
     if not all(np.isfinite(part).all() for part in function(start)):
-        return
+        return  # least_squares refuses such a start
     nearest = scipy.optimize.least_squares(
         lambda point: function(point)[0],
         start,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydrake.systems.framework import PortDataType, System
@@ -64,12 +64,11 @@ def loop_at(
         bypass=bypass,
         equilibrium_tolerance=equilibrium_tolerance,
     )
-    column = _index(name, element, len(model.output_names))
-    row = model.c[column : column + 1]
-    drive = model.b[:, column : column + 1]
+    index = _index(name, element, len(model.output_names))
+    b, c = model.b[:, index : index + 1], model.c[index : index + 1]
     if model.period_s is None:
-        return Transfer(model.a - drive @ row, drive, -row, 0.0, None)
-    loop = PeriodicLoop(opened(model.ticks, column, row), row, model.period_s)
+        return Transfer(model.a - b @ c, b, -c, 0.0, None)  # d = v − y in ẋ = A x + B d
+    loop = PeriodicLoop(opened(model.ticks, index, c), c, model.period_s)
     return _transfer(loop) or loop
 
 
@@ -108,36 +107,45 @@ def _transfer(loop: PeriodicLoop) -> Transfer | None:
     None if the signal changes between two uses.
     """
     events = list(_uses_and_changes(loop))
-    starts = [
-        (number, updated)
-        for index, (is_use, number, updated) in enumerate(events)
-        if is_use and not events[index - 1][0]
+    # The first event follows the last one, because the ticks repeat.
+    after_change = [
+        event
+        for before, event in zip(events[-1:] + events, events, strict=False)
+        if event.is_use and not before.is_use
     ]
-    if len(starts) > 1:
+    if len(after_change) > 1:
         return None
-    number, updated = starts[0] if starts else (0, False)
-    ticks = loop.ticks[number:] + loop.ticks[:number]
-    a, b = over_period(updates_last(ticks) if updated else ticks)
+    start = after_change[0] if after_change else _Event(True, 0, False)
+    ticks = loop.ticks[start.tick :] + loop.ticks[: start.tick]
+    a, b = over_period(updates_last(ticks) if start.after_updates else ticks)
     return Transfer(a, b, -loop.row, 0.0, loop.period_s)
 
 
-def _uses_and_changes(loop: PeriodicLoop) -> Iterator[tuple[bool, int, bool]]:
+class _Event(NamedTuple):
+    """A use of the signal, at which systems read the signal, or a change of the signal."""
+
+    is_use: bool
+    tick: int
+    """Index of the tick in the period."""
+    after_updates: bool
+    """Whether the event comes after the updates of the tick."""
+
+
+def _uses_and_changes(loop: PeriodicLoop) -> Iterator[_Event]:
     """Yield the uses and the changes of the signal, in the order of time.
 
-    At a use, systems read the signal. The elements of an event are: True for a use and False for a
-    change; the number of its tick; True if the event comes after the updates of this tick. An
-    update reads the signal before the signal changes.
+    An update reads the signal before the signal changes.
     """
-    for number, tick in enumerate(loop.ticks):
+    for index, tick in enumerate(loop.ticks):
         jump = np.hstack([tick.jump_state - np.eye(loop.row.size), tick.jump_input])
         rate = np.hstack([tick.rate_state, tick.rate_input])
         if tick.jump_input.any():
-            yield True, number, False
+            yield _Event(True, index, after_updates=False)
         if (loop.row @ jump).any():
-            yield False, number, True
+            yield _Event(False, index, after_updates=True)
         is_used, moves = tick.rate_input.any(), (loop.row @ rate).any()
         for _ in range(2 if is_used and moves else 1):  # twice: both go on until the next updates
             if is_used:
-                yield True, number, True
+                yield _Event(True, index, after_updates=True)
             if moves:
-                yield False, number, True
+                yield _Event(False, index, after_updates=True)

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -85,24 +86,26 @@ def timing(
         record_period_s = min(period for period, _ in periods)
     if not 0.0 < record_period_s < math.inf:
         raise ValueError(f"record_period_s = {record_period_s} s: must be finite and > 0")
-    spans = [record_period_s, *(span for pair in periods for span in pair)]
-    base = min(span for span in spans if span > 0.0)
-    ratios = [Fraction(span / base).limit_denominator(1000) for span in spans]
-    if any(abs(span / base - ratio) > 1e-9 for span, ratio in zip(spans, ratios, strict=True)):
+    times_s = [record_period_s, *chain.from_iterable(periods)]
+    shortest_s = min(time for time in times_s if time > 0.0)
+    ratios = [Fraction(time / shortest_s).limit_denominator(1000) for time in times_s]
+    errors = [abs(t / shortest_s - ratio) for t, ratio in zip(times_s, ratios, strict=True)]
+    if max(errors) > 1e-9:
         raise CompilationError(
-            f"sample times {', '.join(f'{span:g}' for span in spans)} s have no common divisor"
+            f"sample times {', '.join(f'{time:g}' for time in times_s)} s have no common divisor"
         )
-    parts = math.lcm(*(ratio.denominator for ratio in ratios))
-    counts = [int(ratio * parts) for ratio in ratios]
-    shared = math.gcd(*counts)
-    split = max(1, math.ceil(base * shared / parts / longest_s * (1.0 - 1e-9)))
-    counts = [count // shared * split for count in counts]
-    unit = base * shared / parts
+    # The unit is the greatest common divisor of fractions of the shortest time.
+    denominator = math.lcm(*(ratio.denominator for ratio in ratios))
+    numerators = [int(ratio * denominator) for ratio in ratios]
+    divisor = math.gcd(*numerators)
+    unit_s = shortest_s * divisor / denominator
+    split = max(1, math.ceil(unit_s / longest_s * (1.0 - 1e-9)))
+    record_ticks, *update_ticks = [count // divisor * split for count in numerators]
     return Timing(
-        unit / split,
-        np.array(counts[1::2], dtype=np.int64),
-        np.array(counts[2::2], dtype=np.int64),
-        counts[0],
-        unit,
-        split,
+        tick=unit_s / split,
+        periods=np.array(update_ticks[::2], dtype=np.int64),
+        offsets=np.array(update_ticks[1::2], dtype=np.int64),
+        record_every=record_ticks,
+        unit=unit_s,
+        split=split,
     )
