@@ -190,8 +190,9 @@ def bode(
     """
     loop = linearize(scenario, knee_angle_deg=knee_angle_deg, law=law, initial_state=initial_state)
     loop.require_stable("frequency response")
-    f = loop.frequency_grid() if frequencies_hz is None else frequencies_hz
-    f = np.atleast_1d(np.asarray(f, dtype=float))
+    if frequencies_hz is None:
+        frequencies_hz = loop.frequency_grid()
+    f = np.atleast_1d(np.asarray(frequencies_hz, dtype=float))
     return BodeResponse(f, loop.output_response(f), loop.complementary_sensitivity(f), loop)
 
 

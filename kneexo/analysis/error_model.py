@@ -96,9 +96,10 @@ class ErrorModel(Result):
         ``velocity`` in m/s and ``acceleration`` in m/s² are derivatives of x_d.
         ``load_pressure_pa`` is P_L.
         """
-        missing = (1.0 - self.speed_ratio) * velocity
-        missing -= self.speed_ratio * self.delay_s * acceleration
-        return self.gain_s * (missing - self.leakage_m_per_s_pa * load_pressure_pa)
+        missing_speed = (1.0 - self.speed_ratio) * velocity
+        missing_speed -= self.speed_ratio * self.delay_s * acceleration
+        missing_speed -= self.leakage_m_per_s_pa * load_pressure_pa
+        return self.gain_s * missing_speed
 
     def response(self, frequencies_hz: ArrayLike) -> Complex:
         """Return the complex response e/x_d to a sine in x_d, (n,), at frequencies in Hz, (n,)."""
@@ -129,27 +130,31 @@ def error_model(
     The term |1 − β||x⃛_d − 2λë − λ²ė| of k is neglected. Raises `ParameterError` if the controller
     is no sliding-mode controller or ``loaded_chamber`` does not match the order of the plant.
     """
-    law, believed, plant = sliding_mode(scenario), scenario.believed_plant, scenario.plant
-    oil = believed.cylinder
-    stiffness = 4.0 * oil.bulk_modulus_pa * oil.mean_area_m2**2
-    stiffness /= law.mass_estimate_kg * oil.total_volume_m3
-    k = law.gain_ratio * law.eta_m_s3 + law.area_uncertainty * stiffness * rod_speed_m_s
-    bounds = law.stiffness_uncertainty_n_per_m * rod_speed_m_s + law.load_rate_uncertainty_n_per_s
-    k += bounds / law.mass_estimate_kg
-    area = _area_m2(plant.cylinder, loaded_chamber, plant.full_order is not None)
-    pump, believed_pump = plant.pump, believed.pump
-    speed_ratio = area / oil.mean_area_m2
+    law, plant, believed_plant = sliding_mode(scenario), scenario.plant, scenario.believed_plant
+    believed = believed_plant.cylinder
+    stiffness_per_s2 = 4.0 * believed.bulk_modulus_pa * believed.mean_area_m2**2
+    stiffness_per_s2 /= law.mass_estimate_kg * believed.total_volume_m3
+    # k = β η + the bounds of what the controller does not know, Eq. 27.
+    k = law.gain_ratio * law.eta_m_s3 + law.area_uncertainty * stiffness_per_s2 * rod_speed_m_s
+    force_rate = law.stiffness_uncertainty_n_per_m * rod_speed_m_s
+    force_rate += law.load_rate_uncertainty_n_per_s
+    k += force_rate / law.mass_estimate_kg
+    area_m2 = _area_m2(plant.cylinder, loaded_chamber, plant.full_order is not None)
+    pump, believed_pump = plant.pump, believed_plant.pump
+    speed_ratio = area_m2 / believed.mean_area_m2
     speed_ratio *= pump.gear_ratio / believed_pump.gear_ratio
     speed_ratio *= believed_pump.displacement_m3_per_rad / pump.displacement_m3_per_rad
-    hold_delay = 0.0 if law.continuous else (0.5 + scenario.bus.latency_samples) * law.sample_time_s
+    delay_s = 0.0 if plant.ideal_motor else pump.lag_s
+    if not law.continuous:
+        delay_s = (0.5 + scenario.bus.latency_samples) * law.sample_time_s + delay_s
+    leakage_m3_per_s_pa = pump.leakage_m3_per_s_pa + plant.cylinder.leakage_m3_per_s_pa
     return ErrorModel(
         lambda_per_s=law.lambda_per_s,
         slope_per_s=k / law.phi_m_s2,
-        stiffness_per_s2=stiffness,
+        stiffness_per_s2=stiffness_per_s2,
         speed_ratio=speed_ratio,
-        delay_s=hold_delay + (0.0 if plant.ideal_motor else pump.lag_s),
-        leakage_m_per_s_pa=(pump.leakage_m3_per_s_pa + plant.cylinder.leakage_m3_per_s_pa)
-        / oil.mean_area_m2,
+        delay_s=delay_s,
+        leakage_m_per_s_pa=leakage_m3_per_s_pa / believed.mean_area_m2,
     )
 
 

@@ -129,11 +129,11 @@ def walking_demand(scenario: Scenario, frequency_hz: float = 1.0) -> WalkingDema
     period = 1.0 / frequency_hz
     # The stride starts at heel contact, the reference later, at the smallest flexion.
     time = np.linspace(0.0, period, _SAMPLES + 1)
-    phase = time - 0.01 * gait_start_percent() * period
-    angle, rate, acceleration = (knee(phase, order) for order in range(3))
+    reference_time = time - 0.01 * gait_start_percent() * period
+    angle, rate, acceleration = (knee(reference_time, order) for order in range(3))
     arm = moment_arm_m(scenario, angle)
-    speed = -arm * rate
-    rod_acceleration = _rate(time, speed)
+    rod_speed = -arm * rate
+    rod_acceleration = _rate(time, rod_speed)
     inertia = plant.knee_inertia_kg_m2
     inertial_force = cylinder.mass_kg * rod_acceleration
     if inertia is not None:
@@ -141,11 +141,11 @@ def walking_demand(scenario: Scenario, frequency_hz: float = 1.0) -> WalkingDema
     force = inertial_force + _load_force(scenario, time, angle, arm)
     pressure = (
         force
-        + cylinder.damping_n_s_per_m * speed
+        + cylinder.damping_n_s_per_m * rod_speed
         + cylinder.stiffness_n_per_m * rod_of(scenario, angle)
     ) / cylinder.mean_area_m2
     flow = (
-        cylinder.mean_area_m2 * speed
+        cylinder.mean_area_m2 * rod_speed
         + cylinder.leakage_m3_per_s_pa * pressure
         + cylinder.total_volume_m3 / (4.0 * cylinder.bulk_modulus_pa) * _rate(time, pressure)
     )
@@ -156,7 +156,7 @@ def walking_demand(scenario: Scenario, frequency_hz: float = 1.0) -> WalkingDema
         cycle_percent=100.0 * time / period,
         knee_angle_deg=np.degrees(angle),
         knee_rate_deg_s=np.degrees(rate),
-        rod_speed_m_s=speed,
+        rod_speed_m_s=rod_speed,
         rod_acceleration_m_s2=rod_acceleration,
         rod_force_n=force,
         load_pressure_pa=pressure,
@@ -188,14 +188,15 @@ def linear_error_deg(scenario: Scenario, demand: WalkingDemand) -> Array:
 
 
 def moment_arm_m(scenario: Scenario, knee_angle_rad: Array) -> Array:
-    """Return the moment arm −dx/dθ_p in m at knee angles in rad: a central difference quotient."""
-    before, after = (rod_of(scenario, knee_angle_rad + h) for h in (-_ANGLE_STEP, _ANGLE_STEP))
+    """Return the moment arm −dx/dθ_p in m at knee angles in rad, by central differences."""
+    before = rod_of(scenario, knee_angle_rad - _ANGLE_STEP)
+    after = rod_of(scenario, knee_angle_rad + _ANGLE_STEP)
     return (before - after) / (2.0 * _ANGLE_STEP)
 
 
 def _rate(time: Array, periodic: Array) -> Array:
     """Return the time derivative (n,) of a signal (n,) sampled over exactly one period."""
-    closed = np.append(periodic[:-1], periodic[0])
+    closed = np.append(periodic[:-1], periodic[0])  # a periodic spline needs equal ends
     return np.asarray(scipy.interpolate.CubicSpline(time, closed, bc_type="periodic")(time, 1))
 
 
@@ -230,8 +231,9 @@ def walk(scenario: Scenario, frequency_hz: float = 1.0, cycles: int = 3) -> dict
     walking = scenario.model_copy(update={"reference": gait_reference(frequency_hz, cycles)})
     walking = changed(walking, {"simulation.duration_s": cycles / frequency_hz})
     run = simulate(walking, signals=(*TRACKING_SIGNALS, "motor_speed"))
-    late = run.time_s >= 1.0 / frequency_hz - 1e-9
-    return {"time_s": run.time_s[late]} | {n: values[late] for n, values in run.data.items()}
+    after_first = run.time_s >= 1.0 / frequency_hz - 1e-9
+    signals = {name: values[after_first] for name, values in run.data.items()}
+    return {"time_s": run.time_s[after_first]} | signals
 
 
 @needs_runs
