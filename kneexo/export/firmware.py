@@ -95,9 +95,16 @@ def make_firmware(
     SimulationError
         The run of the closed loop or of the exported diagram fails.
     """
-    options: dict[str, Any] = {"precision": precision, "vectors_s": vectors_s, "step_s": step_s}
-    options |= {"look_up": look_up, "name": name, "outputs": outputs}
-    return _firmware(scenario, what, **options)
+    return _firmware(
+        scenario,
+        what,
+        precision=precision,
+        vectors_s=vectors_s,
+        step_s=step_s,
+        look_up=look_up,
+        name=name,
+        outputs=outputs,
+    )
 
 
 def _firmware(
@@ -225,14 +232,18 @@ def make_sil(
             f"estimator.kind = {scenario.estimator.kind!r}: no sensor measures the state of the "
             f"rod; must be observer or difference for software in the loop"
         )
-    largest_s = largest_step_s(scenario, "plant") if step_s is None else step_s
-    options: dict[str, Any] = {"vectors_s": vectors_s, "step_s": largest_s}
-    options["solver"] = {"integrator": "rk4", "step_s": largest_s}
-    law: dict[str, Any] = {"precision": precision, "look_up": look_up}
-    controller = _firmware(scenario, "controller", **options, **law)
-    plant = _firmware(scenario, "plant", precision="double", **options)
-    counts = {ENCODER_COUNT: ("encoder_reading_rad", scenario.encoder.resolution_rad)}
-    return Sil(controller, plant, counts)
+    if step_s is None:
+        step_s = largest_step_s(scenario, "plant")
+    # Both models get test vectors from the same run.
+    shared: dict[str, Any] = {
+        "vectors_s": vectors_s,
+        "step_s": step_s,
+        "solver": {"integrator": "rk4", "step_s": step_s},
+    }
+    controller = _firmware(scenario, "controller", precision=precision, look_up=look_up, **shared)
+    plant = _firmware(scenario, "plant", precision="double", **shared)
+    encoder = {ENCODER_COUNT: ("encoder_reading_rad", scenario.encoder.resolution_rad)}
+    return Sil(controller, plant, encoder)
 
 
 def export_sil(
@@ -270,17 +281,19 @@ def loop_inputs(
     The result has the shape (steps, input elements). Inputs in `OUTSIDE` are zero. ``solver`` has
     the options ``integrator`` and ``step_s`` of `CompiledModel.simulate`.
     """
-    sample_time = source.plan.schedule.tick_s
-    signals = {ENCODER_COUNT: "encoder_reading", "rod_state": "estimated_state"}
-    inside = [signals.get(name, name) for name in target.inputs if name not in OUTSIDE]
+    sample_time_s = source.plan.schedule.tick_s
+    signal_of = {name: name for name in target.inputs if name not in OUTSIDE}
+    for name, signal in ((ENCODER_COUNT, "encoder_reading"), ("rod_state", "estimated_state")):
+        if name in signal_of:
+            signal_of[name] = signal
     model = compile_scenario(scenario)
     parameters, state, table = scenario_run(scenario, model)
     run = model.simulate(
         parameters,
         state,
-        (steps + 1) * sample_time,
-        outputs=tuple(dict.fromkeys(inside)),
-        record_period_s=sample_time,
+        (steps + 1) * sample_time_s,
+        outputs=tuple(dict.fromkeys(signal_of.values())),
+        record_period_s=sample_time_s,
         inputs=table,
         **solver,
     )
@@ -291,7 +304,7 @@ def loop_inputs(
         elif name == "motor_speed_command":  # a record at t is the command up to t
             values = run[name][1 : steps + 1]
         else:
-            values = run[signals.get(name, name)][:steps]
+            values = run[signal_of[name]][:steps]
         if name == ENCODER_COUNT:
             values = np.round(values / scenario.encoder.resolution_rad)
         columns.append(values)

@@ -120,22 +120,22 @@ def fit_maps(
         if failed is None:
             _prove(probe, maps, names)
             return maps, tuple(names)
-        index, of = failed
-        droppable = [name for name in of if name not in required]
+        index, numbers = failed
+        droppable = [name for name in numbers if name not in required]
         if not droppable:
             raise ParameterError(
-                f"{', '.join(of)}: no formula represents the effect on the model; a page cannot "
-                f"vary it"
+                f"{', '.join(numbers)}: no formula represents the effect on the model; a page "
+                f"cannot vary it"
             )
-        culprit = _culprit(probe, index, of, droppable, values, unit)
-        names.remove(culprit)
-        probe.fix(culprit, values)
+        dropped = _dropped(probe, index, numbers, droppable, values, unit)
+        names.remove(dropped)
+        probe.fix(dropped, values)
 
 
-def _culprit(
+def _dropped(
     probe: _Probe,
     index: int,
-    of: list[str],
+    numbers: list[str],
     droppable: list[str],
     values: Mapping[str, float],
     unit: float,
@@ -144,7 +144,7 @@ def _culprit(
     for name in reversed(droppable):
         centre = probe.centre.copy()
         probe.fix(name, values)
-        formula = _fit(probe, index, [other for other in of if other != name], unit)
+        formula = _fit(probe, index, [other for other in numbers if other != name], unit)
         probe.centre = centre
         if formula is not None:
             return name
@@ -216,98 +216,108 @@ def _fits(
     probe: _Probe, names: Sequence[str], unit: float
 ) -> tuple[dict[int, Map], tuple[int, list[str]] | None]:
     """Return the formulas and None, or the first parameter without formula, with its numbers."""
-    numbers: dict[int, list[str]] = {}
+    numbers_of: dict[int, list[str]] = {}
     for name in names:
         for index in probe.affected(name):
-            numbers.setdefault(index, []).append(name)
+            numbers_of.setdefault(index, []).append(name)
     maps: dict[int, Map] = {}
-    for index, of in numbers.items():
-        formula = _fit(probe, index, of, unit)
+    for index, numbers in numbers_of.items():
+        formula = _fit(probe, index, numbers, unit)
         if formula is None:
-            return {}, (index, of)
+            return {}, (index, numbers)
         maps[index] = formula
     return maps, None
 
 
 def _prove(probe: _Probe, maps: Mapping[int, Map], names: Sequence[str]) -> None:
     """Raise `ParameterError` if formulas are wrong where all numbers change together."""
-    got, expected = [probe({})], [probe({})]
+    at_centre = probe({})
+    mapped, expected = [at_centre], [at_centre]
     for point in probe.points(names):
         with suppress(KneexoError):  # the scenario refuses these values together
             expected.append(probe(point))
-            got.append(got[0].copy())
+            mapped.append(at_centre.copy())
             for index, formula in maps.items():
-                got[-1][index] = map_value(formula, point)
+                mapped[-1][index] = map_value(formula, point)
     bound = TOLERANCE * np.abs(expected).max(axis=0)
     with np.errstate(invalid="ignore"):  # a limit that is inf everywhere
-        wrong = np.abs(np.array(got) - expected) > bound
+        wrong = np.abs(np.array(mapped) - expected) > bound
     if wrong.any():
         raise ParameterError(f"{', '.join(names)}: no formula represents their joint effect")
 
 
-def _fit(probe: _Probe, index: int, of: list[str], unit: float) -> Map | None:
-    """Return the first formula that represents a parameter, or None."""
-    ranges = {name: probe.ranges[name] for name in of}
+def _fit(probe: _Probe, index: int, numbers: list[str], unit: float) -> Map | None:
+    """Return the first formula that represents a parameter by ``numbers``, or None."""
+    ranges = {name: probe.ranges[name] for name in numbers}
 
     def value(point: Mapping[str, float]) -> float:
         return float(probe(point)[index])
 
+    if not numbers:
+        return None
     with suppress(KneexoError):  # the scenario refuses some values together
-        proof = probe.points(of)
-        expected = np.array([value(point) for point in proof])
+        points = probe.points(numbers)
+        expected = np.array([value(point) for point in points])
         # `_prove` checks other points, where the error may be somewhat larger.
         bound = 0.2 * TOLERANCE * np.abs(expected).max()
-        for fit in (_affine, _power, _least, _chebyshev) if of else ():
+        for fit in (_affine, _power, _least, _chebyshev):
             for formula in fit(value, ranges, unit):
-                got = np.array([map_value(formula, point) for point in proof])
-                if np.all(np.abs(got - expected) <= bound):
+                mapped = np.array([map_value(formula, point) for point in points])
+                if np.all(np.abs(mapped - expected) <= bound):
                     return formula
     return None
 
 
 _Value = Callable[[Mapping[str, float]], float]
+"""Type of a function that returns one parameter at a point."""
 
 
 def _affine(value: _Value, ranges: Ranges, unit: float) -> list[Map]:
+    """Return the plane through the values at the low ends, and with one number at its high end."""
     lows = {name: low for name, (low, _) in ranges.items()}
-    start = value(lows)
+    value_at_lows = value(lows)
+    if len(ranges) == 1:
+        ((name, ends),) = ranges.items()
+        if all(value({name: end}) == end for end in ends):  # the number itself, without rounding
+            return [{"kind": "affine", "of": [name], "offset": 0.0, "factors": [1.0]}]
     factors = [
-        (value(lows | {n: high}) - start) / (high - low) for n, (low, high) in ranges.items()
+        (value(lows | {name: high}) - value_at_lows) / (high - low)
+        for name, (low, high) in ranges.items()
     ]
-    offset = start - sum(k * low for k, low in zip(factors, lows.values(), strict=True))
-    formula = {"kind": "affine", "of": [*ranges], "offset": offset, "factors": factors}
-    exact = formula | {"offset": 0.0, "factors": [1.0]}  # a number itself, without rounding
-    is_itself = len(ranges) == 1 and all(
-        value({n: x}) == x for n, ends in ranges.items() for x in ends
-    )
-    return [exact] if is_itself else [formula]
+    offset = value_at_lows - sum(k * low for k, low in zip(factors, lows.values(), strict=True))
+    return [{"kind": "affine", "of": [*ranges], "offset": offset, "factors": factors}]
 
 
 def _power(value: _Value, ranges: Ranges, unit: float) -> list[Map]:
+    """Return the product of powers through the values at the ends; exponents are halves of n."""
     highs = {name: high for name, (_, high) in ranges.items()}
-    end = value(highs)
+    value_at_highs = value(highs)
     exponents = []
     for name, (low, high) in ranges.items():
-        other = value({**highs, name: low})
-        if low <= 0.0 or end * other <= 0.0:
+        value_at_low = value({**highs, name: low})
+        if low <= 0.0 or value_at_highs * value_at_low <= 0.0:
             return []
-        exponents.append(round(2.0 * math.log(end / other) / math.log(high / low)) / 2.0)
-    factor = end / math.prod(x**n for x, n in zip(highs.values(), exponents, strict=True))
+        exponent = math.log(value_at_highs / value_at_low) / math.log(high / low)
+        exponents.append(round(2.0 * exponent) / 2.0)
+    powers = (x**n for x, n in zip(highs.values(), exponents, strict=True))
+    factor = value_at_highs / math.prod(powers)
     return [{"kind": "power", "of": [*ranges], "factor": factor, "exponents": exponents}]
 
 
 def _least(value: _Value, ranges: Ranges, unit: float) -> list[Map]:
+    """Return the least of multiples of the numbers and of a limit, with and without rounding."""
     highs = {name: high for name, (_, high) in ranges.items()}
-    end = value(highs)
+    value_at_highs = value(highs)
     formulas: list[Map] = []
     for step in (0.0, unit) if unit else (0.0,):
         factors = []
         for name, (low, _) in ranges.items():
-            other = value({**highs, name: low})
-            factors.append(1.0 if step else other / low if low else math.nan)
-        limit = (
-            None if any(k * x <= end for k, x in zip(factors, highs.values(), strict=True)) else end
-        )
+            # At its low end a number alone decides, if it decides anywhere.
+            value_at_low = value({**highs, name: low})
+            factors.append(1.0 if step else value_at_low / low if low else math.nan)
+        # If no number explains the value where all are high, a limit does.
+        largest = [k * x for k, x in zip(factors, highs.values(), strict=True)]
+        limit = None if any(x <= value_at_highs for x in largest) else value_at_highs
         formula = {"kind": "least", "of": [*ranges], "factors": factors, "limit": limit}
         if np.isfinite(factors).all():
             formulas.append(formula | ({"unit": step} if step else {}))
@@ -327,25 +337,30 @@ def _chebyshev(value: _Value, ranges: Ranges, unit: float) -> Any:
         shape = [len(axis) for axis in axes]
         points = (dict(zip(order, map(float, x), strict=True)) for x in product(*axes))
         c = np.array([value(point) for point in points]).reshape(shape)
+        # One axis after the other, the values at the nodes become coefficients.
         for axis, name in enumerate(order):
-            matrix = np.linalg.inv(chebyshev.chebvander(_nodes(-1.0, 1.0, count), count - 1))
             if name in straight:
                 matrix = np.array([[0.5, 0.5], [-0.5, 0.5]])
+            else:
+                matrix = np.linalg.inv(chebyshev.chebvander(_nodes(-1.0, 1.0, count), count - 1))
             c = np.moveaxis(np.tensordot(matrix, c, axes=(1, axis)), 0, axis)
-        large = np.argwhere(np.abs(c) > 1e-16 * np.abs(c).max())
+        not_negligible = np.argwhere(np.abs(c) > 1e-16 * np.abs(c).max())
         yield {
             "kind": "chebyshev",
             "of": order,
             "domain": [list(ranges[name]) for name in order],
-            "terms": [[float(c[tuple(n)]), *n.tolist()] for n in large],
+            "terms": [[float(c[tuple(degrees)]), *degrees.tolist()] for degrees in not_negligible],
         }
 
 
 def _is_linear(value: _Value, name: str, ends: tuple[float, float]) -> bool:
     low, high = ends
-    at = [value({name: low + part * (high - low)}) for part in (0.0, 0.37, 1.0)]
-    expected = at[0] + 0.37 * (at[2] - at[0])
-    return abs(at[1] - expected) <= TOLERANCE * max(map(abs, at))
+    share = 0.37  # any place that is no symmetry of a curve
+    at_low, between, at_high = (
+        value({name: low + part * (high - low)}) for part in (0.0, share, 1.0)
+    )
+    expected = at_low + share * (at_high - at_low)
+    return abs(between - expected) <= TOLERANCE * max(abs(at_low), abs(between), abs(at_high))
 
 
 def _nodes(low: float, high: float, count: int) -> Array:
