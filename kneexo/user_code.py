@@ -50,10 +50,11 @@ def function_at(name: str, subject: str) -> Any:
     module, _, path = name.partition(":")
     try:
         with user_code(f"{subject}: the module cannot be imported"):
-            make: Any = import_module(module)
+            found: Any = import_module(module)
     except ParameterError as error:
         cause = error.__cause__
         missing = cause.name if isinstance(cause, ModuleNotFoundError) else None
+        # A missing module that the user's module imports is a fault inside the user's code.
         if missing is None or not f"{module}.".startswith(f"{missing}."):
             raise
         raise ParameterError(
@@ -63,13 +64,13 @@ def function_at(name: str, subject: str) -> Any:
     with user_code(f"{subject}: the module fails"):
         for attribute in path.split("."):
             try:
-                make = getattr(make, attribute)
+                found = getattr(found, attribute)
             except AttributeError as error:
                 raise ParameterError(
                     f"{subject}: {shortened(str(error), 300)}; must be module:function on the "
                     f"Python path"
                 ) from None
-    return make
+    return found
 
 
 def cause_of(error: BaseException) -> str:

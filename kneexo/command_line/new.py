@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 PRESET = "leg"
 """The new file starts from this preset, which models the most effects."""
 
-_INTERVALS = 100  # of the reference between its samples
+_INTERVALS = 100  # number of equal time intervals between the samples of the reference
 
 _PID_GAINS = ("proportional_per_s", "integral_per_s2", "derivative")
 
@@ -49,7 +49,10 @@ _PLACES = {
     "plant.load": ("segment_mass_kg", "centre_of_mass_m"),
     "controller": ("lambda_per_s", "phi_m_s2", "eta_m_s3"),
 }
-"""Names of the values in the file by the path of their section, beside those of the linkage."""
+"""Dictionary from a section of the file to the names of its values.
+
+`_MEANINGS` has the values of the section ``plant.linkage``.
+"""
 
 
 def add_new(subparsers: Any) -> None:
@@ -110,8 +113,8 @@ def _lines(csv: str) -> Iterator[str]:
 
     scenario = Scenario.preset(PRESET)
     others = ", ".join(name for name in PRESETS if name != PRESET)
-    linkage = type(scenario.plant.linkage)
-    origin = source_of(linkage.model_fields["a_2_m"]).partition(";")[0]
+    linkage_class = type(scenario.plant.linkage)
+    origin = source_of(linkage_class.model_fields["a_2_m"]).partition(";")[0]
     columns = CsvReference(file=csv)
     pid = {name: getattr(PidParameters(), name) for name in _PID_GAINS}
     gains = ", ".join(f"{name}: {value:g}" for name, value in pid.items())

@@ -58,7 +58,11 @@ def add_single_runs(subparsers: Any) -> None:
 
 
 def simulate(choice: ScenarioChoice, out: Path, page: ReportPage | None = None) -> Outcome:
-    """Run a scenario; return signals, metrics and plot. If ``page`` is given, add an HTML page."""
+    """Run a scenario; return an outcome with signals, metrics and plot.
+
+    ``out`` is the directory that the message names. If ``page`` is given, the outcome also has an
+    HTML page.
+    """
     scenario = choice.load()
     from kneexo.analysis import track
     from kneexo.analysis.notices import wrapped
@@ -71,10 +75,10 @@ def simulate(choice: ScenarioChoice, out: Path, page: ReportPage | None = None) 
         result = track(scenario, all_signals=True)
     else:
         result = _track_with_bar(scenario)
-    verdict, metrics = result.verdict, asdict(result.metrics)
+    verdict, metrics = result.verdict, result.metrics
     origin = arguments.origin_of(scenario)
     step = {} if result.step is None else {"step": asdict(result.step)}
-    results = to_json(origin | {"verdict": verdict.results()} | metrics | step)
+    results = to_json(origin | {"verdict": verdict.results()} | asdict(metrics) | step)
     files: dict[str, Any] = {
         "signals.csv": lambda path: write_csv(path, result.run),
         "metrics.json": results,
@@ -88,14 +92,15 @@ def simulate(choice: ScenarioChoice, out: Path, page: ReportPage | None = None) 
         (name,) = run_names([choice.path] if choice.path else [], choice.preset)
         motions = {name: (scenario.plant, result.run.columns)}
         files |= page.file(report, figures, origin, motions)
-    m = result.metrics
-    error = "error (root mean square)" if verdict.tracks is not None else "rms from the reference  "
+    error = "rms from the reference" if verdict.tracks is None else "error (root mean square)"
+    delivered_j = metrics.shaft_energy_delivered_j
     lines = [
         verdict.text,
-        f"  {error}  {number(m.rms_error_deg, '.3g')} deg",
-        f"  change of the command     {number(m.mean_command_change_rpm, '.3g')} rpm per sample",
-        f"  work of the motor         {m.shaft_energy_delivered_j:.3g} J; "
-        f"{m.shaft_energy_delivered_j - m.shaft_energy_j:.3g} J flows back to the motor",
+        f"  {error:24}  {number(metrics.rms_error_deg, '.3g')} deg",
+        f"  {'change of the command':24}  {number(metrics.mean_command_change_rpm, '.3g')} rpm per "
+        f"sample",
+        f"  {'work of the motor':24}  {delivered_j:.3g} J; "
+        f"{delivered_j - metrics.shaft_energy_j:.3g} J flows back to the motor",
         wrapped(f"In {shown(out)}: {', '.join(file_names(files, figures))}"),
     ]
     return Outcome("\n".join(lines) + "\n", results, files=files, figures=figures)
@@ -115,9 +120,19 @@ def _track_with_bar(scenario: Scenario) -> TrackingResult:
 def linearize(
     choice: ScenarioChoice, knee_angle: float | None, out: Path, page: ReportPage | None = None
 ) -> Outcome:
-    """Linearize plant and sampled loop at a knee angle in deg; return poles, margins and plots.
+    """Linearize plant and sampled loop; return an outcome with poles, margins and plots.
 
-    ``knee_angle`` None: the middle of the knee angles that the reference reaches within a run.
+    Parameters
+    ----------
+    choice
+        The scenario of the command line.
+    knee_angle
+        Knee angle in deg. None: the middle of the knee angles that the reference reaches within a
+        run.
+    out
+        Directory that the message names.
+    page
+        HTML page that the outcome also has, or None.
     """
     scenario = choice.load()
     from kneexo.analysis import linearize_loop, linearize_plant
@@ -131,20 +146,20 @@ def linearize(
     scenario.plant.knee.require_posture(knee_angle, "--knee-angle")
     plant = linearize_plant(scenario.plant, knee_angle_deg=knee_angle)
     loop = linearize_loop(scenario, knee_angle_deg=knee_angle)
-    frequency, damping = plant.damping
+    frequencies_rad_s, damping_ratios = plant.damping
     margins = asdict(loop.margins())
     if not loop.stable:  # the margins of an unstable loop are not defined
         margins = dict.fromkeys(margins, math.nan) | {"stable": False}
     origin = arguments.origin_of(scenario) | {"settings": {"knee_angle_deg": knee_angle}}
-    lines, model = loop_lines(loop), model_lines(scenario, model_notices(scenario))
+    verdict_lines, notices = loop_lines(loop), model_lines(scenario, model_notices(scenario))
     results = to_json(
         {
             **origin,
-            "verdict": {"lines": lines, "stable": loop.stable},
+            "verdict": {"lines": verdict_lines, "stable": loop.stable},
             "operating_point": asdict(plant.operating_point),
             "plant_poles_per_s": [[p.real, p.imag] for p in plant.poles],
-            "plant_frequencies_rad_s": frequency,
-            "plant_damping_ratios": damping,
+            "plant_frequencies_rad_s": frequencies_rad_s,
+            "plant_damping_ratios": damping_ratios,
             "plant_velocity_gain": plant.velocity_gain,
             "loop_eigenvalues": [[z.real, z.imag] for z in loop.eigenvalues],
             "margins": margins,
@@ -160,11 +175,11 @@ def linearize(
     if page is not None:
         from kneexo.command_line.run_reports import linear_report
 
-        report = linear_report(plant, loop, lines, model)
+        report = linear_report(plant, loop, verdict_lines, notices)
         files |= page.file(report, figures, origin)
     text = [
-        *map(wrapped, lines),
-        *model,
+        *map(wrapped, verdict_lines),
+        *notices,
         f"Plant: {plant}",
         wrapped(f"In {shown(out)}: {', '.join(file_names(files, figures))}"),
     ]

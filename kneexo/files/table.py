@@ -106,11 +106,12 @@ def read_table(path: str | os.PathLike[str], names: Sequence[str], remedy: str =
         twice, or a value is no finite number in decimal digits.
     """
     text = read_text(path, MOST_BYTES_OF_TABLE)
-    sought, start = names, 0
+    names_in_file, start = names, 0
     if end := _END_OF_OPENSIM_HEADER.search(text):
-        sought, start = ["time" if name == "time_s" else name for name in names], end.end()
-        text = text.replace("\t", " ")
-    separator = _separator(text, start, sought)
+        start = end.end()
+        names_in_file = ["time" if name == "time_s" else name for name in names]
+        text = text.replace("\t", " ")  # OpenSim allows both between values
+    separator = _separator(text, start, names_in_file)
     comma_number = ""
     if separator != "," and text.find(",", start) >= 0:
         comma_number = _comma_number(_records(path, text, start, separator))
@@ -122,7 +123,7 @@ def read_table(path: str | os.PathLike[str], names: Sequence[str], remedy: str =
     if all(NUMBER.fullmatch(word.replace(",", ".")) for word in " ".join(header).split()):
         message = "has numbers; must have the names of the columns, without # or %"
         raise file_error(path, first, message)
-    places = [_place(path, header, name, remedy) for name in sought]
+    places = [_place(path, header, name, remedy) for name in names_in_file]
     lines: list[int] = []
     values: list[list[float]] = [[] for _ in names]
     for line, row in records:
@@ -215,7 +216,7 @@ def _number(
 ) -> float:
     text = text.strip(" \t")
     # In a file with decimal commas a point makes no number: it may be a decimal or for thousands.
-    number = text.translate({44: ".", 46: ","}) if comma_number else text
+    number = text.translate(str.maketrans(",.", ".,")) if comma_number else text
     if NUMBER.fullmatch(number) and math.isfinite(value := float(number)):
         return value
     if ":" in text:

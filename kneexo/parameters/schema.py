@@ -37,80 +37,83 @@ def json_schema() -> dict[str, Any]:
     """
     models = _models(Scenario)
     requests: Any = [(model, "validation") for model in models]
-    classes = models_json_schema(requests)[1]["$defs"]
+    definitions = models_json_schema(requests)[1]["$defs"]
     for model in models:
         for name, field in model.model_fields.items():
-            value = classes[model.__name__]["properties"][name]
-            _accept_words(value, field)
+            field_schema = definitions[model.__name__]["properties"][name]
+            _accept_words(field_schema, field)
             if text := _description(field):
-                value["description"] = text
-    scenario = classes.pop("Scenario")
-    moment = classes["LegParameters"]["properties"]["moment"]
-    for alternatives in (scenario["properties"]["reference"]["oneOf"], moment["anyOf"]):
+                field_schema["description"] = text
+    scenario = definitions.pop("Scenario")
+    reference = scenario["properties"]["reference"]
+    moment = definitions["LegParameters"]["properties"]["moment"]
+    for alternatives in (reference["oneOf"], moment["anyOf"]):  # both also accept a file name
         alternatives.append({"type": "string", "pattern": r"\.(csv|mot|sto)$"})
-    classes["GaitMoment"]["required"] = ["kind"]
+    definitions["GaitMoment"]["required"] = ["kind"]
     summaries = "; ".join(f"{name}: {preset.summary}" for name, preset in PRESETS.items())
     scenario["properties"]["preset"] = {"enum": list(PRESETS), "description": summaries}
-    for schema in (scenario, *classes.values()):
-        for value in schema.get("properties", {}).values():
-            _require_kinds(value, classes)
-            for part in (value, *value.get("anyOf", []), *value.get("oneOf", [])):
-                _without_prefix_items(part)
-    return {"$schema": DRAFT, **scenario, "$defs": classes}
+    for class_schema in (scenario, *definitions.values()):
+        for field_schema in class_schema.get("properties", {}).values():
+            _require_kinds(field_schema, definitions)
+            members = (*field_schema.get("anyOf", []), *field_schema.get("oneOf", []))
+            for schema in (field_schema, *members):
+                _without_prefix_items(schema)
+    return {"$schema": DRAFT, **scenario, "$defs": definitions}
 
 
 def _models(model: type[BaseModel]) -> list[type[BaseModel]]:
     """Return a parameter class, and the classes of all parts that a scenario file accepts in it."""
-    models = [model]
-    for model in models:  # grows meanwhile
+    found = [model]
+    for model in found:  # the list grows meanwhile
         for field in model.model_fields.values():
             parts = (*models_of(field), *more_models_of(field))
-            models += [part for part in parts if part not in models]
-    return models
+            found += [part for part in parts if part not in found]
+    return found
 
 
-def _accept_words(value: dict[str, Any], field: FieldInfo) -> None:
-    """Add the words that a field accepts, and the classes that it does not keep.
+def _accept_words(field_schema: dict[str, Any], field: FieldInfo) -> None:
+    """Add the words that a file may have for a field, and classes that become another class.
 
-    ``value`` is the schema of the field. A kind that has values without default is no word.
+    A word stands for a class whose values all have defaults, such as ``none``.
     """
-    more = more_models_of(field)
-    alternatives = value.get("oneOf", value.get("anyOf", []))
-    alternatives.extend({"$ref": f"#/$defs/{model.__name__}"} for model in more)
+    more_models = more_models_of(field)
+    alternatives = field_schema.get("oneOf", field_schema.get("anyOf", []))
+    alternatives.extend({"$ref": f"#/$defs/{model.__name__}"} for model in more_models)
     incomplete = {
         kind_of(model)
-        for model in (*models_of(field), *more)
+        for model in (*models_of(field), *more_models)
         if any(part.is_required() for part in model.model_fields.values())
     }
     if words := [word for word in words_of(field) if word not in incomplete]:
-        if "$ref" in value:
-            value["anyOf"] = [{"$ref": value.pop("$ref")}]
-        value.get("oneOf", value.get("anyOf", [])).insert(0, {"enum": words})
+        if "$ref" in field_schema:
+            field_schema["anyOf"] = [{"$ref": field_schema.pop("$ref")}]
+        alternatives = field_schema.get("oneOf", field_schema.get("anyOf", []))
+        alternatives.insert(0, {"enum": words})
 
 
-def _require_kinds(value: dict[str, Any], classes: dict[str, Any]) -> None:
+def _require_kinds(field_schema: dict[str, Any], definitions: dict[str, Any]) -> None:
     """Mark ``kind`` as required in all members of a union except the default member.
 
-    ``value`` is the schema of a field. ``classes`` has the schemas of the members, which this
-    function changes. If the field's type is no union, nothing changes.
+    ``definitions`` has the schemas of the members, which this function changes. If the type of the
+    field is no union, nothing changes.
     """
-    if value.pop("discriminator", None) is None:
+    if field_schema.pop("discriminator", None) is None:
         return
-    default = value["default"]["kind"]
-    for member in value["oneOf"]:
-        model = classes.get(member.get("$ref", "").removeprefix("#/$defs/"))
-        if model is not None and model["properties"]["kind"]["const"] != default:
-            model["required"] = ["kind", *model.get("required", [])]
+    default = field_schema["default"]["kind"]
+    for member in field_schema["oneOf"]:
+        class_schema = definitions.get(member.get("$ref", "").removeprefix("#/$defs/"))
+        if class_schema is not None and class_schema["properties"]["kind"]["const"] != default:
+            class_schema["required"] = ["kind", *class_schema.get("required", [])]
 
 
-def _without_prefix_items(value: dict[str, Any]) -> None:
-    """If the schema is a tuple whose items are equal, rewrite it as an array.
+def _without_prefix_items(schema: dict[str, Any]) -> None:
+    """Rewrite the schema of a tuple with equal items as an array, for draft 7.
 
-    The reason is that draft 7 has no ``prefixItems``.
+    Draft 7 has no ``prefixItems``. Any other schema stays as it is.
     """
-    items = value.pop("prefixItems", None)
+    items = schema.pop("prefixItems", None)
     if items is not None:
-        value["items"] = items[0]
+        schema["items"] = items[0]
 
 
 def _description(field: FieldInfo) -> str:

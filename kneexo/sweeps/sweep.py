@@ -47,8 +47,8 @@ class Sweep:
     ) -> list[Result]:
         """Return ``[function(item) for item in items]``, computed by the workers of the sweep.
 
-        A result that is a mapping with the key ``tracking_failure`` or ``failure`` belongs to a
-        run, which has failed unless the text at this key is empty.
+        A result that is a mapping with the key ``tracking_failure`` or ``failure`` is the result of
+        a run. The run has failed unless the text at the key is empty.
 
         Parameters
         ----------
@@ -74,7 +74,7 @@ class Sweep:
 
 
 _FAILURES = ("tracking_failure", "failure")
-"""Keys of the reason why a run has failed. With both keys the first is that of the run."""
+"""Keys of the reason why a run has failed. In a result with both keys the first key counts."""
 
 
 @contextmanager
