@@ -80,17 +80,18 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
         scenario whose controller is not the user's.
     """
     builder = DiagramBuilder()
-    limited = law is None and has_unknown_parts(scenario)
-    part = add_parts(builder, _parts(scenario, law))
-    law = part["law"]
+    is_users_system = law is None and has_unknown_parts(scenario)
+    subsystems = add_parts(builder, _parts(scenario, law))
+    law = subsystems["law"]
     command = law.GetOutputPort("motor_speed_command")
-    if limited:
+    if is_users_system:
         command = _limited_and_held(builder, scenario, law, command)
+    # Ports by the name that the controller, or the law, gives them.
     outputs = {"motor_speed_command": command}
-    sources: dict[str, Any] = {}
+    sources: dict[str, Any] = {}  # ports inside the controller that the law can read
     inputs: dict[str, Any] = {}
-    if "coordinates" in part:  # absent for a law that reads only the encoder
-        coordinates, rod_reference = part["coordinates"], part["rod_reference"]
+    if "coordinates" in subsystems:  # absent for a law that reads only the encoder
+        coordinates, rod_reference = subsystems["coordinates"], subsystems["rod_reference"]
         sources = {
             "rod_extension": coordinates.GetOutputPort("rod_extension"),
             "knee_angle": coordinates.GetOutputPort("knee_angle"),
@@ -104,19 +105,20 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
             "measured_rod_extension": sources["rod_extension"],
             "rod_reference": sources["rod_reference"],
         }
-    if "estimator" in part:
-        builder.Connect(sources["rod_extension"], part["estimator"].get_input_port())
-        sources["estimated_state"] = part["estimator"].get_output_port()
+    if "estimator" in subsystems:
+        builder.Connect(sources["rod_extension"], subsystems["estimator"].get_input_port())
+        sources["estimated_state"] = subsystems["estimator"].get_output_port()
         outputs["estimated_state"] = sources["estimated_state"]
-    for port_name in port_sizes(law, inputs=True):
-        port = law.GetInputPort(port_name)
-        name = "rod_state" if port_name == "estimated_state" else port_name
-        if port_name in sources:
-            builder.Connect(sources[port_name], port)
-        elif name in inputs:
-            builder.ConnectInput(inputs[name], port)
+    for law_input in port_sizes(law, inputs=True):
+        port = law.GetInputPort(law_input)
+        # Without an estimator the true state of the rod takes the place of the estimated state.
+        input_name = "rod_state" if law_input == "estimated_state" else law_input
+        if law_input in sources:
+            builder.Connect(sources[law_input], port)
+        elif input_name in inputs:
+            builder.ConnectInput(inputs[input_name], port)
         else:
-            inputs[name] = builder.ExportInput(port, name)
+            inputs[input_name] = builder.ExportInput(port, input_name)
     for name in SIGNALS:
         if name in CONTROLLER_SIGNALS and name not in outputs and law.HasOutputPort(name):
             outputs[name] = law.GetOutputPort(name)

@@ -73,16 +73,16 @@ def make_plant(
         The linkage cannot be assembled.
     """
     builder = DiagramBuilder()
-    part = add_parts(
+    systems_by_name = add_parts(
         builder, plant_parts(parameters, initial_knee_angle_rad, initial_offset_m, table_1)
     )
-    motor, cylinder, knee = (part[name] for name in ("motor", "cylinder", "knee"))
+    motor, cylinder, knee = (systems_by_name[name] for name in ("motor", "cylinder", "knee"))
     connect(builder, motor, "load_flow", cylinder, "load_flow")
     connect(builder, cylinder, "load_pressure", motor, "load_pressure")
     connect(builder, cylinder, "rod_extension", knee, "rod_extension")
     builder.ExportInput(motor.GetInputPort("motor_speed_command"), "motor_speed_command")
-    if "load" in part:
-        load = part["load"]
+    if "load" in systems_by_name:
+        load = systems_by_name["load"]
         connect(builder, knee, "knee_angle", load, "knee_angle")
         connect(builder, knee, "moment_arm", load, "moment_arm")
         connect(builder, load, "load_force", cylinder, "load_force")
@@ -118,6 +118,7 @@ def plant_parts(
     rod_map = _rod_map(parameters, table_1)
     external_leakage = parameters.pump.external_leakage_m3_per_s_pa
 
+    # A part has functions, because a compiled run needs values but no systems.
     def start() -> tuple[float, ...]:
         """Return the state of the cylinder at rest; the pressures hold load and spring."""
         extension, force = _start_extension_and_force(
@@ -140,8 +141,8 @@ def plant_parts(
 
     def knee_values() -> dict[str, float]:
         fit = fit_rod_inverse(parameters.linkage, rod_map)
-        first = four_bar_knee.context_values(parameters.linkage, parameters.knee, fit)
-        return first | _polynomial_values(fit)
+        values = four_bar_knee.context_values(parameters.linkage, parameters.knee, fit)
+        return values | _polynomial_values(fit)
 
     parts = [
         Part(

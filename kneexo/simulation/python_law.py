@@ -117,42 +117,43 @@ def _announce(law: Law, reason: str) -> None:
 
 
 _CALLS = 50  # enough for an integral to act
-_DISPLACEMENT_RAD = 0.02
+_DISPLACEMENT_RAD = 0.02  # about a degree, many counts of the encoder
 
 
 def sign_hint(scenario: Scenario) -> str:
     """Return a remedy if the law of a scenario drives the rod away from its reference.
 
-    The law is called with the knee a degree above and a degree below a constant reference. Above
-    the reference the rod is too short, so the command must be the larger one. Without such a fault,
-    without a law of the user, and for a law that fails, the text is empty.
+    The law is called with the knee a degree above and a degree below a constant reference. With the
+    knee above the reference the rod is too short, and the command must be larger than with the knee
+    below. The text is empty if the sign is right, for a law that fails, and without a law of the
+    user.
     """
     law = scenario.controller
     if not isinstance(law, LawParameters):
         return ""
     angle = start_angle_rad(scenario.reference)
-    extension = partial(polynomial, controller_polynomial(scenario).p_si)
+    extension_at = partial(polynomial, controller_polynomial(scenario).p_si)
     linkage = scenario.believed_plant.linkage
-    commands = []
+    last_commands = []
     try:
         for displaced in (angle - _DISPLACEMENT_RAD, angle + _DISPLACEMENT_RAD):
+            reading = float(encoder_angle(linkage, displaced)) - encoder_offset_rad(scenario)
             values = {
-                "rod_extension": [extension(displaced)],
+                "rod_extension": [extension_at(displaced)],
                 "knee_angle": [displaced],
-                "rod_reference": [extension(angle), 0.0, 0.0, 0.0],
+                "rod_reference": [extension_at(angle), 0.0, 0.0, 0.0],
                 "knee_reference": [angle, 0.0, 0.0, 0.0],
-                "estimated_state": [extension(displaced), 0.0, 0.0],
-                "encoder_reading": [
-                    float(encoder_angle(linkage, displaced)) - encoder_offset_rad(scenario)
-                ],
+                "estimated_state": [extension_at(displaced), 0.0, 0.0],
+                "encoder_reading": [reading],
             }
             signals = {SIGNAL_OF[name]: np.array(value) for name, value in values.items()}
-            function = PythonLaw(scenario, announce=False)
-            samples = np.arange(_CALLS) * law.sample_time_s
-            commands.append([function(time_s, signals) for time_s in samples][-1])
+            call = PythonLaw(scenario, announce=False)
+            for sample in range(_CALLS):
+                command = call(sample * law.sample_time_s, signals)
+            last_commands.append(command)
     except KneexoError:
         return ""
-    below, above = commands
+    below, above = last_commands
     if not above < below:  # also for nan
         return ""
     return (

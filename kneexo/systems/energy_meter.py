@@ -132,21 +132,25 @@ def _oil_powers(p: Any, signals: dict[str, Any]) -> tuple[Any, Any, Any]:
     """Return the powers of reservoir, leakage and valves in W."""
     cap, rod_side = signals["chamber_pressures"]
     p_r, pump = p.reservoir_pressure_pa, p.pump_external_leakage_m3_per_s_pa
-    external = (
+    external_coefficients = (
         pump + p.cap_external_leakage_m3_per_s_pa,
         pump + p.rod_side_external_leakage_m3_per_s_pa,
     )
-    internal = p.internal_leakage_m3_per_s_pa + p.leakage_m3_per_s_pa
+    internal_coefficient = p.internal_leakage_m3_per_s_pa + p.leakage_m3_per_s_pa
     reservoir, valves = 0.0, 0.0
-    leakage = internal * (cap - rod_side) * (cap - rod_side)
+    leakage = internal_coefficient * (cap - rod_side) * (cap - rod_side)
     for pressure, coefficient, makeup, relief in zip(
-        (cap, rod_side), external, signals["makeup_flow"], signals["relief_flow"], strict=True
+        (cap, rod_side),
+        external_coefficients,
+        signals["makeup_flow"],
+        signals["relief_flow"],
+        strict=True,
     ):
-        above = pressure - p_r
-        lost = coefficient * above
-        reservoir = reservoir + p_r * (makeup - relief - lost)
-        leakage = leakage + lost * above
-        valves = valves + (relief - makeup) * above
+        over_reservoir = pressure - p_r
+        external_leakage = coefficient * over_reservoir
+        reservoir = reservoir + p_r * (makeup - relief - external_leakage)
+        leakage = leakage + external_leakage * over_reservoir
+        valves = valves + (relief - makeup) * over_reservoir
     return reservoir, leakage, valves
 
 
@@ -161,8 +165,8 @@ def _rod_powers(p: Any, signals: dict[str, Any]) -> tuple[Any, Any]:
         band=p.friction_band_m_s,
     )
     friction = (seals + p.damping_n_s_per_m * velocity) * velocity
-    squares = cap * cap * p.cap_area_m2 - rod_side * rod_side * p.rod_side_area_m2
-    return friction, 0.5 * squares * velocity / p.bulk_modulus_pa
+    p2_a = cap * cap * p.cap_area_m2 - rod_side * rod_side * p.rod_side_area_m2
+    return friction, 0.5 * p2_a * velocity / p.bulk_modulus_pa
 
 
 EnergyMeter_ = leaf_template(EnergyMeter)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import math
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -66,34 +67,26 @@ def stage_leg(
     LinkageError
         The linkage cannot be assembled within the range.
     """
-    low, high = min(low_rad, 0.0), max(high_rad, 0.5 * math.pi)
-    angles = np.linspace(low, high, math.ceil((high - low) / _STEP_RAD) + 1)
-    frames = placements(linkage, angles, angles)
-    leg = parts(linkage)
+    low_rad, high_rad = min(low_rad, 0.0), max(high_rad, 0.5 * math.pi)
+    angles = np.linspace(low_rad, high_rad, math.ceil((high_rad - low_rad) / _STEP_RAD) + 1)
+    leg_parts = parts(linkage)
+    tables = {}
+    for frame, placement in placements(linkage, angles, angles).items():
+        x_m, y_m = placement.origin.real, placement.origin.imag
+        angle_rad = np.unwrap(np.angle(placement.direction))
+        tables[frame] = pack(np.stack([x_m, y_m, angle_rad], axis=1))
     return {
         "name": name,
         "rating_pa": pressure_rating_pa,
-        "low_rad": low,
-        "high_rad": high,
+        "low_rad": low_rad,
+        "high_rad": high_rad,
         "rows": len(angles),
-        "frames": {
-            frame: pack(
-                np.stack(
-                    [
-                        placement.origin.real,
-                        placement.origin.imag,
-                        np.unwrap(np.angle(placement.direction)),
-                    ],
-                    axis=1,
-                )
-            )
-            for frame, placement in frames.items()
-        },
-        "parts": [_part(name, part) for name, part in leg.items()],
+        "frames": tables,
+        "parts": [_part(part_name, part) for part_name, part in leg_parts.items()],
         "centre_paths": _centre_paths(linkage),
         "pressure_colours": np.array([BLUE, GREY, RED]).tolist(),
-        "hull": _hull(linkage, leg, angles),
-        "joint_hull": _hull(linkage, _joint(leg), angles),
+        "hull": _hull(linkage, leg_parts, angles),
+        "joint_hull": _hull(linkage, _joint(leg_parts), angles),
     }
 
 
@@ -168,14 +161,13 @@ def _joint(leg: dict[str, Part]) -> dict[str, Part]:
 
 def _hull(linkage: LinkageParameters, leg: dict[str, Part], angles: Array) -> list[list[float]]:
     """Return points (n, 3) in m whose convex hull contains the parts at all knee angles."""
-    some = angles[:: max(1, len(angles) // 12)]
-    poses = {name: list(p.poses()) for name, p in placements(linkage, some, some).items()}
-    signs = np.array([[i, j, k] for i in (-1, 1) for j in (-1, 1) for k in (-1, 1)])
-    corners = np.hstack(
-        [
-            pose.multiply(part.pose.multiply((signs * _half_sides(part.shape)).T))
-            for part in leg.values()
-            for pose in poses[part.frame]
-        ]
-    ).T
-    return np.round(corners[ConvexHull(corners).vertices], 4).tolist()
+    every_few = angles[:: max(1, len(angles) // 12)]  # between them the parts hardly move
+    frames = placements(linkage, every_few, every_few)
+    poses = {name: list(placement.poses()) for name, placement in frames.items()}
+    signs = np.array(list(product((-1, 1), repeat=3)))
+    corners = []
+    for part in leg.values():
+        corners_of_part = part.pose.multiply((signs * _half_sides(part.shape)).T)
+        corners += [pose.multiply(corners_of_part) for pose in poses[part.frame]]
+    points = np.hstack(corners).T
+    return np.round(points[ConvexHull(points).vertices], 4).tolist()

@@ -42,7 +42,7 @@ MAP_METRICS = ("max_error_deg", "mean_command_change_rpm", "stable", "disk_margi
 """Names of the metrics on the map over the observer's time constant T_f and the slope k/Φ."""
 
 
-_SATURATED = 0.01  # share of the samples from which on a run counts as saturated
+_SATURATED = 0.01  # a run counts as saturated from this share of its samples on
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,7 @@ class ControllerResult(Result):
 
     def claims(self) -> tuple[Claim, Claim, Claim]:
         """Return the paper's statements about λ, Φ and η, with the share of cases that agree."""
-        return _faster(self), _chattering(self), _adherence(self)
+        return _claim_on_lambda(self), _claim_on_phi(self), _claim_on_eta(self)
 
     def results(self) -> dict[str, Any]:
         """Return plain data. The axes of the grid's arrays are λ, Φ and η."""
@@ -190,6 +190,7 @@ def observed_smc(scenario: Scenario) -> tuple[SlidingModeParameters, ObserverPar
 
 
 def _nearest(values: tuple[float, ...], value: float) -> int:
+    """Return the index of the element of ``values`` with the smallest ratio to ``value``."""
     return int(np.argmin(np.abs(np.log(np.array(values) / value))))
 
 
@@ -198,6 +199,7 @@ def _share(holds: Any) -> float:
 
 
 def _counted(holds: Any, cases: Any, sound: Any) -> dict[str, Any]:
+    """Return the fields of a `Claim` that count cases. The arguments are masks on the grid."""
     return {
         "cases": int(np.count_nonzero(cases)),
         "share": _share(holds[cases]),
@@ -206,72 +208,80 @@ def _counted(holds: Any, cases: Any, sound: Any) -> dict[str, Any]:
     }
 
 
-def _faster(study: ControllerResult) -> Claim:
-    grid, settling = study.settings, study.values["settling_s"]
-    sound = study.values["disk_margin"] >= grid.sound_disk_margin
-    small, large = settling[:-1], settling[1:]
-    decided = ~np.isnan(small) & ~np.isnan(large) & (np.isfinite(small) | np.isfinite(large))
+def _claim_on_lambda(study: ControllerResult) -> Claim:
+    """Compare the settling times of neighbours along the axis of λ."""
+    grid, settling_s = study.settings, study.values["settling_s"]
+    is_sound = study.values["disk_margin"] >= grid.sound_disk_margin
+    at_smaller, at_larger = settling_s[:-1], settling_s[1:]
+    is_known = ~np.isnan(at_smaller) & ~np.isnan(at_larger)
+    is_case = is_known & (np.isfinite(at_smaller) | np.isfinite(at_larger))
     _, phi, eta = study.centre
     band = grid.settling_band_deg
-    ideal = ideal_settling_time_s(np.array(grid.lambdas_per_s), band / grid.step_deg)
+    ideal_s = ideal_settling_time_s(np.array(grid.lambdas_per_s), band / grid.step_deg)
     return Claim(
         quote="the larger the value of λ, the faster the robot attempted to follow the desired "
         "target value",
         case="two neighbouring λ at equal Φ and η; holds when the larger one brings a step of "
         f"{grid.step_deg:g}° to within ±{band:g}° of its end sooner",
-        **_counted(large < small, decided, sound[1:] & sound[:-1]),
+        **_counted(at_larger < at_smaller, is_case, is_sound[1:] & is_sound[:-1]),
         finding=_finding(
             "lambda",
             grid=grid,
-            settling_s=settling[:, phi, eta],
+            settling_s=settling_s[:, phi, eta],
             large_settling_s=study.values["large_settling_s"][:, phi, eta],
-            ideal_s=ideal,
+            ideal_s=ideal_s,
         ),
     )
 
 
-def _chattering(study: ControllerResult) -> Claim:
-    grid, change = study.settings, study.values["mean_command_change_rpm"]
-    calm = np.where(np.isfinite(change), change, np.inf)
-    best = np.argmin(calm, axis=1)  # (λ, η)
+def _claim_on_phi(study: ControllerResult) -> Claim:
+    """Compare the changes of the command at each Φ with those at the calmest Φ."""
+    grid, change_rpm = study.settings, study.values["mean_command_change_rpm"]
+    finite_rpm = np.where(np.isfinite(change_rpm), change_rpm, np.inf)
+    calmest = np.argmin(finite_rpm, axis=1)  # indices of Φ, (λ, η)
     logs = np.log(grid.phis_m_s2)
-    distance = logs[None, :, None] - logs[best][:, None, :]
-    wrong = np.isfinite(change) & (np.abs(distance) >= math.log(grid.wrong_factor) - 1e-9)
-    chatters = change > grid.chattering_factor * np.min(calm, axis=1)[:, None, :]
+    distance = logs[None, :, None] - logs[calmest][:, None, :]  # log of the ratio of Φ, (λ, Φ, η)
+    is_far = np.abs(distance) >= math.log(grid.wrong_factor) - 1e-9
+    wrong = np.isfinite(change_rpm) & is_far
+    chatters = change_rpm > grid.chattering_factor * np.min(finite_rpm, axis=1)[:, None, :]
     small, large = wrong & (distance < 0.0), wrong & (distance > 0.0)
-    sound = study.values["disk_margin"] >= grid.sound_disk_margin
-    chosen = best[:, study.centre[2]]
-    rule = np.array(grid.lambdas_per_s) * study.slope_per_s[chosen, study.centre[2]]
+    is_sound = study.values["disk_margin"] >= grid.sound_disk_margin
+    _, _, eta = study.centre
+    calmest_at_eta = calmest[:, eta]
+    rule = np.array(grid.lambdas_per_s) * study.slope_per_s[calmest_at_eta, eta]
     return Claim(
         quote="it was important to select a proper Φ value […] failure to do so resulted in "
         "chattering",
         case=f"a Φ at least {grid.wrong_factor:g} times larger or smaller than the calmest one at "
         f"equal λ and η; holds when its command changes more than {grid.chattering_factor:g} "
         f"times as much per sample",
-        **_counted(chatters, wrong, sound),
+        **_counted(chatters, wrong, is_sound),
         finding=_finding(
             "phi",
             grid=grid,
             small={"cases": np.count_nonzero(small), "share": _share(chatters[small])},
             large={"cases": np.count_nonzero(large), "share": _share(chatters[large])},
-            calmest_m_s2=np.array(grid.phis_m_s2)[chosen],
+            calmest_m_s2=np.array(grid.phis_m_s2)[calmest_at_eta],
             lowest_per_s2=rule.min(),
             highest_per_s2=rule.max(),
         ),
     )
 
 
-def _adherence(study: ControllerResult) -> Claim:
-    grid, error = study.settings, study.values["max_error_deg"]
-    sound = study.values["disk_margin"] >= grid.sound_disk_margin
-    free = (study.values["stable"] == 1.0) & (study.values["saturated_share"] < _SATURATED)
-    finite = np.isfinite(error[..., :-1]) & np.isfinite(error[..., 1:])
-    falls = error[..., 1:] < error[..., :-1]
-    beyond = finite & ~free[..., 1:]
+def _claim_on_eta(study: ControllerResult) -> Claim:
+    """Compare the largest errors of neighbours along the axis of η."""
+    grid, error_deg = study.settings, study.values["max_error_deg"]
+    is_sound = study.values["disk_margin"] >= grid.sound_disk_margin
+    is_free = study.values["saturated_share"] < _SATURATED
+    is_good = (study.values["stable"] == 1.0) & is_free
+    at_smaller, at_larger = error_deg[..., :-1], error_deg[..., 1:]
+    is_known = np.isfinite(at_smaller) & np.isfinite(at_larger)
+    falls = at_larger < at_smaller
+    is_case, beyond = is_known & is_good[..., 1:], is_known & ~is_good[..., 1:]
     lambda_, phi, eta = study.centre
     slope = float(study.slope_per_s[phi, eta])
-    same = [
-        _at_slope(study.slope_per_s[:, n], error[lambda_, :, n], slope)
+    errors_at_slope_deg = [
+        _at_slope(study.slope_per_s[:, n], error_deg[lambda_, :, n], slope)
         for n in range(len(grid.etas_m_s3))
     ]
     return Claim(
@@ -280,14 +290,14 @@ def _adherence(study: ControllerResult) -> Claim:
         case="two neighbouring η at equal λ and Φ, the larger one with a stable loop and less "
         f"than {100 * _SATURATED:g} % of its samples saturated; holds when its largest error is "
         f"smaller",
-        **_counted(falls, finite & free[..., 1:], sound[..., 1:] & sound[..., :-1]),
+        **_counted(falls, is_case, is_sound[..., 1:] & is_sound[..., :-1]),
         finding=_finding(
             "eta",
             grid=grid,
             beyond={"cases": np.count_nonzero(beyond), "share": _share(falls[beyond])},
-            errors_deg=error[lambda_, phi],
+            errors_deg=error_deg[lambda_, phi],
             slope_per_s=slope,
-            errors_at_slope_deg=same,
+            errors_at_slope_deg=errors_at_slope_deg,
         ),
     )
 
@@ -295,11 +305,11 @@ def _adherence(study: ControllerResult) -> Claim:
 def _at_slope(slopes: Array, error: Array, slope: float) -> float:
     """Interpolate the error at one k/Φ, on logarithmic axes. Return nan outside ``slopes``."""
     order = np.argsort(slopes)
-    x, y = np.log(slopes[order]), np.log(error[order])
+    log_slopes, log_errors = np.log(slopes[order]), np.log(error[order])
     rounding = 0.02  # of the grid's values
-    if not x[0] - rounding <= math.log(slope) <= x[-1] + rounding:
+    if not log_slopes[0] - rounding <= math.log(slope) <= log_slopes[-1] + rounding:
         return math.nan
-    return float(np.exp(np.interp(math.log(slope), x, y)))
+    return float(np.exp(np.interp(math.log(slope), log_slopes, log_errors)))
 
 
 def _finding(symbol: str, **data: Any) -> str:
