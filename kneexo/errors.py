@@ -50,10 +50,10 @@ class WorkerError(KneexoError, RuntimeError):
 def failure_noted(
     row: dict[str, Any], name: str = "failure", kind: type[Error] = KneexoError
 ) -> Iterator[None]:
-    """Note an error of the code inside ``with failure_noted(row):`` instead of raising it.
+    """Context manager that stores the message of an error in ``row[name]`` and does not raise it.
 
-    So a sweep continues after a scenario fails. ``row[name]`` becomes the message of an error of
-    the given ``kind``, or an empty text without an error. An error leaves the other values of
+    A sweep then continues after a scenario fails. Only errors of the given ``kind`` are stored.
+    Without an error ``row[name]`` becomes an empty text. An error leaves the other values of
     ``row`` as they are, for example nan.
     """
     row[name] = ""

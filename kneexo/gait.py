@@ -50,9 +50,10 @@ def gait_knee_moment() -> tuple[Array, Array, Array]:
 def gait_moment_cycle() -> Array:
     """Return the net knee moment in N·m over the gait cycle of `gait_knee_flexion`, (101,).
 
-    The moment is that of the last stride of `gait_knee_moment`. A subtracted straight line makes
-    both ends equal, and changes no sample by more than 1.2 N·m. The moment is shifted in phase to
-    the largest correlation of both adults' flexions. A positive moment flexes the knee.
+    The moment comes from the last stride of `gait_knee_moment`, measured on another adult. The
+    phase of the moment is shifted so that the flexions of both adults have the largest correlation.
+    A subtracted straight line makes both ends equal, and changes no sample by more than 1.2 N·m. A
+    positive moment flexes the knee.
     """
     time, flexion, moment = gait_knee_moment()
     percent, mean, _ = gait_knee_flexion()

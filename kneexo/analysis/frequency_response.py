@@ -228,7 +228,7 @@ class FrequencyResponse(Result):
 def fundamental(time_s: Array, signal: Array, frequency_hz: float) -> complex:
     """Return the complex amplitude A of a signal at a frequency.
 
-    A is that of the least-squares fit of c + Re(A e^{jωt}) to the signal.
+    The sum c + Re(A e^{jωt}), with a constant c, fits the signal best by least squares.
 
     Parameters
     ----------

@@ -42,11 +42,11 @@ _TANGENTS = 20
 class Equilibrium:
     """Equilibrium of a sampled loop at a constant reference.
 
-    ``equations`` are those of the closed loop with the open inputs ``reference`` and ``command``.
-    Loops that differ only in numbers share them. ``context`` belongs to their diagram and holds the
-    parameters, the reference and the state of this loop. ``reference`` is the port by which the
-    reference reaches the controller alone. ``command`` is the port of the motor speed command that
-    the plant reads.
+    ``equations`` are the equations of the closed loop with two open inputs, ``reference`` and
+    ``command``. Loops that differ only in numbers share the equations. ``context`` is a Context of
+    the diagram of the equations, with the parameters, the reference and the state of this loop.
+    ``reference`` names the port by which the reference reaches the controller alone. ``command``
+    names the port of the motor speed command that the plant reads.
     """
 
     equations: DiagramEquations
@@ -56,9 +56,10 @@ class Equilibrium:
     knee_angle_rad: float
 
     def beside(self, state_step: float, reference_step: Array) -> Any:
-        """Return a Context with other states and another reference.
+        """Return a Context near the equilibrium.
 
-        Each state x changes by ``state_step`` (1 + |x|), and the reference by ``reference_step``.
+        Each state x is changed by ``state_step`` (1 + |x|), and the reference by
+        ``reference_step``.
         """
         context, diagram = self.context.Clone(), self.equations.diagram
         x = context.get_continuous_state_vector().CopyToVector()
@@ -126,12 +127,12 @@ def find_equilibrium(scenario: Scenario, *, knee_angle_deg: float = MID_RANGE_DE
     """Find the equilibrium of the sampled loop of a scenario by Newton's method.
 
     The reference is the constant ``knee_angle_deg``, the initial offset is zero, and the
-    quantizers are bypassed. The biological moment is that at t = 0. The search ignores the limits
-    of the motor.
+    quantizers are bypassed. The biological moment has its value at t = 0. The search ignores the
+    limits of the motor.
 
-    Raises `LinearizationError` when there is no equilibrium, when the command there is at its
-    limit, and when the sliding variable there is outside the boundary layer. Also raises it when
-    the controller is continuous or switches by signum.
+    Raises `LinearizationError` when there is no equilibrium, or when at the equilibrium the command
+    is at its limit or the sliding variable is outside the boundary layer. The error is also raised
+    when the controller is continuous or switches by signum.
     """
     controller = scenario.controller
     if controller.kind == "smc" and (controller.continuous or controller.switching == "signum"):

@@ -38,7 +38,7 @@ class LegLength(Result):
 
 @dataclass(frozen=True, repr=False)
 class SwingClearance(Result):
-    """Height of the toe in swing if the knee were the leg's, all arrays (n,)."""
+    """Height of the toe in swing if the linkage were the knee of a prosthesis. Arrays are (n,)."""
 
     gait_percent: Array
     """Time after heel contact in % of the gait cycle."""
@@ -53,12 +53,12 @@ class SwingClearance(Result):
 
     @property
     def clearance_gain_m(self) -> Array:
-        """How much higher than with the hinge the toe is, at the same height of the hip."""
+        """Height of the toe above its place with a hinge as knee, for equal heights of the hip."""
         return self.hinge_toe_depth_m - self.toe_depth_m
 
     @property
     def least_clearance_gain_m(self) -> float:
-        """How much higher than with the hinge the lowest point of the toe's path is."""
+        """Height of the lowest point of the toe's path above that point with a hinge as knee."""
         return float(self.hinge_toe_depth_m.max() - self.toe_depth_m.max())
 
 
@@ -72,12 +72,12 @@ class VoluntaryStability(Result):
     hip_extension_n_m: float
     """Extension moment that keeps the knee from flexing at heel contact.
 
-    If it is negative, the knee is stable without it, up to this flexion moment.
+    If the number is negative, the knee does not flex up to a flexion moment of this magnitude.
     """
     hip_flexion_n_m: float
     """Flexion moment that starts flexion at push-off, with the load on the ball of the foot.
 
-    If it is negative, the knee flexes without it.
+    If the number is negative, the knee flexes without a moment of the hip.
     """
 
 

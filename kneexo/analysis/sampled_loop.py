@@ -63,7 +63,10 @@ class SampledLoop(Result):
 
     @cached_property
     def moving(self) -> Any:
-        """Indices of the states that change, without the integral of a PID without K_i or so."""
+        """Indices of the states that change.
+
+        An integral of a PID without integral action, for example, keeps its value.
+        """
         rows = np.hstack([self.model.a, self.model.b])
         still = (rows - np.eye(*rows.shape), rows)  # keeps its value, or becomes a constant
         # The tolerance covers rounding of 1e-16.
@@ -199,7 +202,7 @@ class SampledLoop(Result):
         return float(scipy.optimize.brentq(excess, grid[index - 1], grid[index]))
 
     def require_stable(self, what: str) -> None:
-        """Raise `LinearizationError` if the loop is unstable; ``what`` names what it then lacks."""
+        """Raise `LinearizationError` if the loop is unstable and therefore lacks ``what``."""
         if not self.stable:
             raise LinearizationError(
                 f"the sampled loop is unstable (largest eigenvalue "

@@ -158,10 +158,10 @@ SETTLING_BAND = 0.02
 
 @dataclass(frozen=True, repr=False)
 class StepMetrics(Result):
-    """Metrics of the response to a step of the reference, with the definitions of ``stepinfo``.
+    """Metrics of the response to a step of the reference, as MATLAB's ``stepinfo`` defines them.
 
-    Times count from the step. The final value is the end of the step, not the last sample, so an
-    error that remains keeps a response from settling.
+    Times count from the step. The final value is the reference after the step, not the last sample.
+    A response with a remaining error therefore does not settle.
     """
 
     step_deg: float

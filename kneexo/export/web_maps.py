@@ -39,19 +39,20 @@ _MOST_FACTORS = 5
 
 
 def map_value(formula: Map, values: Mapping[str, float]) -> float:
-    """Return the value of a formula at the numbers ``values``.
+    """Return the value of a formula for numbers with the ``values``, by name.
 
-    With the numbers q in the order of ``of``, the value is by ``kind``:
+    The formula depends on the numbers q[0], q[1], …, whose names are in ``of``. Its ``kind`` is one
+    of the following.
 
-    - ``affine``: ``offset`` plus the sum of all f[i] q[i], with the ``factors`` f;
-    - ``power``: ``factor`` times the product of all q[i]^e[i], with the ``exponents`` e;
-    - ``least``: the least of ``limit`` (unless None) and all f[i] q[i], with the ``factors`` f; if
-      ``unit`` is present, rounded down to whole units;
+    - ``affine``: ``offset`` plus the sum of all f[i] q[i], with the ``factors`` f.
+    - ``power``: ``factor`` times the product of all q[i]^e[i], with the ``exponents`` e.
+    - ``least``: the least of ``limit`` (unless None) and all f[i] q[i], with the ``factors`` f. If
+      ``unit`` is present, the value is rounded down to whole units.
     - ``chebyshev``: the sum of all c T_n[0](u[0]) T_n[1](u[1]) …, with the ``terms`` [c, n[0],
-      n[1], …], Chebyshev polynomials T and u[i] = (2 q[i] − low − high)/(high − low) for the
-      ``domain`` [low, high].
+      n[1], …] and the Chebyshev polynomials T. Each u[i] = (2 q[i] − low − high)/(high − low) is
+      q[i] scaled from its ``domain`` [low, high] to −1 … 1.
 
-    If ``at_least`` is present, the value is at least this number.
+    If ``at_least`` is present, no value of the formula is below this number.
     """
     return max(_unbounded(formula, values), formula.get("at_least", -math.inf))
 

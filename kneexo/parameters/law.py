@@ -86,11 +86,11 @@ class LawArguments(NamedTuple):
 class Law:
     """A control law: a function, an object that can be called, or a Drake system.
 
-    ``target`` is the law, or makes the Drake system. What makes a system is a class or function
-    without arguments, or a function with the argument ``scenario``.
+    ``target`` is the function, the object or the system itself. It can also be a class or function
+    without arguments, or a function with the argument ``scenario``, that returns a Drake system.
     ``name`` is ``FILE.py:NAME`` or ``MODULE:NAME``. Two laws are equal if their names are equal,
-    and their targets are one object or have one `fingerprint`. ``memo`` holds what other modules
-    have found out about this law.
+    and their targets are the same object or have equal fingerprints (`fingerprint`). ``memo`` holds
+    results that other modules have computed about this law.
     """
 
     def __init__(self, target: Any, name: str | None = None) -> None:
@@ -155,7 +155,7 @@ class Law:
     def require_name(self) -> None:
         """Raise `ParameterError` unless the name of the law leads to this law in a file or module.
 
-        A lambda has no such name, and the name of an object is that of its class.
+        No name leads to a lambda. The name of an object leads to its class.
         """
         if type(self).from_text(self.name) != self:
             raise ParameterError(
@@ -165,10 +165,10 @@ class Law:
 
     @property
     def fingerprint(self) -> str | None:
-        """Digest of the code and the values of the law as they are now; None if a type is unknown.
+        """Digest of the present code and values of the law, which differs after any change of them.
 
         The digest covers closure, attributes, and the user's functions, classes and modules that
-        the law reads. A type is unknown if pickle cannot write its values.
+        the law reads. It is None if pickle cannot write one of these values.
         """
         try:
             return hashlib.sha256(repr(_Walk().parts(self.target)).encode()).hexdigest()

@@ -84,9 +84,10 @@ class Name:
 
 @lru_cache(maxsize=32)
 def names_of(model: type[BaseModel], path: Path = ()) -> tuple[Name, ...]:
-    """Return the names that objects of a class can have, with every choice of their parts.
+    """Return all names in parameters of a class, for every kind that a part can have.
 
-    ``path`` has the keys for the mappings that it enters. Without a key, NAME stands for it.
+    A name inside a mapping, such as a gain of a law of the user, has a key in its path. The keys
+    come from ``path``, if it leads into the mapping. Otherwise the key is ``NAME``.
     """
     return tuple(_walk(model, path, (), (), ""))
 
@@ -116,10 +117,10 @@ def _walk(
 def advice(model: type[BaseModel], path: Path, here: Models = ()) -> str:
     """Return a remedy for a wrong path, such as ``; did you mean plant.cylinder.mass_kg?``.
 
-    A path that ``model`` has with another choice of its parts needs this choice. For another path,
-    names that are equal to its last name come before similar names. Among them, the remedy has the
-    names whose paths have most in common with the wrong path. Without a similar name the remedy
-    lists the names that are possible at the end of the path.
+    If the path exists with another kind of a part, the remedy is this kind. Otherwise the remedy
+    has names that are equal to the last name of the path, or else similar names. Of these names,
+    the remedy has those whose paths share most with the wrong path. If no name is similar, the
+    remedy lists the names that are possible at the end of the path.
 
     Parameters
     ----------

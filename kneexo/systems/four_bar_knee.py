@@ -37,7 +37,7 @@ def _argument(p: Any, extension: Any) -> Any:
 def moment_arm_slope(p: Any, coefficients: Any, extension: Any) -> Any:
     """Return the slope dr/dx of the moment arm at a rod extension x in m.
 
-    ``coefficients`` are those of the polynomial of r in `RodInverse`.
+    ``coefficients`` are the coefficients of the polynomial of r in `RodInverse`.
     """
     root = drake_math.sqrt(drake_math.max(p.dead_centre_m - extension, 1e-12))
     t = (root - p.centre) / p.half_width

@@ -210,10 +210,11 @@ HeldCommand_ = leaf_template(HeldCommand)
 class LinearLaw(NamedLeaf):
     """Replace a control law that runs as Python by its linear form, near an operating point.
 
-    M (1, x, z, y) gives the rates of the continuous states x of the law. Every ``sample_time_s`` it
-    also gives the discrete state (u, z) of this system, with the command u in rad/s. y contains the
-    elements of the inputs. M are Context parameters, see `set_matrix`. The output port
-    ``motor_speed_command`` (1) shows the state u, without limit.
+    The matrix M holds the linear form. The product M (1, x, z, y) contains dx/dt of the continuous
+    states x of the law, the command u in rad/s, and the discrete states z of the law. The vector y
+    has the elements of the inputs. The discrete state of this system is (u, z), updated every
+    ``sample_time_s``. The output port ``motor_speed_command`` (1) shows u, without limit. The
+    elements of M are Context parameters, see `set_matrix`.
 
     Parameters
     ----------
@@ -244,7 +245,7 @@ class LinearLaw(NamedLeaf):
         )
 
     def set_matrix(self, context: Any, matrix: Any) -> None:
-        """Set the Context parameters to M, with rows for the rates, for u and for z."""
+        """Set the Context parameters to a matrix M, whose rows give dx/dt, then u, then z."""
         context.get_mutable_numeric_parameter(0).SetFromVector(np.reshape(matrix, -1))
 
     def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:

@@ -128,8 +128,9 @@ def context_values(parameters: SineReference | StepReference | RampReference) ->
 class SineKneeReference(_KneeReference):
     """Reference θ_d = mean − w(t)·amplitude·cos(2πft), with three time derivatives.
 
-    w rises from 0 to 1 over the ramp and has three continuous derivatives; without a ramp it is 1.
-    Context parameters by name: ``mean_rad``, ``amplitude_rad``, ``frequency_hz``, ``ramp_s``.
+    The factor w rises from 0 to 1 over the ramp, with three continuous derivatives. Without a ramp
+    w is 1. Context parameters by name: ``mean_rad``, ``amplitude_rad``, ``frequency_hz`` and
+    ``ramp_s``.
     """
 
     def __init__(self, parameters: SineReference = SineReference()) -> None:
@@ -218,8 +219,8 @@ IntervalReference_ = leaf_template(IntervalReference)
 def make_knee_reference(parameters: Reference) -> Any:
     """Make the reference system for a parameter class.
 
-    Samples become a `TrajectorySource`, which has no symbolic form. Its curve follows the
-    ``interpolation`` between samples; before the first and after the last sample it is constant.
+    Samples become a `TrajectorySource`, which has no symbolic form. Between samples the curve
+    follows ``interpolation``. Before the first and after the last sample the curve is constant.
     """
     if isinstance(parameters, SampledReference):
         spline = sampled_spline(parameters)

@@ -75,7 +75,11 @@ class Trace:
 
     @property
     def lines(self) -> list[tuple[str, ...]]:
-        """Rows: lines, C function, system and purpose, equation, source, numbers of outputs."""
+        """Rows of the main table, one for each block of lines in C.
+
+        A row has the line numbers, the C function, system and purpose, the equation, its source,
+        and the numbers of the outputs that depend on the lines.
+        """
         return [
             (
                 f"{span.first}-{span.last}",
@@ -114,7 +118,10 @@ class Trace:
 
     @property
     def frozen(self) -> list[tuple[str, str, str]]:
-        """Rows: system, class, numbers in its equations that are no Context parameters."""
+        """Rows of a table of the numbers in equations that are no Context parameters.
+
+        A row has the path of a system, its class, and its numbers.
+        """
         graph = self.equations.graph
         numbers: dict[tuple[str, str], set[float]] = {}
         for section in self.equations.sections:

@@ -35,13 +35,13 @@ def fixed_nodes(
     looked_up: Collection[int] = frozenset(),
     kinds: frozenset[str] = frozenset({"parameter"}),
 ) -> list[int]:
-    """Return the fixed nodes to compute once; arguments come before the nodes that read them.
+    """Return the nodes whose values code computes once in advance, arguments before their readers.
 
-    A fixed node is returned if it is a root, or if a node that is not fixed reads it. Parameters
-    are among the returned nodes, and literal constants are not. Code computes a fixed truth value
-    at each use, so the arguments of the truth value are returned in its place. A node in
-    ``looked_up`` comes from a table, so it reads no fixed node. ``kinds`` are the sources on which
-    a fixed value may depend.
+    A node is fixed if its value depends only on the ``kinds`` of sources. A fixed node is returned
+    if it is a root, or if a node that is not fixed reads it. Parameters are among the returned
+    nodes, and literal constants are not. Code computes a fixed truth value at each use, so the
+    arguments of the truth value are returned in its place. The nodes in ``looked_up`` come from
+    tables, and therefore need no fixed nodes.
     """
     roots = list(roots)
     used = set(roots)
@@ -64,12 +64,12 @@ def nodes_by_count(
     cost: Callable[[Operation], int],
     cost_of_look_up: int,
 ) -> dict[int, list[int]]:
-    """Return a dictionary from each count to the nodes whose values a table should hold.
+    """Choose nodes whose values a table holds, with a row for each value of a whole number.
 
-    A row of a table belongs to a value of the count. A node is in the table of a count if four
-    conditions hold. The node depends on this count alone. The node is no truth value. The node is a
-    root, or a node that does not depend on this count alone reads the node. The computation of the
-    node costs more than a look-up.
+    The whole number, such as an encoder count, is a node called count. The result maps each count
+    to the nodes in its table. A node is in the table of a count under four conditions. The node
+    depends on the count alone. The node is no truth value. The node is a root, or its reader does
+    not depend on the count alone. The computation of the node costs more than a look-up.
 
     Parameters
     ----------

@@ -46,7 +46,7 @@ class Group:
 
 @dataclass(frozen=True)
 class Memo:
-    """Nodes whose values depend on one whole number alone; a table holds the values.
+    """Nodes whose values depend on one whole number alone, so that a table can hold the values.
 
     ``count`` is the node of the whole number.
     """

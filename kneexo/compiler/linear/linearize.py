@@ -114,9 +114,9 @@ def linearize_at(
     period_s: float | None = None,
     equilibrium_tolerance: float = EQUILIBRIUM_TOLERANCE,
 ) -> list[LinearModel]:
-    """Return the linear model of a diagram in each of several Contexts.
+    """Return the linear models of a diagram at several operating points, one for each Context.
 
-    The equations are read once, so many operating points take much less time than many calls of
+    The equations are read once, so the function takes much less time than many calls of
     `linearize`.
 
     Parameters
@@ -246,10 +246,11 @@ def _warn(point: Point, out_names: tuple[str, ...]) -> None:
 def tick_models(
     updates: Sequence[Update], jacobian: Array, continuous: int, period_s: float | None
 ) -> tuple[tuple[TickModel, ...], float]:
-    """Return what happens within a period, and the period in s.
+    """Return the linear models between and at the updates of a period, and the period in s.
 
-    ``jacobian`` (n, n + m) has the derivatives of the rates of the continuous states, which come
-    first, and of the discrete states after their updates. Arguments and errors: see `linearize`.
+    ``jacobian`` (n, n + m) has the derivatives by n states and m inputs. Its first rows are the
+    rates of the ``continuous`` states, and its other rows are the discrete states after their
+    updates. `linearize` describes ``period_s`` and the errors.
     """
     n, m = len(jacobian), jacobian.shape[1] - len(jacobian)
     rates = jacobian.copy()

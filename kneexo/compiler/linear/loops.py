@@ -110,7 +110,7 @@ class Transfer:
         return np.asarray(np.einsum("i,ij->j", c[0], states) + self.d, dtype=complex)
 
     def response(self, frequencies_hz: ArrayLike) -> Complex:
-        """Return L at frequencies in Hz, (n,), to rounding errors. A pole gives no finite value."""
+        """Return L at frequencies in Hz, (n,). At a pole on the imaginary axis L is not finite."""
         z = self.point(np.atleast_1d(frequencies_hz))
         shifted = z[:, None, None] * np.eye(len(self.a)) - self.a
         try:
@@ -120,9 +120,9 @@ class Transfer:
         return np.asarray((self.c @ states)[:, 0, 0] + self.d, dtype=complex)
 
     def rounding_change(self, frequencies_hz: ArrayLike) -> Array:
-        """Return how much |L| changes at most, (n,), at frequencies in Hz, by rounding A, b and c.
+        """Return the largest change of |L| by rounding A, b and c, (n,), at frequencies in Hz.
 
-        Rounding changes each element by at most 2⁻⁵³ of it. The change at a pole is inf.
+        Rounding changes an element by at most 2⁻⁵³ of the element. The change at a pole is inf.
         """
         z = self.point(np.atleast_1d(frequencies_hz))
         shifted = z[:, None, None] * np.eye(len(self.a)) - self.a
@@ -175,9 +175,9 @@ class Transfer:
     def frequency_grid(self) -> Array:
         """Return frequencies in Hz that resolve all poles and zeros of L, S and T, (n,), ascending.
 
-        The grid is logarithmic, and dense around each lightly damped pole or zero. The first and
-        the last frequency lie so far out that L has its limits there. The last one is at most the
-        Nyquist frequency.
+        The grid is logarithmic, and dense around each lightly damped pole or zero. At the first
+        frequency L has its limit for low frequencies. At the last frequency L has its limit for
+        high frequencies, or the last frequency is the Nyquist frequency.
         """
         s = self._singularities()
         size = np.abs(s) / (2.0 * math.pi)
@@ -293,10 +293,9 @@ def _control_matrices(system: Any) -> tuple[list[Any], float | None]:
 def sensitivity(loop: Any) -> Transfer:
     """Return the sensitivity S = 1/(1 + L) of a loop transfer L for negative feedback.
 
-    S is the transfer from a disturbance that is added at the break to the signal just after this
-    sum. `as_transfer`
-    describes the forms of ``loop`` and the errors. Also raises `ParameterError` if L = −1 at
-    infinite frequency.
+    A disturbance that is added where the loop is broken appears in the sum multiplied by S.
+    `as_transfer` describes the forms of ``loop`` and the errors. Also raises `ParameterError` if
+    L = −1 at infinite frequency.
     """
     transfer = as_transfer(loop)
     through = 1.0 / _return_difference(transfer)

@@ -89,11 +89,12 @@ def margins(loop: Any) -> LoopMargins:
     ----------
     loop
         The loop transfer L for negative feedback, in one of the forms that `as_transfer` describes,
-        or a `PeriodicLoop`. In place of L, a `PeriodicLoop` has a factor k on its signal at all
-        times. The margins are then the smallest changes of k that move an eigenvalue of the motion
-        over a period across the unit circle. For a loop with a transfer function both definitions
-        give the same numbers. The phase margins are then the smaller one of lag and lead, and the
-        delay margin is nan.
+        or a `PeriodicLoop`. A `PeriodicLoop` has no L, so its signal is multiplied by a complex
+        factor k, and the loop of the diagram has k = 1. The margins are the smallest changes of k
+        that move an eigenvalue of the motion over a period across the unit circle. Both phase
+        margins are the smaller of lag and lead, and the delay margin is nan. For a loop with a
+        transfer function both definitions give the same gain margins and the same smaller phase
+        margin.
 
     Raises
     ------

@@ -144,9 +144,10 @@ class LinearModel:
         return bool((distance_inside(self.eigenvalues, self.period_s) > BOUNDARY_TOLERANCE).all())
 
     def poles(self) -> Complex:
-        """Return the poles in 1/s, the `eigenvalues` λ, or ln(λ)/P of a sampled model.
+        """Return the poles in 1/s.
 
-        A sampled model has no pole for an eigenvalue below 1e-9, such as those of a delay.
+        The poles of a continuous model are its `eigenvalues` λ. A sampled model of the period P has
+        the poles ln(λ)/P. Eigenvalues below 1e-9, such as the eigenvalues of a delay, are left out.
         """
         values = self.eigenvalues
         if self.period_s is None:
@@ -154,9 +155,9 @@ class LinearModel:
         return np.asarray(np.log(values[np.abs(values) > 1e-9]) / self.period_s, dtype=complex)
 
     def zeros(self) -> Complex:
-        """Return the finite invariant zeros, values of s, or of z if the model is sampled.
+        """Return the finite invariant zeros, as values of s, or of z if the model is sampled.
 
-        They are the numbers λ for which the matrix [[A − λI, B], [C, D]] loses rank.
+        At a zero λ the matrix [[A − λI, B], [C, D]] loses rank.
         """
         return invariant_zeros(self.a, self.b, self.c, self.d)
 

@@ -28,12 +28,12 @@ _REACHES = np.linspace(0.0, 0.999, 81)
 
 @dataclass(frozen=True, repr=False)
 class PeriodicLoop:
-    """A loop that is broken where its signal y changes several times within the period P.
+    """A loop that is broken at a signal y, which changes several times within the period P.
 
-    All systems that read the signal get v in its place. ``ticks`` have v as their only input, and
-    ``row`` (1, n) gives y = c z from the state z. The loop is closed by v = y. It has no transfer
-    function with one input and one output, because a sine in v gives y components at several
-    frequencies.
+    All systems that read y get another signal v. ``ticks`` are the linear models between and at the
+    updates, with v as their only input. ``row`` (1, n) is c in y = c z, with the state z. In the
+    closed loop v = y. The loop has no transfer function with one input and one output, because a
+    sine in v gives y components at several frequencies.
     """
 
     ticks: tuple[TickModel, ...]

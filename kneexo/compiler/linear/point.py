@@ -49,7 +49,7 @@ def mean_slopes(slopes: Sequence[Slopes]) -> Slopes:
 
 @dataclass(frozen=True)
 class Point:
-    """A diagram with the values at which to evaluate its equations."""
+    """Equations of a diagram, and the time, parameters, state and inputs at which they are read."""
 
     read: DiagramEquations
     time_s: float
@@ -61,9 +61,9 @@ class Point:
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """Names of the continuous and then the discrete states.
+        """Names of the continuous and then the discrete states, such as ``pendulum.theta``.
 
-        The path of a diagram that is a single leaf system is empty, and so is its part of the name.
+        The name has no path if the diagram is a single leaf system.
         """
         names = self.read.state_names + self.read.discrete_names
         return tuple(name.removeprefix(".") for name in names)
@@ -79,10 +79,10 @@ class Point:
         return replace(self, state=state, inputs=self.inputs if inputs is None else inputs)
 
     def slopes(self, outputs: Sequence[str] = ()) -> Slopes:
-        """Return the equations linearized at the point, as `Slopes`.
+        """Return values and derivatives of the equations at the point.
 
-        These are dx/dt, the next discrete states and the elements of the ports ``outputs``, each
-        with its derivatives with respect to states and inputs.
+        The values are dx/dt, the next discrete states, and the elements of the ports ``outputs``.
+        The derivatives are with respect to states and inputs.
         """
         derivatives = self.derivatives(outputs)
         of_nodes, rows = derivatives.at(self.sources)
@@ -167,7 +167,8 @@ class Point:
         """Return a text that names the state that moves most, or an empty text at an equilibrium.
 
         A state moves if its element of `residual` exceeds ``tolerance`` and the effect of rounding
-        errors. Rounding counts as 1e-13 of the sum of magnitudes ∑ⱼ |∂rᵢ/∂zⱼ| |zⱼ|.
+        errors. Rounding of the rate rᵢ counts as 1e-13 ∑ⱼ |∂rᵢ/∂zⱼ| |zⱼ| over all states and
+        inputs zⱼ.
         """
         if tolerance == math.inf:
             return ""

@@ -72,11 +72,11 @@ class Value:
         return self.function.compare("ge", self, other)
 
     def equals(self, other: Operand) -> Value:
-        """Emit the comparison "equal"; return the condition. nan is not equal to anything."""
+        """Emit the comparison "equal". Return the condition, which is false for nan."""
         return self.function.compare("eq", self, other)
 
     def differs(self, other: Operand) -> Value:
-        """Emit the comparison "not equal"; return the condition. nan differs from everything."""
+        """Emit the comparison "not equal". Return the condition, which is true for nan."""
         return self.function.compare("ne", self, other)
 
 
@@ -265,7 +265,7 @@ class Function:
         return self.instruction(text, type_)
 
     def alike(self, *operands: Operand) -> list[Value]:
-        """Convert operands to one type: of their types that with the most lanes.
+        """Convert operands to the type of the operand with the most lanes.
 
         If all operands are Python numbers, they become doubles.
         """
@@ -274,7 +274,7 @@ class Function:
         return [self.coerce(operand, widest) for operand in operands]
 
     def binary(self, name: str, left: Operand, right: Operand) -> Value:
-        """Emit an arithmetic or bitwise operation. ``name``: LLVM's name of it for integers."""
+        """Emit an arithmetic or bitwise operation with LLVM's ``name`` for integers, as ``add``."""
         a, b = self.alike(left, right)
         prefix = "f" if a.type.element == "double" else ""
         return self.instruction(f"{prefix}{name} {a.type} {a.name}, {b.name}", a.type)
@@ -461,7 +461,10 @@ class Function:
 
     @contextmanager
     def forever(self) -> Iterator[Loop]:
-        """Context manager: the code that its body emits repeats until `Loop.stop_if` leaves it."""
+        """Context manager that emits a loop. `Loop.stop_if` ends the loop.
+
+        The loop repeats the code that the body of the ``with`` statement emits.
+        """
         head, after = self.new_labels("loop", "after")
         self.line(f"br label %{head}")
         self.label(head)

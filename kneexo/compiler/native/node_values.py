@@ -19,14 +19,15 @@ CHAIN = ("sizes", "edges", "partials", "rows")
 def node_values_text(graph: Graph, targets: Iterable[tuple[Place, int]]) -> str:
     """Return the IR text of the functions ``values`` and ``chain``, which serve one lane.
 
-    ``values`` computes nodes from the sources of the graph. ``targets`` has for each node the array
-    ``values`` or ``partials`` and the index at which to store the value. A truth value becomes 1
-    or 0.
+    ``values`` computes nodes from the sources of the graph. ``targets`` says where the value of
+    each node is stored: the array, ``values`` or ``partials``, and the index. A truth value becomes
+    1 or 0.
 
-    ``chain`` applies the chain rule to the rows of a matrix. Each of ``sizes[0]`` edges has three
-    numbers in ``edges``: a row, another row that comes before, and the index of the partial
-    derivative in ``partials``. The partial derivative times the other row is added to the row. The
-    matrix ``rows`` has ``sizes[1]`` columns. Zero times any number, also times infinity, is zero.
+    ``chain`` applies the chain rule. The matrix ``rows`` has a row of derivatives for each node,
+    with ``sizes[1]`` columns. Each of the ``sizes[0]`` triples in ``edges`` has the row of a node,
+    the row of one of its arguments, and the index of the partial derivative in ``partials``. The
+    row of the argument, times the partial derivative, is added to the row of the node. Zero times
+    any number, also times infinity, is zero.
     """
     targets = list(targets)
     module = Module()

@@ -91,9 +91,9 @@ def _reach(integrator: str) -> tuple[Array, Array]:
 
 
 def excess(integrator: str, h_lambda: Array) -> Array:
-    """Return how far each z = h λ is outside the region of stability (n,); above 1 is unstable.
+    """Return |z| of each z = h λ (n,), divided by the largest stable |z| in the direction of z.
 
-    The number is |z| divided by the largest stable |z| in the direction of z.
+    The step h is unstable for the mode λ if the ratio exceeds 1.
     """
     return np.abs(h_lambda) / np.interp(np.abs(np.angle(h_lambda)), *_reach(integrator))
 
