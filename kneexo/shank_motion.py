@@ -87,7 +87,7 @@ def _splines(knee: AnatomicalKneeParameters) -> tuple[Any, Any]:
 def anatomical_motion(knee: AnatomicalKneeParameters, knee_angle: ArrayLike) -> ShankMotion:
     """Return the motion of the shank of a wearer, at knee angles (n,) in rad.
 
-    The translation is that of the tibia's origin, (−x, y − y_0), with x forwards and y up. The
+    The translation (−x, y − y_0) is the motion of the tibia's origin, with x forwards and y up. The
     value y_0 is y at full extension. Raises `ParameterError` for a knee angle without nodes.
     """
     angle = np.atleast_1d(np.asarray(knee_angle, dtype=float))

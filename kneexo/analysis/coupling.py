@@ -64,10 +64,10 @@ def stable_interval(
 
     Stability is computed at each of ``values`` and at the value that the scenario has. Between a
     stable and an unstable neighbour a root search finds the end, where max|λ| = 1, with a relative
-    error of 1e-6. If the loop is stable at the first or last value, the first or
-    last value is an end. Of several intervals the result is the one with the scenario's value, or
-    else the one nearest to the scenario's value. If the loop is stable at no value, both ends are
-    nan.
+    error of 1e-6. If the loop is stable at the first or last value, this value is an end of the
+    interval. If there are several intervals, the result is the interval that contains the
+    scenario's value, or else the interval nearest to the scenario's value. If the loop is stable at
+    no value, both ends are nan.
 
     Parameters
     ----------

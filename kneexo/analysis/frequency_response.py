@@ -256,8 +256,8 @@ def _pchip(x: Array, y: Array) -> PiecewisePolynomial:
 def crossing(frequencies_hz: Array, gain: Array) -> float:
     """Return the first frequency in Hz at which a curve through ``gain`` (n,) falls to 1/√2.
 
-    The curve is a shape-preserving cubic (PCHIP). The result is nan when the curve does not
-    fall to 1/√2 within ``frequencies_hz`` (n,), which must be increasing.
+    The curve through ``gain`` is a shape-preserving cubic (PCHIP). The result is nan when the curve
+    does not fall to 1/√2 within ``frequencies_hz`` (n,), which must be increasing.
     """
     below = np.flatnonzero((gain[:-1] >= MINUS_3_DB) & (gain[1:] < MINUS_3_DB))
     if below.size == 0:

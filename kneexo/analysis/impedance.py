@@ -243,9 +243,9 @@ def output_impedance(
 def with_prescribed_leg(scenario: Scenario, what: str) -> Scenario:
     """Return a scenario whose leg follows the reference, without biological moment.
 
-    The moment does not move such a leg, and as a given torque it is no part of a response. So the
-    mode ``assist`` becomes ``zero_torque``. Raises `ParameterError` without a leg; ``what`` needs
-    it.
+    The biological moment does not move a leg that follows the reference, and is no part of a
+    response. The mode ``assist``, which needs the moment, becomes ``zero_torque``. Raises
+    `ParameterError`, which names ``what``, for a scenario without a leg.
     """
     if not isinstance(scenario.wearer, LegParameters):
         raise ParameterError(

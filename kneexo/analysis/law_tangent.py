@@ -42,11 +42,11 @@ class LawTangent:
         """Numbers of continuous and of discrete states."""
 
     def linear_law(self) -> LinearLaw:
-        """Return a system with the inputs of the law, and as many states."""
+        """Return a `LinearLaw` with the inputs of the law, and with equal numbers of states."""
         return LinearLaw(self._sample_time_s, self._inputs, *self.sizes)
 
     def start_in(self, diagram: Any, context: Any) -> None:
-        """Set the states of the `LinearLaw` of a closed loop to those of the law at the start."""
+        """Give the `LinearLaw` of a closed loop the states that the law has at the start."""
         self._fix_inputs(self._signals(diagram, context))
         with user_code(f"law {self._name}: the system fails"):
             Simulator(self._system, self._context).Initialize()
@@ -56,9 +56,10 @@ class LawTangent:
         subcontext.SetDiscreteState([0.0, *discrete])
 
     def set(self, diagram: Any, context: Any) -> None:
-        """Set the Context parameters of the `LinearLaw` of a closed loop to the tangent there.
+        """Make the `LinearLaw` of a closed loop the tangent of the law at the state in ``context``.
 
-        Raises `LinearizationError` for a law whose command or state is not finite there.
+        Raises `LinearizationError` if the command or a state of the law is not finite near this
+        state.
         """
         linear_law = _linear_law(diagram)
         subcontext = linear_law.GetMyMutableContextFromRoot(context)

@@ -14,8 +14,8 @@ from kneexo.result import Result
 class Margins(Result, LoopMargins):
     """Stability margins of a sampled loop, broken at the motor speed command.
 
-    `kneexo.compiler.LoopMargins` describes the numbers. The margins are those up to the Nyquist
-    frequency.
+    `kneexo.compiler.LoopMargins` describes the numbers. Only frequencies up to the Nyquist
+    frequency count.
     """
 
 

@@ -46,9 +46,9 @@ class SampledLoop(Result):
     """Linear closed loop of plant and sampled controller.
 
     The inputs of ``model`` are the reference that the controller reads (θ_d and three derivatives)
-    and a perturbation of the motor speed command. Its outputs are the port ``output`` and the
-    command. Its states are those of the plant and then those of the controller, in the units of the
-    Context.
+    and a perturbation of the motor speed command. The outputs of ``model`` are the port ``output``
+    and the command. The state has the states of the plant and then the states of the controller, in
+    the units of the Context.
     """
 
     model: LinearModel

@@ -74,10 +74,12 @@ def parameter_rows(
 
 
 def mark_changes(rows: Iterable[Row], scenario: Scenario) -> None:
-    """Write into the provenance of each value that differs from its default whose value it is.
+    """Change the provenance of values that differ from their defaults.
 
-    A value that ``scenario`` leaves out keeps its provenance, and so does a value without default
-    and a linkage that has a name. The provenance of a fitted polynomial says that it is fitted.
+    The new provenance says whether the value comes from a preset or from the user, and has the
+    default. A value that ``scenario`` leaves out keeps its provenance, and so does a value without
+    default and a linkage that has a name. The provenance of a fitted polynomial says that the
+    polynomial is fitted.
     """
     presets = {name: Scenario.preset(name) for name in PRESETS}
     for row in rows:
@@ -97,7 +99,10 @@ def mark_changes(rows: Iterable[Row], scenario: Scenario) -> None:
 
 
 def setting_rows() -> Iterator[Row]:
-    """Yield a row for each setting of each study. Imports the studies, and so Drake."""
+    """Yield a row for each setting of each study.
+
+    The function imports the studies, which import Drake, so it is slow.
+    """
     for study in STUDIES.values():
         yield from parameter_rows(study.settings(), f"{study.label or study.command}: ")
 

@@ -39,7 +39,7 @@ def number(
     """Return a real number as a float.
 
     Raises `ParameterError` for another type, such as a bool, and for a number that ``accepts``
-    refuses. ``range_text`` is the range that it accepts, for the message.
+    refuses. ``range_text`` describes the accepted range in the message.
     """
     try:
         result = float(value) if isinstance(value, Real) and not isinstance(value, bool) else None

@@ -372,9 +372,9 @@ class CompiledModel(ModelBase):
     ) -> float:
         """Return the largest magnitude of a mode λ of the continuous states along a run, in 1/s.
 
-        Choose the step of RK4 by it: RK4 is stable with steps below 2.6/|λ|, and accurate with
-        0.2/|λ|. The modes are those at each tick, and at as many random states in the ranges of
-        the run. The random states mix the elements of different ticks.
+        The number |λ| helps to choose the step of RK4. RK4 is stable with steps below 2.6/|λ|, and
+        accurate with 0.2/|λ|. The modes are computed at each tick, and at an equal number of random
+        states. A random state mixes the elements of states at different ticks.
 
         Parameters
         ----------

@@ -117,8 +117,8 @@ class ModelBase:
     ) -> SimulationError | None:
         """Return the error of a run in a lane of ``runner``; None if the run succeeded.
 
-        The message says when and why the run failed. An unstable step is the reason for everything
-        that follows it, also for a wrong run that reaches its end.
+        The message says when and why the run failed. A run with an unstable step has failed, even
+        if the run reaches its end, and the step is then the reason.
 
         Parameters
         ----------

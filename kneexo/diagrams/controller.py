@@ -150,7 +150,10 @@ def holds_its_command(law: System) -> bool:
 
 
 def controller_parts(scenario: Scenario, law: System | None = None) -> list[Part]:
-    """Return the leaf systems of `make_controller`; an empty list if it `has_unknown_parts`."""
+    """Return the leaf systems of `make_controller`, as parts of the diagram.
+
+    The list is empty for a controller that `has_unknown_parts`.
+    """
     return [] if law is None and has_unknown_parts(scenario) else _parts(scenario, law)
 
 

@@ -82,13 +82,13 @@ class Table:
 def read_table(path: str | os.PathLike[str], names: Sequence[str], remedy: str = "") -> Table:
     """Read columns of a CSV file, or of a .mot or .sto file of OpenSim.
 
-    The first record of the file has the names of the columns. In a file of OpenSim it stands below
-    the line ``endheader``, and ``time_s`` means the column ``time``. Lines between records are
-    ignored if they have no values or start with ``#``, ``%`` or ``sep=``.
+    The first record of the file has the names of the columns. In a file of OpenSim the first record
+    stands below the line ``endheader``, and ``time_s`` means the column ``time``. Lines between
+    records are ignored if they have no values or start with ``#``, ``%`` or ``sep=``.
 
-    Comma, semicolon, tab, bar or spaces separate the values, whichever separates most of ``names``
-    in the first record. If it is not the comma, and any number of the file has a comma, commas are
-    the decimal signs of the whole file, and numbers must not have points.
+    The separator of values is the comma, semicolon, tab, bar or space that separates most of
+    ``names`` in the first record. If the separator is not the comma, and any number of the file has
+    a comma, commas are the decimal signs of the whole file, and numbers must not have points.
 
     Parameters
     ----------

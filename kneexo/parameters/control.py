@@ -197,11 +197,13 @@ class PidParameters(Parameters):
 class LawParameters(Parameters):
     """A control law of the user in place of kneexo's laws.
 
-    ``function`` is a function, a Drake system, a class or function that makes one, or their name
-    ``FILE.py:NAME``. In a scenario file, a relative path starts at the directory of the file. The
-    names of a function's arguments, or of a system's input ports, choose what the law reads: those
-    of `kneexo.parameters.law.LAW_INPUTS`. A function may have the arguments ``time_s`` and
-    ``state`` too. An argument with a number as default is a gain. ``values`` contains all gains;
+    ``function`` is a function, a Drake system, or a class or function that makes a Drake system.
+    ``function`` can also be the name ``FILE.py:NAME`` of a law. In a scenario file, a relative path
+    starts at the directory of the file.
+
+    The law reads the signals of `kneexo.parameters.law.LAW_INPUTS` whose names are arguments of the
+    function, or input ports of the system. A function may have the arguments ``time_s`` and
+    ``state`` too. An argument with a number as default is a gain. ``values`` contains all gains.
     ``--set`` and uncertainty sets reach a gain by the path ``controller.values.NAME``.
 
     A function with the argument ``scenario`` makes a Drake system. Its scenario contains only what

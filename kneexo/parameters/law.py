@@ -201,7 +201,7 @@ class Law:
 
     @cached_property
     def takes_scenario(self) -> bool:
-        """Whether the law is a function of a ``scenario`` that makes a Drake system."""
+        """Whether the law is a function that makes a Drake system for its argument ``scenario``."""
         target = self.target
         if isinstance(target, type) or _is_system(target):
             return False

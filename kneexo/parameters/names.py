@@ -46,12 +46,15 @@ class Place:
     """Whether the next key is a key of a mapping or an index, so that it stands for no field."""
 
     def of_kind(self, kind: object) -> Place | None:
-        """Return this place with the class of a kind alone, or None without union or kind."""
+        """Return this place with only the class of a kind.
+
+        Returns None if the place does not hold one of several classes, or no class of this kind.
+        """
         models = tuple(model for model in self.models if kind_of(model) == kind)
         return replace(self, models=models) if models and len(self.models) > 1 else None
 
     def below(self, key: str | int) -> Place:
-        """Return the place that one more key leads to from here."""
+        """Return the place one key further down."""
         keys = (*self.keys, key)
         if self.inside:
             return replace(self, keys=keys, inside=False)
@@ -212,7 +215,17 @@ def unknown_attribute(model: type[BaseModel], name: str) -> str:
 
 
 def frozen(model: type[BaseModel], name: str, value: str) -> str:
-    """Return a message for the assignment of ``value``, a text, to an attribute of parameters."""
+    """Return the error message for a user who assigns to the attribute ``name`` of parameters.
+
+    Parameters
+    ----------
+    model
+        Class of the parameters.
+    name
+        Name of the attribute.
+    value
+        The assigned value as Python text.
+    """
     if name not in model.model_fields:
         return unknown_attribute(model, name)
     places = [

@@ -281,9 +281,9 @@ def gait_reference(frequency_hz: float = 1.0, cycles: int = 3) -> SampledReferen
 
     The first and the last sample are at the least flexion (`gait_start_percent`), where the knee is
     at rest. The first sample is at t = 0. The measured stride does not end at exactly the angle at
-    which it starts, so a straight line is subtracted to close the gap. This changes no sample by
-    more than 0.03°, a twentieth of the measurement's standard deviation. A closed loop settles
-    during the first stride.
+    which it starts, so a straight line is subtracted to close the gap. The subtraction changes no
+    sample by more than 0.03°, a twentieth of the measurement's standard deviation. A closed loop
+    settles during the first stride.
 
     Parameters
     ----------

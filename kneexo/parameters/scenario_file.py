@@ -39,7 +39,7 @@ _DEEPEST = 20
 
 
 def load_scenario(path: str | os.PathLike[str], preset: str | None = None) -> Scenario:
-    """Read a scenario from a YAML file. Values that the file lacks are those of a preset.
+    """Read a scenario from a YAML file. A preset gives the values that the file lacks.
 
     Parameters
     ----------

@@ -33,8 +33,8 @@ any order. If an answer is an `Exception`, it is raised in the call that made th
 def needs_runs(function: Function) -> Function:
     """Decorator of a function that simulates, so that a sweep runs its calls in lockstep.
 
-    The decorator only marks the function. `kneexo.sweeps.parallel_map` maps it by `map_in_lockstep`
-    if it is the mapped function, or the function in a `functools.partial` that is mapped.
+    The decorator only marks the function. `kneexo.sweeps.parallel_map` maps a marked function, or a
+    `functools.partial` of a marked function, by `map_in_lockstep`.
     """
     vars(function)["needs_runs"] = True
     return function

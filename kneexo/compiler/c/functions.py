@@ -36,7 +36,10 @@ class Function:
         return "\n".join(self.statements)
 
     def reads(self, variable: str) -> bool:
-        """Return whether the statements use ``variable``, not only as a struct member."""
+        """Return whether the statements use ``variable``.
+
+        A struct member with this name, such as ``p->x``, does not count, nor does a comment.
+        """
         code = re.sub(r"/\*.*?\*/", "", self.text, flags=re.DOTALL)
         return re.search(rf"(?<![\w>.]){variable}\b", code) is not None
 

@@ -46,7 +46,7 @@ class Schedule:
 
     @property
     def cycle(self) -> tuple[int, int]:
-        """First ticks of two cycles. The same updates are due in each cycle."""
+        """First ticks of two successive cycles. Every cycle has the same updates at its ticks."""
         first = max(self.offsets, default=0)
         return first, first + math.lcm(1, *self.periods)
 

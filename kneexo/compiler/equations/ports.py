@@ -60,9 +60,10 @@ def bypass(root: Node, path: str) -> None:
 
 
 def can_bypass(root: Node, path: str) -> bool:
-    """Return whether a path is that of a system without state whose ports fit.
+    """Return whether the system at a path can count as a wire.
 
-    The system has one output port, and a first input port of the same size. Both are vectors.
+    The system must have no state, one output port, and a first input port of the same size. Both
+    ports must be vectors.
     """
     node = next((node for node in _systems(root) if node.path == path), None)
     if node is None or node.system.num_input_ports() < 1 or node.system.num_output_ports() != 1:

@@ -176,13 +176,13 @@ class LinearModel:
     def prescribed(self, states: Sequence[str]) -> LinearModel:
         """Return the model with the motion of some continuous states as inputs.
 
-        The new inputs have the names of the states, and come after the inputs of this model. The
-        new outputs ``rate of STATE`` come after its outputs. They are the rates by the equations
-        of the states, so a caller can compute the input that causes the prescribed motion.
-        The caller is responsible for consistent states, such as a position and its rate.
+        The new inputs have the names of the states, and follow the inputs of this model. The new
+        outputs ``rate of STATE`` follow the outputs of this model. Each is the rate that the
+        equations give the state, so a caller can compute the input that causes the prescribed
+        motion. The caller is responsible for consistent states, such as a position and its rate.
 
-        Raises `ParameterError` for a name that is no continuous state of the model, or is there
-        twice.
+        Raises `ParameterError` for a name that is no continuous state of the model, and for a name
+        that occurs twice.
         """
         fixed = [self._continuous_index(name) for name in states]
         if len(set(fixed)) < len(fixed):

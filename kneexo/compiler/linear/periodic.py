@@ -85,20 +85,22 @@ class PeriodicLoop:
         return math.exp(sign * logarithm), frequency
 
     def turn_change(self) -> tuple[float, float]:
-        """Return the smallest turn φ in rad, up to π, whose factor e^{±jφ} changes stability.
+        """Return the smallest angle φ in rad at which a factor e^{±jφ} makes the loop unstable.
 
-        The second value is the frequency. Without such a turn the result is (inf, nan). A factor
-        e^{−jφ} is a lag at positive frequencies and a lead at negative ones. The eigenvalues of a
-        period do not tell one from the other, so the result is the smaller of the two.
+        If the loop is unstable, φ is the smallest angle at which the factor makes the loop stable.
+        The second value is the frequency in Hz. Without such an angle up to π the result is
+        (inf, nan). A factor e^{−jφ} is a lag at positive frequencies and a lead at negative
+        frequencies. The eigenvalues of a period do not tell lag from lead, so the result is the
+        smaller of both.
         """
         return self._first(lambda t: np.exp(-1j * t), _TURNS)
 
     def disk_change(self) -> tuple[float, float]:
-        """Return the smallest ε at which (1 + εe^{jθ})/(1 − εe^{jθ}) changes stability.
+        """Return the smallest ε at which a factor (1 + εe^{jθ})/(1 − εe^{jθ}) ends stability.
 
-        One angle θ at which the loop becomes unstable (or stable) is enough. The second value is
-        the frequency of the critical eigenvalue in Hz. Without such an ε below 0.999 the result is
-        (1, nan).
+        One angle θ at which the loop becomes unstable (or stable, if it is unstable) is enough. The
+        second value is the frequency of the critical eigenvalue in Hz. Without such an ε below
+        0.999 the result is (1, nan).
         """
 
         def along(angle: float) -> tuple[float, float]:

@@ -320,8 +320,8 @@ def _exp_of_reduced(f: Function, r: Value) -> Value:
 def tanh(f: Function, x: Value) -> Value:
     """Emit the hyperbolic tangent of x.
 
-    With E = e^(-2|x|) and t = E - 1 its magnitude is -t/(2 + t), or 1 - 2 E/(1 + E) from |x| = 0.55
-    on, where the first quotient would lose two bits.
+    With E = e^(-2|x|) and t = E - 1, the magnitude is -t/(2 + t) up to |x| = 0.55. For larger |x|
+    the magnitude is 1 - 2 E/(1 + E), because the first quotient would lose two bits.
     """
     magnitude = f.minimum(f.absolute(x), 20.0)  # 1 from there on
     r, exponent = _reduced(f, -2.0 * magnitude)

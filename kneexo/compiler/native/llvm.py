@@ -27,8 +27,8 @@ the two vectors at the same time.
 class Processor:
     """A processor that machine code is made for. LLVM defines the texts of name and features.
 
-    ``level`` is LLVM's optimization level. The levels give the same bits. Level 0 compiles about
-    ten times as fast as level 3, and its code takes about twice as long.
+    ``level`` is LLVM's optimization level. All levels give the same bits. Level 0 compiles about
+    ten times as fast as level 3, but its code runs about half as fast.
     """
 
     name: str

@@ -101,10 +101,10 @@ class MachineCode:
 
 
 def library(key: str, part: str, text: Callable[[], str], level: int | None = None) -> Library:
-    """Return code that is loaded, else from the cache, else compiled from the IR text ``text()``.
+    """Return machine code: the loaded code, else code from the cache, else compiled code.
 
-    ``key`` must differ between codes of the same ``part``. ``level``: LLVM's optimization level, by
-    default the level of `processor`.
+    The function compiles the IR text ``text()``. ``key`` must differ between codes of the same
+    ``part``. ``level`` is LLVM's optimization level, by default the level of `processor`.
     """
     target = processor() if level is None else replace(processor(), level=level)
     with _lock:

@@ -11,8 +11,8 @@ def define_inputs(module: Module, size: int) -> Function:
     """Define the emitted function ``evaluate_inputs(t, table, u)``, like `InputTable.value`.
 
     The function writes one lane's open inputs at the time ``t`` in s to ``u``. Each break belongs
-    to the segment on its right. Only the last of several breaks belongs to the segment on its left.
-    ``size`` is the number of elements of all open inputs.
+    to the segment that begins there. If there are several breaks, the last one belongs to the
+    segment that ends there. ``size`` is the number of elements of all open inputs.
     """
     arguments = {"t": DOUBLE, "table": POINTER, "u": POINTER}
     f = module.function("evaluate_inputs", arguments)

@@ -60,9 +60,9 @@ _Point = tuple[Array, Array, Array]  # states at a stage, their rates and their 
 class UnstableStep:
     """The first unstable step of a run.
 
-    ``time_s`` and ``state``: start of the step; ``step_s``: its length. ``eigenvalue``: the mode λ
-    in 1/s that the step does not follow; ``shares`` (states,): participation factors of the states
-    in this mode. ``safe_s``: `SAFETY` times the longest stable step in s.
+    The step begins at ``time_s`` with ``state`` and lasts ``step_s``. The step does not follow the
+    mode with the ``eigenvalue`` λ in 1/s. ``shares`` (states,) are the participation factors of the
+    states in this mode. ``safe_s`` is `SAFETY` times the longest stable step in s.
     """
 
     time_s: float

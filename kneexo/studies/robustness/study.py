@@ -93,7 +93,7 @@ MERITS = {
 def merits_of(scenario: Scenario, metrics: Mapping[str, Any]) -> tuple[str, ...]:
     """Return the names of the figures of merit of a scenario that are in ``metrics``.
 
-    Torque control does not follow the reference, so the error of the angle is none of them.
+    A torque controller does not follow the reference, so the errors of the angle are left out.
     """
     errors = ("max_error_deg", "rms_error_deg") if scenario.controller.kind == "torque" else ()
     return tuple(name for name in MERITS if name in metrics and name not in errors)
