@@ -150,8 +150,8 @@ def _ground(link: LinkageParameters) -> tuple[float, float]:
 def grashof_margin(link: LinkageParameters) -> float:
     """Return by how much a linkage obeys Grashof's condition, p + q − l_max − l_min in m.
 
-    The lengths p and q are those of the other two links. Where the margin is positive, the shortest
-    link turns fully relative to all others. Where it is negative, no link turns fully.
+    The other two links have the lengths p and q. If the margin is positive, the shortest link turns
+    fully relative to all others. If the margin is negative, no link turns fully.
     """
     lengths = sorted((_ground(link)[0], link.a_2_m, link.a_3_m, link.a_4_m))
     return lengths[1] + lengths[2] - lengths[3] - lengths[0]

@@ -58,8 +58,9 @@ class ShankMotion(Result):
 def linkage_motion(link: LinkageParameters, knee_angle: ArrayLike) -> ShankMotion:
     """Return the motion of the shank that a linkage guides, at knee angles (n,) in rad.
 
-    The coupler is fixed to the shank, or, if the shank is the ground link, to the thigh. Then the
-    motion is the inverse of the coupler's, and x is mirrored. Raises `LinkageError` as
+    If the thigh is the ground link, the coupler is fixed to the shank. If the shank is the ground
+    link, the coupler is fixed to the thigh. The motion is then the inverse of the motion of the
+    coupler, with x mirrored. Raises `LinkageError` as
     `kneexo.linkage.pose` does.
     """
     now, straight = pose(link, np.atleast_1d(knee_angle)), pose(link, 0.0)

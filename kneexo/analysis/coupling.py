@@ -133,8 +133,8 @@ class StiffnessInterval(Result):
     and hold limit it. A low end above zero means that the loop is unstable at a stiffness just
     below. `stable_interval` says which of several intervals counts.
 
-    The interval is that of small motions without encoder counts. A count of the encoder times a
-    large stiffness is a large torque: 0.088° times 37 kN·m/rad is 57 N·m.
+    The interval is valid for small motions without encoder counts. A count of the encoder times a
+    large stiffness is a large torque, for example 57 N·m for 0.088° times 37 kN·m/rad.
     """
 
     low_n_m_per_rad: float

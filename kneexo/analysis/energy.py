@@ -48,7 +48,7 @@ class EnergyBalance(Result):
         return max(float(np.max(np.abs(values))) for values in self.energies.values())
 
     def between(self, start_s: float, end_s: float) -> dict[str, float]:
-        """Return a dictionary from name to energy in J from a time to a later one.
+        """Return the energies in J that flow between two times, as a dictionary by name.
 
         The times are rounded to records. Raises `ParameterError` unless the run has both times and
         the first is earlier.

@@ -96,16 +96,19 @@ class OutputImpedance(Result):
 
     @property
     def held_spring_n_m_per_rad(self) -> float:
-        """Spring r² 4 β_e Ā²/V_t of the oil, Z jω above the leakage's corner (motor held)."""
+        """Spring r² 4 β_e Ā²/V_t of the oil, in N·m/rad.
+
+        If the motor is held, jω Z is this spring at frequencies above the corner of the leakage.
+        """
         cylinder = self.scenario.plant.cylinder
         rate = 4.0 * cylinder.bulk_modulus_pa / cylinder.total_volume_m3
         return self.moment_arm_m**2 * rate * cylinder.mean_area_m2**2
 
     @property
     def held_inertia_kg_m2(self) -> float:
-        """Inertia r² m of the moving mass, Z/(jω) above the resonance with the oil's spring.
+        """Inertia r² m of the moving mass, or the inertia about the knee that the load has.
 
-        If the load has an inertia about the knee, the result is this inertia.
+        Above the resonance with the oil's spring, Z/(jω) is this inertia.
         """
         arm = self.moment_arm_m
         return float(arm**2 * self.scenario.plant.moving_mass_kg(arm))

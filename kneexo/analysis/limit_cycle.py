@@ -51,8 +51,8 @@ def limit_cycle(run: Run) -> LimitCycle | None:
 
     The reference rests after its last change. The first half of this rest is for transients. The
     knee has a limit cycle if its swing in the last quarter of the rest is at least 0.9 of the swing
-    in the quarter before, if its amplitude is at least `SMALLEST_CYCLE_DEG`, and if it crosses the
-    middle of its swing at least three times in these two quarters.
+    in the quarter before, if the amplitude is at least `SMALLEST_CYCLE_DEG`, and if the knee angle
+    crosses the middle of the swing at least three times in these two quarters.
     """
     reference = run["knee_reference_rad"]
     moving = np.flatnonzero(np.abs(reference - reference[-1]) > REST_RAD)

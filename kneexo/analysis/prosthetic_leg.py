@@ -32,7 +32,7 @@ class LegLength(Result):
 
     @property
     def shortening_m(self) -> Array:
-        """How much shorter than with the hinge the leg is. It is negative for a longer leg."""
+        """Length of the leg with a hinge as knee, minus the length of the leg with the linkage."""
         return self.hinge_distance_m - self.distance_m
 
 

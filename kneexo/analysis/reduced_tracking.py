@@ -41,7 +41,7 @@ def track_basic_metrics(scenario: Scenario) -> dict[str, float]:
 def track_metrics(scenario: Scenario) -> TrackingMetrics:
     """Simulate a scenario and return the metrics of `track`.
 
-    As in `track_basic_metrics`, the compiled engine computes them without a log.
+    As in `track_basic_metrics`, the compiled engine computes the metrics without a log.
     """
     plant = scenario.plant
     reductions = tracking_reductions(

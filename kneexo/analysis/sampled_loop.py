@@ -140,11 +140,11 @@ class SampledLoop(Result):
         """Return the response of the output to a sine in θ_d, at frequencies in Hz, (n,).
 
         The continuous output has components at ω + 2πk/T for all integers k. The result is the
-        component at ω. It is exact, also above the Nyquist frequency, but for a law with continuous
-        states, whose states see a held reference here. The samples U e^{jωkT} of the
-        command are held for T. The held command has the component U (1 − e^{−jωT})/(jωT) at ω, and
-        the plant responds to it with G(jω). Raises `LinearizationError` unless all frequencies are
-        positive.
+        component at ω. The samples U e^{jωkT} of the command are held for T. The held command has
+        the component U (1 − e^{−jωT})/(jωT) at ω, and the plant responds to this component with
+        G(jω). The result is exact, also above the Nyquist frequency, with one exception: the
+        continuous states of a law see a held reference here. Raises `LinearizationError` unless all
+        frequencies are positive.
         """
         f = frequency_array(frequencies_hz)
         if np.any(f <= 0.0):

@@ -153,10 +153,11 @@ def cycle_responses(
 
 
 def settled_cycles(responses: Any, tolerance: float) -> int:
-    """Return from how many of the last cycles on the response has settled.
+    """Return the number of last cycles over which the response has settled.
 
-    ``responses`` (n,) are the complex responses of n cycles. Each of the last cycles agrees with
-    the next one: their difference is at most ``tolerance`` times the magnitude of the later one.
+    ``responses`` (n,) are the complex responses of n cycles. Each of these last cycles agrees with
+    the next cycle. Two responses agree if their difference is at most ``tolerance`` times the
+    magnitude of the later response.
     """
     change = np.abs(np.diff(responses)) > tolerance * np.abs(responses[1:])
     return len(responses) - (int(np.flatnonzero(change)[-1]) + 1 if change.any() else 0)

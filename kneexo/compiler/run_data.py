@@ -49,8 +49,8 @@ class InputTable:
     def value(self, time_s: float) -> Array:
         """Return the values of the inputs at a time, (inputs,).
 
-        At a break, the value is the value of the segment that begins there. Only at the last of
-        several breaks it is the value of the segment that ends there.
+        At a break, the segment that begins there gives the values. At the last break of a table
+        with several breaks, the segment that ends there gives the values.
         """
         segment = int(np.searchsorted(self.breaks, time_s, side="right"))
         if 1 < segment == self.breaks.size and time_s == self.breaks[-1]:

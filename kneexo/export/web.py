@@ -103,7 +103,7 @@ def web_model(scenario: Scenario) -> dict[str, Any]:
         The kinds of these parts. A torque controller has its mode in place of the kind.
     ``wearer``, ``moment``
         Whether the loop has a wearer, and the biological moment as a piecewise polynomial or None.
-        The inputs of a loop with a wearer are that of `IntervalReference`, followed by the moment.
+        A loop with a wearer has the input of `IntervalReference`, followed by the moment.
 
     Raises `ParameterError` for a law that is called as Python and for a mode of the plant that the
     steps of a module cannot follow. Raises the errors of `make_closed_loop`. Raises

@@ -157,7 +157,7 @@ class CylinderParameters(Parameters):
 class FullCylinderParameters(Parameters):
     """Chambers, valves and seals of the full-order cylinder (Eq. 14).
 
-    They complete `CylinderParameters`, whose ``leakage_m3_per_s_pa`` is C_im' of Eq. 14. A
+    These numbers complete `CylinderParameters`, whose ``leakage_m3_per_s_pa`` is C_im' of Eq. 14. A
     reduced-order cylinder with the same leakage has C_L = C_im' + C_em'/2. Pressures are relative
     to the atmosphere.
     """
@@ -281,8 +281,8 @@ def _coefficients(default: _Six, unit: str, source: str, largest: float) -> Any:
 class RodPolynomialParameters(Parameters):
     """Coefficients (Table 1) of the polynomials that convert between knee angle and rod extension.
 
-    The controller uses them. Eq. 10 (p) gives the rod extension in mm from the knee angle in deg.
-    Eq. 11 (q) gives the knee angle from the rod extension.
+    The controller uses the polynomials. Eq. 10 (p) gives the rod extension in mm from the knee
+    angle in deg. Eq. 11 (q) gives the knee angle from the rod extension.
     """
 
     p_mm_deg: _Six = _coefficients(

@@ -121,8 +121,7 @@ class SampledReference(_KneeReference):
     """Knee angle that passes through samples.
 
     The default curve is a cubic spline with continuous acceleration. ``interpolation`` chooses
-    another curve. Times and angles can be
-    tuples, lists, NumPy arrays or pandas columns.
+    another curve. Times and angles can be tuples, lists, NumPy arrays or pandas columns.
     """
 
     kind: Literal["samples"] = "samples"

@@ -92,8 +92,8 @@ def structure(parameters: Parameters) -> tuple[tuple[str, Any], ...]:
     """Return names and values of the fields that decide the form of a scenario's equations.
 
     These fields are choices, whole numbers (counts, delays), the structures of nested parameters,
-    and sample times. Other floats and tuples do not belong to the structure. A sample time does,
-    because leaf systems turn it into a constant of the equations.
+    and sample times. A sample time belongs to the structure, because leaf systems turn it into a
+    constant of the equations. Other floats and tuples do not belong to the structure.
     """
     fields: list[tuple[str, Any]] = []
     values = vars(parameters)

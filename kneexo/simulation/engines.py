@@ -226,7 +226,7 @@ def can_reduce(scenario: Scenario) -> bool:
 def reduce_run(scenario: Scenario, reductions: tuple[Reduction, ...]) -> Array:
     """Run the closed loop of a scenario that `can_reduce`; return the values of ``reductions``.
 
-    Their outputs are names of `kneexo.diagrams.SIGNALS`, and a sample is taken at each control
-    period. The run logs no signals. Raises the errors of `simulate`.
+    The outputs of the reductions are names of `kneexo.diagrams.SIGNALS`, and a sample is taken at
+    each control period. The run logs no signals. Raises the errors of `simulate`.
     """
     return _run(RunRequest(scenario, (), reductions=reductions)).reduced

@@ -21,9 +21,9 @@ class Run(Result):
     row n has the motor speed command that belongs to the measurement of row n − 1, or n − 1 − k
     with a bus of k samples latency.
 
-    ``settings`` names the solver of this run. If the run was
-    repeated, ``settings`` is the solver of the last attempt. All values are finite. ``reduced`` has
-    the values of the reductions of a `RunRequest`.
+    ``settings`` names the solver of this run. If the run was repeated, ``settings`` is the solver
+    of the last attempt. All values are finite. ``reduced`` has the values of the reductions of a
+    `RunRequest`.
     """
 
     time_s: Array

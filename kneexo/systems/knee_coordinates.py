@@ -61,7 +61,7 @@ class KneeCoordinates(NamedLeaf):
     """Computes the measured knee angle and rod extension from the reading of the encoder.
 
     θ_4 = reading + offset. θ_p follows from Eq. 3–7. x = p_1 θ_p⁵ + … + p_6 (Eq. 10, Table 1). In
-    the real device this runs on the microcontroller.
+    the real device the microcontroller computes these equations.
 
     ===============  ====  ====  =========================================================
     input port       size  unit
@@ -118,7 +118,7 @@ KneeCoordinates_ = leaf_template(KneeCoordinates)
 
 
 class RodReference(NamedLeaf):
-    """Computes the reference of the rod from that of the knee, by Eq. 10 and the chain rule.
+    """Computes the reference of the rod from the knee's reference, by Eq. 10 and the chain rule.
 
     ===============  ====  ===========================  ===================================
     input port       size  unit

@@ -94,7 +94,7 @@ class CPrinter:
     def collect_fixed(self, roots: Iterable[int]) -> None:
         """Set `fixed` to those nodes required for ``roots`` that depend on parameters alone.
 
-        Parameters themselves are left out: the statements read them directly.
+        Parameters themselves are left out, because the statements read their values directly.
         """
         nodes = fixed_nodes(self.graph, roots, self.tables)
         worthwhile = [node for node in nodes if self.graph.nodes[node][0] not in SOURCES]
@@ -103,8 +103,8 @@ class CPrinter:
     def constant_in_a_tick(self, roots: Iterable[int]) -> dict[int, int]:
         """Return nodes that ``roots`` require and that change at ticks only, each with a number.
 
-        They depend on discrete states, inputs and parameters. Sources and nodes in `fixed` are left
-        out: the statements read them directly.
+        Such a node depends on discrete states, inputs and parameters. Sources and nodes in `fixed`
+        are left out, because the statements read their values directly.
         """
         nodes = fixed_nodes(self.graph, roots, kinds=TICK_SOURCES)
         read = {*self.fixed, *(node for node in nodes if self.graph.nodes[node][0] in SOURCES)}

@@ -116,9 +116,10 @@ class Sil:
 
 
 def require_sil_folder(directory: str | os.PathLike[str], *names: str) -> None:
-    """Raise `OutputError` if an export of a loop of models ``names`` would replace anything else.
+    """Raise `OutputError` if a directory has files that no export of a loop has written.
 
-    See `require_export_folder`. Each model has a subfolder.
+    ``names`` are the names of the models of the loop, each with a subfolder. See
+    `require_export_folder`.
     """
     require_export_folder(directory, _SIL)
     for name in names:

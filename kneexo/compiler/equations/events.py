@@ -27,7 +27,7 @@ _NOT_OF_USERS = tuple(
 def symbolic_value(where: str, evaluate: Callable[[], Any]) -> Any:
     """Return ``evaluate()``, which calls a user's leaf system with symbolic values.
 
-    The leaf's code can raise any error, and a branch on a symbolic value raises one
+    The leaf's code can raise any error, for example at a branch on a symbolic value
     (`truth_of_scalars`). The function raises `CompilationError` in place of this error, with a
     message that begins with ``where`` and names file and line of the user's code.
     """

@@ -23,8 +23,8 @@ class Derivatives:
     The nodes are ``roots`` and all nodes that the roots depend on. The variables are the elements
     of the sources of ``kinds``, all elements of the first kind, then all elements of the second
     kind, and so on. The derivatives are exact, by the chain rule in forward mode. At a corner
-    (`Role.CORNER`) they are those on one side. Zero times a derivative is zero, even if the
-    derivative is not finite. So the branch of a choice that is not taken has no effect.
+    (`Role.CORNER`) they are the derivatives on one side. Zero times a derivative is zero, even if
+    the derivative is not finite. A branch that is not taken therefore has no effect.
     """
 
     def __init__(self, graph: Graph, roots: Iterable[int], kinds: Collection[str]) -> None:
@@ -82,12 +82,12 @@ class Derivatives:
     def _slot(self, name: str, node: int) -> int:
         return self._slots.setdefault((name, node), len(self._slots))
 
-    def at(self, sources: Mapping[str, Array], rounding: Iterable[int] = ()) -> tuple[Array, Array]:
+    def at(self, sources: Mapping[str, Array], smooth: Iterable[int] = ()) -> tuple[Array, Array]:
         """Return the values (nodes,) and the derivatives (nodes, variables).
 
         ``sources`` maps each kind of source, such as ``state``, to the values of its elements.
-        Kinds that no node depends on may be missing. The derivative of a quantizer is zero. It is 1
-        for the quantizers ``rounding``, as if they did not round.
+        Kinds that no node depends on may be missing. A quantizer has the derivative 0. The
+        quantizers among the nodes ``smooth`` have the derivative 1, as if they did not round.
         """
         first, columns = {}, 0
         for kind in self._kinds:
@@ -97,7 +97,7 @@ class Derivatives:
         rows = np.zeros((len(self.nodes), columns))
         for place, kind, element in self._variables:
             rows[place, first[kind] + element] = 1.0
-        for node in rounding:
+        for node in smooth:
             if ("quantizer", node) in self._slots:  # a rounded parameter has no derivative
                 partials[self._slots["quantizer", node]] = 1.0
         given = [np.ascontiguousarray(sources.get(kind, ()), dtype=float) for kind in VALUES[:-2]]

@@ -284,9 +284,9 @@ class LinearModel:
 
         The input is e^{jωt} at all times with ω = 2πf. The steady output of a sampled diagram has
         components at ω + 2πk/P for all integers k. The result is the component at ω,
-        (1/P) ∫ y(t) e^{−jωt} dt over a period. A measured sinestream gives this number. It is exact
-        above the Nyquist frequency too, except at multiples of 1/(2P), where components of ω and
-        −ω have the same frequency.
+        (1/P) ∫ y(t) e^{−jωt} dt over a period. A measured sinestream gives this number. The result
+        is exact above the Nyquist frequency too, except at multiples of 1/(2P), where components of
+        ω and −ω have the same frequency.
 
         For a continuous model the result is `frequency_response`. Raises `LinearizationError` for a
         frequency that is not finite, is a pole, or exceeds 1e9/P.

@@ -50,7 +50,7 @@ class PeriodicLoop:
     def closed_matrices(self, factors: ArrayLike = 1.0) -> Complex:
         """Return the matrices of the motion over a period with v = k y, for factors k (f,).
 
-        The result has the shape (f, n, n). At the factor 1 the loop is that of the diagram.
+        The result has the shape (f, n, n). The factor 1 gives the loop of the diagram.
         """
         k = np.atleast_1d(np.asarray(factors, dtype=complex))[:, None, None]
         moved: Any = np.eye(self.row.size)
@@ -76,31 +76,32 @@ class PeriodicLoop:
         return bool((distance_inside(values, self.period_s) > BOUNDARY_TOLERANCE).all())
 
     def gain_change(self, sign: float) -> tuple[float, float]:
-        """Return the first factor above 1 (sign 1) or below 1 (−1) at which stability changes.
+        """Return the first factor above 1 (sign 1) or below 1 (−1) that is critical.
 
-        The second value is the frequency of the critical eigenvalue in Hz, at most 1/(2P). If no
-        factor from 1e-6 to 1e6 changes stability, the result is (inf or 0, nan).
+        A factor is critical if it makes a stable loop unstable or an unstable loop stable. The
+        second value is the frequency of the critical eigenvalue in Hz, at most 1/(2P). If no factor
+        from 1e-6 to 1e6 is critical, the result is (inf or 0, nan).
         """
         logarithm, frequency = self._first(lambda t: np.exp(sign * t), _GAINS)
         return math.exp(sign * logarithm), frequency
 
     def turn_change(self) -> tuple[float, float]:
-        """Return the smallest angle φ in rad at which a factor e^{±jφ} makes the loop unstable.
+        """Return the smallest angle φ in rad, up to π, at which a factor e^{±jφ} is critical.
 
-        If the loop is unstable, φ is the smallest angle at which the factor makes the loop stable.
-        The second value is the frequency in Hz. Without such an angle up to π the result is
-        (inf, nan). A factor e^{−jφ} is a lag at positive frequencies and a lead at negative
-        frequencies. The eigenvalues of a period do not tell lag from lead, so the result is the
-        smaller of both.
+        A factor is critical if it makes a stable loop unstable or an unstable loop stable. The
+        second value is the frequency of the critical eigenvalue in Hz. Without such an angle the
+        result is (inf, nan). A factor e^{−jφ} is a lag at positive frequencies and a lead at
+        negative frequencies. The eigenvalues of a period do not tell lag from lead, so the result
+        is the smaller of both.
         """
         return self._first(lambda t: np.exp(-1j * t), _TURNS)
 
     def disk_change(self) -> tuple[float, float]:
-        """Return the smallest ε at which a factor (1 + εe^{jθ})/(1 − εe^{jθ}) ends stability.
+        """Return the smallest ε at which a factor (1 + εe^{jθ})/(1 − εe^{jθ}) is critical.
 
-        One angle θ at which the loop becomes unstable (or stable, if it is unstable) is enough. The
-        second value is the frequency of the critical eigenvalue in Hz. Without such an ε below
-        0.999 the result is (1, nan).
+        A factor is critical if it makes a stable loop unstable or an unstable loop stable. A single
+        angle θ is enough. The second value is the frequency of the critical eigenvalue in Hz.
+        Without such an ε below 0.999 the result is (1, nan).
         """
 
         def along(angle: float) -> tuple[float, float]:
@@ -205,9 +206,10 @@ def _moved_within(
 
 
 def opened(ticks: Sequence[TickModel], column: int, row: Array) -> tuple[TickModel, ...]:
-    """Return ticks with v as their only input, where v = u + c z with the input ``column`` u.
+    """Return ticks of a loop that is opened at the signal v = u + c z, with v as their only input.
 
-    The substitution u = v − c z opens the loop through the signal v. ``row`` is c.
+    The signal is the sum of the input u, which has the index ``column``, and of c z with the state
+    z. ``row`` is c. The substitution u = v − c z opens the loop.
     """
     rates: dict[int, tuple[Array, Array]] = {}
     for tick in ticks:

@@ -223,8 +223,8 @@ def advance_rk4(tick: Tick) -> None:
 def advance_runge_kutta3(tick: Tick) -> None:
     """Emit one tick of a third-order method, in the steps of Drake's RungeKutta3Integrator.
 
-    The last step ends exactly at the end of the tick: it is shorter than ``tick.step``, or at most
-    1 % longer.
+    The last step ends exactly at the end of the tick. The last step is shorter than ``tick.step``,
+    or at most 1 % longer.
     """
     f = tick.function
     z, k1, k2, k3 = (tick.vector() for _ in range(4))

@@ -201,8 +201,9 @@ class Runner:
         """Set the parameters (lanes, parameters); return this runner.
 
         The method also clears the Jacobians and look-up tables, which depend on the parameters, and
-        the log of suspected steps. ``last`` (lanes,): last ticks of the runs, by which the log is
-        divided; by default it has one window.
+        the log of suspected steps. The log keeps one step for each window of time. ``last``
+        (lanes,) has the last tick of each run, which is divided into windows. By default there is
+        one window.
         """
         self._windows[:] = _NEVER if last is None else last // SUSPECTS + 1
         self._suspects[:, :, 0] = 0.0

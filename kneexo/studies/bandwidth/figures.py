@@ -55,7 +55,7 @@ def figures(result: BandwidthResult) -> dict[str, Figure]:
 def plot_map(result: BandwidthResult) -> Figure:
     """Draw four maps over frequency and amplitude.
 
-    They show gain, phase, and the shares of time at the motor's speed and acceleration limits.
+    The maps show gain, phase, and the shares of time at the motor's speed and acceleration limits.
     """
     figure, axes = plt.subplots(
         2, 2, figsize=(8.4, 7.8), sharex=True, sharey=True, layout="constrained"

@@ -150,9 +150,9 @@ The largest error of a run inside the range of motion is always smaller.
 class Tuning:
     """The best gains that one search found for a contestant, and whether the search converged.
 
-    ``objective_deg`` is the largest error of a run in deg, averaged over the training plants. It
-    exceeds `INFEASIBLE_DEG` if the gains violate a constraint. ``history_deg`` has the best
-    objective of each generation. ``spread`` is the standard deviation of the last population's
+    ``objective_deg`` is the largest error of a run in deg, averaged over the training plants. The
+    objective exceeds `INFEASIBLE_DEG` if the gains violate a constraint. ``history_deg`` has the
+    best objective of each generation. ``spread`` is the standard deviation of the last population's
     objectives divided by their mean.
     """
 

@@ -219,9 +219,10 @@ def rank_correlation(
 
 
 def chance(span: Uncertainty, count: int) -> float:
-    """Return the limit that chance lets a `rank_correlation` exceed in 5 % of cases.
+    """Return the strength that an uncertain value without effect exceeds by chance in 5 % of cases.
 
-    The value has no effect, has the range ``span``, and is sampled on ``count`` plants.
+    `rank_correlation` defines the strength. ``span`` is the range of the value, and ``count`` is
+    the number of sampled plants.
     """
     freedom = max(len(span.options), 2) - 1
     return math.sqrt(scipy.stats.chi2.ppf(CONFIDENCE, freedom) / (count - 1)) if freedom else 0.0

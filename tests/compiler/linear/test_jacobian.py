@@ -18,10 +18,10 @@ SMOOTH = [
 POINT = {"state": np.array([0.37, 0.62]), "discrete": np.array([0.81])}
 
 
-def values_and_jacobian(graph, roots, sources, kinds, rounding=()):
+def values_and_jacobian(graph, roots, sources, kinds, smooth=()):
     """The values of the roots and their derivatives."""
     found = Derivatives(graph, roots, kinds)
-    values, rows = found.at(sources, rounding)
+    values, rows = found.at(sources, smooth)
     return values[found.roots], rows[found.roots]
 
 
