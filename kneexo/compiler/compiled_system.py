@@ -27,9 +27,9 @@ class CompiledSystem(LeafSystem):
 
     As in every discrete system, an update at a tick changes the state right after the tick. So
     outputs and logs at a tick equal the outputs of the compiled diagram at that tick. Between two
-    ticks they already have the values of the next tick. An input from another discrete system
-    arrives one tick later, because an update sees the values before all updates. Compile that
-    system too to avoid this delay.
+    ticks the outputs already have the values of the next tick. An input from another discrete
+    system arrives one tick later, because an update sees the values before all updates. Compile
+    that system too to avoid this delay.
 
     The step size and the Jacobians of the integrator are a cache entry of the Context, not part of
     the state. So a run that continues from a copied state agrees with the original run only within
@@ -187,7 +187,7 @@ class _Running:
     def _run(self, state: Array, first: int, last: int, rows: int, inputs: InputTable) -> None:
         size = self._system._size
         self._x[:, 0], self._d[:, 0], self._last[0] = state[:size], state[size:], last
-        status = self._runner.go(first, last, rows, [inputs])
+        status = self._runner.call_once(first, last, rows, [inputs])
         # An output that is not finite is an error only for a reader of its port.
         if status[0, 0] != OUTPUT_NOT_FINITE:
             after = State(self._x[:, 0].copy(), self._d[:, 0].copy())

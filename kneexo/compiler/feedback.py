@@ -77,41 +77,42 @@ def simulate_with_feedback(
         first += size
     held = table.coefficients[:, first : first + model.inputs[feedback_input]]
     held[:] = 0.0
-    places, column = {}, 0
+    columns, width = {}, 0
     for name in names:
-        places[name] = slice(column, column + model.outputs[name])
-        column += model.outputs[name]
+        columns[name] = slice(width, width + model.outputs[name])
+        width += model.outputs[name]
     x, d = (values.reshape(-1, 1).copy() for values in (state.continuous, state.discrete))
     last = np.zeros(1, dtype=np.int64)
-    row = np.empty((1, column, 1))
+    row = np.empty((1, width, 1))
     rows_of_parameters = model.checked_parameters(np.asarray(parameters, dtype=float)[None])
     every = runner.timing.record_every
     samples = int(duration_s / runner.timing.tick * (1.0 + 1e-12)) // every + 1
-    ends = (samples - 1) * every
-    runner.restart(rows_of_parameters, np.array([ends]))
+    last_tick = (samples - 1) * every
+    runner.restart(rows_of_parameters, np.array([last_tick]))
     runner.bind(x, d, last, row)
-    record = np.empty((samples, column))
+    record = np.empty((samples, width))
 
-    def go(tick: int, end: int, rows: int) -> None:
-        last[0] = end
-        status = runner.go(tick, end, rows, [table])[0].tolist()
-        if status[0] != OK or end == ends:
+    def run(tick: int, until: int, *, record_rows: int) -> None:
+        """Advance x and d from a tick to another, and record ``record_rows`` rows in ``row``."""
+        last[0] = until
+        status = runner.call_once(tick, until, record_rows, [table])[0].tolist()
+        if status[0] != OK or until == last_tick:
             final = State(x[:, 0].copy(), d[:, 0].copy())
             if error := model.fault(status, runner, rows_of_parameters[0], final):
                 raise error
 
     for sample in range(samples):
         tick = sample * every
-        go(tick, tick, 1)
+        run(tick, tick, record_rows=1)
         record[sample] = values = row[0, :, 0]
         if sample == samples - 1:
             break
         time_s = runner.timing.times(tick)
-        read = {name: values[places[name]].copy() for name in feedback_outputs}
+        read = {name: values[columns[name]].copy() for name in feedback_outputs}
         held[:, :, 0] = feedback(time_s, read)
         if not np.isfinite(held[0, :, 0]).all():
             raise not_finite(time_s, feedback_input)
-        go(tick, tick + every, 0)
+        run(tick, tick + every, record_rows=0)
     times = runner.timing.times(np.arange(samples) * every)
-    data = {name: record[:, places[name]] for name in recorded}
+    data = {name: record[:, columns[name]] for name in recorded}
     return Simulation(times, data, State(x[:, 0].copy(), d[:, 0].copy()))

@@ -134,6 +134,8 @@ class CPrinter:
 
 
 class _Block:
+    """C statements that compute some nodes and assign their values to C variables."""
+
     def __init__(
         self, printer: CPrinter, load: Load, loads: Mapping[int, tuple[str, int]], indent: str
     ) -> None:
@@ -142,29 +144,33 @@ class _Block:
         self.real = printer.precision
         self.indent = indent
         self.names: dict[int, str] = {}
+        """Variables that the statements define, by node."""
         self.text: dict[int, str] = {}
+        """C text that reads each node that has been printed, a variable or an expression."""
         self.assigned: set[int] = set()
 
     def lines(self, targets: Sequence[tuple[str, int]]) -> list[str]:
+        """Return the statements for ``targets``, section by section."""
         self.assigned = {node for _, node in targets}
         needed = self._reachable(self.assigned)
         uses = Counter(node for _, node in targets)
         for node in needed:
             uses.update(self._arguments(node))
         lines: list[str] = []
-        waiting, unset = set(needed), list(targets)
+        unprinted, unassigned = set(needed), list(targets)
         signals = {node for section in self.printer.sections for node in section.nodes}
         for section in self.printer.sections:
-            within = waiting & self._reachable(section.nodes)
-            waiting -= within
-            values = {*section.nodes, *(within - signals)}
-            inside = [target for target in unset if target[1] in values]
-            unset = [target for target in unset if target not in inside]
-            statements = self._statements(sorted(within), uses) + self._assignments(inside)
+            new = unprinted & self._reachable(section.nodes)
+            unprinted -= new
+            # A section assigns its own signals, and values on the way that are nobody's signals.
+            values = {*section.nodes, *(new - signals)}
+            assigned = [target for target in unassigned if target[1] in values]
+            unassigned = [target for target in unassigned if target not in assigned]
+            statements = self._statements(sorted(new), uses) + self._assignments(assigned)
             if statements:
                 lines += section_comment(section, self.indent)
             lines += statements
-        rest = self._statements(sorted(waiting), uses) + self._assignments(unset)
+        rest = self._statements(sorted(unprinted), uses) + self._assignments(unassigned)
         if rest and lines:
             lines += comment_lines("Values of no single system.", self.indent)
         return lines + rest
@@ -179,10 +185,10 @@ class _Block:
         lines = []
         for node in nodes:
             text = self._expression(node)
-            simple = not self._arguments(node)
+            is_read_directly = not self._arguments(node)
             is_named = node in self.printer.names and node not in self.assigned
-            short = uses[node] == 1 and len(text) < _LONGEST_EXPRESSION
-            if simple or (short and not is_named):
+            fits_its_use = uses[node] == 1 and len(text) < _LONGEST_EXPRESSION
+            if is_read_directly or (fits_its_use and not is_named):
                 self.text[node] = text
                 continue
             condition = self.graph.nodes[node][0] in CONDITIONS
@@ -230,6 +236,7 @@ class _Block:
         self.printer.operations[operation] += times
 
     def _expression(self, node: int) -> str:
+        """Return a C expression for a node whose arguments have been printed. Count operations."""
         if node in self.loads:
             return self.load(*self.loads[node])
         kind, *rest = self.graph.nodes[node]
@@ -240,29 +247,30 @@ class _Block:
         if kind in SOURCES:
             return self.load(kind, int(rest[0]))
         arguments = self.graph.arguments(node)
-        a = [self.text[argument] for argument in arguments]
         if kind == "add":
             return self._sum(arguments)
         if kind == "multiply":
             return self._product(node)
+        texts = [self.text[argument] for argument in arguments]
         operation = OPERATIONS[kind]
         symbol = operation.c
         if symbol == "!":
-            return f"(!{a[0]})"
+            return f"(!{texts[0]})"
         if symbol == "?:":
+            condition, positive, otherwise = texts
             self._count("choose")
-            return f"({a[0]} ? {a[1]} : {a[2]})"
+            return f"({condition} ? {positive} : {otherwise})"
         if symbol in ("minimum", "maximum"):  # functions of the template
             self._count(kind)
-            return f"{symbol}({a[0]}, {a[1]})"
+            return f"{symbol}({', '.join(texts)})"
         if symbol.isidentifier():
             name = f"{symbol}{self.real.suffix}"
             self._count(name)
             self.printer.functions.add(name)
-            return f"{name}({', '.join(map(self._bare, a))})"
+            return f"{name}({', '.join(map(self._bare, texts))})"
         if operation.role is not Role.LOGIC:
             self._count("compare" if operation.role is Role.COMPARISON else symbol)
-        return f"({f' {symbol} '.join(a)})"
+        return f"({f' {symbol} '.join(texts)})"
 
     def _sum(self, terms: Sequence[int]) -> str:
         self._count("+", len(terms) - 1)

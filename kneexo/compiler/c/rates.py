@@ -98,8 +98,8 @@ class _ZeroFactors(_Rewriting):
 class _ScaledLimits(_Rewriting):
     """Moves a positive factor k into a minimum or maximum: k·min(a, b) becomes min(k·a, k·b).
 
-    There k can join other factors. A minimum or maximum with another use stays, because it would
-    be computed twice.
+    There k can join other factors. A minimum or maximum with another use stays, because it would be
+    computed twice.
     """
 
     def __init__(self, graph: Graph, roots: Sequence[int], parameters: Array) -> None:
@@ -137,8 +137,8 @@ class _Regrouping(_Rewriting):
 class _ShortSums(_Rewriting):
     """Adds the terms of a sum in the order in which their values are available.
 
-    In a chain from left to right, every addition would wait for the addition before it. Times
-    count from the start of a stage of RK4, in durations of an addition (see `Operation.cost`).
+    In a chain from left to right, every addition would wait for the addition before it. Times count
+    from the start of a stage of RK4, in durations of an addition (see `Operation.cost`).
     """
 
     def __init__(self, graph: Graph, roots: Sequence[int], parameters: Array) -> None:

@@ -26,9 +26,9 @@ def rk4_step_s(equations: Equations, parameters: Array, state: State) -> float:
     discrete states. λ is the eigenvalue of this linearization with the largest magnitude.
 
     Let z = h·|λ|. A step of RK4 turns an undamped mode by z⁵/120 rad too little. The oil of a
-    hydraulic drive is nearly undamped, so the errors of many steps add up. At z = 0.56 they reach
-    10 % of the load pressure, at z = 0.2 less than 0.1 %. RK4 is unstable beyond z = 2.8. So a
-    system with z = 0.2 at the start can become 14 times faster before RK4 is unstable.
+    hydraulic drive is nearly undamped, so the errors of many steps add up. At z = 0.56 the errors
+    reach 10 % of the load pressure, at z = 0.2 less than 0.1 %. RK4 is unstable beyond z = 2.8. So
+    a system with z = 0.2 at the start can become 14 times faster before RK4 is unstable.
 
     Parameters
     ----------

@@ -308,10 +308,10 @@ class _Regrouping:
 
 
 def deciding_nodes(graph: Graph, nodes: Iterable[int]) -> set[int]:
-    """Return those of ``nodes`` whose last bit can change a comparison or a rounding.
+    """Return the nodes among ``nodes`` whose last bit can change a comparison or a rounding.
 
-    These are the arguments of comparisons and roundings, and the nodes that feed them through
-    operations whose result is exact (IEEE 754 fixes every bit).
+    Such a node is an argument of a comparison or rounding, or feeds an argument through operations
+    with exact results (IEEE 754 fixes every bit).
     """
     deciding: set[int] = set()
     for node in sorted(nodes, reverse=True):

@@ -152,7 +152,8 @@ class Node:
     def output_route(self, index: int) -> Iterator[Port]:
         """Yield the ports from output port ``index`` of this system back to the source.
 
-        The source is that of `route`: an output port of a leaf, except behind a bypassed system.
+        The last port is an output port of a leaf. Behind a bypassed system, the last port can also
+        be another source that `route` describes.
         """
         yield self, "output", index
         if self.is_bypassed:

@@ -56,7 +56,7 @@ def advice(
       limit, a dead zone, or a switch to a constant.
     - A switch, an absolute value, a minimum or a maximum is at its corner. The derivatives on both
       sides differ.
-    - A derivative is not finite, such as that of a root at zero.
+    - A derivative is not finite, such as the derivative of a root at zero.
     - No state can bring the rate of a state to zero. The state is, for example, an integrator of a
       constant.
     - The point is not an equilibrium, for another reason.
@@ -221,8 +221,8 @@ class _Survey:
     def _loses_derivative(self, node: int) -> bool:
         """Return whether a quantizer takes the derivative, or a part of it, from a node.
 
-        An angle without whole turns, ψ − 2π ⌈ψ/2π − ½⌉, loses nothing: with the derivative 1 of
-        the quantizer, the derivative of this angle would be zero.
+        An angle without whole turns, ψ − 2π ⌈ψ/2π − ½⌉, loses nothing: with the derivative 1 of the
+        quantizer, the derivative of this angle would be zero.
         """
         smooth, actual = self.smooth_gradients[self.place[node]], self.gradient(node)
         differs = bool((smooth != actual).any())

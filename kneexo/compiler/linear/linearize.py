@@ -48,9 +48,9 @@ def linearize(
     sample periods becomes a discrete model over their least common multiple. The matrix exponential
     moves its continuous states between the updates. See `LinearModel` for the definitions.
 
-    At a corner, such as the limit of a saturation, the derivatives are those on one side. The
-    derivative of a quantizer is zero. A warning of one line names each such block; `advice` returns
-    the same as data.
+    At a corner, such as the limit of a saturation, the derivatives hold on one side only. The
+    derivative of a quantizer is zero. A warning of one line names each such block, and `advice`
+    returns these blocks as data.
 
     Parameters
     ----------
@@ -276,8 +276,8 @@ def events(
 ) -> tuple[list[tuple[float, list[Update]]], float]:
     """Return the times of a period with the updates at each time, and the period in s.
 
-    The first time is 0. It has no updates if all updates have an offset. ``period_s`` None stands
-    for the least common multiple of the sample periods.
+    The first time is 0, without updates if all updates have an offset. ``period_s`` None stands for
+    the least common multiple of the sample periods.
     """
     if period_s is not None:
         period_s = positive("period_s", period_s, "s")

@@ -81,10 +81,10 @@ class Transfer:
 
     @cached_property
     def _triangular(self) -> tuple[Complex, Complex, Complex]:
-        """A, b and c for other states, such that A is upper triangular.
+        """A, b and c with other states, in which A is upper triangular.
 
-        The states are scaled and then rotated. Both steps are stable in floating point. So multiple
-        eigenvalues, such as those of a delay, cost no digits.
+        The states are scaled and then rotated. Both steps are stable in floating point. Multiple
+        eigenvalues, such as the eigenvalues of a delay, therefore cost no digits.
         """
         if not self.a.size:
             return (np.zeros((0, 0), complex), np.zeros((0, 1), complex), np.zeros((1, 0), complex))
@@ -101,8 +101,8 @@ class Transfer:
     def response_on_grid(self, frequencies_hz: ArrayLike) -> Complex:
         """Return L at many frequencies in Hz, (n,), by a Schur form. A pole gives no finite value.
 
-        Near an integrator's frequency zero the error exceeds that of `response`, because the Schur
-        form moves the poles by rounding errors.
+        Near frequency zero, the pole of an integrator, `response` has a smaller error, because the
+        Schur form moves the poles by rounding errors.
         """
         _, b, c = self._triangular
         z = self.point(np.atleast_1d(frequencies_hz))
@@ -147,8 +147,8 @@ class Transfer:
         states = np.zeros_like(right)
         for row in reversed(range(len(upper))):
             # einsum runs in this thread. Threads of BLAS cost more here than they save.
-            behind = np.einsum("i,ij->j", upper[row, row + 1 :], states[row + 1 :])
-            states[row] = (right[row] + behind) / (z - upper[row, row])
+            known = np.einsum("i,ij->j", upper[row, row + 1 :], states[row + 1 :])
+            states[row] = (right[row] + known) / (z - upper[row, row])
         return states
 
     def closed_matrix(self) -> Array:
@@ -162,7 +162,7 @@ class Transfer:
     def closed_is_stable(self) -> bool:
         """Return whether the closed loop is asymptotically stable, hidden states included.
 
-        The rule is that of `LinearModel.stable`.
+        `LinearModel.stable` describes the rule.
         """
         distances = distance_inside(self.closed_eigenvalues(), self.period_s)
         return bool(np.all(distances > BOUNDARY_TOLERANCE))
@@ -180,17 +180,18 @@ class Transfer:
         high frequencies, or the last frequency is the Nyquist frequency.
         """
         s = self._singularities()
-        size = np.abs(s) / (2.0 * math.pi)
-        moving = size[size > _SLOWEST * np.max(size, initial=0.0)]
-        unit = 1.0 if self.period_s is None else self.highest_hz
-        high = min(_REACH * np.max(moving, initial=unit), self.highest_hz)
-        low = min(np.min(moving, initial=unit), high) / _REACH
-        centre, width = np.abs(s.imag) / (2.0 * math.pi), np.abs(s.real) / (2.0 * math.pi)
-        width = np.where(width > _SLOWEST * centre, width, _UNDAMPED * centre)
-        offsets = np.outer(width, np.concatenate([-_WIDTHS, _WIDTHS]))
-        around = (centre[:, None] + offsets).ravel()
-        around = around[(around > low) & (around < high)]
-        grid = np.unique(np.concatenate([np.geomspace(low, high, _POINTS), around]))
+        magnitudes_hz = np.abs(s) / (2.0 * math.pi)
+        # A pole at zero, such as an integrator's, has no frequency of its own.
+        nonzero_hz = magnitudes_hz[magnitudes_hz > _SLOWEST * np.max(magnitudes_hz, initial=0.0)]
+        without_any_hz = 1.0 if self.period_s is None else self.highest_hz
+        high_hz = min(_REACH * np.max(nonzero_hz, initial=without_any_hz), self.highest_hz)
+        low_hz = min(np.min(nonzero_hz, initial=without_any_hz), high_hz) / _REACH
+        centres, widths = np.abs(s.imag) / (2.0 * math.pi), np.abs(s.real) / (2.0 * math.pi)
+        widths = np.where(widths > _SLOWEST * centres, widths, _UNDAMPED * centres)
+        offsets = np.outer(widths, np.concatenate([-_WIDTHS, _WIDTHS]))
+        around = (centres[:, None] + offsets).ravel()
+        around = around[(around > low_hz) & (around < high_hz)]
+        grid = np.unique(np.concatenate([np.geomspace(low_hz, high_hz, _POINTS), around]))
         # Equal but for rounding, as around two equal poles, two points would bracket no minimum.
         return grid[np.append(True, np.diff(grid) > _ROUNDING * grid[1:])]
 
@@ -294,8 +295,8 @@ def sensitivity(loop: Any) -> Transfer:
     """Return the sensitivity S = 1/(1 + L) of a loop transfer L for negative feedback.
 
     A disturbance that is added where the loop is broken appears in the sum multiplied by S.
-    `as_transfer` describes the forms of ``loop`` and the errors. Also raises `ParameterError` if
-    L = −1 at infinite frequency.
+    `as_transfer` describes the forms of ``loop`` and the errors. Also raises `ParameterError` if L
+    = −1 at infinite frequency.
     """
     transfer = as_transfer(loop)
     through = 1.0 / _return_difference(transfer)
@@ -311,7 +312,7 @@ def sensitivity(loop: Any) -> Transfer:
 def complementary_sensitivity(loop: Any) -> Transfer:
     """Return the complementary sensitivity T = L/(1 + L) = 1 − S of a loop transfer L.
 
-    Arguments and errors are those of `sensitivity`.
+    `sensitivity` describes the argument and the errors.
     """
     s = sensitivity(loop)
     return replace(s, c=-s.c, d=1.0 - s.d)

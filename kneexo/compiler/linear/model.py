@@ -89,7 +89,7 @@ class LinearModel:
       at t, the updates at t see the input u, and y(t) is the output before these updates.
 
     For a diagram with several sample periods P is their least common multiple. The model is exact
-    for the linearized diagram. It has no integration error and approximates no hold or delay.
+    for the linearized diagram, without integration error and without approximate holds or delays.
     """
 
     a: Array

@@ -167,8 +167,8 @@ class Point:
         """Return a text that names the state that moves most, or an empty text at an equilibrium.
 
         A state moves if its element of `residual` exceeds ``tolerance`` and the effect of rounding
-        errors. Rounding of the rate rᵢ counts as 1e-13 ∑ⱼ |∂rᵢ/∂zⱼ| |zⱼ| over all states and
-        inputs zⱼ.
+        errors. Rounding of the rate rᵢ counts as 1e-13 ∑ⱼ |∂rᵢ/∂zⱼ| |zⱼ| over all states and inputs
+        zⱼ.
         """
         if tolerance == math.inf:
             return ""
@@ -206,7 +206,7 @@ def read_point(
     arguments, for the message about an input that has no value.
 
     ``diagram`` may be a diagram with its equations, which are then not read again. The open inputs
-    are those of the equations.
+    of these equations are then the open inputs of the point.
     """
     return read_points(diagram, [context], inputs, outputs, bypass, setting)[0]
 

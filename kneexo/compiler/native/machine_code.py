@@ -64,7 +64,7 @@ class MachineCode:
 
     @property
     def program(self) -> Program:
-        """The equations, rewritten for machine code. The first access rewrites them."""
+        """The equations, rewritten for machine code at the first access."""
         with _lock:
             if self._program is None:
                 source = self._source

@@ -33,7 +33,7 @@ dot, and the emitted arguments of the operation.
 
 @dataclass(frozen=True)
 class Nodes:
-    """Nodes of a graph that a `Printer` emits as they are: no value is loaded from a table."""
+    """Nodes of a graph that a `Printer` computes, without values from look-up tables."""
 
     graph: Graph
     deciding: set[int]
@@ -47,8 +47,8 @@ class Storage:
 
     The constructor takes the time and, by name, an array for each other kind of source (one of
     `graph.SOURCES`) and for each kind of `Place`. The kind ``constant`` has another meaning here
-    than in a graph. It stands for the values that depend on parameters alone, which are computed
-    once a run. Subclasses store a result in another way, or emit conditions.
+    than in a graph. Here ``constant`` stands for the values that depend on parameters alone, which
+    are computed once a run. Subclasses store a result in another way, or emit conditions.
     """
 
     def __init__(self, time: Operand, **arrays: Array) -> None:

@@ -25,8 +25,9 @@ _START = {"maximum": -np.inf, "minimum": np.inf, "first_time": np.inf, "last_tim
 def define_reduce(module: Module, y: Type, names: Sequence[str]) -> Function:
     """Define the emitted function ``reduce(arguments, y, row, present)``.
 
-    The function adds the samples of all lanes at one record to the accumulated values. It is a
-    function of its own because LLVM takes longer for one large function than for two.
+    The function adds the samples of all lanes at one record to the accumulated values. A second
+    function is better than a longer ``run``, because LLVM takes longer for one large function than
+    for two.
 
     Parameters
     ----------

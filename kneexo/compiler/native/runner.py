@@ -260,21 +260,25 @@ class Runner:
         while True:
             until = min(first + piece, longest)
             np.minimum(last, until, out=ends)
-            ends[status[:, 0] != OK] = -1
+            ends[status[:, 0] != OK] = -1  # a failed lane makes no tick
             self.bind(x, d, ends, record, snapshots and snapshots.after(first))
             begin = perf_counter()
+            # Rows count from the first record at or after `start`. -(-a // b) rounds up.
             row = -(-first // every) + start // -every
             # A record at the last tick of a call is made again by the next call.
             unseen = row if first == start else first // every + 1 + start // -every
-            outcome = self.go(first, until, rows, inputs, row, unseen)
+            outcome = self.call_once(first, until, rows, inputs, row, unseen)
             failed = outcome[:, 0] != OK
             status[failed] = outcome[failed]
             if not (last[status[:, 0] == OK] > until).any():
                 return status
             if cancelled():
                 raise KeyboardInterrupt
-            took = perf_counter() - begin
-            piece = 2 * piece if took < 0.5 * PIECE_S else max(1, int(piece * PIECE_S / took))
+            elapsed_s = perf_counter() - begin
+            if elapsed_s < 0.5 * PIECE_S:
+                piece = 2 * piece
+            else:
+                piece = max(1, int(piece * PIECE_S / elapsed_s))
             first = until
 
     def bind(
@@ -285,16 +289,16 @@ class Runner:
         record: Array | None,
         snapshots: Snapshots | None = None,
     ) -> None:
-        """Set the arrays that the next calls of `go` read and write: see `run`."""
-        shots = snapshots or Snapshots(_NO_TICKS, x, d)
+        """Set the arrays that the next calls of `call_once` read and write: see `run`."""
+        stored = snapshots or Snapshots(_NO_TICKS, x, d)
         _set(self._arguments, x=x, d=d, last=last)
-        _set(self._arguments, snapshots=shots.ticks, snapshot_x=shots.x, snapshot_d=shots.d)
-        self._arguments.snapshot_count = shots.ticks.size
-        self._bound = (x, d, last, shots)  # the arrays must live as long as their addresses
+        _set(self._arguments, snapshots=stored.ticks, snapshot_x=stored.x, snapshot_d=stored.d)
+        self._arguments.snapshot_count = stored.ticks.size
+        self._bound = (x, d, last, stored)  # the arrays must live as long as their addresses
         if record is not None:
             _set(self._arguments, record=record)
 
-    def go(
+    def call_once(
         self,
         first: int,
         longest: int,
@@ -322,7 +326,7 @@ class Runner:
     def unstable_step(self, lane: int, integrator: str | None = None) -> UnstableStep | None:
         """Return the first unstable step of the run in a lane since `restart`; None without one.
 
-        The integrator is that of the runner by default.
+        By default ``integrator`` is the integrator of this runner.
         """
         suspects = self._suspects[lane, self._suspects[lane, :, 0] > 0.0]
         if not suspects.size:
