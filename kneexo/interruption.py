@@ -43,7 +43,8 @@ def sigterm_raises() -> Iterator[None]:
 def interrupt_later() -> Iterator[None]:
     """Context manager: delay Ctrl-C and SIGTERM until the body has ended.
 
-    Processes that the body starts never receive Ctrl-C. The code that starts them must end them.
+    Processes that the body starts never receive Ctrl-C. The code that starts processes must end
+    these processes.
     """
     arrived: list[int] = []
     handlers: dict[int, Any] = {}

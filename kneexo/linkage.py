@@ -102,7 +102,7 @@ def rod_anchor(link: LinkageParameters) -> complex:
 def shank_is_ground(link: LinkageParameters) -> bool:
     """Return True if the ground link belongs to the shank, False if it belongs to the thigh.
 
-    The cylinder's pin is fixed to the ground link, so it lies below the knee if the shank is the
+    The cylinder's pin is fixed to the ground link. The pin lies below the knee if the shank is the
     ground (G1), and above the knee if the thigh is the ground.
     """
     return rod_anchor(link).imag < 0.0
@@ -196,8 +196,8 @@ def _closing_change(link: LinkageParameters, theta_p: Array) -> str:
 def eq6_sign(link: LinkageParameters) -> int:
     """Return −1 or 1, the sign of acos in Eq. 6 that gives the true knee angles.
 
-    Raises `LinkageError` if the sign changes within knee angles of 0…90°. Then two knee angles have
-    the same encoder angle, and no controller can tell them apart.
+    Raises `LinkageError` if the sign changes within knee angles of 0…90°. Two knee angles would
+    then have the same encoder angle, and no controller could distinguish these knee angles.
     """
     at = pose(link, np.radians(np.linspace(0.0, 90.0, 181)))
     signs = -np.sign(np.sin(at.theta_3 - at.theta_2))
@@ -261,7 +261,7 @@ def invert_rod(
 ) -> Array:
     """Return the knee angles in rad at which the rod has these extensions in m.
 
-    Newton's method starts from angles interpolated in a table. It stops when no step exceeds 1e-15
+    Newton's method starts from angles interpolated in a table, and stops when no step exceeds 1e-15
     rad, or after 20 steps. Raises `LinkageError` if no knee angle within −2…91° has one of the
     extensions.
     """

@@ -98,12 +98,12 @@ def linkage_properties(
         The links do not close at one of the knee angles. The message names the length to change.
     """
     motion = np.radians(np.linspace(0.0, 90.0, 901)) if knee_angle is None else knee_angle
-    at = pose(link, np.atleast_1d(motion))
-    knee_angle_deg = np.degrees(at.knee_angle)
+    poses = pose(link, np.atleast_1d(motion))
+    knee_angle_deg = np.degrees(poses.knee_angle)
 
     def over_motion(values: Array) -> OverMotion:
-        where = int(np.argmin(values))
-        return OverMotion(float(values[where]), float(knee_angle_deg[where]), values)
+        least = int(np.argmin(values))
+        return OverMotion(float(values[least]), float(knee_angle_deg[least]), values)
 
     def angle_between(angle: Array, other: Array) -> OverMotion:
         return over_motion(np.degrees(np.arcsin(np.abs(np.sin(angle - other)))))
@@ -131,10 +131,10 @@ def linkage_properties(
             if knee_angle_deg.min() <= angle <= knee_angle_deg.max()
         ),
         knee_angle_deg=knee_angle_deg,
-        transmission_angle_deg=angle_between(at.theta_4, at.theta_2),
-        coupler_link_2_deg=angle_between(at.theta_3, at.theta_2),
-        coupler_link_4_deg=angle_between(at.theta_3, at.theta_4),
-        rod_arm_m=over_motion(at.moment_arm),
+        transmission_angle_deg=angle_between(poses.theta_4, poses.theta_2),
+        coupler_link_2_deg=angle_between(poses.theta_3, poses.theta_2),
+        coupler_link_4_deg=angle_between(poses.theta_3, poses.theta_4),
+        rod_arm_m=over_motion(poses.moment_arm),
     )
 
 

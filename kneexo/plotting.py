@@ -68,9 +68,9 @@ def phase_ticks(axis: Any) -> None:
 def decimal_ticks(axis: Any) -> None:
     """Label a logarithmic axis with plain numbers.
 
-    The positions in each decade are 1, 1.5, 2, 3, 5 and 7 if the axis shows less than 0.8 decades
-    at the time of the call. They are 1, 2 and 5 below 1.5 decades, 1 and 3 below 3 decades, and 1
-    otherwise.
+    The range of the axis at the time of the call decides which positions in each decade have a
+    label. Below 0.8 decades these are 1, 1.5, 2, 3, 5 and 7. Below 1.5 decades these are 1, 2 and
+    5, below 3 decades 1 and 3, and otherwise 1.
     """
     from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 

@@ -47,10 +47,10 @@ class Bar:
 
 @contextmanager
 def progress_bar(total: float, description: str | None) -> Iterator[Bar]:
-    """Context manager: show a bar that ends at ``total``. Its method ``update`` advances it.
+    """Context manager: show a bar that ends at ``total``. Its method ``update`` advances the bar.
 
-    Within the body of `whole_bar` it advances the bar of the whole command. The bar shows nothing
-    if ``description`` is None, or if stderr is no terminal. In a notebook the bar requires
+    Within the body of `whole_bar` the method advances the bar of the whole command. The bar shows
+    nothing if ``description`` is None, or if stderr is no terminal. In a notebook the bar requires
     ipywidgets (``pip install ipywidgets``) and otherwise shows nothing.
     """
     if _whole is None or description is None:

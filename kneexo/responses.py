@@ -65,7 +65,7 @@ def linearize(
 class BodeResponse(Result):
     """Frequency response of a linearized closed loop at ``frequencies_hz`` (n,).
 
-    ``response`` (n,) is the complex gain from the reference θ_d to the knee angle θ_p. It contains
+    ``response`` (n,) is the complex gain from the reference θ_d to the knee angle θ_p, including
     the feedforward of the reference. ``complementary_sensitivity`` (n,) is L/(1 + L) of the loop
     transfer L, the feedback alone. Both responses are equal if the controller has no feedforward.
     """

@@ -99,8 +99,8 @@ def fit_rod_inverse(
 class RodInverseError(LinkageError):
     """The rod of the linkage ``link`` cannot be inverted. The text names a change that helps.
 
-    The search for the change takes up to 1 s, and the first reader of the text waits for it. Most
-    errors of a search over linkages have no reader.
+    The search for the change takes up to 1 s, so it begins when the text is first read. Most errors
+    of a search over linkages are never read.
     """
 
     link: LinkageParameters | None = None

@@ -60,8 +60,7 @@ def linkage_motion(link: LinkageParameters, knee_angle: ArrayLike) -> ShankMotio
 
     If the thigh is the ground link, the coupler is fixed to the shank. If the shank is the ground
     link, the coupler is fixed to the thigh. The motion is then the inverse of the motion of the
-    coupler, with x mirrored. Raises `LinkageError` as
-    `kneexo.linkage.pose` does.
+    coupler, with x mirrored. Raises `LinkageError` as `kneexo.linkage.pose` does.
     """
     now, straight = pose(link, np.atleast_1d(knee_angle)), pose(link, 0.0)
     turn = np.exp(1j * now.knee_angle)

@@ -75,9 +75,9 @@ def energy_balance(scenario: Scenario) -> EnergyBalance:
     motor + reservoir + wearer = leakage + valves + friction + load + oil + motion.
 
     `EnergyMeter` integrates the powers in the same run, with its step size and error control. The
-    energy stored in the oil is ∫ Σ (V_i/β_e) P_i dP_i. Integration by parts gives
-    Σ V_i P_i²/(2 β_e) minus its initial value and minus the displaced energy of the meter.
-    Pressures are relative to the atmosphere. The run uses the solver of the scenario.
+    energy stored in the oil is ∫ Σ (V_i/β_e) P_i dP_i. Integration by parts gives Σ V_i P_i²/(2
+    β_e) minus its initial value and minus the displaced energy of the meter. Pressures are relative
+    to the atmosphere. The run uses the solver of the scenario.
 
     Raises
     ------

@@ -62,8 +62,8 @@ class OutputImpedance(Result):
     The hold and the aliases of the sampled controller are included, and other harmonics of τ_i are
     not.
 
-    Z exists only if the loop with a prescribed motion is ``stable``. At the port ``knee`` this is
-    the loop on a locked rod. Its gain is much larger than behind a cuff.
+    Z exists only if the loop with a prescribed motion is ``stable``. At the port ``knee`` this loop
+    acts on a locked rod, where the loop gain is much larger than behind a cuff.
     """
 
     frequency_hz: Array
@@ -118,9 +118,9 @@ class OutputImpedance(Result):
         """Least real part of Z in N·m·s/rad over the frequencies, and its frequency in Hz.
 
         No motion takes more energy out of a passive port than went in before. Re Z ≥ 0 at all
-        frequencies below half the sampling rate is necessary for such a port. It is not sufficient,
-        because Z leaves out the harmonics of sampling. If the least real part is negative, a leg
-        with some mass or spring and little damping can begin to oscillate.
+        frequencies below half the sampling rate is necessary for such a port. The condition is not
+        sufficient, because Z leaves out the harmonics of sampling. If the least real part is
+        negative, a leg with some mass or spring and little damping can begin to oscillate.
         """
         index = int(np.argmin(self.impedance.real))
         return float(self.impedance.real[index]), float(self.frequency_hz[index])
@@ -142,8 +142,8 @@ class OutputImpedance(Result):
     def plot(self, ax: Any = None) -> Any:
         """Plot magnitude and phase of Z; return two Matplotlib axes.
 
-        Dashed lines are the damper, spring and inertia of a held motor. The shaded phases are those
-        of a port that is not passive.
+        Dashed lines are the damper, spring and inertia of a held motor. The shaded phases belong to
+        ports that are not passive.
         """
         caption = (
             f"Output impedance at the {self.port}, with the knee at "
@@ -190,9 +190,10 @@ def output_impedance(
 ) -> OutputImpedance:
     """Compute the output impedance of the sampled loop of a scenario with a wearer.
 
-    The loop is linearized where it rests, with the leg at ``knee_angle_deg``. Quantizers and slip
-    of the cuff are bypassed. The neutral angle of a virtual spring stays while the leg moves. The
-    results hold for small motions. In full order they need a load whose sign does not change.
+    The loop is linearized at its equilibrium with the leg at ``knee_angle_deg``. Quantizers and
+    slip of the cuff are bypassed. The neutral angle of a virtual spring stays while the leg moves.
+    The results hold for small motions. In full order the results hold only if the sign of the load
+    does not change.
 
     Parameters
     ----------
@@ -330,12 +331,12 @@ def _at_the_knee(response: Complex, s: Complex, moment_arm_m: float) -> Complex:
 class MeasuredImpedance(Result):
     """Output impedance at the cuff, measured with a sine of the wearer's leg.
 
-    ``impedance`` in N·m·s/rad is the fundamental of the interaction torque over that of the leg's
-    rate. It is an average over the last cycles of a run. ``uncertainty`` is its absolute error
-    (`kneexo.analysis.sine_estimate.response_uncertainty`). ``settled`` is True if each of these
-    cycles agrees with the next. ``torque_amplitude_n_m`` is the amplitude of the fundamental.
-    ``speed_limited_share`` is the share of the averaged time in which the motor is within 1 % of
-    its speed limit.
+    ``impedance`` in N·m·s/rad is the fundamental of the interaction torque, divided by the
+    fundamental of the leg's rate, and averaged over the last cycles of a run. ``uncertainty`` is
+    the absolute error of ``impedance`` (`kneexo.analysis.sine_estimate.response_uncertainty`).
+    ``settled`` is True if each of these cycles agrees with the next. ``torque_amplitude_n_m`` is
+    the amplitude of the fundamental. ``speed_limited_share`` is the share of the averaged time in
+    which the motor is within 1 % of its speed limit.
     """
 
     frequency_hz: float

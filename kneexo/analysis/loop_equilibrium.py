@@ -126,9 +126,9 @@ def _command_port(diagram: Any) -> str:
 def find_equilibrium(scenario: Scenario, *, knee_angle_deg: float = MID_RANGE_DEG) -> Equilibrium:
     """Find the equilibrium of the sampled loop of a scenario by Newton's method.
 
-    The reference is the constant ``knee_angle_deg``, the initial offset is zero, and the
-    quantizers are bypassed. The biological moment has its value at t = 0. The search ignores the
-    limits of the motor.
+    The reference is the constant ``knee_angle_deg``, the initial offset is zero, and the quantizers
+    are bypassed. The biological moment has its value at t = 0. The search ignores the limits of the
+    motor.
 
     Raises `LinearizationError` when there is no equilibrium, or when at the equilibrium the command
     is at its limit or the sliding variable is outside the boundary layer. The error is also raised

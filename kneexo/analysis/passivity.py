@@ -29,11 +29,11 @@ class PassivityLimits(Result):
     and k_i are flows per pressure, as is the leakage C_t (see `kneexo.analysis.passivity`). T is
     the sample time, τ_F the lag of the load cell, and τ_m the lag of motor and bus latency.
 
-    ``integral_rad_s2_per_n`` is the largest K_i for the scenario's K_p and γ. At low frequency
-    Re Z ≥ 0 requires (1 − γ)(C_t + k_p) ≥ k_i (τ_m + γ T/2 + (1 − γ) τ_F). The estimator
-    ``difference`` lags by T/2, so that γ T stands in place of γ T/2. The tracking observer follows
-    a constant acceleration without lag. The formula leaves out the leak of the integral. The lag of
-    the hold, T/2, does not act on the integral, because its sum includes the present sample.
+    ``integral_rad_s2_per_n`` is the largest K_i for the scenario's K_p and γ. At low frequency Re Z
+    ≥ 0 requires (1 − γ)(C_t + k_p) ≥ k_i (τ_m + γ T/2 + (1 − γ) τ_F). The estimator ``difference``
+    lags by T/2, so that γ T stands in place of γ T/2. The tracking observer follows a constant
+    acceleration without lag. The formula leaves out the leak of the integral. The lag of the hold,
+    T/2, does not act on the integral, because its sum includes the present sample.
 
     ``proportional_rad_s_per_n`` is the largest K_p without integral and feedforward. At high
     frequency Re Z ≥ 0 requires k_p ≤ C_t/max(−Re H_F), where H_F is the lag of hold, motor and load

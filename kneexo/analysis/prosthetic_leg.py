@@ -86,7 +86,7 @@ def leg_length(
     knee_angle_deg: ArrayLike = tuple(range(91)),
     leg: WalkingLegParameters = WalkingLegParameters(),
 ) -> LegLength:
-    """Compute the distance from hip to ankle, beside that of a leg with a hinge at the origin.
+    """Compute the distance from hip to ankle, with a linkage and with a hinge as knee.
 
     Parameters
     ----------

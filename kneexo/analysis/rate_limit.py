@@ -91,7 +91,7 @@ def rate_limited_follower(time_s: Array, target: Array, speed_limit: float) -> A
     """Return the positions (n,) of a follower whose speed is at most ``speed_limit``.
 
     ``target`` (n,) are the positions to track at ``time_s`` (n,). The follower starts at the first
-    sample of the target. It moves towards each next sample with constant speed.
+    sample of the target. Then the follower moves towards each next sample with constant speed.
     """
     follower = np.empty_like(target)
     position = follower[0] = target[0]

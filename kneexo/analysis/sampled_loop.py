@@ -102,8 +102,8 @@ class SampledLoop(Result):
     def to_control(self) -> Any:
         """Return the loop transfer L(z), for negative feedback, as a `control.StateSpace`.
 
-        Its sample time ``dt`` is T. The input is ``motor_speed_command_rad_s``, and the output is
-        ``returned_command_rad_s``. The states have the names of those of ``model``.
+        The sample time ``dt`` is T. The input is ``motor_speed_command_rad_s``, and the output is
+        ``returned_command_rad_s``. The states have the same names as in ``model``.
         """
         import control
 

@@ -125,10 +125,10 @@ def cycle_responses(
 ) -> tuple[Any, Array]:
     """Return the response and the mean of the output in each cycle of a run.
 
-    The response is complex with the shape (cycles,). It is the fundamental of the column
-    ``output``, divided by the fundamental of the column ``reference``. The means of ``output``
-    have the shape (cycles,). The run must contain at least three cycles, and the first cycle begins
-    at ``start_s``. A cycle need not contain a whole number of samples. The mean of the output can
+    The response is the fundamental of the column ``output``, divided by the fundamental of the
+    column ``reference``, complex with the shape (cycles,). The means of ``output`` have the shape
+    (cycles,). The run must contain at least three cycles, and the first cycle begins at
+    ``start_s``. A cycle need not contain a whole number of samples. The mean of the output can
     drift while the motor is at its limits. So the function estimates a linear drift from the means
     of neighbouring cycles and removes it.
     """

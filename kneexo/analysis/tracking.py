@@ -42,11 +42,12 @@ class TrackingMetrics(Result):
     """Metrics of a tracking run.
 
     Errors and commands hardly depend on the solver's step. Pressure, power and energy depend on the
-    step when the 447 Hz mode of the oil dominates them, for example without load. Check such values
-    with half the step.
+    step when they consist mainly of the oil's mode at 447 Hz, for example without load. Check such
+    values with half the step.
 
     Metrics "after the first period" exclude the first period of a sinusoidal reference. If the run
-    ends within this period, they are nan. For other references they include the whole run.
+    ends within this period, these metrics are nan. For other references these metrics include the
+    whole run.
     """
 
     max_error_deg: float

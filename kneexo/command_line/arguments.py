@@ -138,7 +138,7 @@ def out(options: argparse.Namespace) -> Path:
 
 
 def add_scenario(parser: argparse.ArgumentParser, default: str = PAPER) -> None:
-    """Add the argument for a scenario file. Its help text says that ``default`` is the default."""
+    """Add the argument for a scenario file. The help text describes the ``default`` scenario."""
     parser.add_argument(
         "scenario",
         nargs="?",

@@ -35,7 +35,8 @@ kneexo --help lists all commands.
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command; return the exit code.
 
-    ``arguments`` are the words after ``kneexo``, by default those of this process.
+    ``arguments`` are the words after ``kneexo``, by default the words with which this process was
+    started.
     """
     _prepare_libraries()
     _prepare_streams()

@@ -125,7 +125,7 @@ def uncertainty_rows() -> Iterator[Row]:
 def matching(rows: Iterable[Row], text: str) -> list[Row]:
     """Return the rows that have ``text`` in name, unit or provenance, in upper or lower case.
 
-    Raises `ParameterError` if there is no such row. Its message suggests similar names.
+    Raises `ParameterError`, which suggests similar names, if there is no such row.
     """
     rows, searched = list(rows), text.casefold()
     keys = ("parameter", "unit", "provenance")

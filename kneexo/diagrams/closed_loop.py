@@ -68,7 +68,7 @@ def make_closed_loop(
     - ``drive``: `Cia402Drive`, only with a bus of this kind.
     - ``can_bus``: `DiscreteTimeDelay`, only for a bus with latency.
     - ``signals`` and ``log``: a `Multiplexer` and a `VectorLogSink`, which logs the columns
-      ``columns(signals)`` at the control period. They are absent for ``signals=()``.
+      ``columns(signals)`` at the control period. Both are absent for ``signals=()``.
 
     Inputs: ``disturbance_force`` and, with a load and without a wearer, ``knee_torque``. An
     unconnected input is zero.
@@ -226,7 +226,7 @@ def loop_values(
     """Yield path and Context parameters of each leaf system of `make_closed_loop`.
 
     Drake's systems without parameters are left out, and so is a controller that
-    `has_unknown_parts`. ``law`` replaces the law of the user. Its parameters are left out too.
+    `has_unknown_parts`. ``law`` replaces the law of the user, and its parameters are left out too.
     """
     for part in _plant_parts(scenario):
         yield f"plant/{part.name}", part.values()

@@ -47,12 +47,12 @@ def remembered(law: Law, question: Hashable, answer: Callable[[], T]) -> T:
     A Drake system does not change. Any other law has not changed if its fingerprint is the same. An
     answer about a law without fingerprint is not kept.
     """
-    now = law.target if isinstance(law.target, System) else law.fingerprint
-    before, known = law.memo.get(question, (None, None))
-    if now is None or now != before:
-        known = answer()
-        law.memo[question] = now, known
-    return cast(T, known)
+    present_law = law.target if isinstance(law.target, System) else law.fingerprint
+    answered_law, value = law.memo.get(question, (None, None))
+    if present_law is None or present_law != answered_law:
+        value = answer()
+        law.memo[question] = present_law, value
+    return cast(T, value)
 
 
 def maker_arguments(scenario: Scenario) -> dict[str, Any]:
@@ -83,9 +83,9 @@ class _SystemLaw(NamedTuple):
     """What the controller has to know of a law that is or makes a Drake system."""
 
     why_python: str
-    """Why the system cannot be compiled; empty if it can."""
+    """Why the system cannot be compiled, or an empty text for a system that compiles."""
     inputs: tuple[str, ...]
-    """Names of its input ports."""
+    """Names of the input ports of the system."""
 
 
 def _system_law(scenario: Scenario) -> _SystemLaw:

@@ -210,8 +210,9 @@ def parameter_effects(scenario: Scenario, names: list[str]) -> dict[str, Effect]
     """Return a dictionary from the dotted path of a scenario's number to the number's effects.
 
     The function sets each number to the ends of its range and to several other values, and compares
-    the Context parameters ``names`` before and after. It skips values that the scenario refuses or
-    that change the form of the equations. The dictionary lacks numbers that change no parameter.
+    the Context parameters ``names`` before and after. Values that the scenario refuses, or that
+    change the form of the equations, are skipped. The dictionary lacks numbers that change no
+    parameter.
     """
     before, start = scenario_values(scenario), scenario_start(scenario)
     effects = {}

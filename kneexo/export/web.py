@@ -87,10 +87,10 @@ def web_model(scenario: Scenario) -> dict[str, Any]:
     """Return the data with which a page runs the closed loop of a scenario, ready for JSON.
 
     ``loop`` and ``smooth``
-        The loop with and without quantizers. With a wearer there is no ``smooth``, because margins
-        and bandwidth are those of position control. ``module`` is the key of the module. ``base``
-        has the values of the module's ``params``. Each of ``maps`` is a formula, see `map_value`,
-        for the parameter with the number ``index``.
+        The loop with and without quantizers. With a wearer there is no ``smooth``, because the page
+        shows margins and bandwidth of position control only. ``module`` is the key of the module.
+        ``base`` has the values of the module's ``params``. Each of ``maps`` is a formula, see
+        `map_value`, for the parameter with the number ``index``.
     ``quantities``
         The numbers that a user varies, with label, unit, range and source.
     ``references``

@@ -116,10 +116,10 @@ def loop_source(scenario: Scenario, *, smooth: bool = False) -> CSource:
     """Return the closed loop of a scenario in C. The reference is an input.
 
     Another input perturbs the motor speed that the plant receives. ``smooth`` leaves out the
-    quantizers. The leg of a wearer moves between two samples. So with a wearer the inputs are those
-    of `IntervalReference` and the biological moment at the samples. Raises `ParameterError` for a
-    law that is called as Python, and for a motion of the wearer that a page cannot follow. Raises
-    the errors of `make_closed_loop`.
+    quantizers. The leg of a wearer moves between two samples, so a loop with a wearer has the input
+    of `IntervalReference` in place of a reference. Such a loop also has the biological moment at
+    the samples as an input. Raises `ParameterError` for a law that is called as Python, and for a
+    motion of the wearer that a page cannot follow. Raises the errors of `make_closed_loop`.
     """
     if reason := why_python(scenario):
         raise ParameterError(

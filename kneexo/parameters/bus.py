@@ -59,7 +59,7 @@ class Cia402Parameters(Parameters):
     def si_unit_velocity(self) -> int:
         """Value of object 0x60A9, the code of the velocity unit.
 
-        Its bytes are the power of ten (int8), revolution (0xB4), minute (0x47) and a reserved byte.
+        The bytes are the power of ten (int8), revolution (0xB4), minute (0x47) and a reserved byte.
         Source: CiA 303-2; EPOS4 Firmware Specification, "SI unit velocity".
         """
         return (round(math.log10(self.velocity_unit_rpm)) & 0xFF) << 24 | 0x00B44700

@@ -31,59 +31,61 @@ Location = tuple[str | int, ...]
 def one_line(model: type[BaseModel], error: ValidationError) -> tuple[Location, str]:
     """Return the location of a fault, and a message of one line about this fault.
 
-    ``error`` is pydantic's report on ``model``. If it has several faults, the first unknown name is
-    chosen, or the first fault if no name is unknown. The message ends with the number of the
-    other faults.
+    ``error`` is pydantic's report on ``model``. If the report has several faults, the first unknown
+    name is chosen, or the first fault if no name is unknown. The message ends with the number of
+    the other faults.
     """
     faults = error.errors(include_url=False)
     # A misspelt name also makes a required value missing: report the name.
     fault = next((f for f in faults if f["type"] == "extra_forbidden"), faults[0])
     place = _place(model, fault["loc"])
     path = shortened(".".join(str(key) for key in place.keys))
-    kind, value, context = fault["type"], fault["input"], fault.get("ctx", {})
+    error_type, value, context = fault["type"], fault["input"], fault.get("ctx", {})
     unit = unit_of(place.field) if place.field else ""
     unit = "" if unit == "1" else unit
     bounds = allowed_range(place.field) if place.field else ""
     location = place.keys
     # A bad sample also makes its list too short, which does not count as a second fault.
-    more = sum(f is not fault and f["type"] != "too_short" for f in faults)
-    if kind == "extra_forbidden":
+    other_count = sum(f is not fault and f["type"] != "too_short" for f in faults)
+    if error_type == "extra_forbidden":
         names = tuple(".".join(str(key) for key in place.keys).split("."))
         line = f"{path}: unknown name{advice(model, names, place.holders)}"
-    elif kind in {"greater_than", "greater_than_equal", "less_than_equal", "finite_number"}:
+    elif error_type in {"greater_than", "greater_than_equal", "less_than_equal", "finite_number"}:
         bounds = f"finite and {bounds} {unit}".rstrip() if bounds else "finite"
         line = (
             f"{path} = {shown_value(value)} {unit}".rstrip() + f" is out of range: must be {bounds}"
         )
-    elif kind == "union_tag_invalid":
+    elif error_type == "union_tag_invalid":
         kinds = [str(kind_of(part)) for part in models_of(place.field)]
         line = f"{path}.kind = {shortened(str(context['tag']))!r}: must be {_listed(kinds)}"
         line += question(_meant(context["tag"], place.field))
         location = (*location, "kind")
-    elif kind == "missing" and isinstance(place.keys[-1], int) and place.field:
+    elif error_type == "missing" and isinstance(place.keys[-1], int) and place.field:
+        # Every missing element of a tuple is a fault of its own.
         location, count = place.keys[:-1], len(get_args(place.field.annotation))
-        path, more = path.rpartition(".")[0], 0
+        path, other_count = path.rpartition(".")[0], 0
         line = f"{path} has {len(value)} values: must have {count}"
-    elif kind == "missing":
+    elif error_type == "missing":
         source = source_of(place.field) if place.field else ""
-        given = source.startswith("given")
-        expected = source if given else _expected(kind, context, place.field, None)
+        is_given = source.startswith("given")
+        expected = source if is_given else _expected(error_type, context, place.field, None)
         line = f"{path}: is missing; must be {expected}"
-    elif kind in {"too_short", "too_long"}:
+    elif error_type in {"too_short", "too_long"}:
         bound = context.get("min_length", context.get("max_length"))
-        word = "at least" if kind == "too_short" else "at most"
+        word = "at least" if error_type == "too_short" else "at most"
         line = f"{path} has {context['actual_length']} values: must have {word} {bound}"
-    elif kind == "value_error":
+    elif error_type == "value_error":
         line = f"{path}: {context['error']}" if path else str(context["error"])
-    elif kind == "json_invalid":
+    elif error_type == "json_invalid":
         line = f"is not JSON: {context['error']}; correct the text"
     else:
-        measured = isinstance(value, int | float) and not isinstance(value, bool)
-        what = f"{path} = {shown_value(value)} {unit if measured else ''}".rstrip()
-        what = what if value is not None else f"{path} has no value"
-        line = f"{what}: must be {_expected(kind, context, place.field, value)}"
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        found = f"{path} = {shown_value(value)} {unit if is_number else ''}".rstrip()
+        if value is None:
+            found = f"{path} has no value"
+        line = f"{found}: must be {_expected(error_type, context, place.field, value)}"
         line += f", {bounds} {unit}".rstrip() if bounds else ""
-    return location, line + (f" (and {more} more)" if more else "")
+    return location, line + (f" (and {other_count} more)" if other_count else "")
 
 
 def _place(model: type[BaseModel], location: Location) -> Place:
@@ -97,27 +99,32 @@ def _place(model: type[BaseModel], location: Location) -> Place:
     return place
 
 
-def _expected(kind: str, context: Mapping[str, Any], field: FieldInfo | None, value: Any) -> str:
-    """Return what a field accepts, such as ``a number in s``, for a value of another type."""
+def _expected(
+    error_type: str, context: Mapping[str, Any], field: FieldInfo | None, value: Any
+) -> str:
+    """Return what a field accepts, such as ``a number in s``, for a value of another type.
+
+    ``error_type`` and ``context`` come from pydantic's report.
+    """
     models = models_of(field)
-    if kind.startswith("bool_"):
+    if error_type.startswith("bool_"):
         return "true or false"
-    if kind.startswith("int_"):
+    if error_type.startswith("int_"):
         return "a whole number"
-    if kind.startswith(("float_", "decimal_")):
+    if error_type.startswith(("float_", "decimal_")):
         unit = unit_of(field) if field and not allowed_range(field) else ""
         point = " with a decimal point" if isinstance(value, str) and "," in value else ""
         return f"a number{point}" + (f" in {unit}" if unit not in ("", "1") else "")
-    if kind == "literal_error":
+    if error_type == "literal_error":
         if field is None or not isinstance(value, str):
             return str(context["expected"])
         options = (str(option) for option in get_args(field.annotation))
         return context["expected"] + question(close_names(value, options, most=1))
-    if kind == "string_too_short":
+    if error_type == "string_too_short":
         return "a text that is not empty"
-    if kind.startswith("string_"):
+    if error_type.startswith("string_"):
         return "text"
-    if kind == "tuple_type":
+    if error_type == "tuple_type":
         numbers = field is not None and {float, int} & set(get_args(field.annotation))
         return "a list of numbers" if numbers else "a list"
     if isinstance(value, type) and value in models:
@@ -131,9 +138,9 @@ def _expected(kind: str, context: Mapping[str, Any], field: FieldInfo | None, va
     if models:
         first = next(iter(models[0].model_fields))
         return f"a mapping of names to values, such as {{{first}: …}}"
-    if kind == "dict_type":
+    if error_type == "dict_type":
         return "a mapping of names to values"
-    return f"another value ({kind.replace('_', ' ')})"
+    return f"another value ({error_type.replace('_', ' ')})"
 
 
 def _meant(word: Any, field: FieldInfo | None) -> list[str]:

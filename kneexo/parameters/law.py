@@ -210,9 +210,8 @@ class Law:
     def make_system(self, arguments: Mapping[str, Any] = {}) -> Any:
         """Return a new Drake system.
 
-        ``arguments`` are those of a law that `takes_scenario`: the scenario and the gains.
-        Raises `ParameterError` if the law makes no Drake system, or is a system that Drake cannot
-        clone.
+        ``arguments`` has the scenario and the gains for a law that `takes_scenario`. Raises
+        `ParameterError` if the law makes no Drake system, or is a system that Drake cannot clone.
         """
         if _is_system(self.target):
             try:

@@ -81,7 +81,7 @@ _SOURCES = (
     "rod_inverse.py",
     "rod_polynomial.py",
 )
-_BAKED_IN = ("sample_time_s",)  # numbers that the leaf systems turn into constants
+_MADE_CONSTANT = ("sample_time_s",)  # numbers that the leaf systems turn into constants
 _SEED = "seed"  # decides by its presence, not by its number
 
 
@@ -103,7 +103,7 @@ def structure(parameters: Parameters) -> tuple[tuple[str, Any], ...]:
             fields.append((name, value is not None))
         elif nested and value is not None:
             fields.append((name, structure(value)))
-        elif name in _BAKED_IN or not isinstance(value, float):
+        elif name in _MADE_CONSTANT or not isinstance(value, float):
             fields.append((name, value))
     return tuple(fields)
 
@@ -120,7 +120,7 @@ def _structural_fields(kind: type[Parameters]) -> tuple[tuple[str, bool], ...]:
     return tuple(
         (name, bool(models_of(field)))
         for name, field in kind.model_fields.items()
-        if name in _BAKED_IN or structural(field.annotation)
+        if name in _MADE_CONSTANT or structural(field.annotation)
     )
 
 
@@ -314,17 +314,20 @@ def scenario_inputs(scenario: Scenario) -> InputTable:
     The inputs are the command of a law in Python (zero), the samples of the reference, and the
     biological moment of the wearer. Inputs that the model does not have are left out.
     """
-    return _stacked(runs_as_python(scenario), scenario.reference, moment_of(scenario))
+    return _joint_table(runs_as_python(scenario), scenario.reference, moment_of(scenario))
 
 
 @lru_cache(maxsize=64)
-def _stacked(law_command: bool, reference: Any, moment: MomentTable | None) -> InputTable:
-    tables = [_NO_INPUTS] if law_command else []
+def _joint_table(has_law_command: bool, reference: Any, moment: MomentTable | None) -> InputTable:
+    """Return one table of the command (zero), the reference and the moment, where they exist."""
+    tables = [_NO_INPUTS] if has_law_command else []
     if isinstance(reference, SampledReference):
         tables.append(reference_table(reference))
     if moment is not None:
         tables.append(input_table(moment_spline(moment)))
-    return stack_tables(*tables) if len(tables) > 1 else (tables or [_NO_INPUTS])[0]
+    if not tables:
+        return _NO_INPUTS
+    return stack_tables(*tables) if len(tables) > 1 else tables[0]
 
 
 def _require_reference_in_range(scenario: Scenario) -> None:
@@ -341,13 +344,10 @@ def scenario_run(scenario: Scenario, model: CompiledModel) -> tuple[Array, State
     values, start = scenario_values(scenario), scenario_start(scenario)
     # By name, because a law that runs as Python has values that the model does not have.
     parameters = np.array([values[name] for name in model.parameter_names])
-    state = State(
-        *(
-            np.array([start.get(name, 0.0) for name in names])
-            for names in (model.state_names, model.discrete_names)
-        )
-    )
-    inputs = _stacked(LAW_COMMAND in model.inputs, scenario.reference, moment_of(scenario))
+    continuous = np.array([start.get(name, 0.0) for name in model.state_names])
+    discrete = np.array([start.get(name, 0.0) for name in model.discrete_names])
+    state = State(continuous, discrete)
+    inputs = _joint_table(LAW_COMMAND in model.inputs, scenario.reference, moment_of(scenario))
     return parameters, model.initialized(parameters, state, inputs), inputs
 
 
@@ -398,41 +398,38 @@ def simulate_together(
     """Run scenarios that differ only in numbers in one batch; return a run or an error for each.
 
     `simulate_compiled` describes the arguments. ``reductions`` has the reductions of each scenario,
-    which differ only in numbers too. No reductions: none for any scenario.
+    which differ only in numbers too. By default no scenario has reductions.
     """
     results: list[Any] = []
-    ready = {}
+    run_arguments = {}
     model = None
     for index, scenario in enumerate(scenarios):
         try:
             if model is None:
                 names = chosen_signals(scenario, signals)
                 model = compile_scenario(scenario)
-            ready[index] = scenario_run(scenario, model)
-            results.append(None)
+            run_arguments[index] = scenario_run(scenario, model)
+            results.append(None)  # until the run has ended
         except KneexoError as error:
             results.append(error)
-    if model is None or not ready:
+    if model is None or not run_arguments:
         return results
-    parameters, states, inputs = zip(*ready.values(), strict=True)
-    how = {"integrator": integrator, "step_s": step_s, "error_controlled": False}
+    solver = {"integrator": integrator, "step_s": step_s, "error_controlled": False}
     if runs_as_python(scenarios[0]):
-        for index, run_data in ready.items():
-            options = {"integrator": integrator, "step_s": step_s, "tolerance": tolerance}
-            results[index] = _run_of(
-                _python_run(scenarios[index], model, run_data, names, options),
-                scenarios[index],
-                names,
-                how,
-            )
+        options = {"integrator": integrator, "step_s": step_s, "tolerance": tolerance}
+        for index, arguments in run_arguments.items():
+            scenario = scenarios[index]
+            result = _python_run(scenario, model, arguments, names, options)
+            results[index] = _run_of(result, scenario, names, solver)
         return results
+    parameters, states, inputs = zip(*run_arguments.values(), strict=True)
     runs = model.simulate_batch(
         parameters,
         states,
-        [scenarios[index].duration_s for index in ready],
+        [scenarios[index].duration_s for index in run_arguments],
         inputs=inputs,
         outputs=names,
-        reductions=_joined([reductions[index] for index in ready]) if reductions else (),
+        reductions=_joined([reductions[index] for index in run_arguments]) if reductions else (),
         record_period_s=scenarios[0].controller.sample_time_s,
         integrator=integrator,
         step_s=step_s,
@@ -440,8 +437,8 @@ def simulate_together(
         failures="return",
         threads=1,
     )
-    for index, result in zip(ready, runs, strict=True):
-        results[index] = _run_of(result, scenarios[index], names, how)
+    for index, result in zip(run_arguments, runs, strict=True):
+        results[index] = _run_of(result, scenarios[index], names, solver)
     return results
 
 
@@ -458,9 +455,12 @@ def _joined(reductions: Sequence[Sequence[Reduction]]) -> list[Reduction]:
 
 
 def _run_of(
-    result: Simulation | KneexoError, scenario: Scenario, names: Sequence[str], how: dict[str, Any]
+    result: Simulation | KneexoError,
+    scenario: Scenario,
+    names: Sequence[str],
+    solver: dict[str, Any],
 ) -> Run | KneexoError:
-    """Return the records ``names`` of a simulation as a run, whose settings contain ``how``.
+    """Return the records ``names`` of a simulation as a run, whose settings name the ``solver``.
 
     An error is returned unchanged.
     """
@@ -468,8 +468,8 @@ def _run_of(
         return result
     data = [result[name][:, i] for name in names for i in range(len(SIGNALS[name]))]
     settings = scenario.simulation
-    if any(getattr(settings, name) != value for name, value in how.items()):
-        settings = settings.model_copy(update=how)
+    if any(getattr(settings, name) != value for name, value in solver.items()):
+        settings = settings.model_copy(update=solver)
     return Run(
         result.time_s, dict(zip(columns(names), data, strict=True)), settings, result.reduced
     )

@@ -176,10 +176,10 @@ def simulate(
 ) -> Run:
     """Run the closed loop of ``scenario`` and return the logged signals.
 
-    ``scenario.simulation.integrator`` chooses between the compiled engine and Drake's Simulator.
-    If the integrator ``exact_hold`` fails because the valves make the equations too stiff, RK4
-    repeats the run with steps of 20 µs, or with the steps that the fastest mode of the run
-    requires. The ``settings`` of the returned run then name RK4.
+    ``scenario.simulation.integrator`` chooses between the compiled engine and Drake's Simulator. If
+    the integrator ``exact_hold`` fails because the valves make the equations too stiff, RK4 repeats
+    the run with steps of 20 µs, or with the steps that the fastest mode of the run requires. The
+    ``settings`` of the returned run then name RK4.
 
     Parameters
     ----------

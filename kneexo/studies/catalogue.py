@@ -76,9 +76,9 @@ class Study:
     def compute(self) -> Callable[..., Any]:
         """The function that runs the study and returns its result.
 
-        Its arguments are the scenario, ``settings``, ``workers``, ``executor`` and ``progress``. A
-        `resumable` study also accepts ``checkpoint``. An `uncertain` study also accepts
-        ``uncertainty``. The result has a method ``results()``, which returns plain data.
+        The function's arguments are the scenario, ``settings``, ``workers``, ``executor`` and
+        ``progress``. A `resumable` study also accepts ``checkpoint``. An `uncertain` study also
+        accepts ``uncertainty``. The result has a method ``results()``, which returns plain data.
         """
         function: Callable[..., Any] = self._part("", f"{self.name}_study")
         return function
@@ -111,8 +111,8 @@ class Study:
     def failed_runs(self, result: Any) -> dict[str, Scenario]:
         """Return a dictionary from error to the scenario of a run that failed with this error.
 
-        The dictionary has an example of each kind of failure. It is empty if the module ``report``
-        has no function ``failed_runs``.
+        The dictionary has an example of each kind of failure. The dictionary is empty if the module
+        ``report`` has no function ``failed_runs``.
         """
         failed = self._part(".report", "failed_runs", lambda result: {})
         runs: dict[str, Scenario] = failed(result)

@@ -27,9 +27,9 @@ class Checkpoint:
     """A file with one JSON line for each finished piece of work.
 
     A piece of work is one call of a function. Its key contains the function, the input and kneexo's
-    version. So a sweep reads from the file only results that it would compute itself. Results are
-    plain JSON data, and floats are restored bit by bit. Each line has a checksum. Damaged lines are
-    skipped, and a warning says how many.
+    version. A sweep therefore reads a result from the file only if it would compute the same
+    result. Results are plain JSON data, and floats are restored bit by bit. Each line has a
+    checksum. Damaged lines are skipped, and a warning says how many.
 
     Parameters
     ----------

@@ -249,19 +249,23 @@ def parallel_map(
         progress_bar(total_weight, description) as bar,
     ):
         if checkpoint is not None:
-            for index in (n for n, key in enumerate(keys) if key in checkpoint):
-                results[index] = checkpoint[keys[index]]
-                advance(index)
-        ranks: dict[Hashable, int] = {}
-        key = [(-weight(item), ranks.setdefault(group(item), len(ranks))) for item in items]
-        order = sorted((n for n in range(len(items)) if n not in results), key=key.__getitem__)
+            for index, key in enumerate(keys):
+                if key in checkpoint:
+                    results[index] = checkpoint[key]
+                    advance(index)
+        group_ranks: dict[Hashable, int] = {}
+        sort_keys = [
+            (-weight(item), group_ranks.setdefault(group(item), len(group_ranks))) for item in items
+        ]
+        waiting = (index for index in range(len(items)) if index not in results)
+        order = sorted(waiting, key=sort_keys.__getitem__)
         if pool is not None:
             _by_executor(function, items, order, pool, keep)
         else:
             units = _Units(order, _first_unit(function, len(order), 1))
             while unit := units.take(LARGEST_LOT):
                 begin = time.perf_counter()
-                for position, result in _ended(function, [items[index] for index in unit]):
+                for position, result in _as_completed(function, [items[index] for index in unit]):
                     keep(unit[position], result)
                 units.give_back([], len(unit), time.perf_counter() - begin)
     return [results[index] for index in range(len(items))]
@@ -308,7 +312,7 @@ def _first_unit(function: Callable[..., Any], count: int, workers: int) -> int:
     return max(1, min(_FIRST_UNIT, count // (_UNITS_PER_WORKER * workers)))
 
 
-def _ended(
+def _as_completed(
     function: Callable[[Item], Result], items: Sequence[Item]
 ) -> Iterator[tuple[int, Result]]:
     """Yield the index of each item and ``function(item)``, as soon as the call ends."""
@@ -327,8 +331,8 @@ def _unit(function: Callable[[Item], Result], items: Sequence[Item]) -> tuple[li
     lot = LARGEST_LOT if is_in_lockstep(function) else 1
     results: dict[int, Result] = {}
     for first in range(0, len(items), lot):
-        ended = _ended(function, items[first : first + lot])
-        results |= {first + n: result for n, result in ended}
+        for position, result in _as_completed(function, items[first : first + lot]):
+            results[first + position] = result
         if time.perf_counter() - begin >= UNIT_S:
             break
     return [results[n] for n in range(len(results))], time.perf_counter() - begin

@@ -124,7 +124,7 @@ class BldcPump(NamedLeaf):
         return [self._flow(context) * self._pressure.Eval(context)[0]]
 
     def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
-        """Set the acceleration of the motor. Raises `SimulationError` when it is not finite."""
+        """Set the acceleration of the motor. Raises `SimulationError` if it is not finite."""
         if self._ideal:
             return
         p = self.parameters(context)

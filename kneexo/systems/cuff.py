@@ -48,10 +48,10 @@ class Cuff(NamedLeaf):
     ==================  ====  ==========  =====================================================
 
     State: δ in rad, if there is a slip torque. Context parameters by name: all numbers of
-    `CuffParameters`, those of the slip only with a slip torque. The torque on the leg is −τ_i. The
-    difference of the two powers is the power that the cuff dissipates or stores in its spring.
-    Raises `SimulationError` when the rate of δ is not finite. Source: a spring and damper in series
-    with a rigid-viscoplastic element (Bingham), which regularizes dry friction.
+    `CuffParameters`, without the numbers of the slip if there is no slip torque. The torque on the
+    leg is −τ_i. The difference of the two powers is the power that the cuff dissipates or stores in
+    its spring. Raises `SimulationError` when the rate of δ is not finite. Source: a spring and
+    damper in series with a rigid-viscoplastic element (Bingham), which regularizes dry friction.
     """
 
     def __init__(self, parameters: CuffParameters = CuffParameters()) -> None:
@@ -89,7 +89,7 @@ class Cuff(NamedLeaf):
         return [torque * self._leg.Eval(context)[1], torque * self._knee_rate(context)]
 
     def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
-        """Set the rate of the slip. Raises `SimulationError` when it is not finite."""
+        """Set the rate of the slip. Raises `SimulationError` when the rate is not finite."""
         if not self._slides:
             return
         p = self.parameters(context)

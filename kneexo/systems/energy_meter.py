@@ -47,9 +47,9 @@ class EnergyMeter(NamedLeaf):
     leakage (C_im + C_im') P_L² + Σ E_i (P_i − P_r), valves Σ[Q_mi (P_r − P_i) + Q_ri (P_i − P_r)],
     friction (F_f + B v) v, load F_L v, displaced (P_1² A_1 − P_2² A_2) v/(2 β_e).
 
-    The first three flow into actuator and oil, the next four out of them. The load is weight,
-    constant torque and disturbance of `KneeLoad`. The oil stores Σ V_i P_i²/(2 β_e) minus
-    the displaced energy, because the volumes V_i change under pressure.
+    The first three powers flow into actuator and oil, the next four out of actuator and oil. The
+    load is weight, constant torque and disturbance of `KneeLoad`. The oil stores Σ V_i P_i²/(2 β_e)
+    minus the displaced energy, because the volumes V_i change under pressure.
 
     Context parameters by name: all names of `FullCylinder`, ``internal_leakage_m3_per_s_pa`` of the
     pump, and, with a load, all names of `KneeLoad`.

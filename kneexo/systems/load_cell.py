@@ -82,11 +82,12 @@ class LoadCell(NamedLeaf):
     ===============  ====  =====  =============================================================
 
     State: z in kN. The discrete state, updated every ``sample_time_s``, has the last reading, its
-    age, and with ``seed`` the three states of the generator. ``Simulator.Initialize()`` sets them
-    to the present force and to the seeds. This generator gives the same noise in Drake's Simulator,
-    in compiled runs, in C and in FMUs. Drake's `RandomSource` does not convert to symbolic form.
-    Context parameters by name: the numbers of `LoadCellParameters`, and ``seed_1`` … ``seed_3``.
-    Source: Lee et al. 2020, Section 2, mention the load cell without its data.
+    age, and with ``seed`` the three states of the generator. ``Simulator.Initialize()`` sets the
+    reading to the present force, and the generator to the seeds. This generator gives the same
+    noise in Drake's Simulator, in compiled runs, in C and in FMUs. Drake's `RandomSource` does not
+    convert to symbolic form. Context parameters by name: the numbers of `LoadCellParameters`, and
+    ``seed_1`` … ``seed_3``. Source: Lee et al. 2020, Section 2, mention the load cell without its
+    data.
 
     Parameters
     ----------
@@ -156,7 +157,7 @@ class LoadCell(NamedLeaf):
         return [*self._reading.Eval(context), *(next_seeds(seeds) if self._noisy else ())]
 
     def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
-        """Set the rate of the low-pass. Raises `SimulationError` when it is not finite."""
+        """Set the rate of the low-pass. Raises `SimulationError` when the rate is not finite."""
         force = self._force.Eval(context)[0] / _N_PER_KN
         filtered = context.get_continuous_state_vector().GetAtIndex(0)
         rate = (force - filtered) / self.parameters(context).filter_s

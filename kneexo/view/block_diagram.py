@@ -269,23 +269,25 @@ def _label(
     width, height = 0.5 * extent.width + 0.4, 0.5 * extent.height + 0.3
 
     def cost(place: tuple[float, float]) -> float:
+        """Return how bad a place of the text is; the worse the thing it covers, the larger."""
         x, y = place
         total = 0.0
         for box in boxes.values():
-            dx = box.half_width + width - abs(x - box.x)
-            dy = box.half_height + height - abs(y - box.y)
-            total += 300.0 + 10.0 * min(dx, dy) if dx > 0.0 and dy > 0.0 else 0.0
-        for (u, v), w, h in taken:
-            if abs(x - u) < width + w and abs(y - v) < height + h:
+            overlap_x = box.half_width + width - abs(x - box.x)
+            overlap_y = box.half_height + height - abs(y - box.y)
+            if overlap_x > 0.0 and overlap_y > 0.0:
+                total += 300.0 + 10.0 * min(overlap_x, overlap_y)
+        for (other_x, other_y), other_width, other_height in taken:
+            if abs(x - other_x) < width + other_width and abs(y - other_y) < height + other_height:
                 total += 200.0
-        inside = [p for p in (*others, *path) if abs(p[0] - x) < width and abs(p[1] - y) < height]
-        total += 14.0 * sum(p in others for p in inside) + 1.0 * len(inside)
-        total += 20.0 * sum(p in path[-3:] for p in inside)
+        covered = [p for p in (*others, *path) if abs(p[0] - x) < width and abs(p[1] - y) < height]
+        total += 14.0 * sum(p in others for p in covered) + 1.0 * len(covered)
+        total += 20.0 * sum(p in path[-3:] for p in covered)  # the arrow head
         (left, right), top = ax.get_xlim(), ax.get_ylim()[1]
         if x - width < left or x + width > right or y - height < -1.5 or y + height > top:
-            total += 500.0
+            total += 500.0  # outside the figure, or on the key of colours
         nearest = min(math.hypot(p[0] - x, p[1] - y) for p in path)
-        return total + 6.0 * nearest + (0.0 if y >= path[0][1] else 3.0)
+        return total + 6.0 * nearest + (0.0 if y >= path[0][1] else 3.0)  # rather above the wire
 
     beside = [0.0, height + 0.3, height + _HALF[1] + 0.2]
     shifts = [

@@ -108,8 +108,7 @@ def mechanism_svg(linkage: LinkageParameters, knee_angle_deg: float = 35.0) -> s
 
     The left half shows thigh, shank, foot, cylinder and rod. The right half shows the four links
     with their lengths, the joints and the instantaneous centre of rotation (ICR), if the ICR lies
-    in this half. All positions are those of `kneexo.view.mechanism.points`. Each half has a scale
-    bar.
+    in this half. `kneexo.view.mechanism.points` gives all positions. Each half has a scale bar.
 
     ``knee_angle_deg`` is the flexion in deg. Raises `LinkageError` if the linkage cannot be
     assembled at this angle.

@@ -30,8 +30,8 @@ _BEYOND_RAD = 0.1  # the linkage can be assembled this far beyond the range of m
 def shown_s(legs: Sequence[Leg], most_frames: int = MOST_FRAMES) -> float:
     """Return the time in s at which a page ends: the end of the longest run, or earlier.
 
-    The page ends earlier if it is full. A full page has ``most_frames`` samples of all its legs. A
-    sample of a leg with a wearer counts 1.5, because it has six columns instead of four.
+    A full page, with ``most_frames`` samples of all its legs, ends earlier. A sample of a leg with
+    a wearer counts 1.5, because it has six columns instead of four.
     """
     frames_per_s = FRAMES_PER_S * sum(1.0 if leg.wearer_rad is None else 1.5 for leg in legs)
     return min(max(float(leg.time_s[-1]) for leg in legs), most_frames / frames_per_s)

@@ -75,7 +75,7 @@ def placements(
 ) -> dict[str, Placement]:
     """Return a dictionary from the name of a frame to its placement at n times.
 
-    The frames are those of `FRAMES`, ``icr``, ``reference`` and ``wearer``. Angles (n,) of the
+    The frames are the frames in `FRAMES`, ``icr``, ``reference`` and ``wearer``. Angles (n,) of the
     knee, the reference and the wearer's knee are in rad. If ``wearer`` is None, the wearer's shank
     moves with the knee angle. Raises `LinkageError` if the linkage cannot be assembled.
     """

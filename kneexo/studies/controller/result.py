@@ -176,7 +176,7 @@ def ideal_settling_time_s(lambda_per_s: Any, share: float) -> Any:
 def observed_smc(scenario: Scenario) -> tuple[SlidingModeParameters, ObserverParameters]:
     """Return the sliding-mode controller and the observer of a scenario.
 
-    Raises `ParameterError` for another controller or estimator, because it lacks λ, Φ, η or T_f.
+    Raises `ParameterError` for another controller or estimator, which lacks λ, Φ, η or T_f.
     """
     law, estimator = scenario.controller, scenario.estimator
     if law.kind != "smc" or law.continuous or law.switching == "signum":

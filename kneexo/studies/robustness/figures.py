@@ -78,8 +78,8 @@ def _plot_distribution(ax: Axes, result: RobustnessResult, merit: str) -> None:
         ax.set_xscale("log")
         decimal_ticks(ax.xaxis)
     failed = int(np.sum(~finite))
-    lost = "fail" if MERITS[merit].sign_of_worse > 0.0 else "fail or are unstable"
-    ax.set_title(f"{failed} of {values.size} {lost}" if failed else " ", fontsize=8, color=RED)
+    why = "fail" if MERITS[merit].sign_of_worse > 0.0 else "fail or are unstable"
+    ax.set_title(f"{failed} of {values.size} {why}" if failed else " ", fontsize=8, color=RED)
     ax.set(xlabel=MERITS[merit].label, ylim=(0.0, 1.02))
     ax.grid(alpha=0.3)
 
@@ -239,12 +239,14 @@ def _plot_table(
     the numbers are relative. Colours saturate at ``limit``.
     """
     signs = np.array([MERITS[merit].sign_of_worse for merit in merits])
-    rows = np.broadcast_to(unsigned[:, None], values.shape)
+    is_unsigned = np.broadcast_to(unsigned[:, None], values.shape)
     ax.set_facecolor("0.92")
-    for shades, cmap, low in ((values * signs, "RdBu_r", -limit), (values, "Greys", 0.0)):
-        hidden = ~np.isfinite(values) | (rows == (cmap == "RdBu_r"))
+    for shades, hidden, cmap, low in (
+        (values * signs, is_unsigned, "RdBu_r", -limit),
+        (values, ~is_unsigned, "Greys", 0.0),
+    ):
         ax.imshow(
-            np.ma.masked_array(shades, hidden),
+            np.ma.masked_array(shades, hidden | ~np.isfinite(values)),
             cmap=cmap,
             vmin=low,
             vmax=limit,
@@ -283,13 +285,16 @@ def nyquist(result: RobustnessResult) -> Figure:
         _loop(result, assessment) for assessment in result.samples[: result.settings.nyquist_loops]
     ]
     drawn = [loop for loop in loops if loop is not None]
-    lost = sum(not loop.stable for loop in drawn)
-    entries = {True: f"L of {len(drawn) - lost} samples", False: f"L of {lost} unstable samples"}
+    unstable_drawn = sum(not loop.stable for loop in drawn)
+    labels_left = {
+        True: f"L of {len(drawn) - unstable_drawn} samples",
+        False: f"L of {unstable_drawn} unstable samples",
+    }
     for loop in drawn:
         f = np.geomspace(0.02, 0.5 / loop.sample_time_s, 2000)
         response = loop.loop_response(f)
         colour = "0.6" if loop.stable else RED
-        label = entries.pop(loop.stable, None)  # once each
+        label = labels_left.pop(loop.stable, None)  # the legend names each colour once
         ax.plot(response.real, response.imag, color=colour, lw=0.5, alpha=0.6, label=label)
     unstable = sum(assessment.metrics["stable"] is False for assessment in assessments)
     title = ""

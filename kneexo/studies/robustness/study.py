@@ -11,7 +11,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import islice, product
+from itertools import chain, islice, product
 from typing import Any, NamedTuple, Unpack
 
 import numpy as np
@@ -170,7 +170,7 @@ def worst_value(assessments: Sequence[Assessment], merit: str) -> float:
 def quantile(assessments: Sequence[Assessment], merit: str, share: float) -> float:
     """Return the lowest figure of merit that a ``share`` (0 … 1) of the plants do not exceed.
 
-    The result is infinite if it belongs to a failed assessment.
+    The result is infinite if this figure of merit belongs to a failed assessment.
     """
     return float(np.quantile(merit_values(assessments, merit), share, method="inverted_cdf"))
 
@@ -475,7 +475,7 @@ def _corners(
     merits: Sequence[str],
     singly: Sequence[Assessment],
     settings: RobustnessSettings,
-    assessment: Callable[[Sequence[Values]], tuple[Assessment, ...]],
+    assess_all: Callable[[Sequence[Values]], tuple[Assessment, ...]],
 ) -> tuple[tuple[Assessment, ...], bool | None]:
     """Assess all corners, or ``corners_max`` of them. Return assessments and ``corners_settled``.
 
@@ -487,28 +487,29 @@ def _corners(
     sizes = [len(span.levels) for span in entries.values()]
     visited: dict[Corner, Assessment] = {}
 
-    def go(corners: Iterable[Corner]) -> None:
+    def values_at(corner: Corner) -> Values:
+        levels = zip(entries.items(), corner, strict=True)
+        return {path: span.levels[index] for (path, span), index in levels}
+
+    def visit(corners: Iterable[Corner]) -> None:
+        """Assess the corners that are not visited yet, up to ``corners_max`` in total."""
         new = list(dict.fromkeys(corner for corner in corners if corner not in visited))
         new = new[: settings.corners_max - len(visited)]
-        points = [
-            {path: span.levels[i] for (path, span), i in zip(entries.items(), corner, strict=True)}
-            for corner in new
-        ]
-        visited.update(zip(new, assessment(points), strict=True))
+        visited.update(zip(new, assess_all([values_at(corner) for corner in new]), strict=True))
 
     if math.prod(sizes) <= settings.corners_max:
-        go(product(*map(range, sizes)))
+        visit(product(*map(range, sizes)))
         return tuple(visited.values()), None
-    go(_pointed_at(uncertainty, merits, singly))
+    visit(_pointed_at(uncertainty, merits, singly))
     settled = False
     while len(visited) < settings.corners_max and not settled:
-        worst_ones = dict.fromkeys(_worst_corner(visited, merit) for merit in merits)
+        worst_corners = dict.fromkeys(_worst_corner(visited, merit) for merit in merits)
         before = len(visited)
-        go(neighbour for corner in worst_ones for neighbour in _neighbours(corner, sizes))
+        visit(chain.from_iterable(_neighbours(corner, sizes) for corner in worst_corners))
         settled = len(visited) == before
     random = np.random.default_rng((settings.seed, 1))
     while missing := settings.corners_max - len(visited):
-        go(map(tuple, random.integers(sizes, size=(missing, len(sizes))).tolist()))
+        visit(map(tuple, random.integers(sizes, size=(missing, len(sizes))).tolist()))
     return tuple(visited.values()), settled
 
 

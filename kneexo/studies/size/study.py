@@ -125,8 +125,8 @@ def size_study(
        bandwidth and error with the scenario's own sine.
     2. Compute the motion and load that the measured gait requires (`walking_demand`).
     3. Choose λ, k/Φ and T_f for walking at the highest stride frequency, with ample flow and
-       acceleration. Among the gains that keep the disk margin and do not chatter, choose those of
-       least error.
+       acceleration. Among the gains that keep the disk margin and do not chatter, choose the gains
+       with the least error.
     4. For each stride frequency, search for the smallest flow (by the pump's displacement) with
        ample acceleration. Then, with a margin on this flow, search for the smallest acceleration
        limit.

@@ -197,7 +197,7 @@ class WearerRow:
 class MarginRow:
     """Least margins of a design in reduced order, over the legs `WEARERS` and the knee angles.
 
-    The stiffnesses are those of `kneexo.analysis.StiffnessInterval`. Numbers are nan if a loop is
+    `kneexo.analysis.StiffnessInterval` describes the stiffnesses. Numbers are nan if a loop is
     unstable or does not rest.
     """
 
@@ -302,9 +302,9 @@ def in_motion(
     """Return the scenario with walking or sit-to-stand.
 
     In sit-to-stand the shank stays upright, so its weight has no moment. With one of the `BODIES`,
-    the leg is active. Its stiffness and damping are those of stance, in proportion to the mass. In
-    walking the path of this leg is more flexed, and the muscles give the share ``effort`` of the
-    biological moment.
+    the leg is active. The leg then has the stiffness and damping of stance, in proportion to the
+    mass. In walking the path of this leg is more flexed, and the muscles give the share ``effort``
+    of the biological moment.
     """
     cycles = settings.cycles
     values: dict[str, Any] = {"wearer.moment": None, "wearer.effort": 1.0}
@@ -406,7 +406,8 @@ def wearer_study(
 
     1. The leg follows walking or sit-to-stand exactly, and the desired torque is zero. The
        designs have other pumps and gains. The study also computes their margins.
-    2. Weak legs of light, average and heavy wearers yield. The modes of the controller help them.
+    2. Weak legs of light, average and heavy wearers yield to the torque of the cuff. The modes of
+       the controller help these wearers.
 
     The row of a run that fails has nan.
 
