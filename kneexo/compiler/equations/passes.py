@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from .equations import Equations
 from .gradients import gradients
@@ -196,8 +196,14 @@ class Program:
 
 # ------------------------------------------------------------------------------- regrouping
 
-_Sum = tuple[dict[int, int], int | None]
-"""A sum: a dictionary from node to fixed factor, and the fixed term (None if there is none)."""
+
+class _Sum(NamedTuple):
+    """A sum of products with fixed factors, and of a fixed term."""
+
+    factors: dict[int, int]
+    """Dictionary from a node that is not fixed to its fixed factor."""
+    fixed_term: int | None
+    """Node of the fixed term, or None without a fixed term."""
 
 
 def regrouped(graph: Graph, roots: Sequence[int]) -> list[int]:
@@ -222,6 +228,8 @@ def regrouping(graph: Graph, roots: Sequence[int]) -> dict[int, int]:
 
 
 class _Regrouping:
+    """Rewrites the nodes that ``roots`` require, arguments first; see `regrouped`."""
+
     def __init__(self, graph: Graph, roots: Sequence[int]) -> None:
         self.graph = graph
         nodes = graph.reachable(roots)
@@ -238,73 +246,88 @@ class _Regrouping:
         kind, *_ = graph.nodes[node]
         if kind in SOURCES:
             return node
-        a = [self.new[argument] for argument in graph.arguments(node)]
-        if node not in self.deciding and not all(map(graph.is_fixed, a)):
-            if kind == "divide" and graph.is_fixed(a[1]):
-                reciprocal = graph.operation("divide", graph.one, a[1])
-                return self._product(node, [reciprocal, a[0]])
+        arguments = [self.new[argument] for argument in graph.arguments(node)]
+        if node not in self.deciding and not all(map(graph.is_fixed, arguments)):
+            if kind == "divide" and graph.is_fixed(arguments[1]):
+                numerator, denominator = arguments
+                reciprocal = graph.operation("divide", graph.one, denominator)
+                return self._product(node, [reciprocal, numerator])
             if kind == "multiply":
-                return self._product(node, a)
+                return self._product(node, arguments)
             if kind == "add":
-                return self._sum(node, a)
-        return graph.operation(kind, *a)
+                return self._sum(node, arguments)
+        return graph.operation(kind, *arguments)
+
+    def _as_sum(self, node: int) -> _Sum:
+        """Return the stored sum of a new node, or the node itself as the only term."""
+        return self.sums.get(node) or _Sum({node: self.graph.one}, None)
 
     def _product(self, node: int, factors: list[int]) -> int:
+        """Make the product that replaces ``node``. A fixed factor goes into the terms of a sum."""
         graph = self.graph
-        fixed = [k for k in factors if graph.is_fixed(k)]
-        rest = [k for k in factors if not graph.is_fixed(k)]
+        fixed = [factor for factor in factors if graph.is_fixed(factor)]
+        varying = [factor for factor in factors if not graph.is_fixed(factor)]
         if len(fixed) > 1:
             fixed = [graph.operation("multiply", *fixed)]
-        if fixed and len(rest) == 1:
-            terms, term = self.sums.get(rest[0], ({rest[0]: graph.one}, None))
-            if sum(factor == graph.one for factor in terms.values()) <= 1:
-                scaled = {k: self._times(factor, fixed[0]) for k, factor in terms.items()}
-                total = scaled, None if term is None else self._times(term, fixed[0])
-                return self._noted(node, total)
-        for k, count in Counter(rest).items():
+        if fixed and len(varying) == 1:
+            inner = self._as_sum(varying[0])
+            # Scaling a sum with two plain terms would cost a product more.
+            if sum(factor == graph.one for factor in inner.factors.values()) <= 1:
+                scaled = {
+                    term: self._times(factor, fixed[0]) for term, factor in inner.factors.items()
+                }
+                fixed_term = inner.fixed_term
+                if fixed_term is not None:
+                    fixed_term = self._times(fixed_term, fixed[0])
+                return self._made(node, _Sum(scaled, fixed_term))
+        for factor, count in Counter(varying).items():
             if count == 4:
-                square = graph.operation("multiply", k, k)
-                rest = [*(other for other in rest if other != k), square, square]
-        return graph.operation("multiply", *fixed, *rest)
+                square = graph.operation("multiply", factor, factor)
+                varying = [*(other for other in varying if other != factor), square, square]
+        return graph.operation("multiply", *fixed, *varying)
 
     def _sum(self, node: int, terms: list[int]) -> int:
+        """Make the sum that replaces ``node``, with the terms of sums that only ``node`` reads."""
         graph = self.graph
-        total: dict[int, int] = {}
-        fixed: int | None = None
-        for k in terms:
-            if graph.is_fixed(k):
-                fixed = self._plus(fixed, k)
+        factors: dict[int, int] = {}
+        fixed_term: int | None = None
+        for term in terms:
+            if graph.is_fixed(term):
+                fixed_term = self._plus(fixed_term, term)
                 continue
-            inner, term = self.sums.get(k, ({k: graph.one}, None))
-            fixed = fixed if term is None else self._plus(fixed, term)
-            for inner_node, factor in inner.items():
-                total[inner_node] = self._plus(total.get(inner_node), factor)
-        return self._noted(node, (total, fixed))
+            inner = self._as_sum(term)
+            if inner.fixed_term is not None:
+                fixed_term = self._plus(fixed_term, inner.fixed_term)
+            for inner_term, factor in inner.factors.items():
+                factors[inner_term] = self._plus(factors.get(inner_term), factor)
+        return self._made(node, _Sum(factors, fixed_term))
 
-    def _noted(self, node: int, total: _Sum) -> int:
+    def _made(self, node: int, total: _Sum) -> int:
         """Make the node of the sum ``total``, which replaces ``node``; return the new node.
 
         If only one other node reads a short sum, store the terms of the sum. The other node can
         then absorb these terms.
         """
         graph = self.graph
-        terms, fixed = total
-        parts = [] if fixed is None else [fixed]
+        parts = [] if total.fixed_term is None else [total.fixed_term]
         parts += [
-            k if factor == graph.one else graph.operation("multiply", factor, k)
-            for k, factor in terms.items()
+            term if factor == graph.one else graph.operation("multiply", factor, term)
+            for term, factor in total.factors.items()
         ]
         new = parts[0] if len(parts) == 1 else graph.operation("add", *parts)
-        if self.uses[node] == 1 and len(terms) <= _TERMS:
+        if self.uses[node] == 1 and len(total.factors) <= _TERMS:
             self.sums[new] = total
         return new
 
-    def _plus(self, a: int | None, b: int) -> int:
-        return b if a is None else self.graph.operation("add", a, b)
+    def _plus(self, left: int | None, right: int) -> int:
+        return right if left is None else self.graph.operation("add", left, right)
 
-    def _times(self, a: int, b: int) -> int:
-        graph = self.graph
-        return b if a == graph.one else a if b == graph.one else graph.operation("multiply", a, b)
+    def _times(self, left: int, right: int) -> int:
+        if left == self.graph.one:
+            return right
+        if right == self.graph.one:
+            return left
+        return self.graph.operation("multiply", left, right)
 
 
 def deciding_nodes(graph: Graph, nodes: Iterable[int]) -> set[int]:

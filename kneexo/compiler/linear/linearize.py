@@ -95,10 +95,9 @@ def linearize(
     LinearizationError
         The point is no equilibrium, or a derivative or the motion over the period is not finite.
     ParameterError
-        ``inputs`` or ``outputs`` has a name twice, ``period_s`` is no
-        multiple of the sample periods or exceeds 1e9 time constants of the fastest mode. Also if
-        the Context belongs to another diagram, or the tolerance is
-        below zero.
+        ``inputs`` or ``outputs`` has a name twice, ``period_s`` is no multiple of the sample
+        periods or exceeds 1e9 time constants of the fastest mode, the Context belongs to another
+        diagram, or the tolerance is below zero.
     """
     options = bypass, period_s, equilibrium_tolerance
     return _models(diagram, [context], inputs, outputs, *options, beside)[0]
@@ -233,6 +232,7 @@ def _require_period(a: Array, b: Array, rates: Array, period_s: float, sampled: 
 
 def _warn(point: Point, out_names: tuple[str, ...]) -> None:
     """Warn of obstacles, and of derivatives that depend on the time."""
+    # Level 5 of the stack is the caller of `linearize`.
     for obstacle in obstacles(point, out_names):
         warnings.warn(str(obstacle), stacklevel=5)
     if varying := point.time_varying(out_names):

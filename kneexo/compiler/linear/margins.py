@@ -118,23 +118,26 @@ def _transfer_margins(system: Transfer) -> LoopMargins:
     grid, values = grid[finite], values[finite]
     ends = [(f, _limit(system, f)) for f in (0.0, system.highest_hz)]
 
-    def loop_at(frequency: float) -> complex:
-        at = system.response(frequency)[0]
-        return complex(at if np.abs(at) <= LARGEST else LARGEST)  # at a pole L is not finite
+    def loop_at(f: float) -> complex:
+        value = system.response(f)[0]
+        return complex(value if np.abs(value) <= LARGEST else LARGEST)  # at a pole it is not finite
 
-    real = [(f, loop_at(f)) for f in _crossings(lambda f: loop_at(f).imag, grid, values.imag)]
-    real += [(f, complex(at.real)) for f, at in ends if cmath.isfinite(at)]
-    gains = [(-1.0 / at.real, f) for f, at in real if -1.0 / _NO_FACTOR < at.real < 0.0]
-    circle = _crossings(lambda f: abs(loop_at(f)) - 1.0, grid, np.abs(values) - 1.0)
-    unit = [(f, loop_at(f)) for f in circle]
-    unit += [(f, at) for f, at in ends if abs(abs(at) - 1.0) <= _ON_CIRCLE]
-    lags = [(180.0 + math.degrees(cmath.phase(at)), f) for f, at in unit]
+    # Pairs of a frequency f in Hz and L(f), at which L is real or has the magnitude 1.
+    real_at = _crossings(lambda f: loop_at(f).imag, grid, values.imag)
+    on_real_axis = [(f, loop_at(f)) for f in real_at]
+    on_real_axis += [(f, complex(end.real)) for f, end in ends if cmath.isfinite(end)]
+    unit_at = _crossings(lambda f: abs(loop_at(f)) - 1.0, grid, np.abs(values) - 1.0)
+    on_circle = [(f, loop_at(f)) for f in unit_at]
+    on_circle += [(f, end) for f, end in ends if abs(abs(end) - 1.0) <= _ON_CIRCLE]
+    # Pairs of a change that moves L to −1, and the frequency.
+    factors = [(-1.0 / v.real, f) for f, v in on_real_axis if -1.0 / _NO_FACTOR < v.real < 0.0]
+    lags_deg = [(180.0 + math.degrees(cmath.phase(value)), f) for f, value in on_circle]
     none = (math.inf, math.nan)
-    upper = min((c for c in gains if c[0] >= 1.0), default=none)
-    lower = max((c for c in gains if c[0] <= 1.0), default=(0.0, math.nan))
-    lag = min(lags, default=none)
-    lead = min(((360.0 - p, f) for p, f in lags), default=none)
-    delay = min(((p / 360.0 / f, f) for p, f in lags if f > 0.0), default=none)
+    upper = min(((factor, f) for factor, f in factors if factor >= 1.0), default=none)
+    lower = max(((factor, f) for factor, f in factors if factor <= 1.0), default=(0.0, math.nan))
+    lag = min(lags_deg, default=none)
+    lead = min(((360.0 - lag_deg, f) for lag_deg, f in lags_deg), default=none)
+    delay = min(((lag_deg / 360.0 / f, f) for lag_deg, f in lags_deg if f > 0.0), default=none)
     if system.period_s is None and abs(system.d) >= 1.0:
         delay = (0.0, math.inf)  # the delayed loop has crossings at all high frequencies
     disk, frequency = _disk(system, grid, values, ends)
@@ -160,19 +163,21 @@ def _require_exact(system: Transfer, grid: Array, gain_frequencies: list[float])
     On the grid the change of T = L/(1 + L) counts, so that a large L, as near an integrator, need
     not be exact. At the frequencies of the gain margins the change of L itself counts.
     """
-    some = grid[:: max(grid.size // _EXACT_POINTS, 1)]
-    near = np.abs(1.0 + system.response(some))
+    every_few = grid[:: max(grid.size // _EXACT_POINTS, 1)]
+    from_minus_1 = np.abs(1.0 + system.response(every_few))
     with np.errstate(over="ignore", invalid="ignore"):
-        of_t = system.rounding_change(some) / near / np.maximum(near, 1.0)
-    of_gain = system.rounding_change(gain_frequencies) / np.abs(system.response(gain_frequencies))
-    share = np.concatenate([of_t, of_gain])
-    share[~np.isfinite(share)] = 0.0  # at a pole
-    worst = int(np.argmax(share))
-    if share[worst] > _RUINED:
-        at_hz = [*some, *gain_frequencies][worst]
+        change_of_t = system.rounding_change(every_few) / from_minus_1
+        change_of_t /= np.maximum(from_minus_1, 1.0)
+    change_of_l = system.rounding_change(gain_frequencies)
+    change_of_l = change_of_l / np.abs(system.response(gain_frequencies))
+    changes = np.concatenate([change_of_t, change_of_l])
+    changes[~np.isfinite(changes)] = 0.0  # at a pole
+    worst = int(np.argmax(changes))
+    if changes[worst] > _RUINED:
+        at_hz = [*every_few, *gain_frequencies][worst]
         raise ParameterError(
             f"loop: rounding its numbers changes L at {at_hz:.3g} Hz by up to "
-            f"{100.0 * min(share[worst], 1.0):.3g} %, so it has no margins; a transfer function "
+            f"{100.0 * min(changes[worst], 1.0):.3g} %, so it has no margins; a transfer function "
             f"with poles close to each other loses its digits: make the loop from state spaces, "
             f"such as control.c2d(control.ss(A, B, C, D), T)"
         )
@@ -181,9 +186,12 @@ def _require_exact(system: Transfer, grid: Array, gain_frequencies: list[float])
 def _marginal_frequency(system: Transfer) -> float | None:
     """Return a frequency in Hz at which L = −1, a closed eigenvalue on the boundary, or None."""
     values = system.closed_eigenvalues()
-    on = values[np.abs(distance_inside(values, system.period_s)) <= BOUNDARY_TOLERANCE]
-    angles = np.abs(on.imag if system.period_s is None else np.angle(on) / system.period_s)
-    for frequency in map(float, angles / (2.0 * math.pi)):
+    marginal = values[np.abs(distance_inside(values, system.period_s)) <= BOUNDARY_TOLERANCE]
+    if system.period_s is None:
+        rates_rad_s = np.abs(marginal.imag)
+    else:
+        rates_rad_s = np.abs(np.angle(marginal) / system.period_s)
+    for frequency in map(float, rates_rad_s / (2.0 * math.pi)):
         if abs(1.0 + system.response(frequency)[0]) <= _AT_MINUS_ONE:
             return frequency
     return None
@@ -247,17 +255,18 @@ def _disk(
     """Return the smallest disk margin and its frequency in Hz from ``values``, L on ``grid``."""
 
     def slope(frequency: float) -> float:
-        at = system.response(frequency)[0]
-        if at * at == 1.0:
+        """Return a number with the sign of the slope of the disk margin over frequency."""
+        value = system.response(frequency)[0]
+        if value * value == 1.0:
             return 0.0
-        return float((system.slope(frequency) / (1.0 - at * at)).real)
+        return float((system.slope(frequency) / (1.0 - value * value)).real)
 
     index = int(np.argmin(_disk_distance(values)))
     frequency = float(grid[index])
     low, high = grid[max(index - 1, 0)], grid[min(index + 1, grid.size - 1)]
     if slope(low) < 0.0 < slope(high):
         frequency = float(scipy.optimize.brentq(slope, low, high, xtol=1e-14))
-    distances = [(float(_disk_distance(at)), f) for f, at in ends if cmath.isfinite(at)]
+    distances = [(float(_disk_distance(end)), f) for f, end in ends if cmath.isfinite(end)]
     return min((float(_disk_distance(system.response(frequency)[0])), frequency), *distances)
 
 

@@ -82,7 +82,7 @@ class PeriodicLoop:
         second value is the frequency of the critical eigenvalue in Hz, at most 1/(2P). If no factor
         from 1e-6 to 1e6 is critical, the result is (inf or 0, nan).
         """
-        logarithm, frequency = self._first(lambda t: np.exp(sign * t), _GAINS)
+        logarithm, frequency = self._first_critical(lambda t: np.exp(sign * t), _GAINS)
         return math.exp(sign * logarithm), frequency
 
     def turn_change(self) -> tuple[float, float]:
@@ -94,7 +94,7 @@ class PeriodicLoop:
         negative frequencies. The eigenvalues of a period do not tell lag from lead, so the result
         is the smaller of both.
         """
-        return self._first(lambda t: np.exp(-1j * t), _TURNS)
+        return self._first_critical(lambda t: np.exp(-1j * t), _TURNS)
 
     def disk_change(self) -> tuple[float, float]:
         """Return the smallest ε at which a factor (1 + εe^{jθ})/(1 − εe^{jθ}) is critical.
@@ -106,7 +106,7 @@ class PeriodicLoop:
 
         def along(angle: float) -> tuple[float, float]:
             turn = np.exp(1j * angle)
-            return self._first(lambda t: (1.0 + t * turn) / (1.0 - t * turn), _REACHES)
+            return self._first_critical(lambda t: (1.0 + t * turn) / (1.0 - t * turn), _REACHES)
 
         reaches = [along(angle)[0] for angle in _DIRECTIONS]
         best = int(np.argmin(reaches))
@@ -121,7 +121,7 @@ class PeriodicLoop:
     def _excess(self, factors: ArrayLike) -> Array:
         """Return the largest magnitude of an eigenvalue minus 1, at most 1e6, for factors (f,).
 
-        The eigenvalues are those that the factor can move.
+        Eigenvalues that no factor moves do not count.
         """
         with np.errstate(all="ignore"):
             matrices = self._moving(factors)
@@ -159,11 +159,11 @@ class PeriodicLoop:
                 basis = basis @ within
         return basis.conj().T / scale, scale[:, None] * basis
 
-    def _first(self, path: Callable[[Any], Any], grid: Array) -> tuple[float, float]:
-        """Return the first t > 0 at which the factor path(t) changes stability, and its frequency.
+    def _first_critical(self, path: Callable[[Any], Any], grid: Array) -> tuple[float, float]:
+        """Return the first t > 0 at which the factor path(t) is critical, and the frequency in Hz.
 
-        ``grid`` are values of t from 0. Without such a t the result is (inf, nan). It is 0 if an
-        eigenvalue is on the unit circle at t = 0.
+        ``grid`` are values of t from 0. Without such a t the result is (inf, nan). If an eigenvalue
+        is on the unit circle at t = 0, the first number is 0.
         """
         excess = self._excess(path(grid))
         if abs(excess[0]) <= BOUNDARY_TOLERANCE:

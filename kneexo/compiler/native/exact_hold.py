@@ -280,9 +280,12 @@ class ExactHold:
         """
         f, type_ = tick.function, tick.type
         ints = INT.of(type_.lanes)
-        level = f.variable(Array(self.shared.pointer, ints)[0])
+        level = f.variable(Array(self.shared.pointer, ints)[0])  # number of halvings of the step
+        # Position in the tick, and 1 if this step has tried another Jacobian.
         position, tried = (f.variable(f.constant(0, ints)) for _ in range(2))
+        # The tolerance is missed by too much, and a step with the Jacobian at its start has failed.
         rough, bent = (f.variable(f.constant(0, BOOL.of(type_.lanes))) for _ in range(2))
+        # In any lane a step has moved x without its slope, and a step has changed x.
         moved, changed = (f.variable(f.constant(1, BOOL)) for _ in range(2))
         slope, weight, step = tick.vector(), tick.vector(), _Step(tick)
         with f.forever() as loop:

@@ -123,37 +123,46 @@ class Printer:
 
         Nodes that several groups need are computed first, without a condition.
         """
-        users: dict[int, list[str]] = {}
-        needed: dict[int, set[int]] = {}
-        for number, group in enumerate(groups):
+        groups_of: dict[int, set[int]] = {}  # indices of the groups that need a node
+        without_condition: set[int] = set()
+        for index, group in enumerate(groups):
             for node in self._reachable(node for _, node in group.targets):
-                needed.setdefault(node, set()).add(-1 if group.condition == ALWAYS else number)
-            for _, node in group.targets:
-                users.setdefault(node, []).append("target")
-        for node in needed:
-            kind = "memo" if node in self.memo_of else self.graph.nodes[node][0]
-            for argument in self._arguments(node):
-                users.setdefault(argument, []).append(kind)
-        fused = {
-            node
-            for node, kinds in users.items()
-            if kinds == ["add"] and self._operation(node) == "multiply"
-        } - self.program.deciding
+                groups_of.setdefault(node, set()).add(index)
+                if group.condition == ALWAYS:
+                    without_condition.add(node)
+        fused = self._fused(groups, groups_of)
         values: dict[int, Operand] = {}
-        shared = sorted(n for n, numbers in needed.items() if len(numbers) > 1 or -1 in numbers)
-        self._compute(shared, values, fused)
-        for number, group in enumerate(groups):
+        shared = (node for node, users in groups_of.items() if len(users) > 1)
+        self._compute(sorted(without_condition.union(shared)), values, fused)
+        for index, group in enumerate(groups):
             if group.condition == ALWAYS:
                 for place, node in group.targets:
                     self.storage.store(place, values[node])
             elif group.targets:
                 condition = self.storage.condition(group.condition)
                 with self.function.when(condition), self._block():
-                    inner = dict(values)
-                    alone = sorted(n for n, numbers in needed.items() if numbers == {number})
-                    self._compute(alone, inner, fused)
+                    values_in_block = dict(values)
+                    alone = (node for node, users in groups_of.items() if users == {index})
+                    self._compute(sorted(alone), values_in_block, fused)
                     for place, node in group.targets:
-                        self.storage.store(place, inner[node])
+                        self.storage.store(place, values_in_block[node])
+
+    def _fused(self, groups: Sequence[Group], needed: Iterable[int]) -> set[int]:
+        """Return the products whose only use is in a sum, as part of a fused multiply-add."""
+        uses: dict[int, list[str]] = {}
+        for group in groups:
+            for _, node in group.targets:
+                uses.setdefault(node, []).append("target")
+        for node in needed:
+            kind = "memo" if node in self.memo_of else self.graph.nodes[node][0]
+            for argument in self._arguments(node):
+                uses.setdefault(argument, []).append(kind)
+        products = {
+            node
+            for node, kinds in uses.items()
+            if kinds == ["add"] and self._operation(node) == "multiply"
+        }
+        return products - self.program.deciding
 
     def emit(self, targets: Iterable[tuple[Place, int]]) -> None:
         """Emit code that computes and stores the values of ``targets`` without a condition."""
@@ -204,17 +213,18 @@ class Printer:
             sign, factors = self._factors(node, values)
             total = self._product(factors)
             return total if sign > 0 else -total
-        a: list[Operand] = [values[argument] for argument in arguments]
+        operands: list[Operand] = [values[argument] for argument in arguments]
         if emitter == "select":
-            return f.select(_condition(f, a[0]), *a[1:])
-        if not any(isinstance(operand, Value) for operand in a):
-            a[0] = f.coerce(a[0], DOUBLE)  # LLVM folds constants, as the processor would
+            return f.select(_condition(f, operands[0]), *operands[1:])
+        if not any(isinstance(operand, Value) for operand in operands):
+            # LLVM folds constants, as the processor would.
+            operands[0] = f.coerce(operands[0], DOUBLE)
         if emitter == "sincos":
             pair = ("sin and cos", arguments[0])
             if pair not in self._emitted:
-                self._emitted[pair] = elementary.sincos(f, *f.alike(a[0]))
+                self._emitted[pair] = elementary.sincos(f, *f.alike(operands[0]))
             return self._emitted[pair][int(name)]
-        return _EMITTERS[emitter](f, name, a)
+        return _EMITTERS[emitter](f, name, operands)
 
     def _sum(self, terms: Sequence[int], values: Mapping[int, Operand], fused: set[int]) -> Operand:
         """Emit a sum. A fused multiply-add adds each term that is a product in ``fused``."""

@@ -97,20 +97,20 @@ class _Clock:
     """
 
     def __init__(self, f: Function, arguments: _Arguments, tick: Value) -> None:
-        self.f, self.a = f, arguments
+        self.f, self.arguments = f, arguments
         split = arguments["split"]
         whole = f.instruction(f"sdiv i64 {tick.name}, {split.name}", INT)
         self.whole, self.part = f.variable(whole), f.variable(tick - whole * split)
 
     def time(self) -> Value:
         """Emit the time of the current tick; return this time in s."""
-        part = self.f.to_double(self.part.get()) * self.a["tick"]
-        return self.f.fma(self.f.to_double(self.whole.get()), self.a["unit"], part)
+        part = self.f.to_double(self.part.get()) * self.arguments["tick"]
+        return self.f.fma(self.f.to_double(self.whole.get()), self.arguments["unit"], part)
 
     def advance(self) -> None:
         """Emit code that adds 1 to the number of the current tick."""
         f, part = self.f, self.part.get() + 1
-        is_whole = part.equals(self.a["split"])
+        is_whole = part.equals(self.arguments["split"])
         self.whole.set(self.whole.get() + f.flags(is_whole))
         self.part.set(f.select(is_whole, 0, part))
 
@@ -246,10 +246,10 @@ class _Requested(Storage):
 def _define_log(module: Module, lanes: int, sizes: Sequence[int]) -> Function:
     """Define the emitted function ``log(number, flags, …, windows, suspects)``.
 
-    Between them are ratio, start, end, h, x (see `Report`), d and u. The function writes the tick
-    ``number`` to ``suspects`` in each lane whose flag is not
-    zero, if the ratio of the lane exceeds the ratios of all earlier ticks in its window.
-    ``windows``, ``suspects``: see `RUN`. ``sizes``: numbers of elements of x, d and u.
+    The arguments in between are ratio, start, end, h, x (see `Report`), d and u. The function
+    writes the tick ``number`` to ``suspects`` in each lane whose flag is not zero, if the ratio of
+    the lane exceeds the ratios of all earlier ticks in the window. ``windows``, ``suspects``: see
+    `RUN`. ``sizes``: numbers of elements of x, d and u.
     """
     step = ("ratio", "start", "end", "h", "x", "d", "u")
     vectors = dict(zip(step, (1, 1, 1, 1, *sizes), strict=True))
@@ -341,7 +341,7 @@ class _Run:
     def __init__(self, module: Module, program: Program, integrator: str, lanes: int) -> None:
         self.f = f = module.function("run", {"arguments": POINTER}, internal=False)
         self.program, self.integrator, self.lanes = program, integrator, lanes
-        self.a = a = _Arguments(f, RUN)
+        self.arguments = a = _Arguments(f, RUN)
         self.model = _Model(f, program, lanes, a)
         self.mask = BOOL.of(lanes)
         self.alive = f.variable(f.constant(1, self.mask))
@@ -354,7 +354,7 @@ class _Run:
             self._prepare_hold()
 
     def _prepare_hold(self) -> None:
-        f, a, program = self.f, self.a, self.program
+        f, a, program = self.f, self.arguments, self.program
         self._lane_c = a.array("lane_c", DOUBLE)
         self._choose_slot = jacobian_slots.define_choose_slot(f.module, program.size)
         self._jacobian = define_jacobian(f.module, program)
@@ -386,7 +386,7 @@ class _Run:
 
     def trace(self) -> None:
         """Emit all instructions of the function."""
-        f, a, model = self.f, self.a, self.model
+        f, a, model = self.f, self.arguments, self.model
         outer_x, outer_d = a.array("x", model.type), a.array("d", model.type)
         for i in f.each(self.program.size):
             model.x[i] = outer_x[i]
@@ -424,7 +424,7 @@ class _Run:
 
         ``snapshot``: variable with the index of the next snapshot.
         """
-        f, a, model = self.f, self.a, self.model
+        f, a, model = self.f, self.arguments, self.model
         ticks, number = a.array("snapshots"), snapshot.get()
         with f.when(number < a["snapshot_count"]), f.when(ticks[number].equals(tick)):
             for name, values, count in model.states:
@@ -438,7 +438,7 @@ class _Run:
 
         The code runs if a record or an update is due. ``row``: variable with the next row's index.
         """
-        f, a, model, program = self.f, self.a, self.model, self.program
+        f, a, model, program = self.f, self.arguments, self.model, self.program
         recording = (now.number % a["record_every"]).equals(0) & (row.get() < a["rows"])
         going = f.any_lane(now.running)
         periods, offsets = a.array("periods"), a.array("offsets")
@@ -465,15 +465,15 @@ class _Run:
                 row.set(row.get() + 1)
             # At the last tick of a run margins only count if the tick is recorded.
             checked = now.running | (now.present & recording)
-            for which, margin in storage.margins.items():
-                self._fail(checked & ~(margin >= 0.0), OUTSIDE, now.number, which)
-            total = storage.checks[0].get()
+            for index, margin in storage.margins.items():
+                self._fail(checked & ~(margin >= 0.0), OUTSIDE, now.number, index)
+            check_sum = storage.checks[0].get()
             for check in storage.checks[1:]:
-                total = total + check.get()
-            bad = now.present & self.alive.get() & total.differs(0.0)
-            self._fail(bad, OUTPUT_NOT_FINITE, now.number)
-            with f.when(f.any_lane(bad), rare=True):
-                self._store_bad_output(bad, columns)
+                check_sum = check_sum + check.get()
+            not_finite = now.present & self.alive.get() & check_sum.differs(0.0)
+            self._fail(not_finite, OUTPUT_NOT_FINITE, now.number)
+            with f.when(f.any_lane(not_finite), rare=True):
+                self._store_bad_output(not_finite, columns)
             running = now.running & self.alive.get()
             with f.when(firing & f.any_lane(running)):
                 for i in f.each(model.discrete_count):
@@ -484,7 +484,7 @@ class _Run:
 
     def _store_bad_output(self, lanes: Value, columns: Array) -> None:
         """Emit code that stores, for each of ``lanes``, the first output that is not finite."""
-        f, values, count = self.f, self.model.y.cast(DOUBLE), self.a["checked_count"]
+        f, values, count = self.f, self.model.y.cast(DOUBLE), self.arguments["checked_count"]
         flags = f.array(self.lanes, INT)
         flags.cast(INT.of(self.lanes))[0] = f.flags(lanes)
         for lane in f.loop(self.lanes):
@@ -497,7 +497,7 @@ class _Run:
 
     def _memory(self) -> list[Array]:
         """Return two arrays for each `Memo` in turn: tags and values of its look-up table."""
-        tags, values = (self.a.array(name, DOUBLE) for name in ("tags", "values"))
+        tags, values = (self.arguments.array(name, DOUBLE) for name in ("tags", "values"))
         memory = []
         first = 0
         for number, memo in enumerate(self.program.memos):
@@ -506,19 +506,19 @@ class _Run:
             first += len(memo.nodes)
         return memory
 
-    def _fail(self, lanes: Value, code: int, tick: Value, which: int = 0) -> None:
-        """Emit code that ends the runs in ``lanes``, and sets their status (code, tick, which)."""
+    def _fail(self, lanes: Value, code: int, tick: Value, index: int = 0) -> None:
+        """Emit code that ends the runs in ``lanes``, and sets their status (code, tick, index)."""
         f = self.f
         with f.when(f.any_lane(lanes), rare=True):
             for lane in range(self.lanes):
                 with f.when(f.lane(lanes, lane)):
                     self.status[3 * lane] = code
                     self.status[3 * lane + 1] = tick
-                    self.status[3 * lane + 2] = which
+                    self.status[3 * lane + 2] = index
             self.alive.set(self.alive.get() & ~lanes)
 
     def _advance(self, now: _Now, end: Value) -> None:
-        f, a, model = self.f, self.a, self.model
+        f, a, model = self.f, self.arguments, self.model
         tick = model.tick(now.number, now.time, end, a["step"], now.running)
         rough = None
         if self.integrator == "exact_hold":
@@ -529,10 +529,11 @@ class _Run:
             advance_rk4(tick)
         else:
             advance_runge_kutta3(tick)
-        total = f.variable(f.constant(0.0, model.type))
+        # x · 0 is not 0 if x is not finite.
+        check_sum = f.variable(f.constant(0.0, model.type))
         for i in f.each(self.program.size):
-            total.set(f.fma(model.x[i], 0.0, total.get()))
-        self._fail(now.running & total.get().differs(0.0), NOT_FINITE, now.number + 1)
+            check_sum.set(f.fma(model.x[i], 0.0, check_sum.get()))
+        self._fail(now.running & check_sum.get().differs(0.0), NOT_FINITE, now.number + 1)
         if rough is not None:
             self._fail(rough & self.alive.get(), TOO_ROUGH, now.number)
 
