@@ -100,6 +100,7 @@ def require_step(step_s: float | None) -> None:
 
 
 def _controller(scenario: Scenario, counts: bool) -> Target:
+    """Return the controller as a target. `make_target` describes ``counts``."""
     law = scenario.controller
     if law.kind == "smc" and law.continuous:
         raise ParameterError(
@@ -113,14 +114,16 @@ def _controller(scenario: Scenario, counts: bool) -> Target:
     diagram = controller
     if counts and scenario.encoder.quantized and "encoder_reading" in inputs:
         builder = DiagramBuilder()
-        count = builder.AddNamedSystem(ENCODER_COUNT, Gain(scenario.encoder.resolution_rad, 1))
-        part = builder.AddNamedSystem("controller", controller)
-        builder.Connect(count.get_output_port(), part.GetInputPort("encoder_reading"))
-        builder.ExportInput(count.get_input_port(), ENCODER_COUNT)
-        inputs = [ENCODER_COUNT, *(name for name in inputs if name != "encoder_reading")]
-        for name in inputs[1:]:
-            builder.ExportInput(part.GetInputPort(name), name)
-        builder.ExportOutput(part.GetOutputPort("motor_speed_command"), "motor_speed_command")
+        reading = builder.AddNamedSystem(ENCODER_COUNT, Gain(scenario.encoder.resolution_rad, 1))
+        builder.AddNamedSystem("controller", controller)
+        builder.Connect(reading.get_output_port(), controller.GetInputPort("encoder_reading"))
+        builder.ExportInput(reading.get_input_port(), ENCODER_COUNT)
+        other_inputs = [name for name in inputs if name != "encoder_reading"]
+        for name in other_inputs:
+            builder.ExportInput(controller.GetInputPort(name), name)
+        inputs = [ENCODER_COUNT, *other_inputs]
+        command = controller.GetOutputPort("motor_speed_command")
+        builder.ExportOutput(command, "motor_speed_command")
         diagram = builder.Build()
         ranges[ENCODER_COUNT] = count_range(scenario)
     integers = frozenset(name for name in inputs if name == ENCODER_COUNT)

@@ -296,41 +296,25 @@ def _contest(
     untuned: dict[str, Values] = {
         name: {"controller": law.model_dump()} for name, law in UNTUNED.items()
     }
-    default = plants({"controller": SlidingModeParameters().model_dump()})
+    default_smc = plants({"controller": SlidingModeParameters().model_dump()})
     without_margins = partial(assess, margins=False)
-    changes = sweep.map(without_margins, default, "budget of chattering")
-    for values in changes:
-        if values["tracking_failure"]:
-            raise SimulationError(f"the default SMC sets no budget: {values['tracking_failure']}")
-    budget = float(np.mean([values["mean_command_change_rpm"] for values in changes]))
-    judge = partial(objective_deg, budget, settings.least_disk_margin)
-
-    def tune(name: str, seed: int, bar: Any) -> Tuning:
-        contestant = settings.contestants[name]
-
-        def objective(units: Array) -> Array:
-            items = [plants(_entrant(contestant, _gains(contestant, unit))) for unit in units]
-            energies = np.array(sweep.map(judge, items))
-            bar.update(len(items))
-            return energies
-
-        optimum, history = search(objective, len(contestant.gains), settings, seed)
-        energies = optimum.population_energies
-        return Tuning(
-            name,
-            seed,
-            gains=_gains(contestant, optimum.x),
-            objective_deg=float(optimum.fun),
-            evaluations=settings.population * (int(optimum.nit) + 1),
-            converged=bool(optimum.success) and optimum.fun < INFEASIBLE_DEG,
-            spread=float(np.std(energies) / np.mean(energies)),
-            history_deg=tuple(history),
-        )
+    default_metrics = sweep.map(without_margins, default_smc, "budget of chattering")
+    for metrics in default_metrics:
+        if metrics["tracking_failure"]:
+            raise SimulationError(f"the default SMC sets no budget: {metrics['tracking_failure']}")
+    budget_rpm = float(np.mean([m["mean_command_change_rpm"] for m in default_metrics]))
+    judge = partial(objective_deg, budget_rpm, settings.least_disk_margin)
 
     searches = [(name, seed) for name in settings.contestants for seed in settings.optimizer_seeds]
     evaluations = len(searches) * settings.population * (settings.generations + 1)
     with progress_bar(evaluations, "tuning" if sweep.progress else None) as bar:
-        tunings = tuple(tune(name, seed, bar) for name, seed in searches)
+
+        def objectives_deg(entrants: list[Values]) -> Array:
+            result = np.array(sweep.map(judge, [plants(entrant) for entrant in entrants]))
+            bar.update(len(entrants))
+            return result
+
+        tunings = tuple(_tune(name, seed, settings, objectives_deg) for name, seed in searches)
     best = {
         name: min((t for t in tunings if t.contestant == name), key=lambda t: t.objective_deg)
         for name in settings.contestants
@@ -340,14 +324,14 @@ def _contest(
         for name, contestant in settings.contestants.items()
     } | untuned
     samples = draw(uncertainty, settings.test_samples, settings.test_seed)
-    task = {
+    test_plants = [plant for entrant in entrants.values() for plant in plants(entrant, samples)]
+    tested = sweep.map(assess, test_plants, "test")
+    other_task = {
         "reference": settings.other_reference.model_dump(),
         "simulation.duration_s": settings.other_duration_s,
     }
-    test = [plant for entrant in entrants.values() for plant in plants(entrant, samples)]
-    tested = sweep.map(assess, test, "test")
-    at_task = [changed(plant, task) for plant in test]
-    other_reference = sweep.map(without_margins, at_task, "other reference")
+    at_other_reference = [changed(plant, other_task) for plant in test_plants]
+    other_reference = sweep.map(without_margins, at_other_reference, "other reference")
 
     def by_entrant(metrics: Sequence[Values]) -> dict[str, Sequence[Values]]:
         n = len(samples)
@@ -358,12 +342,41 @@ def _contest(
         uncertainty,
         tuple(left_out),
         settings,
-        budget,
+        budget_rpm,
         tunings,
         entrants,
         tuple(samples),
         tested=by_entrant(tested),
         other_reference=by_entrant(other_reference),
+    )
+
+
+def _tune(
+    name: str,
+    seed: int,
+    settings: ContestSettings,
+    objectives_deg: Callable[[list[Values]], Array],
+) -> Tuning:
+    """Search for the best gains of the contestant ``name``.
+
+    ``objectives_deg`` returns the objective of each entrant in a list.
+    """
+    contestant = settings.contestants[name]
+
+    def objective(units: Array) -> Array:
+        return objectives_deg([_entrant(contestant, _gains(contestant, unit)) for unit in units])
+
+    optimum, history = search(objective, len(contestant.gains), settings, seed)
+    last_objectives = optimum.population_energies
+    return Tuning(
+        name,
+        seed,
+        gains=_gains(contestant, optimum.x),
+        objective_deg=float(optimum.fun),
+        evaluations=settings.population * (int(optimum.nit) + 1),
+        converged=bool(optimum.success) and optimum.fun < INFEASIBLE_DEG,
+        spread=float(np.std(last_objectives) / np.mean(last_objectives)),
+        history_deg=tuple(history),
     )
 
 
@@ -408,17 +421,17 @@ def objective_deg(budget_rpm: float, least_disk_margin: float, plants: Sequence[
     loop counts as zero.
     """
     tracked = [assess(plant, margins=False) for plant in plants]
-    failed = np.mean([bool(values["tracking_failure"]) for values in tracked])
-    if failed > 0.0:
-        return float(INFEASIBLE_DEG * (3.0 + failed))
-    change = np.mean([values["mean_command_change_rpm"] for values in tracked])
-    if change > budget_rpm:
-        return float(INFEASIBLE_DEG * (3.0 - budget_rpm / change))
+    failed_share = np.mean([bool(values["tracking_failure"]) for values in tracked])
+    if failed_share > 0.0:
+        return float(INFEASIBLE_DEG * (3.0 + failed_share))
+    change_rpm = np.mean([values["mean_command_change_rpm"] for values in tracked])
+    if change_rpm > budget_rpm:
+        return float(INFEASIBLE_DEG * (3.0 - budget_rpm / change_rpm))
     linear = [assess(plant, tracking=False) for plant in plants]
-    margin = np.nan_to_num([values["disk_margin"] for values in linear])
-    missing = np.mean(np.maximum(0.0, 1.0 - margin / least_disk_margin))
-    if missing > 0.0:
-        return float(INFEASIBLE_DEG * (1.0 + missing))
+    margins = np.nan_to_num([values["disk_margin"] for values in linear])
+    missing_share = np.mean(np.maximum(0.0, 1.0 - margins / least_disk_margin))
+    if missing_share > 0.0:
+        return float(INFEASIBLE_DEG * (1.0 + missing_share))
     return float(np.mean([values["max_error_deg"] for values in tracked]))
 
 

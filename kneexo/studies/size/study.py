@@ -161,8 +161,9 @@ def size_study(
     with open_sweep(**options) as sweep:
 
         def run(function: Callable[[Any], Any], items: Sequence[Any], text: str = "") -> list[Any]:
-            once = list(dict.fromkeys(items))
-            by_item = dict(zip(once, sweep.map(function, once, text), strict=True))
+            """Map like the sweep, but compute equal items once."""
+            distinct = list(dict.fromkeys(items))
+            by_item = dict(zip(distinct, sweep.map(function, distinct, text), strict=True))
             return [by_item[item] for item in items]
 
         return _sizing(scenario, settings, run)
@@ -200,24 +201,7 @@ def _sizing(scenario: Scenario, settings: SizeSettings, run: Any) -> SizeResult:
         / scenario.plant.pump.acceleration_limit_rad_s2,
     }
     ample = scaled(scenario, largest)
-    tried = [
-        {"lambda_per_s": lambda_, "slope_per_s": slope, "observer_s": observer}
-        for observer in settings.observer_s
-        for slope in settings.slope_per_s
-        for lambda_ in settings.lambda_per_s
-    ]
-    hardest = max(frequencies)
-    loops = [tuned(ample, gains) for gains in tried]
-    walks = run(partial(walking, frequency_hz=hardest), loops, "gains for walking")
-    margins = run(partial(assess, tracking=False), loops)
-    asked_change = (
-        walking_demand(ample, hardest).peaks()["mean_motor_acceleration_rad_s2"]
-        * scenario.controller.sample_time_s
-    )
-    gains = []
-    for values, walk_values, margin_values in zip(tried, walks, margins, strict=True):
-        result = values | walk_values | margin_values
-        gains.append(result | {"meets": _meets(result, settings, to_rpm(asked_change))})
+    gains = _tried_gains(ample, settings, run)
     best = _best(gains)
 
     unchanged = changed(scenario, {p: value_at(scenario, p) * f for p, f in largest.items()})
@@ -267,6 +251,33 @@ def _sizing(scenario: Scenario, settings: SizeSettings, run: Any) -> SizeResult:
         ),
         traces=traces,
     )
+
+
+def _tried_gains(ample: Scenario, settings: SizeSettings, run: Any) -> list[dict[str, Any]]:
+    """Return a row for each set of gains, with metrics and margins at the highest stride frequency.
+
+    ``ample`` has the hardware with ample flow and acceleration. The row has ``meets``, the result
+    of `_meets`.
+    """
+    tried = [
+        {"lambda_per_s": lambda_, "slope_per_s": slope, "observer_s": observer}
+        for observer in settings.observer_s
+        for slope in settings.slope_per_s
+        for lambda_ in settings.lambda_per_s
+    ]
+    highest_hz = max(settings.stride_frequencies_hz)
+    walking = partial(walking_metrics, cycles=settings.cycles, frequency_hz=highest_hz)
+    loops = [tuned(ample, gains) for gains in tried]
+    walks = run(walking, loops, "gains for walking")
+    margins = run(partial(assess, tracking=False), loops)
+    peaks = walking_demand(ample, highest_hz).peaks()
+    mean_acceleration_rad_s2 = peaks["mean_motor_acceleration_rad_s2"]
+    asked_change_rpm = to_rpm(mean_acceleration_rad_s2 * ample.controller.sample_time_s)
+    rows = []
+    for gains, walk_values, margin_values in zip(tried, walks, margins, strict=True):
+        row = gains | walk_values | margin_values
+        rows.append(row | {"meets": _meets(row, settings, asked_change_rpm)})
+    return rows
 
 
 def _one_at_a_time(factors: Sequence[float]) -> list[dict[str, float]]:

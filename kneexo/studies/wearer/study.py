@@ -339,43 +339,44 @@ def in_motion(
 @needs_runs
 def measured(cycles: int, scenario: Scenario) -> dict[str, Any]:
     """Return the numbers of a `WearerRow` for the cycles after the first one."""
-    moment = scenario.wearer.kind == "leg" and scenario.wearer.moment is not None
-    full = scenario.plant.full_order is not None
-    signals = (
-        *_SIGNALS,
-        *(("biological_moment",) if moment else ()),
-        *(("chamber_pressures",) if full else ()),
-    )
-    period = scenario.duration_s / cycles
+    has_moment = scenario.wearer.kind == "leg" and scenario.wearer.moment is not None
+    has_chambers = scenario.plant.full_order is not None
+    signals = list(_SIGNALS)
+    if has_moment:
+        signals.append("biological_moment")
+    if has_chambers:
+        signals.append("chamber_pressures")
+    period_s = scenario.duration_s / cycles
     row: dict[str, Any] = {}
     with failure_noted(row):
-        run = simulate(scenario, signals=signals)
-        metrics = asdict(interaction_metrics(run, period_s=period))
-        late = run.time_s >= metrics["start_s"] - 1e-9
-        deviation = (run["wearer_angle_rad"] - run["knee_reference_rad"])[late]
-        command = run["motor_speed_command_rad_s"][late]
-        chambers = SIGNALS["chamber_pressures"] if full else ()
-        pressures = [run[name][late] for name in chambers] or [math.nan]
+        run = simulate(scenario, signals=tuple(signals))
+        metrics = asdict(interaction_metrics(run, period_s=period_s))
+        counts = run.time_s >= metrics["start_s"] - 1e-9
+        deviation_rad = (run["wearer_angle_rad"] - run["knee_reference_rad"])[counts]
+        command_rad_s = run["motor_speed_command_rad_s"][counts]
+        columns = SIGNALS["chamber_pressures"] if has_chambers else ()
+        pressures_pa = [run[name][counts] for name in columns] or [math.nan]
         row |= {name: metrics[name] for name in _METRICS}
-        row["deviation_deg"] = math.degrees(float(np.max(np.abs(deviation))))
-        row["saturated_share"] = saturated_share(command, scenario.command_limit_rad_s)
-        row["lowest_pressure_pa"] = float(np.min(pressures))
-        row["trace"] = _trace(run, period)
+        row["deviation_deg"] = math.degrees(float(np.max(np.abs(deviation_rad))))
+        row["saturated_share"] = saturated_share(command_rad_s, scenario.command_limit_rad_s)
+        row["lowest_pressure_pa"] = float(np.min(pressures_pa))
+        row["trace"] = _trace(run, period_s)
     return row
 
 
 def _trace(run: Run, period_s: float) -> dict[str, list[float]]:
     """Return the last cycle of a run as data of a `WearerTrace`."""
-    time = np.linspace(0.0, period_s, _TRACE_POINTS + 1)
+    time_in_cycle = np.linspace(0.0, period_s, _TRACE_POINTS + 1)
+    time_in_run = run.time_s[-1] - period_s + time_in_cycle
     columns = {
         "leg_deg": np.degrees(run["wearer_angle_rad"]),
         "knee_deg": np.degrees(run["knee_angle_rad"]),
         "torque_n_m": run["interaction_torque_n_m"],
     }
-    last = run.time_s[-1] - period_s + time
-    return {"time_s": time.tolist()} | {
-        name: np.interp(last, run.time_s, values).tolist() for name, values in columns.items()
-    }
+    trace = {"time_s": time_in_cycle.tolist()}
+    for name, values in columns.items():
+        trace[name] = np.interp(time_in_run, run.time_s, values).tolist()
+    return trace
 
 
 def margins(postures_deg: tuple[float, ...], scenario: Scenario) -> dict[str, float]:
