@@ -22,7 +22,7 @@ Steps: TypeAlias = Generator[Any, Any, T]
 `completed` runs the generator.
 """
 
-_NAMES = {
+_KINDS = {
     ExpressionKind.Var: "variable",
     ExpressionKind.Constant: "constant",
     FormulaKind.True_: "true",
@@ -31,6 +31,8 @@ _NAMES = {
     getattr(FormulaKind if row.is_condition else ExpressionKind, row.drake): name
     for name, row in OPERATIONS.items()
 }
+# A reading looks up 10,000 kinds; Drake takes five times as long to compare kinds as numbers.
+_NAMES = {(type(kind), kind.value): name for kind, name in _KINDS.items()}
 
 
 def completed(steps: Steps[T]) -> T:
@@ -74,6 +76,8 @@ class Conversion:
 
         Drake's expression contains a shared part several times, once for each use.
         """
+        self._variables: dict[int, int] = {}
+        """Dictionary from the id of a variable to its node."""
 
     def nodes(self, expressions: Sequence[Any]) -> Steps[list[int]]:
         """Return the node of each expression or float.
@@ -112,7 +116,10 @@ class Conversion:
             else:
                 _, arguments = item.Unapply()
                 if name == "variable":
-                    nodes.append((yield self._node_of_variable(*arguments)))
+                    variable = arguments[0].get_id()
+                    if variable not in self._variables:
+                        self._variables[variable] = yield self._node_of_variable(*arguments)
+                    nodes.append(self._variables[variable])
                 elif name == "constant":
                     nodes.append(graph.constant(*arguments))
                 else:
@@ -131,7 +138,7 @@ class Conversion:
                 f"{self._where}: its expression has more than {LARGEST_TREE} nodes; give shared "
                 f"intermediate results a port of their own"
             )
-        name = _NAMES.get(kind)
+        name = _NAMES.get((type(kind), kind.value))
         if name is None:
             what = kind if isinstance(kind, ExpressionKind) else f"the condition {kind}"
             raise CompilationError(f"{self._where}: {what} does not compile")
