@@ -215,6 +215,7 @@ def parameter_effects(scenario: Scenario, names: list[str]) -> dict[str, Effect]
     parameter.
     """
     before, start = scenario_values(scenario), scenario_start(scenario)
+    form = structure_key(scenario)
     effects = {}
     for path, value, others in _numbers(scenario):
         touched: set[str] = set()
@@ -223,7 +224,7 @@ def parameter_effects(scenario: Scenario, names: list[str]) -> dict[str, Effect]
         for other in others:
             with suppress(KneexoError):
                 with_other = changed(scenario, {path.partition("[")[0]: other})
-                if structure_key(with_other) != structure_key(scenario):
+                if structure_key(with_other) != form:
                     continue
                 after = scenario_values(with_other)
                 followers = {name for name in names if after[name] != before[name]}

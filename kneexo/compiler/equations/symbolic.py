@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from typing import Any, NamedTuple, TypeAlias, TypeVar
 
@@ -57,6 +58,7 @@ def completed(steps: Steps[T]) -> T:
 class _Operation(NamedTuple):
     """An operation whose arguments are converted first."""
 
+    expression: Any
     name: str
     argument_count: int
 
@@ -78,6 +80,9 @@ class Conversion:
         """
         self._variables: dict[int, int] = {}
         """Dictionary from the id of a variable to its node."""
+        self._quotients: deque[tuple[Any, int]] = deque(maxlen=32)
+        """The last quotients with their nodes. Drake sees at once that two uses of one quotient are
+        equal, so the second use is not read again."""
 
     def nodes(self, expressions: Sequence[Any]) -> Steps[list[int]]:
         """Return the node of each expression or float.
@@ -109,10 +114,14 @@ class Conversion:
                 if key not in self._known:
                     self._known[key] = graph.simplified(item.name, *arguments)
                 nodes[-item.argument_count :] = [self._known[key]]
+                if item.name == "divide":
+                    self._quotients.append((item.expression, self._known[key]))
             elif isinstance(item, float | int):
                 nodes.append(graph.constant(item))
             elif (name := self._name(item.get_kind())) in ("true", "false"):
                 nodes.append(graph.compare("gt", graph.constant(name == "true"), graph.zero))
+            elif name == "divide" and (known := self._quotient(item)) is not None:
+                nodes.append(known)
             else:
                 _, arguments = item.Unapply()
                 if name == "variable":
@@ -123,9 +132,16 @@ class Conversion:
                 elif name == "constant":
                     nodes.append(graph.constant(*arguments))
                 else:
-                    pending.append(_Operation(name, len(arguments)))
+                    pending.append(_Operation(item, name, len(arguments)))
                     pending += reversed(arguments)
         return nodes[0]
+
+    def _quotient(self, expression: Any) -> int | None:
+        """Return the node of a quotient that was converted before, else None."""
+        for known, node in self._quotients:
+            if known.EqualTo(expression):
+                return node
+        return None
 
     def _name(self, kind: Any) -> str:
         """Return the name of a kind of node in `_NAMES`, and count the node.

@@ -23,6 +23,28 @@ def test_an_expression_of_a_thousand_levels_is_read(diagram_of, leaf):
     assert kinds.count("sin") == 1000
 
 
+def test_a_quotient_that_is_used_twice_is_read_once(diagram_of, leaf):
+    # As a tree the first value has 2²⁰ leaves, more than a reading allows.
+    def output(context, out):
+        time = context.get_time()
+        value = time
+        for _ in range(20):
+            value = (value + 1.0) / (value + 2.0)
+        for index, element in enumerate((value, 1.0 / (time + 2.0), 2.0 / (time + 2.0))):
+            out.SetAtIndex(index, element)
+
+    diagram = diagram_of(
+        leaf("Deep", lambda self, T: self.DeclareVectorOutputPort("out", 3, output))
+    )
+    kinds = [kind for kind, *_ in read_equations(diagram).graph.nodes]
+    assert kinds.count("divide") == 22
+    model = compile_diagram(diagram)
+    run = model.simulate(model.parameters(), model.state(), 1.0, record_period_s=1.0)
+    (values,) = (run[name][-1] for name in model.outputs)
+    # The fixed point of v = (v + 1)/(v + 2) is (√5 − 1)/2.
+    assert values == pytest.approx([(5.0**0.5 - 1.0) / 2.0, 1.0 / 3.0, 2.0 / 3.0], rel=1e-12)
+
+
 def test_a_case_distinction_takes_its_branch():
     x = Variable("x")
     rate = if_then_else(Expression(x) > 1.0, -2.0 * x, Expression(3.0))
