@@ -25,7 +25,7 @@ HOMES = {
 }
 FUNCTIONS = sorted(set(HOMES) - {"Scenario"})
 OF_SCENARIOS = sorted({*FUNCTIONS} - {"design_linkage"})
-SLOW = ("design_linkage", "play")  # 20 s, 5 s
+SLOW = ("design_linkage", "play")  # 3 s, 5 s
 EXAMPLES = [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in HOMES]
 
 

@@ -10,6 +10,7 @@ from kneexo.analysis import align, design_linkage, fit_polynomials, trade_off
 from kneexo.analysis.linkage_design import (
     _design,
     _drawn,
+    _improved,
     _linkage_of,
     _points_of,
     _Problem,
@@ -177,6 +178,14 @@ def test_random_linkages_depend_on_the_seed_alone():
     assert np.all(np.abs(first[:, :8]) <= 0.6 * 0.06)
 
 
+def test_damped_least_squares_end_at_the_exact_linkage_and_never_rise():
+    near = _points_of(G3) + 1e-4 * np.random.default_rng(0).normal(size=(3, 12))
+    here = problem(WIDE, linkage_motion(G3, ANGLE[::10]), rod_target=rod_extension(G3, ANGLE))
+    squares = [here.guide(_improved(here, near, steps)) for steps in (0, 1, 2, 30)]
+    assert np.all(np.diff(squares, axis=0) <= 0.0)
+    assert np.all(squares[-1] < 1e-24)  # m²; 1e-8 m² at the beginning
+
+
 def test_a_linkage_near_the_right_one_finds_its_motion_again():
     motion = linkage_motion(G3, ANGLE[::10])
     target = (np.degrees(ANGLE), 1e3 * rod_extension(G3, ANGLE))
@@ -334,16 +343,13 @@ def random_linkages(count):
 @pytest.mark.slow
 def test_random_linkages_are_found_again_from_their_motion():
     limits = DesignLimits(link_angle_deg=15.0, encoder_angle_deg=2.0, joint_box_m=0.1)
-    errors = []
     for link in random_linkages(20):
         motion = linkage_motion(link, ANGLE[::3])
         x = (np.degrees(ANGLE), 1e3 * rod_extension(link, ANGLE))
-        design = design_linkage(motion, x, limits, starts=60)
+        design = design_linkage(motion, x, limits)
         size_mm = 1e3 * np.max(np.abs(motion.translation))
-        errors.append(design.largest_mm / size_mm)
-    # Of 15 linkages 14 were found to 5e-7. One has a long valley, in which 1.5e-5 is left.
-    assert np.sum(np.array(errors) < 1e-6) >= 17
-    assert max(errors) < 1e-4
+        # At most 7e-8 was measured, which the rounding of the linkage to 1 nm leaves.
+        assert design.largest_mm < 1e-6 * size_mm
 
 
 @pytest.mark.slow
