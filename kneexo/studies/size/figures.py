@@ -155,8 +155,11 @@ def _cells(axis: Axes, speed: Array, limit: Array, values: Array, label: str, wo
     colours = heat_map(axis, speed, limit, values.T, norm=norm, label=label, worse=worse)
     for (row, column), value in np.ndenumerate(values):
         if math.isfinite(value):
-            at, color = (float(speed[column]), float(limit[row])), ink(colours(norm(value)))
-            axis.text(*at, f"{value:.2g}", fontsize=7, color=color, **CENTRED)
+            cell = colours(norm(value))
+            # The box hides the lines of `_regimes` and `_walking_limits` behind the number.
+            box = {"facecolor": cell, "lw": 0.0, "pad": 0.8}
+            at = float(speed[column]), float(limit[row])
+            axis.text(*at, f"{value:.2g}", fontsize=7, color=ink(cell), bbox=box, **CENTRED)
 
 
 def _regimes(axis: Axes, result: SizeResult) -> None:
