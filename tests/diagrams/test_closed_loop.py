@@ -276,14 +276,17 @@ def test_ideal_sliding_mode_closes_89_mm_along_the_sliding_surface():
 
 
 @pytest.mark.slow
-def test_ideal_sliding_mode_leaves_less_than_10_nanometres_after_10_s():
-    at_1_s, at_10_s = ideal_error(1.0, 10.0)
+def test_ideal_sliding_mode_leaves_less_than_10_nanometres_after_3_s():
+    at_1_s, at_3_s = ideal_error(1.0, 3.0)
     assert abs(at_1_s) == pytest.approx(0.0444, abs=0.002)
-    assert abs(at_10_s) < 1e-5  # mm, with a margin of ten
+    assert abs(at_3_s) < 1e-5  # mm; 3e-10 is left of the decay above
 
 
-def steady_run(scenario, fixed_step, duration=20.0):
-    """Largest knee error in deg and mean change of command in rpm after the first period."""
+def steady_run(scenario, fixed_step, duration=15.0):
+    """Largest knee error in deg and mean change of command in rpm after the first period.
+
+    Half a period more shows both signs of the speed.
+    """
     diagram = make_closed_loop(scenario)
     simulator = fixed_step(diagram, "radau3", PERIOD)
     simulator.AdvanceTo(duration)

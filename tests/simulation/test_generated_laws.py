@@ -101,7 +101,7 @@ def test_a_law_alone_gives_the_commands_of_its_function(program, tmp_path, featu
 def test_laws_in_a_session_and_by_drake():
     """In processes of their own, which have run no law before."""
     done = subprocess.run(
-        [sys.executable, str(BENCHMARKS / "validate_laws.py"), "--count", "30", "--processes", "1"],
+        [sys.executable, str(BENCHMARKS / "validate_laws.py"), "--count", "10", "--processes", "1"],
         capture_output=True,
         text=True,
     )

