@@ -54,7 +54,7 @@ class Alignment(Result):
     cuff: StrapParameters
     placement: Placement
     counts: Literal["both", "across"]
-    """The migration that counts: both directions, or that across the shank alone."""
+    """The direction of migration that counts: both directions, or across the shank alone."""
     is_best: bool
     """Whether the device is at its best place. Only then the effect of a wrong place is known."""
     knee_angle_deg: Array
@@ -325,7 +325,7 @@ class _Fit:
     counts: str
 
     def placement(self, turn_rad: float) -> Placement:
-        """Return the best placement at a turn. The shortest one, where places do not matter."""
+        """Return the best placement at a turn; if all places are equal, the shortest placement."""
         turn = np.exp(1j * turn_rad)
         gap = (turn * self.device.translation - self.motion.translation) / self.motion.turn
         if self.position is not None:

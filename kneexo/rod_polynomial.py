@@ -22,8 +22,8 @@ SAMPLES = 901
 _DIGITS = 8
 """Significant digits of fitted coefficients.
 
-Rounding changes x by 1e-5 mm. It makes the coefficients equal on all processors, although the last
-digits of a least-squares solution differ.
+Rounding makes the coefficients equal on all processors, although the last digits of a least-squares
+solution differ. It changes x by 1e-5 mm.
 """
 
 

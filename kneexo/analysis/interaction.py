@@ -42,7 +42,7 @@ class InteractionMetrics(Result):
     assistance_ratio: float
     """−∫τ_i M dt/∫M² dt, the share of the biological moment M that the exoskeleton gives.
 
-    It is nan without biological moment.
+    The ratio is nan without a biological moment.
     """
     power_from_wearer_w: float
     """∫max(τ_i dθ_h/dt, 0) dt/T, mean power that the wearer gives to the exoskeleton."""

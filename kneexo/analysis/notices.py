@@ -36,7 +36,7 @@ Assumption: an error of 0 in a tenth of the run lowers the root mean square by 5
 LARGEST_MISFIT_MM = 0.3
 """Largest error in mm of a given polynomial over 0…90° without a notice.
 
-Table 1 is at most 0.22 mm off the linkages that are identified from it.
+Table 1 differs by at most 0.22 mm from the linkages that are identified from Table 1.
 """
 
 

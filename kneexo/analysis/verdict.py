@@ -42,8 +42,8 @@ of 30°.
 LARGEST_COUNT_DEG = ERROR_SHARE * 30.0
 """Largest error in deg of a run that tracks because of the encoder's counts.
 
-A count excuses the error of a small motion. With a coarser encoder the bound stays that of the
-paper at its amplitude of 30°.
+A run with a small motion may have an error of one count of the encoder. With a coarser encoder the
+bound stays at the paper's error for the paper's amplitude of 30°.
 """
 
 _VALUES = ("tracks", "max_error_deg", "max_error_time_s", "error_bound_deg", "saturated_share",
@@ -189,8 +189,8 @@ class Verdict(Result):
     torque_error_rms_n_m: float = math.nan
     """Root mean square of desired minus actual torque of the actuator on the knee.
 
-    Its samples are those of the metrics of the interaction (`whole_periods`). It is nan without
-    torque controller.
+    The mean is over the same samples as the metrics of the interaction (`whole_periods`). It is nan
+    without a torque controller.
     """
     limit_cycle: LimitCycle | None = None
     """Oscillation of the knee while the reference rests at the end of the run, or None."""

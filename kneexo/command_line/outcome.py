@@ -63,7 +63,7 @@ class Request:
     file: Path | None = None
     """The file for `Outcome.page`; None if the command writes no page."""
     scenario: str | None = None
-    """Path of the scenario file, with which error messages begin. None without a file."""
+    """Path of the scenario file, or None without a file. Error messages begin with the path."""
     checkpoint_path: Path | None = None
     """File that holds finished pieces of a study until its results are written, or None."""
     restart: bool = False

@@ -19,7 +19,7 @@ from .run_data import Array, InputTable, State
 ContextAt = Callable[[Array], tuple[Node, Any]]
 """Function of a parameter vector (parameters,) that makes a Context with these parameters.
 
-It returns the tree of the diagram of floats, and the Context of the tree's root.
+The function returns the tree of the diagram of floats, and the Context of the tree's root.
 """
 
 

@@ -86,7 +86,7 @@ G2 = LinkageParameters(
 )
 """The thigh is the ground, and the coupler is the shortest link.
 
-Its instantaneous centre moves in the wrong direction.
+The instantaneous centre of rotation moves in the wrong direction.
 """
 
 G3 = LinkageParameters(
@@ -171,7 +171,7 @@ HINGE = LinkageParameters(
 
 The links 2 to 4 are a rigid triangle that turns about the axis, so that every equation of a
 four-bar linkage holds. The pins of the rod are identified from Table 1 over 0…90° by least squares.
-Neither lies more than 0.45 m from the axis, and the cylinder's is on this limit.
+Both pins are at most 0.45 m from the axis, and the pin of the cylinder is on this limit.
 """
 
 TABLE_1_LINKAGES = {"G1": G1, "G2": G2, "G3": G3, "G4": G4, "G5": G5}

@@ -40,7 +40,7 @@ _SOUND_TORQUE = {
 }
 """Torque control with lower gains than the default, because the bus delays the loop.
 
-From 5 to 70° the disk margin is at least 0.5, that of a sound loop. The default gains leave 0.27.
+From 5 to 70° the disk margin is at least 0.5, which is sound. With the default gains it is 0.27.
 """
 
 PRESETS: Mapping[str, Preset] = {

@@ -42,7 +42,7 @@ BANK_STIFFNESS = sum(
 """Stiffness of the bank at `STIFFNESS_FREQUENCY_HZ`, relative to the loss modulus h."""
 
 LARGEST_LOSS = 0.38
-"""Largest ratio of loss modulus h to stiffness k. Beyond it the bare spring is negative."""
+"""Largest ratio of loss modulus h to stiffness k. At larger ratios the bare spring is negative."""
 
 LARGEST_MOMENT_N_M = 1e3
 """Largest magnitude in N·m of a moment of the knee that a file may have."""

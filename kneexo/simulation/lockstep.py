@@ -25,8 +25,9 @@ Result = TypeVar("Result")
 Server = Callable[[Mapping[int, Any]], Iterator[tuple[int, Any]]]
 """Type of a function that answers requests, such as for runs.
 
-Its argument maps the index of each request to the request. It yields pairs of index and answer in
-any order. If an answer is an `Exception`, it is raised in the call that made the request.
+The argument is a dictionary from the index of each request to the request. The function yields
+pairs of index and answer in any order. An answer that is an `Exception` is raised in the call that
+made the request.
 """
 
 

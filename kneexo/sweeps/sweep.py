@@ -18,7 +18,7 @@ class SweepOptions(TypedDict, total=False):
 
     workers: int | None
     """Number of processes. 1 (default): work in this process. None: one process for each core.
-    Processes are spawned. So a script needs ``if __name__ == "__main__":`` unless this is 1."""
+    Other processes are spawned, for which a script needs ``if __name__ == "__main__":``."""
     executor: Executor | None
     """A `concurrent.futures.Executor` to use instead of ``workers``; `dask_cluster` yields one."""
     checkpoint: Checkpoint | None

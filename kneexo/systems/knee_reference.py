@@ -55,7 +55,7 @@ class _KneeReference(NamedLeaf):
 _SMOOTHSTEP = (-20.0, 70.0, -84.0, 35.0, 0.0, 0.0, 0.0, 0.0)
 """Coefficients, highest power first, of a polynomial that rises from 0 at 0 to 1 at 1.
 
-Its first three derivatives are zero at both ends.
+The first three derivatives of the polynomial are zero at 0 and at 1.
 """
 
 

@@ -38,7 +38,7 @@ _SLOTS = {
     "knee": (0, 3), "cylinder": (1, 3), "motor": (2, 3),
     "load": (0, 4), "cuff": (1, 4), "moment": (2, 4), "wearer": (1, 5),
 }  # fmt: skip
-"""Column and row of each block. Other blocks follow below."""
+"""Column and row of each block; blocks without an entry follow below these."""
 _PARTS_OF = {"phase_sum": "encoder", "encoder_phase": "encoder", "limit": "law", "hold": "law"}
 """Systems that the diagram draws as a part of another block."""
 _UNNAMED = re.compile(r"[yu]\d*|sum|delayed_u")

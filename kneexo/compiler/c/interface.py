@@ -58,8 +58,10 @@ _SIGNALS = {
     "discrete update": "next",
     "initialization": "start",
 }
-"""Dictionary from the purpose of a section to the name of the section's signals, which have
-numbers; see `signal_names`."""
+"""Dictionary from a section's purpose to the first part of the names of the section's signals.
+
+`signal_names` adds numbers.
+"""
 
 _LONGEST_NAME = 63
 """Number of characters of a name inside a function that each C99 compiler distinguishes."""

@@ -23,7 +23,7 @@ BOUNDARY_TOLERANCE = 1e-12
 
 Rounding moves a simple eigenvalue by some 1e-15 of the largest one, times its condition number,
 and condition numbers up to a few hundred are usual. An eigenvalue that is slower than 1e12 periods,
-or 1e12 times slower than the fastest one, is hence the same as one that does not decay.
+or 1e12 times slower than the fastest eigenvalue, hence counts as an eigenvalue without decay.
 """
 
 _MOST_HZ = 1e300

@@ -41,9 +41,9 @@ Each argument has eight bytes: a number, or the address of an array.
   ``longest``: the largest element of ``last``
 - ``periods``, ``offsets`` (updates,) of the discrete updates in ticks
 - ``record_every``: ticks between two records; ``row``: row of the first record
-- ``requested`` (output ports,) bytes: 1 if a port is recorded or reduced, else 0; ``columns``
-  (checked_count,): indices of the recorded elements among the elements of all outputs, and behind
-  these ``column_count`` indices those of other ports that are reduced
+- ``requested`` (output ports,) bytes: 1 if a port is recorded or reduced, else 0
+- ``columns`` (checked_count,): indices among the elements of all outputs: first ``column_count``
+  indices of recorded elements, then the indices of elements that are reduced alone
 - ``record`` (lanes, column_count, ``rows``): memory for the records
 - ``step`` in s and ``tolerance`` of the integrator; ``memory`` and ``shared`` of the exact hold
 - ``tags``, ``values``: look-up tables for functions of one whole number; ``tags`` has the whole

@@ -38,8 +38,8 @@ CLEAR = 2.0**4
 A run that diverges soon has states that no correct run has.
 """
 
-MOST_STEPS = 100
-"""Number of steps of which one is checked. The tick of a 2 ms controller has 100 steps of 20 µs."""
+STEPS_PER_CHECK = 100
+"""Ratio of steps to checked steps. The tick of a 2 ms controller has 100 steps of 20 µs."""
 
 _SMALLEST_CHANGE = 1e-9
 """Change of a scaled state in a step below which differences of rates are rounding errors."""
@@ -98,14 +98,14 @@ class Tick:
 class _Watch:
     """Emits the search of a tick for steps that are too long for a mode λ.
 
-    The stages of a step are a short power iteration, with the rates f at its start and their
-    Jacobian J. Of two differences of the rates, the faster one contains two powers of h J more. So
-    the ratio of their norms grows with the largest (h |λ|)² among the modes that move. A single
-    power would not do, because states of different size make its ratio too large. One of
-    `MOST_STEPS` steps is checked. A tick is reported if the square of the ratio exceeds `RATIO` in
-    such a step, or if the scaled states change in the tick by more than 1 for each `MOST_STEPS`
-    steps. Explicit time and corners of the rates change the ratio too, so a report is a suspicion
-    only.
+    The stages of a step of length h are a short power iteration with the Jacobian J of the rates at
+    the start of the step. Of two differences of the rates, the faster difference contains two
+    powers of h J more. So the ratio of the norms of both differences grows with the largest
+    (h |λ|)² among the modes that move. A single power would not do, because states of different
+    size would make the ratio too large. One of `STEPS_PER_CHECK` steps is checked. A tick is
+    reported if the square of the ratio exceeds `RATIO` in such a step, or if the scaled states
+    change in the tick by more than 1 for each `STEPS_PER_CHECK` steps. Explicit time and corners of
+    the rates change the ratio too, so a report is a suspicion only.
     """
 
     def __init__(self, tick: Tick, steps: Value) -> None:
@@ -116,10 +116,10 @@ class _Watch:
         for i in f.each(tick.size):
             self._start[i] = tick.x[i]
         # A tick of 1 s may have thousands of steps, in which correct states change by more than 1.
-        self._most_moved = f.maximum(steps * (1.0 / MOST_STEPS), 1.0)
+        self._most_moved = f.maximum(steps * (1.0 / STEPS_PER_CHECK), 1.0)
         # The checked step changes from tick to tick, or it could keep step with an oscillation.
-        few = f.to_int(f.minimum(steps, float(MOST_STEPS)))
-        self._chosen = None if tick.number is None else tick.number % few
+        candidates = f.to_int(f.minimum(steps, float(STEPS_PER_CHECK)))
+        self._chosen = None if tick.number is None else tick.number % candidates
 
     def step(
         self, number: Operand, h: Value, differences: Callable[[Operand], tuple[Value, Value]]
@@ -132,7 +132,7 @@ class _Watch:
         tick, f = self.tick, self.tick.function
         chosen = f.constant(1, BOOL)
         if self._chosen is not None:
-            chosen = (f.coerce(number, INT) % MOST_STEPS).equals(self._chosen)
+            chosen = (f.coerce(number, INT) % STEPS_PER_CHECK).equals(self._chosen)
         with f.when(chosen):
             slow, fast = self._sum(), self._sum()
             for i in f.each(tick.size):

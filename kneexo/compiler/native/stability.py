@@ -25,7 +25,7 @@ _TABLEAU: dict[str, tuple[tuple[float, ...], ...]] = {
     "rk4": ((0.5,), (0.0, 0.5), (0.0, 0.0, 1.0), (1 / 6, 1 / 3, 1 / 3, 1 / 6)),
     "runge_kutta3": ((0.5,), (-1.0, 2.0), (1 / 6, 2 / 3, 1 / 6)),
 }
-"""Weights by which a step multiplies the rates for each further stage and at last for its end."""
+"""For each integrator, the weights of the rates in each stage after the first, and in the end."""
 
 _DIFFERENCES = {
     "rk4": ((-0.5, 0.5, 0.0, 0.0), (1.0, 0.0, -2.0, 1.0)),
@@ -45,8 +45,8 @@ _HALVINGS = 12
 _LARGEST_ERROR = 0.2
 """Largest error in a step of an oscillation, relative to its amplitude.
 
-RK4 reaches it at h |λ| = 1.9, and the third order at 1.5. Up to 2.83 RK4 is stable, but damps the
-oscillation like nothing in the plant does: load pressures were 29 % wrong.
+RK4 has this error at h |λ| = 1.9, and the integrator of third order at 1.5. RK4 is stable up to
+2.83, but between 1.9 and 2.83 it damps more than the plant: load pressures were 29 % wrong.
 """
 
 Rates = Callable[[Array, Array, float, Array], tuple[Array, Array]]

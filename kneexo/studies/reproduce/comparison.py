@@ -33,7 +33,7 @@ class PaperNumber:
     method: str
     """How the number is computed."""
     printed: str = ""
-    """The number with the digits that the paper prints, or an empty text if it prints none."""
+    """The number as the paper prints it, or an empty text if the paper does not print it."""
     kind: Literal["value", "upper bound"] = "value"
     """"upper bound" if the paper says that the number is less than ``printed``."""
     reason: str = ""
@@ -311,4 +311,4 @@ PAPER_NUMBERS = (
         "same loop, 25…55°",
     ),
 )
-"""The paper's numbers in the order of the report, and numbers that it does not print."""
+"""The paper's numbers in the order of the report, and numbers that the paper does not print."""

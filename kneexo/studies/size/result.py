@@ -82,9 +82,12 @@ class SizeResult(Result):
     demands: Sequence[WalkingDemand]
     """Motion and load that walking requires at each stride frequency, with the mass of Eq. 16."""
     segment_demands: Sequence[WalkingDemand]
-    """Like ``demands``, with the shank's inertia in place of the mass. Empty without a load."""
+    """Demands as in ``demands`` with the shank's inertia in place of the mass of Eq. 16.
+
+    Empty without a load.
+    """
     torque_demands: Mapping[float, WalkingDemand]
-    """Dictionary from the wearer's torque in N·m to a demand like the first ``segment_demands``."""
+    """Dictionary from the wearer's torque in N·m to the demand at the first stride frequency."""
     gains: Sequence[Mapping[str, Any]]
     """All tried gains, each with margins and metrics of walking at the highest stride frequency."""
     best_gains: Mapping[str, Any]
