@@ -61,8 +61,8 @@ def gait_moment_cycle() -> Array:
     angle = np.interp(times, time, flexion)[:-1]
     cycle = np.interp(times, time, moment)
     cycle -= (cycle[-1] - cycle[0]) * percent / percent[-1]
-    shift = int(np.argmax([mean[:-1] @ np.roll(angle, n) for n in range(angle.size)]))
-    aligned = np.roll(cycle[:-1], shift)
+    correlations = [mean[:-1] @ np.roll(angle, shift) for shift in range(angle.size)]
+    aligned = np.roll(cycle[:-1], int(np.argmax(correlations)))
     return np.append(aligned, aligned[0])
 
 

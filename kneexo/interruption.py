@@ -49,7 +49,9 @@ def interrupt_later() -> Iterator[None]:
     arrived: list[int] = []
     handlers: dict[int, Any] = {}
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    if _in_main_thread():  # other threads do not have this mask, and pass the signal to this one
+    if _in_main_thread():
+        # The mask is not enough: other threads do not have it, and Python runs the handlers of the
+        # signals that they receive in the main thread.
         for number in _SIGNALS:
             if signal.getsignal(number) is not None:
                 handlers[number] = signal.signal(number, lambda n, _: arrived.append(n))
@@ -57,7 +59,7 @@ def interrupt_later() -> Iterator[None]:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        for replaced, handler in handlers.items():
-            signal.signal(replaced, handler)
+        for signal_number, handler in handlers.items():
+            signal.signal(signal_number, handler)
         if arrived:
             signal.raise_signal(arrived[0])

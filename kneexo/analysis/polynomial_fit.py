@@ -112,9 +112,9 @@ def fit_polynomials(
     link
         The linkage, by default G1.
     table
-        Quintics whose errors are computed too, by default those of Table 1 of the paper.
+        Quintics whose errors are computed too, by default the quintics of Table 1 of the paper.
     start_deg
-        Smallest knee angle of the fit in deg. The largest is 90°.
+        Smallest knee angle of the fit in deg. The largest knee angle is 90°.
     samples
         Number of points of the fit, at equal distances in knee angle.
 

@@ -64,7 +64,7 @@ class SwingClearance(Result):
 
 @dataclass(frozen=True, repr=False)
 class VoluntaryStability(Result):
-    """Moments of the hip by which a person controls a loaded knee without knee muscles."""
+    """Moments of the hip that keep a loaded knee without muscles extended, or start to flex it."""
 
     knee_angle_deg: float
     centre: complex

@@ -106,18 +106,19 @@ def all_metrics(values: Sequence[float]) -> dict[str, float]:
 
     Raises `ParameterError` for fewer than two samples.
     """
-    samples = values[0]
-    error, rms_error, command, pressures, power, powers, energy, moved, hydraulic = values[-9:]
-    return basic_metrics(values[:-9]) | {
+    *basic, error, rms_error, command, over_pressure, power, over_power = values[:-3]
+    energy, absolute_energy, hydraulic_energy = values[-3:]
+    samples = basic[0]
+    return basic_metrics(basic) | {
         "max_error_overall_deg": math.degrees(error),
         "rms_error_overall_deg": math.degrees(rms_error),
         "peak_command_rpm": to_rpm(command),
-        "pressure_over_rating_share": pressures / samples,
+        "pressure_over_rating_share": over_pressure / samples,
         "peak_shaft_power_w": power,
-        "power_over_rating_share": powers / samples,
+        "power_over_rating_share": over_power / samples,
         "shaft_energy_j": energy,
-        "shaft_energy_delivered_j": 0.5 * (energy + moved),  # max(P, 0) = (P + |P|)/2
-        "hydraulic_energy_j": hydraulic,
+        "shaft_energy_delivered_j": 0.5 * (energy + absolute_energy),  # max(P, 0) = (P + |P|)/2
+        "hydraulic_energy_j": hydraulic_energy,
     }
 
 

@@ -353,8 +353,8 @@ class CompiledModel(ModelBase):
         outcome = _outcome(status, int(last[0]), final)
         if error := self.fault(outcome, runner, batch.parameters[0], final):
             return error
-        table, numbers = batch.inputs[0], places.astype(np.int64)
-        (record,) = runner.records_between(snapshots, table, times, numbers)
+        places = places.astype(np.int64)
+        (record,) = runner.records_between(snapshots, batch.inputs[0], times, places)
         finite = np.isfinite(record).all(axis=0)
         if not finite.all():
             row = int(np.argmin(finite))
@@ -391,15 +391,17 @@ class CompiledModel(ModelBase):
         batch = self._batch(runner, np.asarray(parameters)[None], [state], [duration_s], [table])
         ticks = np.arange(batch.ticks[0] + 1)
         vectors = (state.continuous, state.discrete)
-        seen = [np.empty((ticks.size, v.size)) for v in vectors]
-        x, d = (_columns([v]) for v in vectors)
+        x, d = (_columns([vector]) for vector in vectors)
+        visited = [np.empty((ticks.size, vector.size)) for vector in vectors]
         runner.restart(batch.parameters, batch.ticks)
-        (status,) = runner.run(x, d, 0, batch.ticks, [table], snapshots=Snapshots(ticks, *seen))
+        (status,) = runner.run(x, d, 0, batch.ticks, [table], snapshots=Snapshots(ticks, *visited))
         final = State(x[:, 0], d[:, 0])
         if error := self.fault(status.tolist(), runner, batch.parameters[0], final):
             raise error
-        mixed = [np.random.default_rng(0).permuted(values, axis=0) for values in seen]
-        return max(runner.fastest_per_s(Snapshots(ticks, *v), table) for v in (seen, mixed))
+        mixed = [np.random.default_rng(0).permuted(values, axis=0) for values in visited]
+        return max(
+            runner.fastest_per_s(Snapshots(ticks, *states), table) for states in (visited, mixed)
+        )
 
     def as_system(
         self, parameters: Array, state: State, *, tick_s: float | None = None, **options: Any

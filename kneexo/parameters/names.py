@@ -121,9 +121,9 @@ def advice(model: type[BaseModel], path: Path, here: Models = ()) -> str:
     """Return a remedy for a wrong path, such as ``; did you mean plant.cylinder.mass_kg?``.
 
     If the path exists with another kind of a part, the remedy is this kind. Otherwise the remedy
-    has names that are equal to the last name of the path, or else similar names. Of these names,
-    the remedy has those whose paths share most with the wrong path. If no name is similar, the
-    remedy lists the names that are possible at the end of the path.
+    has names that are equal to the last name of the path, or, without equal names, similar names.
+    Among several names, the remedy has the names whose paths share most with the wrong path. If no
+    name is similar, the remedy lists the names that are possible at the end of the path.
 
     Parameters
     ----------

@@ -67,7 +67,7 @@ class Checkpoint:
         self._torn = not data.endswith(b"\n") and bool(data)
         damaged = 0
         for line in data.splitlines():
-            payload = line[_PAYLOAD:-1]
+            payload = line[_PAYLOAD_START:-1]
             try:
                 if line != _sealed(payload):
                     raise ValueError
@@ -101,7 +101,7 @@ class Checkpoint:
         """
         payload = json.dumps([key, result])
         start = b"\n" if self._torn else b""
-        self._torn = True
+        self._torn = True  # until the whole line is written
         with self._output_errors():
             self._file.append(start + _sealed(payload.encode()) + b"\n")
         self._torn = False
@@ -149,7 +149,7 @@ def _sealed(payload: bytes) -> bytes:
     return b'{"sha256": "' + seal + b'", "piece": ' + payload + b"}"
 
 
-_PAYLOAD = len(_sealed(b"")) - len(b"}")  # index at which the payload of a line begins
+_PAYLOAD_START = len(_sealed(b"")) - len(b"}")  # index at which the payload of a line begins
 
 
 def piece_keys(function: Any, items: Iterable[Any]) -> list[str]:

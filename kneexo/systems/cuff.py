@@ -66,7 +66,7 @@ class Cuff(NamedLeaf):
         declare = self._declare_output
         state = (self.xc_ticket(),) if self._slides else ()
         sources = (self._leg, self._angle, self._velocity, self._arm, *state)
-        self._torque = declare("interaction_torque", 1, lambda c: [self._calc(c)], *sources)
+        self._torque = declare("interaction_torque", 1, lambda c: [self._calc_torque(c)], *sources)
         declare("cuff_slip", 1, lambda c: [self._slip(c)], *(state or [self.nothing_ticket()]))
         declare("interaction_power", 2, self._calc_power, *sources)
 
@@ -80,7 +80,7 @@ class Cuff(NamedLeaf):
     def _knee_rate(self, context: Any) -> Any:
         return -self._velocity.Eval(context)[0] / self._arm.Eval(context)[0]
 
-    def _calc(self, context: Any) -> Any:
+    def _calc_torque(self, context: Any) -> Any:
         rate = self._leg.Eval(context)[1] - self._knee_rate(context)
         return self._spring_torque(context) + self.parameters(context).damping_n_m_s_per_rad * rate
 

@@ -161,7 +161,7 @@ class FullCylinder(Cylinder):
     Parameters
     ----------
     parameters, full_order
-        Numbers of the cylinder, and those that only its full order has.
+        Numbers of the cylinder, and numbers that the full order has in addition.
     initial_extension_m
         Rod extension at the start in m. None: half the stroke.
     initial_pressures_pa
@@ -252,10 +252,10 @@ class FullCylinder(Cylinder):
         (makeup_1, makeup_2), (relief_1, relief_2) = self._valve_flows(p, state)
         above_1, above_2 = cap - p.reservoir_pressure_pa, rod_side - p.reservoir_pressure_pa
         pump_loss = 0.5 * p.pump_external_leakage_m3_per_s_pa * (above_1 + above_2)
-        across = p.leakage_m3_per_s_pa * (cap - rod_side)
-        into_1 = (flow - pump_loss) - p.cap_area_m2 * v - across
+        internal_leakage = p.leakage_m3_per_s_pa * (cap - rod_side)
+        into_1 = (flow - pump_loss) - p.cap_area_m2 * v - internal_leakage
         into_1 += makeup_1 - relief_1 - p.cap_external_leakage_m3_per_s_pa * above_1
-        into_2 = p.rod_side_area_m2 * v - (flow + pump_loss) + across
+        into_2 = p.rod_side_area_m2 * v - (flow + pump_loss) + internal_leakage
         into_2 += makeup_2 - relief_2 - p.rod_side_external_leakage_m3_per_s_pa * above_2
         volume_1 = p.dead_volume_m3 + p.cap_area_m2 * x
         volume_2 = p.dead_volume_m3 + p.rod_side_area_m2 * (p.stroke_m - x)

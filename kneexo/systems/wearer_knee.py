@@ -161,8 +161,8 @@ class WearerKnee(NamedLeaf):
             p.bare_stiffness_n_m_per_rad * deflection + p.damping_n_m_s_per_rad * deflection_rate
         )
         lags = [deflection - memory for memory in memories]
-        bank = sum(share * lag for share, lag in zip(_WEIGHTS, lags, strict=True))
-        acceleration = (torque - p.loss_modulus_n_m_per_rad * bank) / p.inertia_kg_m2
+        weighted_lag = sum(share * lag for share, lag in zip(_WEIGHTS, lags, strict=True))
+        acceleration = (torque - p.loss_modulus_n_m_per_rad * weighted_lag) / p.inertia_kg_m2
         require_finite(self, context, leg_acceleration=acceleration)
         rates = (corner * lag for corner, lag in zip(_CORNERS_RAD_S, lags, strict=True))
         fill(derivatives.get_mutable_vector(), (rate, acceleration, *rates))

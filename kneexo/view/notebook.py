@@ -37,7 +37,7 @@ def _shown_with(path: str) -> Any:
 
 
 def parameters_html(parameters: Any, linkage: Any) -> str:
-    """Return the text of parameters below a drawing of their linkage, as HTML.
+    """Return HTML: a drawing of the linkage, and below the drawing the text of the parameters.
 
     If the linkage cannot be assembled, the reason takes the place of the drawing.
     """

@@ -75,18 +75,19 @@ class Functions:
         self._plan = plan
         equations = plan.equations
         names = signal_names(equations.sections, plan.name, _taken(plan))
-        faster = plan.faster
-        added = {
+        added_terms = {
             node: equations.graph.add(*plan.sums[state])
             for update in equations.updates
             for state, node in update.values
             if state in plan.sums
         }
-        forms = faster, added
-        sections = [
-            replace(s, nodes=(*s.nodes, *(f[node] for f in forms for node in s.nodes if node in f)))
-            for s in equations.sections
-        ]
+        # A node that the code computes in the place of another node belongs to the same section.
+        sections = []
+        for section in equations.sections:
+            nodes = list(section.nodes)
+            for substitutes in (plan.faster, added_terms):
+                nodes += [substitutes[node] for node in section.nodes if node in substitutes]
+            sections.append(replace(section, nodes=tuple(nodes)))
         self._section_of = {node: s for s in reversed(sections) for node in s.nodes}
         self._printer = CPrinter(equations.graph, plan.real, sections)
         self._printer.names = names
@@ -106,7 +107,7 @@ class Functions:
         self.constant_count = len(self._printer.fixed)
         self.library = sorted(self._printer.functions)
 
-    def call(self, name: str) -> bool:
+    def calls(self, name: str) -> bool:
         """Return whether any of the C functions calls the function ``name``."""
         functions = self.constants, self.tick_values, self.rates, *self.of_an_instant
         return any(f"{name}(" in function.text for function in functions)

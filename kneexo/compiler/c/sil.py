@@ -58,14 +58,14 @@ class Sil:
 
     def __post_init__(self) -> None:
         """Check that the models form a loop."""
-        (controller, commands), (plant, signals) = self.controller, self.plant
+        (controller, controller_vectors), (plant, plant_vectors) = self.controller, self.plant
         names = f"{controller.name}, {plant.name}"
         ticks = controller.plan.schedule.tick_s, plant.plan.schedule.tick_s
         if controller.name == plant.name:
             raise CompilationError(f"{names}: two models need different names")
         if ticks[0] != ticks[1]:
             raise CompilationError(f"{names}: have ticks of {ticks[0]:g} and {ticks[1]:g} s")
-        if len(commands.inputs) != len(signals.inputs):
+        if len(controller_vectors.inputs) != len(plant_vectors.inputs):
             raise CompilationError(f"{names}: have test vectors of different length")
         if not (self._measured and self._actuated):
             raise CompilationError(f"{names}: no output of one is an input of the other")
@@ -132,7 +132,7 @@ def write_sil(directory: str | os.PathLike[str], sil: Sil) -> SilMeasurement:
     Each model has a subfolder with its name, as `write_c` writes it. No file is written before both
     models and the program are complete. Raises the errors of `write_c`.
     """
-    folder, program = Path(directory), sil.files()
+    folder, loop_files = Path(directory), sil.files()
     sources = sil.controller[0], sil.plant[0]
     exports = [exported(source, vectors) for source, vectors in (sil.controller, sil.plant)]
     code = {
@@ -142,11 +142,13 @@ def write_sil(directory: str | os.PathLike[str], sil: Sil) -> SilMeasurement:
         if name.endswith((".c", ".h")) and not name.endswith("_test.c")
     }
     try:
-        closed_loop = replay(_SIL, code | {f"{_SIL}.c": program[f"{_SIL}.c"]})
+        comparison = replay(_SIL, code | {f"{_SIL}.c": loop_files[f"{_SIL}.c"]})
     except BuildError:  # which both measurements report
-        closed_loop = None
+        comparison = None
     require_sil_folder(folder, *(source.name for source in sources))
-    write_folder(folder, program)  # first its manifest, with which a killed call can be repeated
+    # The manifest of the loop is written first. With it a call that was killed can be repeated.
+    write_folder(folder, loop_files)
     for source, (files, _) in zip(sources, exports, strict=True):
         write_folder(folder / source.name, files)
-    return SilMeasurement(exports[0][1], exports[1][1], closed_loop)
+    controller, plant = (measurement for _, measurement in exports)
+    return SilMeasurement(controller, plant, comparison)

@@ -164,22 +164,23 @@ class CSource:
                 raise CompilationError(
                     f"{self.name}: look_up: nothing depends on an integer input with a range alone"
                 )
+        sizes = {port: len(elements) for port, elements in nodes.items()}
         return Plan(
-            self.name,
-            real,
-            equations,
-            self.parameters,
-            self.state,
-            parameter_members(equations.parameters, self.name),
-            inputs,
-            self.interface.members({port: len(elements) for port, elements in nodes.items()}),
-            output_nodes,
-            schedule_of(
+            name=self.name,
+            real=real,
+            equations=equations,
+            parameters=self.parameters,
+            state=self.state,
+            members=parameter_members(equations.parameters, self.name),
+            inputs=inputs,
+            outputs=self.interface.members(sizes),
+            output_nodes=output_nodes,
+            schedule=schedule_of(
                 self.name, equations, self.parameters, self.state, self.tick_s, self.step_s
             ),
-            tuple(tables),
-            compensated_sums(equations, real),
-            faster,
+            tables=tuple(tables),
+            sums=compensated_sums(equations, real),
+            faster=faster,
         )
 
     @cached_property
@@ -195,11 +196,12 @@ class CSource:
     @property
     def state_bytes(self) -> int:
         """Size of the C struct ``NAME_state_t`` in bytes."""
-        plan, real = self.plan, 8 if self.precision == "double" else 4
+        plan, real_bytes = self.plan, 8 if self.precision == "double" else 4
         groups = (self.equations.states, self.equations.discrete, plan.sums, plan.outputs)
         numbers = sum(map(len, groups)) + self.functions.constant_count
-        counters = 4 * (1 + plan.counts_steps)  # started, tick
-        return real * (numbers + math.ceil(counters / real))
+        counter_bytes = 4 * (1 + plan.counts_steps)  # started, tick
+        # The struct is padded to a multiple of the size of a floating-point number.
+        return real_bytes * (numbers + math.ceil(counter_bytes / real_bytes))
 
     @property
     def first_line(self) -> str:

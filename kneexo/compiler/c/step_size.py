@@ -65,4 +65,5 @@ def rk4_step_s(equations: Equations, parameters: Array, state: State) -> float:
             f"{equations.states[column]} at the start: step_s is needed"
         )
     fastest_per_s = np.abs(np.linalg.eigvals(matrix)).max(initial=0.0)
-    return float(max(SHORTEST_STEP_S, min(STEP_S, STEP_ANGLE / max(fastest_per_s, 1e-300))))
+    fastest_per_s = max(fastest_per_s, 1e-300)  # no division by zero, if nothing moves
+    return float(max(SHORTEST_STEP_S, min(STEP_S, STEP_ANGLE / fastest_per_s)))

@@ -31,7 +31,7 @@ def parameter_groups(leaf: Node, context: Any) -> list[list[str]]:
 
 
 def state_names(leaf: Node, context: Any) -> list[str]:
-    """Return the names of a leaf's continuous states, from Drake's accessors or else numbered."""
+    """Return the names of a leaf's continuous states: Drake's names if any, otherwise numbers."""
     return _accessor_names(leaf.path, "x", context.get_continuous_state_vector())
 
 

@@ -75,7 +75,7 @@ class Operation:
         return self.role in (Role.COMPARISON, Role.ROUNDING)
 
 
-def _none(g: Graph, a: tuple[int, ...], f: int) -> list[int | None]:
+def _no_derivatives(g: Graph, a: tuple[int, ...], f: int) -> list[int | None]:
     """Return None for each argument: the partials of an operation without derivatives."""
     return [None] * len(a)
 
@@ -89,9 +89,14 @@ def _of_one(derivative: Callable[[Graph, int, int], int]) -> Partials:
 
 
 def _extreme(comparison: str) -> Partials:
+    """Return the `Partials` of a minimum or maximum: 1 for the chosen argument, 0 for the other.
+
+    ``comparison`` of both arguments is true if the first argument is chosen.
+    """
+
     def partials(g: Graph, a: tuple[int, ...], f: int) -> list[int | None]:
-        first = g.compare(comparison, *a)
-        return [g.where(first, g.one, g.zero), g.where(first, g.zero, g.one)]
+        is_first = g.compare(comparison, *a)
+        return [g.where(is_first, g.one, g.zero), g.where(is_first, g.zero, g.one)]
 
     return partials
 
@@ -114,11 +119,11 @@ def _root_of_one_minus_square(g: Graph, a: int) -> int:
 
 def _comparison(value: Any, drake: str, name: str, c: str) -> Operation:
     native = f"compare.{name}"
-    return Operation(value, _none, drake, native, c, Role.COMPARISON, simple=True)
+    return Operation(value, _no_derivatives, drake, native, c, Role.COMPARISON, simple=True)
 
 
 def _logic(value: Any, drake: str, native: str, c: str, arguments: int | None = None) -> Operation:
-    row = Operation(value, _none, drake, native, c, Role.LOGIC, simple=True)
+    row = Operation(value, _no_derivatives, drake, native, c, Role.LOGIC, simple=True)
     return replace(row, arguments=arguments)
 
 

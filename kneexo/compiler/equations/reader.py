@@ -133,7 +133,7 @@ class _Reader:
         return completed(self._signal(list(route)))
 
     def _signal(self, route: list[Port]) -> Steps[list[int]]:
-        """Return the nodes of a signal: those of its source, plus the perturbations on the way."""
+        """Return the nodes of a signal: the source's signal plus the perturbations on the way."""
         graph = self.equations.graph
         leaf, kind, index = source = route[-1]
         added = [self._open_inputs[port] for port in route[::-1] if port in self._open_inputs]

@@ -96,7 +96,7 @@ def advice(
 
 
 def obstacles(point: Point, outputs: Iterable[str] = ()) -> list[Obstacle]:
-    """Return the obstacles in the equations of states and outputs at a point, as `advice` does."""
+    """Return all obstacles to a useful linear model in the equations of states and outputs."""
     survey = _Survey(point, outputs)
     by_port: dict[tuple[str, str], Obstacle] = {}
     for section, reason, remedy in survey.faults():

@@ -360,8 +360,9 @@ class Runner:
     ) -> Array:
         """Return the records (1, columns, rows) at ``times`` (rows,) of a run in one lane.
 
-        For each record RK4 integrates from the snapshot whose index is in ``places`` (rows,). If
-        the steps of 20 µs are too long for a mode, RK4 repeats the records with shorter steps.
+        RK4 integrates to each record from the snapshot whose index is in ``places`` (rows,), in
+        steps of 20 µs. If such steps are too long for a mode, RK4 repeats the records with shorter
+        steps.
         """
         record = np.empty((1, self.columns.size, times.size))
         table = np.array([_input_argument(inputs)], dtype=np.int64)

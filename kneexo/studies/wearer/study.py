@@ -380,7 +380,7 @@ def _trace(run: Run, period_s: float) -> dict[str, list[float]]:
 
 
 def margins(postures_deg: tuple[float, ...], scenario: Scenario) -> dict[str, float]:
-    """Return the numbers of a `MarginRow`."""
+    """Return margins and stiffnesses of a design: the fields of `MarginRow` except ``design``."""
     reduced = changed(scenario, {"plant.full_order": None})
     with suppress(LinearizationError):
         loops = coupled_stability(reduced, knee_angles_deg=postures_deg)

@@ -59,14 +59,14 @@ static bool are_finite(const real *values, uint16_t count)
 }
 
 {% endif %}
-{% if functions.call("minimum") %}
+{% if functions.calls("minimum") %}
 static real minimum(real a, real b)
 {
     return (b < a) ? b : a;
 }
 
 {% endif %}
-{% if functions.call("maximum") %}
+{% if functions.calls("maximum") %}
 static real maximum(real a, real b)
 {
     return (a < b) ? b : a;
