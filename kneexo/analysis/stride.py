@@ -75,7 +75,7 @@ class StrideLoad(Result):
         }
 
     def warnings(self) -> tuple[str, ...]:
-        """Return a line for each chamber above relief pressure, and one for a pressure too low.
+        """Return a line for each chamber above relief pressure, and for a pressure that is too low.
 
         Each line says time and knee angle of the extreme value and its share of the samples. A
         pressure below −0.1 MPa, relative to the atmosphere, is too low.

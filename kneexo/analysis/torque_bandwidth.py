@@ -73,15 +73,15 @@ def torque_response(
         A scenario with ``controller.kind = torque``, and with ``wearer.kind = leg`` unless
         ``nothing`` is held.
     frequency_hz
-        Ascending frequencies in Hz, (n,). By default 400 from 0.01 Hz to 98 % of half the sampling
-        rate. The bandwidth is searched among them.
+        Ascending frequencies in Hz, (n,), among which the bandwidth is searched. By default 400
+        frequencies from 0.01 Hz to 98 % of half the sampling rate.
     knee_angle_deg
         Angle of the leg in deg.
     held
         The part that does not move, ``rod``, ``leg`` or ``nothing``. With ``nothing`` the leg
-        yields by its inertia, stiffness and damping. Without wearer the bare shank moves, so the
-        force is only that of its mass, F = m dv/dt. A constant torque carries the weight of the
-        shank, so that the loop rests at the angle.
+        moves according to its inertia, stiffness and damping. Without a wearer the bare shank
+        moves, and the force only accelerates the mass of the shank, F = m dv/dt. A constant torque
+        carries the weight of the shank, so that the loop rests at the angle.
 
     Raises
     ------

@@ -412,14 +412,14 @@ def track(
     scenario
         A scenario, or the path of a scenario file.
     all_signals
-        True: the run logs all available signals. False: only those that the metrics require.
+        True: the run logs all available signals. False: only the signals that the metrics require.
     progress
         Function that is called with the simulated time in s. The compiled engine calls it once, at
         the end of the run.
     law
         A control law of the user that replaces the law of the scenario: a function such as
         ``lambda rod_extension, rod_reference: 1.3e5 * (rod_reference[0] - rod_extension)``, a
-        Drake system, or ``FILE.py:NAME``. `kneexo.parameters.LawParameters` describes it.
+        Drake system, or ``FILE.py:NAME``. `kneexo.parameters.LawParameters` describes laws.
     initial_state
         First value of the argument ``state`` of the law. Empty: the default of this argument.
 

@@ -261,9 +261,10 @@ def gait_stride_deg() -> Array:
 
 
 def stride_frequency_hz(times_s: Sequence[float], values: Sequence[float], stride: Array) -> float:
-    """Return the frequency in Hz with which ``values`` (m,) repeat ``stride`` (n,), else nan.
+    """Return the frequency in Hz with which ``values`` (m,) repeat ``stride`` (n,).
 
-    A factor may scale all values. ``values`` must have at least one whole stride.
+    The result is nan if ``values`` do not repeat ``stride`` or are shorter than one whole stride.
+    A factor may scale all values.
     """
     if len(values) <= stride.size:
         return math.nan

@@ -128,7 +128,7 @@ class Scenario(Parameters):
 
     @classmethod
     def preset(cls, name: str) -> Scenario:
-        """Return the scenario of this name in `kneexo.parameters.presets.PRESETS`.
+        """Return the scenario ``name`` of `kneexo.parameters.presets.PRESETS`.
 
         ``paper`` is the default scenario. ``bench`` adds the weight of the shank and the drive on
         its bus. ``leg`` also adds the full order of the cylinder, with friction. ``wearer`` also

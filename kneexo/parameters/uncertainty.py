@@ -221,7 +221,7 @@ def draw(uncertainty: UncertaintySet, count: int, seed: int) -> list[dict[str, A
 
 
 def options_of(values: Mapping[str, Any]) -> str:
-    """Return a text that is the same for samples with equal options, whose equations are the same.
+    """Return a text for the options in ``values``. Samples with equal texts have equal equations.
 
     ``values`` maps paths to values, as `draw` returns them.
     """

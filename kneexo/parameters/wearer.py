@@ -89,7 +89,7 @@ class GaitMoment(GaitReference):
 
 @cache
 def gait_moment_stride_n_m() -> Array:
-    """Return the moment of a stride of `gait_moment` in N·m, (n,), without its end."""
+    """Return the moment of one stride of `gait_moment` in N·m, (n,), without the last sample."""
     return np.roll(gait_moment_cycle()[:-1], -round(gait_start_percent()))
 
 

@@ -211,10 +211,10 @@ MOST_STRUCTURES = 32
 
 
 class Recent(OrderedDict[Hashable, Any]):
-    """The values of the last `MOST_STRUCTURES` structures that were asked for, by their keys."""
+    """Cache of values for the `MOST_STRUCTURES` structures of scenarios that were used last."""
 
     def of(self, key: Hashable, make: Callable[[], Any]) -> Any:
-        """Return the value that is kept for a structure ``key``, or make and keep ``make()``."""
+        """Return the cached value for a structure ``key``, or cache and return ``make()``."""
         with _lock:
             if key not in self:
                 self[key] = make()

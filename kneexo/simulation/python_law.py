@@ -36,7 +36,8 @@ SIGNAL_OF = {
 class PythonLaw:
     """The law of a scenario for one run: a function of time and signals that returns the command.
 
-    The first call of a law prints one line on stderr, with the reason and the remedy.
+    The first call of a law prints one line on stderr, which says why the law runs as Python and how
+    to get the law compiled.
     """
 
     def __init__(self, scenario: Scenario, *, announce: bool = True) -> None:

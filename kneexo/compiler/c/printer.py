@@ -123,8 +123,8 @@ class CPrinter:
         """Return C statements that compute nodes and assign their values to C variables.
 
         ``targets`` has pairs of a C variable and a node. ``load`` returns the C text for reading an
-        element. ``fixed`` replaces the attribute `fixed`, unless it is None. ``held`` maps further
-        nodes that the statements read, as elements of the kind ``held``, to the index.
+        element. ``fixed`` replaces the attribute `fixed`, unless ``fixed`` is None. ``held`` maps
+        more nodes to indices; the statements read these nodes as elements of the kind ``held``.
         """
         constants = self.fixed if fixed is None else fixed
         loads = {node: ("constant", number) for node, number in constants.items()}

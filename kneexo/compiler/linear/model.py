@@ -246,9 +246,9 @@ class LinearModel:
     def to_control(self) -> Any:
         """Return the model as a `control.StateSpace` with named states, inputs and outputs.
 
-        Its ``dt`` is the period, or 0 for a continuous model. Dots in names of ports become
-        underscores, because python-control refuses dots. Raises `LinearizationError` for a model
-        without inputs or outputs.
+        The attribute ``dt`` is the period, or 0 for a continuous model. Dots in names of ports
+        become underscores, because python-control refuses dots. Raises `LinearizationError` for a
+        model without inputs or outputs.
         """
         import control
 

@@ -108,7 +108,7 @@ class Point:
         return [name for name, does in zip(names, varies, strict=True) if does]
 
     def roots(self, outputs: Iterable[str] = ()) -> list[int]:
-        """Return the nodes of the rates, of the updates, and of the elements of output ports."""
+        """Return the nodes of derivatives, updates, and elements of the output ports."""
         equations = self.read.equations
         updated = {index: node for update in equations.updates for index, node in update.values}
         roots = [*equations.derivatives, *(updated[i] for i in range(len(updated)))]

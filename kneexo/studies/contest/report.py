@@ -53,14 +53,17 @@ def report(result: ContestResult) -> str:
 
 
 def failed_runs(result: ContestResult) -> dict[str, Scenario]:
-    """Return the first test plant on which the run of each controller failed, by error."""
+    """Return a dictionary from an error to the scenario of the run that failed with this error.
+
+    The runs are the first failed run of each controller.
+    """
     base = changed(result.scenario, {"simulation.duration_s": result.settings.duration_s})
     runs: dict[str, Scenario] = {}
     for name, entrant in result.entrants.items():
         for values, metrics in zip(result.samples, result.tested[name], strict=True):
             if error := metrics["tracking_failure"]:
-                plant = realize(changed(base, entrant), result.uncertainty, values)
-                runs.setdefault(error, plant)
+                run = realize(changed(base, entrant), result.uncertainty, values)
+                runs.setdefault(error, run)
                 break
     return runs
 

@@ -247,7 +247,7 @@ def contest_study(
     settings: ContestSettings = ContestSettings(),
     **options: Unpack[SweepOptions],
 ) -> ContestResult:
-    """Compare controllers: tune each one, then test tuned and untuned ones on other plants.
+    """Tune controllers on some plants, and test tuned and untuned controllers on other plants.
 
     A resumed contest repeats its searches but reads finished runs from the checkpoint. If a search
     does not converge, no error is raised, and ``Tuning.converged`` is False.
@@ -267,8 +267,8 @@ def contest_study(
     Raises
     ------
     ParameterError
-        An uncertain value is one that no scenario has, or is out of range. The scenario has none of
-        the values. The controller is a law of the user.
+        No scenario has one of the uncertain values, or the value is out of range. Or ``scenario``
+        has none of the uncertain values, or the controller is a law of the user.
     SimulationError
         The default SMC fails on a training plant. The chattering of the default SMC is the
         budget of the tuning.
