@@ -35,6 +35,7 @@ examples:
   kneexo study robustness --out worst  worst cases over an uncertainty set
   kneexo study contest --out contest   sliding mode against PID, tuned alike
   kneexo size --out size               what a faster knee would take
+  kneexo design --out linkage          a linkage for a wearer's knee
   kneexo diagram --out pictures        the block diagram
   kneexo export fmu --out knee.fmu     the controller for another simulator
 

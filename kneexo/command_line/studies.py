@@ -144,6 +144,8 @@ def run_study(
         files |= page.file(report, figures, origin, study.motions(result))
     for number, failed in enumerate(study.failed_runs(result).values(), start=1):
         files[failure_file(number)] = dump_scenario(failed)
+    for file_name, made in study.scenarios(result).items():
+        files[file_name] = dump_scenario(made)
     text = f"{plain_text(head_of(report))}\n{files_line(out, files, figures)}"
     return Outcome(text, document, files=files, figures=figures)
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import os
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import model_validator
+from pydantic import BeforeValidator, model_validator
 
 from kneexo.errors import ParameterError
 from kneexo.files.reading import file_error, read_text
-from kneexo.files.table import MOST_BYTES_OF_TABLE, read_table
+from kneexo.files.table import MOST_BYTES_OF_TABLE, SUFFIXES, read_table
+from kneexo.parameters.fields import Words
 from kneexo.parameters.quantity import Parameters, quantities, quantity, require_increasing
 from kneexo.result import Array
 
@@ -148,3 +149,17 @@ def _place_of_centres(angles: Array, forwards: Array, up: Array) -> tuple[Array,
     integral = CubicSpline(angles, (up * 1j - forwards) / turn).antiderivative()
     place = -1j * turn * (integral(angles) - integral(0.0))
     return -place.real, place.imag
+
+
+def _read(value: Any) -> Any:
+    """Return the knee of a file. Return a value that is no path of a table unchanged."""
+    is_path = isinstance(value, str) and value.endswith(SUFFIXES)
+    return read_anatomical_knee(value) if is_path else value
+
+
+KneeChoice = Annotated[
+    AnatomicalKneeParameters,
+    BeforeValidator(_read),
+    Words({"gait2392": GAIT2392}, others=("the path of a .csv file",)),
+]
+"""Type of the knee in the settings of a study, which can be a word or the path of a file."""

@@ -118,6 +118,15 @@ class Study:
         runs: dict[str, Scenario] = failed(result)
         return runs
 
+    def scenarios(self, result: Any) -> dict[str, Scenario]:
+        """Return the scenarios that a result has made, by the names of their files.
+
+        The dictionary is empty if the module ``report`` has no function ``scenarios``.
+        """
+        scenarios = self._part(".report", "scenarios", lambda result: {})
+        made: dict[str, Scenario] = scenarios(result)
+        return made
+
     def _part(self, module: str, name: str, *default: Callable[[Any], Any]) -> Any:
         return getattr(import_module(f"kneexo.studies.{self.name}{module}"), name, *default)
 
@@ -239,6 +248,20 @@ STUDIES = {
                 Stage("around the design", 3.5),
                 Stage(FIGURES, 0.3),
                 Stage(FILES, 2.0),
+            ),
+        ),
+        Study(
+            "design",
+            "design",
+            "find a linkage that follows a wearer's knee, within limits",
+            "Reads the motion of the knee from a file (--set knee=knee.csv). Writes a scenario "
+            "with the linkage (linkage.yaml).",
+            setup=PAPER,
+            resumable=False,
+            stages=(
+                Stage("search", 3.0),
+                Stage(FIGURES, 0.2),
+                Stage(FILES, 0.5),
             ),
         ),
         Study(

@@ -77,6 +77,7 @@ def replace_study(monkeypatch):
         monkeypatch.setattr(Study, "figures", lambda study, result: {})
         monkeypatch.setattr(Study, "motions", lambda study, result: {})
         monkeypatch.setattr(Study, "failed_runs", lambda study, result: {})
+        monkeypatch.setattr(Study, "scenarios", lambda study, result: {})
 
     return replace
 

@@ -4,26 +4,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any, Unpack
+from typing import Any, Unpack
 
 import numpy as np
-from pydantic import BeforeValidator
 
 from kneexo.alignment import MM, Alignment, CuffForces, SlottedStrap, align
 from kneexo.analysis.prosthetic_leg import LegLength, SwingClearance, leg_length, swing_clearance
-from kneexo.files.table import SUFFIXES
 from kneexo.linkage_properties import LinkageProperties, linkage_properties
 from kneexo.parameters import (
     GAIT2392,
     HINGE,
     TABLE_1_LINKAGES,
-    AnatomicalKneeParameters,
     LinkageParameters,
     Scenario,
     StrapParameters,
 )
-from kneexo.parameters.anatomical_knee import read_anatomical_knee
-from kneexo.parameters.fields import Words
+from kneexo.parameters.anatomical_knee import KneeChoice
 from kneexo.parameters.quantity import Parameters, quantity
 from kneexo.progress import progress_bar
 from kneexo.result import Array, Result
@@ -31,20 +27,10 @@ from kneexo.shank_motion import ShankMotion, anatomical_motion
 from kneexo.sweeps import SweepOptions
 
 
-def _read(value: Any) -> Any:
-    """Return the knee of a file. Return a value that is no path of a table unchanged."""
-    is_path = isinstance(value, str) and value.endswith(SUFFIXES)
-    return read_anatomical_knee(value) if is_path else value
-
-
 class MechanismSettings(Parameters):
     """Settings of ``kneexo study mechanism``: knee, cuff, flexion, wrong place, tolerance."""
 
-    knee: Annotated[
-        AnatomicalKneeParameters,
-        BeforeValidator(_read),
-        Words({"gait2392": GAIT2392}, others=("the path of a .csv file",)),
-    ] = GAIT2392
+    knee: KneeChoice = GAIT2392
     cuff: StrapParameters = StrapParameters()
     flexion_max_deg: float = quantity(
         90.0,
