@@ -35,6 +35,7 @@ def report(result: ReproduceResult) -> str:
     return filled(
         "reproduce/report.md",
         **numbers,
+        linkage=result.fig12["smc"].scenario.plant.linkage,
         judged=[row for row in comparison if row.paper is not None],
         more=[row for row in comparison if row.paper is None],
         failing=failing,

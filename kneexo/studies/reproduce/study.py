@@ -123,7 +123,7 @@ def reproduce_study(
     ----------
     scenario
         The scenario of Fig. 13. The scenarios of the other figures come from
-        `kneexo.studies.paper`, and run with the engine of the scenario given here.
+        `kneexo.studies.paper`, and run with the linkage and the engine of the scenario given here.
     settings
         The sines that measure Fig. 13.
     workers
@@ -136,8 +136,13 @@ def reproduce_study(
         Whether progress bars are shown.
     """
     engine: Literal["compiled", "drake"] = "compiled" if scenario.simulation.compiled else "drake"
+    linkage = scenario.plant.linkage
+
+    def alike(case: Scenario) -> Scenario:
+        return changed(case, {"plant.linkage": linkage}).with_engine(engine)
+
     tasks = {
-        (figure, name): partial(group.run, case.with_engine(engine))
+        (figure, name): partial(group.run, alike(case))
         for figure, group in _GROUPS.items()
         for name, case in group.scenarios.items()
     }
@@ -150,12 +155,12 @@ def reproduce_study(
         response = measure(scenario, settings)
         scaling = {}
         for name, (case, narrow) in FIG_13_SCALING.items():
-            scaling[name] = measure(case.with_engine(engine), narrow, trials=[{}])
+            scaling[name] = measure(alike(case), narrow, trials=[{}])
     runs: dict[str, dict[str, Any]] = {figure: {} for figure in _GROUPS}
     for (figure, name), value in zip(tasks, values, strict=True):
         runs[figure][name] = value
     return ReproduceResult(
-        fit=fit_polynomials(),
+        fit=fit_polynomials(linkage),
         fig9=runs["fig9"]["ideal_smc"],
         fig12=runs["fig12"],
         fig13=response,

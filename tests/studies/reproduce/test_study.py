@@ -9,14 +9,16 @@ from reproduce_cases import (
 
 from kneexo.analysis import (
     Run,
+    fit_polynomials,
     linearize_loop,
     simulate,
 )
 from kneexo.analysis.frequency_response import SinestreamSettings
 from kneexo.command_line.output import to_json
-from kneexo.parameters import Scenario, SimulationParameters
+from kneexo.parameters import G5, Scenario, SimulationParameters
 from kneexo.parameters.paths import changed
-from kneexo.studies.paper import EQ_27_DIFFERENCES, EQ_27_EXACT_STATES, FIG_12
+from kneexo.studies.paper import EQ_27_DIFFERENCES, EQ_27_EXACT_STATES, FIG_12, PID_PAPER
+from kneexo.studies.reproduce import study
 from kneexo.studies.reproduce.report import report
 from kneexo.studies.reproduce.study import (
     growth_rate,
@@ -135,6 +137,18 @@ def test_growth_rate_of_a_growing_oscillation():
         SimulationParameters(),
     )
     assert growth_rate(run) == pytest.approx(1.2, abs=0.02)
+
+
+def test_all_figures_run_with_the_linkage_of_the_scenario(monkeypatch):
+    runs = [(key, lambda case: case, cases) for key, _, cases in study._RUNS]
+    monkeypatch.setattr(study, "_RUNS", runs)
+    monkeypatch.setattr(study, "sinestream", lambda scenario, *_, **__: scenario)
+    result = reproduce_study(Scenario(plant={"linkage": "G5"}))
+    groups = (result.fig12, result.scaling, result.eq27_exact, result.eq27_differences)
+    ran = [result.fig9, result.fig13, *(case for group in groups for case in group.values())]
+    assert {case.plant.linkage for case in ran} == {G5}
+    assert result.fit.p_mm_deg == pytest.approx(fit_polynomials(G5).p_mm_deg)
+    assert result.fig12["pid"].controller == PID_PAPER
 
 
 # ----------------------------------------------------------------------------- real runs
