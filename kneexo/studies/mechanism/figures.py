@@ -23,14 +23,18 @@ _STYLES: list[dict[str, Any]] = [
 
 
 def figures(result: MechanismResult) -> dict[str, Figure]:
-    """Draw centres of rotation, migration, wrong places and torque. Return figures by name."""
+    """Draw centres of rotation, migration, wrong places and torque. Return figures by name.
+
+    The trade-off is drawn if it was searched.
+    """
+    searched = result.trade_off is not None
     return {
         "centres": plot_centres(result),
         "migration": plot_migration(result),
         "misplacement": plot_misplacement(result),
         "slotted_strap": plot_slotted_strap(result),
         "leg_length": plot_leg_length(result),
-    }
+    } | ({"trade_off": plot_trade_off(result)} if searched else {})
 
 
 def plot_centres(result: MechanismResult) -> Figure:
@@ -120,6 +124,23 @@ def plot_leg_length(result: MechanismResult) -> Figure:
     axes[0].set(xlabel="knee angle (deg)", ylabel="shorter (mm)", title="(a)")
     axes[1].set(xlabel="time after heel contact (%)", ylabel="toe higher (mm)", title="(b)")
     _finish(figure, axes)
+    return figure
+
+
+def plot_trade_off(result: MechanismResult) -> Figure:
+    """Draw the migration of designed linkages and of all devices over the error of Table 1."""
+    figure, ax = plt.subplots(figsize=(7.2, 4.4), layout="constrained")
+    figure.set_label(
+        "Migration of the strap over the difference from Table 1: the best linkages that a search "
+        "found (line), and the devices (marks)."
+    )
+    if result.trade_off is not None:
+        result.trade_off.plot(ax)
+    for (name, device), style in zip(result.devices.items(), _STYLES, strict=False):
+        row, place = device.results(), "D" if style["ls"] == "-" else "s"
+        ax.plot(row["rod_rms_mm"], row["rms_mm"], place, color=style["color"], label=name)
+    ax.set(xlim=(0.0, None), ylim=(0.0, None))
+    _finish(figure, [ax])
     return figure
 
 

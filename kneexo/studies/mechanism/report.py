@@ -28,5 +28,6 @@ def report(result: MechanismResult) -> str:
         hinge=by_name["hinge"],
         slips=[name for name, device in result.devices.items() if device.forces.slips.any()],
         angles=_angles,
+        trade_off=result.results()["trade_off"],
         knee_is_gait2392=result.settings.knee == GAIT2392,
     )

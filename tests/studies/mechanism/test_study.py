@@ -4,15 +4,24 @@ import math
 
 import numpy as np
 import pytest
+from design_cases import made_up as designed
 from mechanism_cases import made_up
 
-from kneexo.analysis import align, swing_clearance
+from kneexo.analysis import TradeOff, align, swing_clearance
 from kneexo.errors import LinkageError, ParameterError
-from kneexo.parameters import G1, HINGE, AnatomicalKneeParameters, Scenario
+from kneexo.linkage import rod_extension
+from kneexo.parameters import (
+    G1,
+    GAIT2392,
+    HINGE,
+    AnatomicalKneeParameters,
+    RodPolynomialParameters,
+    Scenario,
+)
 from kneexo.parameters.paths import changed
 from kneexo.shank_motion import anatomical_motion, linkage_motion
 from kneexo.studies.catalogue import STUDIES
-from kneexo.studies.mechanism import MechanismSettings, mechanism_study
+from kneexo.studies.mechanism import MechanismSettings, mechanism_study, study
 
 
 def test_the_linkage_of_the_scenario_is_the_first_of_the_devices():
@@ -77,6 +86,31 @@ def test_a_device_that_exceeds_the_tolerance_has_no_tolerated_place():
     assert math.isnan(strict.devices["G1"].placement_tolerance_mm)
     assert strict.devices["hinge"].placement_tolerance_mm > 0.0
     assert "| – |" in STUDIES["mechanism"].report(strict)
+
+
+def test_the_trade_off_is_searched_if_asked_for(monkeypatch):
+    assert made_up().trade_off is None
+    assert made_up().results()["trade_off"] == []
+    assert "trade_off" not in STUDIES["mechanism"].figures(made_up())
+    searched = []
+
+    def search(motion):
+        searched.append(motion)
+        return TradeOff((designed().design,))
+
+    monkeypatch.setattr(study, "trade_off", search)
+    result = mechanism_study(settings=MechanismSettings(trade_off=True))
+    assert searched == [GAIT2392]
+    assert "| 0.0173 | 0.0695 | 9.03 | 19.5 |" in STUDIES["mechanism"].report(result)
+    (ax,) = STUDIES["mechanism"].figures(result)["trade_off"].axes
+    curve, *marks = ax.lines
+    np.testing.assert_allclose(curve.get_xydata(), [[0.0173, 9.03]], rtol=1e-2)
+    assert [line.get_label() for line in marks] == list(result.devices)
+    degrees = np.arange(91.0)
+    table_mm = np.polyval(RodPolynomialParameters().p_mm_deg, degrees)
+    error_mm = 1e3 * rod_extension(G1, np.radians(degrees)) - table_mm
+    expected = np.sqrt(np.mean(error_mm**2)), align(G1).rms_mm
+    np.testing.assert_allclose(marks[0].get_xydata(), [expected], rtol=1e-9)
 
 
 def test_the_centres_are_those_of_the_wearer_s_knee_in_mm():
