@@ -93,10 +93,9 @@ def rate_limited_follower(time_s: Array, target: Array, speed_limit: float) -> A
     ``target`` (n,) are the positions to track at ``time_s`` (n,). The follower starts at the first
     sample of the target. Then the follower moves towards each next sample with constant speed.
     """
-    follower = np.empty_like(target)
-    position = follower[0] = target[0]
-    for index, step in enumerate(np.diff(time_s), start=1):
-        reach = speed_limit * step
-        position += min(max(target[index] - position, -reach), reach)
-        follower[index] = position
-    return follower
+    position, *aims = target.tolist()  # numbers of Python, twice as fast as those of NumPy
+    positions = [position]
+    for aim, reach in zip(aims, (speed_limit * np.diff(time_s)).tolist(), strict=True):
+        position += min(max(aim - position, -reach), reach)
+        positions.append(position)
+    return np.array(positions)
