@@ -175,15 +175,21 @@ def test_fields_of_the_three_targets(path, fmi):
 
 
 @pytest.mark.parametrize(
-    "what", ["controller", *(pytest.param(w, marks=pytest.mark.slow) for w in WHAT[1:])]
+    ("what", "scenario", "count"),
+    [
+        ("controller", PAPER, 22),
+        pytest.param("controller", LOADED, 22, marks=pytest.mark.slow),
+        pytest.param("plant", LOADED, 34, marks=pytest.mark.slow),
+        pytest.param("loop", LOADED, 44, marks=pytest.mark.slow),
+    ],
 )
-def test_scenario_parameters_are_those_of_kneexo_params(what):
+def test_scenario_parameters_are_those_of_kneexo_params(what, scenario, count):
     """Value, unit and range as `kneexo params` tells them."""
-    fmu = make_fmu(LOADED, what)
-    rows = {row["parameter"]: row for row in parameter_rows(LOADED)}
+    fmu = make_fmu(scenario, what)
+    rows = {row["parameter"]: row for row in parameter_rows(scenario)}
     units = {v.name: v.unit.name if v.unit else "1" for v in fmu.table.variables}
     named = [p for p in fmu.parameters if p.name in rows]
-    assert len(named) == {"controller": 22, "plant": 34, "loop": 44}[what]
+    assert len(named) == count
     for parameter in named:
         row = rows[parameter.name]
         assert parameter.start == row["value"]
@@ -195,7 +201,13 @@ def test_scenario_parameters_are_those_of_kneexo_params(what):
 
 
 @pytest.mark.parametrize("what", WHAT)
-@pytest.mark.parametrize("scenario", [PAPER, LOADED], ids=["paper", "loaded"])
+@pytest.mark.parametrize(
+    "scenario",
+    [
+        pytest.param(PAPER, id="paper"),
+        pytest.param(LOADED, id="loaded", marks=pytest.mark.slow),
+    ],
+)
 def test_each_context_parameter_has_one_master_with_its_value(what, scenario):
     fmu = make_fmu(scenario, what)
     members = [m for p in fmu.parameters for m in p.members if not m.startswith("initial_x")]
@@ -223,10 +235,35 @@ def test_each_number_has_its_unit():
         assert unit_of_name(name).name == expected, name
 
 
-def test_effects_of_the_numbers_of_a_scenario():
+@pytest.fixture
+def effects_of():
+    """``effects_of(scenario, paths)``: the effects of the numbers at ``paths`` alone."""
+
+    def effects(scenario, paths):
+        numbers = [row for row in exports._numbers(scenario) if row[0] in paths]
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(exports, "_numbers", lambda _: numbers)
+            return parameter_effects(scenario, list(scenario_values(scenario)))
+
+    return effects
+
+
+def test_effects_of_the_numbers_of_a_scenario(effects_of):
     paper = completed(PAPER)
-    names = list(scenario_values(paper))
-    effects = parameter_effects(paper, names)
+    paths = (
+        "plant.pump.gear_ratio",
+        "plant.pump.speed_limit_rad_s",
+        "plant.cylinder.mass_kg",
+        "plant.cylinder.leakage_m3_per_s_pa",
+        "plant.cylinder.stiffness_n_per_m",
+        "plant.cylinder.bore_m",
+        "plant.linkage.a_3_m",
+        "controller.command_limit_rad_s",
+        "reference.mean_deg",
+        "polynomial.p_mm_deg[5]",
+        "simulation.duration_s",
+    )
+    effects = effects_of(paper, paths)
     both = {"plant/motor.gear_ratio", "controller/law.gear_ratio"}
     assert effects["plant.pump.gear_ratio"].same == both
     assert effects["plant.cylinder.mass_kg"].same == {"plant/cylinder.mass_kg"}
@@ -242,7 +279,8 @@ def test_effects_of_the_numbers_of_a_scenario():
     assert effects["controller.command_limit_rad_s"].same == set()
     # Here the motor's limit is the lower one up to 3000 rad/s.
     higher = changed(paper, {"controller.command_limit_rad_s": 3000.0})
-    assert parameter_effects(higher, names)["plant.pump.speed_limit_rad_s"].same == set()
+    speed = "plant.pump.speed_limit_rad_s"
+    assert effects_of(higher, [speed])[speed].same == set()
     # A link moves the fit of the linkage too, an area follows two diameters, degrees are turned.
     assert "plant/knee.1[0]" in effects["plant.linkage.a_3_m"].touched
     assert effects["plant.linkage.a_3_m"].same == set()
@@ -257,6 +295,7 @@ def test_effects_of_the_numbers_of_a_scenario():
     assert "simulation.duration_s" not in effects
 
 
+@pytest.mark.slow
 def test_a_believed_plant_has_names_of_its_own():
     fmu = make_fmu(changed(PAPER, {"nominal": PlantParameters()}), "loop")
     members = {p.name: p.members for p in fmu.parameters}
@@ -352,7 +391,7 @@ def test_plant_and_controller_follow_the_compiled_run(path, fmu_instance, fmi):
 
 @pytest.mark.parametrize("fmi", [pytest.param(2, marks=pytest.mark.slow), 3])
 def test_loop_follows_the_compiled_run(path, fmu_instance, fmi):
-    data = _compiled(PAPER)
+    data = _compiled(SHORT)
     names = list(columns(available_signals(PAPER)))
     rows = _loop_run(fmu_instance(path("loop", fmi)).start(), _steps(data), *names)
     for name, values in zip(names, rows.T, strict=True):
@@ -475,7 +514,7 @@ def test_a_parameter_changed_in_a_run_acts_from_there_on(path, fmu_instance):
     assert untouched.get("load_pressure_pa") != pytest.approx(expected[3], rel=1e-3)
 
 
-@pytest.mark.parametrize("fmi", [2, 3])
+@pytest.mark.parametrize("fmi", [pytest.param(2, marks=pytest.mark.slow), 3])
 def test_saved_loops_continue_to_the_bit(path, fmu_instance, fmi):
     names = list(columns(available_signals(PAPER)))
     loop = fmu_instance(path("loop", fmi)).start()

@@ -125,7 +125,12 @@ def test_every_port_has_names_in_c_that_end_in_a_unit(what):
 
 
 @pytest.mark.parametrize(
-    "plant", [{}, {"load": {"kind": "knee"}}, {"full_order": {"coulomb_friction_n": 40.0}}]
+    "plant",
+    [
+        {},
+        pytest.param({"load": {"kind": "knee"}}, marks=pytest.mark.slow),
+        pytest.param({"full_order": {"coulomb_friction_n": 40.0}}, marks=pytest.mark.slow),
+    ],
 )
 def test_a_step_follows_the_fastest_pole_at_the_start(plant):
     scenario = scenario_of(plant=plant)
