@@ -1,6 +1,7 @@
 import dataclasses
 import math
 
+import pytest
 from contest_cases import (
     made_up,
     metrics_of,
@@ -9,6 +10,7 @@ from contest_cases import (
 from kneexo.studies.contest.figures import figures
 
 
+@pytest.mark.slow
 def test_a_contest_whose_every_run_failed_is_drawn():
     study = made_up()
     failed = {name: [metrics_of(math.nan)] * 4 for name in study.tested}

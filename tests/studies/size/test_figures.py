@@ -12,6 +12,7 @@ from size_cases import (
 from kneexo.studies.size.figures import figures, motions
 
 
+@pytest.mark.slow
 def test_a_map_in_which_every_run_fails_has_its_axes_all_the_same(sized):
     none = dataclasses.replace(sized, bandwidth_map_hz=np.full((3, 3), math.nan))
     ax = figures(none)["sizing_maps"].axes[0]

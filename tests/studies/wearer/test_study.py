@@ -118,6 +118,7 @@ def test_a_loop_that_does_not_rest_has_no_margins():
     assert margins((45.0,), held) == {}
 
 
+@pytest.mark.slow
 def test_an_unstable_loop_has_no_disk_margin():
     wild = changed(WEARER_KNEE, {"controller.proportional_rad_s_per_n": 400.0})
     assert math.isnan(margins((45.0,), wild)["disk_margin"])
@@ -246,6 +247,7 @@ def test_the_numbers_of_a_row_are_those_of_its_run():
         assert trace[name] == pytest.approx(np.interp(at, run.time_s, values).tolist())
 
 
+@pytest.mark.slow
 def test_a_run_that_fails_has_its_reason_in_its_row():
     # The moment of stance straightens a soft leg, whose muscles give twice of it.
     soft = {"wearer.stiffness_n_m_per_rad": 2.0, "wearer.loss_modulus_n_m_per_rad": 0.5}
