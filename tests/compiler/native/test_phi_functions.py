@@ -66,7 +66,9 @@ def exact_phi(z):
     return [phi[:, n * size : (n + 1) * size] for n in (1, 2, 3)]
 
 
-@pytest.mark.parametrize("size", [1, 2, 4, 5, 8, 9, 17])
+@pytest.mark.parametrize(
+    "size", [1, 2, 4, *(pytest.param(n, marks=pytest.mark.slow) for n in (5, 8, 9, 17))]
+)
 def test_tables_are_the_functions_of_the_matrix_exponential(size):
     rng = np.random.default_rng(3)
     a = rng.normal(size=(size, size)) * np.geomspace(1.0, 3e4, size)

@@ -456,7 +456,9 @@ def can_run(name):
     )
 
 
-@pytest.mark.parametrize("name", ["x86-64-v2", "x86-64-v3", "x86-64-v4"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("x86-64-v2", marks=pytest.mark.slow), "x86-64-v3", "x86-64-v4"]
+)
 def test_other_processors_give_the_same_bits(printed, random_graphs, name):
     if not can_run(name):
         pytest.skip(f"this machine is no {name}")
