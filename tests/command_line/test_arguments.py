@@ -27,7 +27,13 @@ def test_numbers_of_options_have_the_digits_0_to_9(capsys, option, number):
 
 
 @pytest.mark.parametrize(
-    "command", [["simulate"], ["linearize", "--knee-angle", "20"], ["diagram"], ["params"]]
+    "command",
+    [
+        ["simulate"],
+        pytest.param(["linearize", "--knee-angle", "20"], marks=pytest.mark.slow),
+        ["diagram"],
+        ["params"],
+    ],
 )
 def test_json_says_version_and_scenario(capsys, short, tmp_path, undrawn, command):
     name, *options = command
@@ -83,6 +89,7 @@ def test_a_preset_is_the_scenario_that_file_and_values_change(capsys, scenario_f
     assert scenario(path, "--preset", "leg") == completed(expected)
 
 
+@pytest.mark.slow
 def test_the_preset_of_a_run_is_on_its_page(short, tmp_path, capsys, undrawn):
     command = ["simulate", short, "--preset", "bench", "--set", "bus.latency_samples=2"]
     assert main([*command, "--out", str(tmp_path), "--html", "--json"]) == 0

@@ -113,7 +113,7 @@ def short(tmp_path):
 
 
 @pytest.mark.parametrize("command", ["simulate", pytest.param("linearize", marks=pytest.mark.slow)])
-def test_html_of_a_command_names_command_and_settings(command, short, tmp_path, capsys):
+def test_html_of_a_command_names_command_and_settings(command, short, tmp_path, capsys, undrawn):
     out = tmp_path / "out"
     change = "plant.cylinder.mass_kg=1.7"
     assert main([command, short, "--set", change, "--out", str(out), "--html"]) == 0

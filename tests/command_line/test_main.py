@@ -31,7 +31,7 @@ def test_a_stream_without_greek_letters_gets_escapes(short, monkeypatch):
     [
         ["--help"],
         pytest.param(["params", "SCENARIO"], marks=pytest.mark.slow),
-        ["params", "--yaml"],
+        pytest.param(["params", "--yaml"], marks=pytest.mark.slow),
     ],
 )
 def test_a_full_device_is_a_line(arguments, short, run_command):

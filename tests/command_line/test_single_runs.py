@@ -231,6 +231,7 @@ def test_linearize_writes_what_it_finds_and_refuses_a_posture_out_of_range(capsy
     assert not (tmp_path / "no").exists()
 
 
+@pytest.mark.slow
 def test_linearize_begins_with_stability_margins_and_bandwidths(capsys, tmp_path, undrawn):
     command = ["linearize", "--preset", "leg", "--set", "plant.cylinder.mass_kg=3.2", "--html"]
     assert main([*command, "--out", str(tmp_path)]) == 0

@@ -91,6 +91,8 @@ def test_json_of_a_sweep_says_version_scenario_and_settings(capsys, tmp_path, un
         *small_map,
         "--set",
         "estimate.averaged_cycles=4",
+        "--set",
+        "amplitudes_deg=1",
         "--workers",
         "1",
     ]
@@ -99,6 +101,7 @@ def test_json_of_a_sweep_says_version_scenario_and_settings(capsys, tmp_path, un
     assert printed["kneexo"] == kneexo.__version__
     assert changed(Scenario(), printed["scenario"]) == completed(Scenario())
     assert printed["settings"]["estimate"]["averaged_cycles"] == 4
+    assert printed["settings"]["amplitudes_deg"] == [1.0]  # a scalar is a list of one
 
 
 def test_reproduce_takes_settings_of_fig_13(capsys, tmp_path, replace_study):
@@ -111,12 +114,6 @@ def test_reproduce_takes_settings_of_fig_13(capsys, tmp_path, replace_study):
     command = ["reproduce", "--set", "trials=2", "--set", "frequencies_hz=[0.2, 0.21, 0.3]"]
     assert main([*command, "--out", str(tmp_path / "out"), "--json"]) == 0
     assert passed == [SinestreamSettings(trials=2, frequencies_hz=(0.2, 0.21, 0.3))]
-
-
-def test_a_scalar_is_a_list_of_one(capsys, tmp_path, undrawn, small_map):
-    command = ["study", "bandwidth", *small_map, "--set", "amplitudes_deg=1", "--workers", "1"]
-    assert main([*command, "--out", str(tmp_path / "out"), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["settings"]["amplitudes_deg"] == [1.0]
 
 
 def test_failed_runs_become_scenarios_beside_the_report(
