@@ -41,9 +41,6 @@ sys.dont_write_bytecode = False
 # A shell starts `pytest &` with Ctrl-C ignored, and so would every command that a test interrupts.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-hypothesis.settings.register_profile("kneexo", deadline=None)  # a loaded machine fails no test
-hypothesis.settings.load_profile("kneexo")
-
 
 def _module_of_caller(frame=2):
     """Return the module whose code runs ``frame`` calls above, as `inspect.stack` would find it."""
@@ -55,9 +52,16 @@ pydrake.common.cpp_template._get_module_from_stack = _module_of_caller
 
 
 def pytest_configure(config):
-    """Compile models of fast tests at LLVM's level 0, because most of them run once."""
-    level = "0" if config.option.markexpr == "not slow" else "3"
-    os.environ.setdefault("KNEEXO_LLVM_LEVEL", level)
+    """Compile models of fast tests at LLVM's level 0, because most of them run once.
+
+    A property of a fast test is tried with 25 new examples in each run.
+    """
+    fast = config.option.markexpr == "not slow"
+    os.environ.setdefault("KNEEXO_LLVM_LEVEL", "0" if fast else "3")
+    examples = 25 if fast else 100
+    # A loaded machine fails no test, so there is no deadline.
+    hypothesis.settings.register_profile("kneexo", deadline=None, max_examples=examples)
+    hypothesis.settings.load_profile("kneexo")
 
 
 MOST_CPU_S = 0.2

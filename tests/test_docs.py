@@ -337,7 +337,14 @@ def drawings():
         sys.path.remove(str(DOCS))
 
 
-@pytest.mark.parametrize("name", ["mechanism", "hydraulic_circuit", "sample_timing"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "mechanism",
+        pytest.param("hydraulic_circuit", marks=pytest.mark.slow),
+        pytest.param("sample_timing", marks=pytest.mark.slow),
+    ],
+)
 def test_nothing_of_a_drawing_is_cut_off(drawings, name):
     figure = getattr(drawings, name)()
     figure.canvas.draw()

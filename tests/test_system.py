@@ -49,6 +49,7 @@ def test_a_missing_library_is_one_line_and_nothing_is_written(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("bare")
 def test_what_needs_no_drake_works_without_its_library(capsys):
     for arguments in (["params", "--yaml"], ["params", "--schema"], ["setup", "cache"]):

@@ -33,7 +33,10 @@ def test_each_section_names_its_code_and_its_test():
         assert all(path.endswith(name) for name, path in tests), title
 
 
-@pytest.mark.parametrize("geometry", sorted(LINKAGES))
+@pytest.mark.parametrize(
+    "geometry",
+    [name if name == "G1" else pytest.param(name, marks=pytest.mark.slow) for name in LINKAGES],
+)
 def test_the_drawn_arm_is_the_moment_arm(geometry, monkeypatch):
     monkeypatch.syspath_prepend(str(DOCS))
     drawings = importlib.import_module("drawings")

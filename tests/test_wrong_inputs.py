@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 import kneexo as kx
 from kneexo.analysis import linearize_loop
+from kneexo.command_line import parser
 from kneexo.command_line.main import main
 from kneexo.diagrams import make_closed_loop
 from kneexo.diagrams.signals import SIGNALS, columns
@@ -35,6 +37,14 @@ def assert_helps(line: str, remedy: str) -> None:
     assert line.isprintable(), line
     assert len(line) <= LONGEST, line
     assert re.search(remedy, line), line
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _parser_once():
+    """Build the parser of the command line, which takes longer than most answers, once."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(parser, "_parser", cache(parser._parser))
+        yield
 
 
 @pytest.fixture

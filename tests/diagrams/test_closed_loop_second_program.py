@@ -245,10 +245,16 @@ def test_commands_and_rod_agree_with_a_second_program_at_every_sample(loop, four
 @pytest.mark.parametrize(
     ("loop", "delay"),
     [
-        *(("smc", 1), ("pid", 0)),
+        ("smc", 1),
         *(
             pytest.param(loop, delay, marks=pytest.mark.slow)
-            for loop, delay in (("smc", 0), ("signum", 0), ("difference", 0), ("pid", 2))
+            for loop, delay in (
+                ("smc", 0),
+                ("signum", 0),
+                ("difference", 0),
+                ("pid", 0),
+                ("pid", 2),
+            )
         ),
     ],
 )

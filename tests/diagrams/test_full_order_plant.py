@@ -142,9 +142,19 @@ def test_plant_starts_in_equilibrium_with_the_lower_line_at_the_reservoir(degree
 # ----------------------------------------------------------------------- the loaded chamber
 
 
-@pytest.mark.parametrize("direction", [1.0, -1.0])
 @pytest.mark.parametrize(
-    ("force", "area", "printed"), [(200.0, AREA_1, 35.4), (-200.0, AREA_2, 47.2)]
+    ("force", "area", "printed", "direction"),
+    [
+        (200.0, AREA_1, 35.4, -1.0),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in (
+                (200.0, AREA_1, 35.4, 1.0),
+                (-200.0, AREA_2, 47.2, 1.0),
+                (-200.0, AREA_2, 47.2, -1.0),
+            )
+        ),
+    ],
 )
 def test_rod_speed_follows_the_loaded_chamber_not_the_direction(
     force, area, printed, direction, fixed_step
@@ -162,9 +172,8 @@ def test_rod_speed_follows_the_loaded_chamber_not_the_direction(
     assert exchanged == pytest.approx((AREA_1 - AREA_2) * velocity, rel=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("direction", "area"), [pytest.param(1.0, AREA_1, marks=pytest.mark.slow), (-1.0, AREA_2)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("direction", "area"), [(1.0, AREA_1), (-1.0, AREA_2)])
 def test_friction_without_load_makes_the_speeds_of_the_directions_differ(
     direction, area, fixed_step
 ):

@@ -170,6 +170,7 @@ def test_the_areas_of_the_chambers_make_the_error_of_leg():
     assert paper == pytest.approx(0.047, abs=0.002)
 
 
+@pytest.mark.slow
 def test_the_knee_with_a_wearer_is_sound_at_each_angle_and_with_the_default_gains_it_is_not():
     default = changed(WEARER, {"controller": {"kind": "torque"}})
     margins, without = (

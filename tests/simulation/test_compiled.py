@@ -277,7 +277,10 @@ def test_every_quantity_changes_the_numbers_or_the_structure(case):
     assert inert == set(WITHOUT_EFFECT) | unused
 
 
-@pytest.mark.parametrize("case", EVERYTHING)
+@pytest.mark.parametrize(
+    "case",
+    ["ramp", *(pytest.param(c, marks=pytest.mark.slow) for c in EVERYTHING if c != "ramp")],
+)
 def test_no_quantity_is_baked_into_the_equations(case):
     base = EVERYTHING[case]
     other = base

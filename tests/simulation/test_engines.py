@@ -235,14 +235,14 @@ def test_a_bad_scenario_does_not_spoil_those_of_its_structure(monkeypatch):
 @pytest.mark.parametrize("controller", ["smc", pytest.param("pid", marks=pytest.mark.slow)])
 def test_all_engines_send_a_drive_the_same_integers(controller):
     values = {"controller": {"kind": controller}, "bus": {"kind": "cia402"}}
-    scenario = changed(Scenario(), values | {"simulation.duration_s": 0.15})
+    scenario = changed(Scenario(), values | {"simulation.duration_s": 0.05})
     steps = {"exact_hold": 0.002, "rk4": 1e-4, "runge_kutta3": 1e-4}
     runs = {}
     for integrator, step_s in steps.items():
         settings = {"simulation.integrator": integrator, "simulation.step_s": step_s}
         runs[integrator] = simulate(changed(scenario, settings), signals=("target_velocity",))
     integers = {name: run["target_velocity_units"] for name, run in runs.items()}
-    assert np.unique(integers["exact_hold"]).size > 40
+    assert np.unique(integers["exact_hold"]).size > 10
     np.testing.assert_array_equal(integers["rk4"], integers["exact_hold"])
     np.testing.assert_array_equal(integers["runge_kutta3"], integers["exact_hold"])
 

@@ -184,13 +184,20 @@ def test_the_engines_agree_for_a_law(form, duration_s):
 
 
 def test_margins_of_a_law() -> None:
-    """Twice the gain is twice the loop; a law that needs floats has the loop of its equations."""
+    """Twice the gain is twice the loop; a branch on floats changes nothing."""
     frequencies = [0.1, 1.0, 10.0]
     loop = linearize_loop(law=law).loop_response(frequencies)
     double = linearize_loop(Scenario().with_law(law, values={"k": 2.0 * K}))
     np.testing.assert_allclose(double.loop_response(frequencies), 2.0 * loop, rtol=1e-9)
     branch = linearize_loop(law=law_with_branch)
     np.testing.assert_allclose(branch.loop_response(frequencies), loop, rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_margins_of_a_law_with_state() -> None:
+    """A law that needs floats, and a system, have the loop of the law that compiles."""
+    frequencies = [0.1, 1.0, 10.0]
+    loop = linearize_loop(law=law).loop_response(frequencies)
     exact = linearize_loop(law=pi).loop_response(frequencies)
     for form in (pi_with_floats, SystemPi):
         floats = linearize_loop(law=form).loop_response(frequencies)

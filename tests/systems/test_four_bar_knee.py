@@ -94,7 +94,10 @@ def test_parameters_are_links_and_scaling_and_three_groups_of_coefficients():
 # ----------------------------------------------------------------------------- conversion
 
 
-@pytest.mark.parametrize("name", TABLE_1_LINKAGES)  # coordinates of zero have no relative step
+@pytest.mark.parametrize(  # coordinates of zero have no relative step
+    "name",
+    [n if n == "G1" else pytest.param(n, marks=pytest.mark.slow) for n in TABLE_1_LINKAGES],
+)
 def test_conversions_agree_and_keep_arguments_and_changes(leaf, name):
     probe = leaf.Probe(FourBarKnee(LINKAGES[name]), INPUTS, spread=1e-3)
     probe.check_contract(2, dead_centre_m=0.155)

@@ -328,7 +328,10 @@ def test_a_curve_may_pass_the_stops_by_the_overshoot():
         require_reference_in_range(small, KneeParameters(overshoot_deg=0.0))
 
 
-@pytest.mark.parametrize("duration_s", [0.3, 2.0, 4.6, 9.0, 11.0, 23.0])
+@pytest.mark.parametrize(
+    "duration_s",
+    [0.3, 4.6, 11.0, *(pytest.param(t, marks=pytest.mark.slow) for t in (2.0, 9.0, 23.0))],
+)
 @pytest.mark.parametrize(
     "reference",
     [

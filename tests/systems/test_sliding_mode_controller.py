@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from pydrake.systems.analysis import Simulator
 
 from kneexo.parameters import (
@@ -226,7 +226,6 @@ def test_command_stays_within_its_limit_both_ways(limit):
         st.floats(0.0, 0.15), st.floats(-0.05, 0.05), st.floats(-2.0, 2.0), st.floats(-9.0, 9.0)
     ),
 )
-@settings(max_examples=100)
 def test_sliding_condition_holds_for_every_mass_between_the_bounds(mass, state, reference):
     # d/dt s² / 2 <= −η|s| outside the boundary layer (Lee et al. 2020, Eq. 24 to 27).
     s = sliding(state, reference, 20.0)
@@ -247,7 +246,6 @@ def rate_outside(area_share, v, **values):
 
 
 @given(area_share=st.floats(6.0 / 7.0, 8.0 / 7.0), v=st.floats(-0.05, 0.05))
-@settings(max_examples=100)
 def test_area_term_completes_the_sliding_condition(area_share, v):
     # With |A/Ā − 1| <= 1/7 and the gain A/Ā >= 6/7 inside β >= 1.134; 1e-5 for the digits.
     eta = 1e4 * min(1.0, area_share * BETA)
