@@ -72,7 +72,13 @@ def options(scenario):
     }
 
 
-@pytest.mark.parametrize("encoder", [FREE, QUANTIZED], ids=["free", "quantized"])
+@pytest.mark.parametrize(
+    "encoder",
+    [
+        pytest.param(FREE, id="free", marks=pytest.mark.slow),
+        pytest.param(QUANTIZED, id="quantized"),
+    ],
+)
 @pytest.mark.parametrize(
     "values",
     [{}, WEIGHT | LAW, PID, PID | WEIGHT | FAST],

@@ -241,6 +241,7 @@ def test_the_names_of_the_symbols_are_in_the_code():
     assert sorted(names - identifiers) == []
 
 
+@pytest.mark.slow
 def test_the_short_names_do_what_their_page_shows(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     short = "{simulation: {duration_s: 1}, reference: {frequency_hz: 4, amplitude_deg: 0.5}}\n"

@@ -133,6 +133,7 @@ def test_monodromy_is_that_of_the_simulator(loops, name):
     assert distance(values[np.abs(values) > 0.05], expected[large]) < 1e-6
 
 
+@pytest.mark.slow
 def test_monodromy_with_exact_states_is_that_of_the_simulator(loops):
     # The differences are taken beside the rest, which Table 1 puts a little off the start.
     monodromy = monodromy_by_differences(SCENARIOS["exact"])

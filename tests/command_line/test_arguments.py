@@ -31,7 +31,7 @@ def test_numbers_of_options_have_the_digits_0_to_9(capsys, option, number):
     [
         ["simulate"],
         pytest.param(["linearize", "--knee-angle", "20"], marks=pytest.mark.slow),
-        ["diagram"],
+        pytest.param(["diagram"], marks=pytest.mark.slow),
         ["params"],
     ],
 )

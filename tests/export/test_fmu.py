@@ -739,6 +739,7 @@ def test_wrong_options_are_refused(options, message, tmp_path):
 # -------------------------------------------------------------------------------- commands
 
 
+@pytest.mark.slow
 def test_command_tells_what_it_wrote(tmp_path, capsys):
     out = tmp_path / "knee.fmu"
     arguments = ["export", "fmu", "--what", "plant", "--fmi", "2", "--out", str(out)]

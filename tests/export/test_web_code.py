@@ -53,7 +53,12 @@ def test_the_key_of_the_default_loop_is_shipped_whatever_its_numbers():
     key = module_key(loop_source(Scenario()))
     assert listed()["modules"][key] == "paper, smc, with quantizers"
     assert module_key(loop_source(changed)) == key
-    smooth = module_key(loop_source(changed, smooth=True))
+
+
+@pytest.mark.slow
+def test_the_keys_of_other_loops_are_their_own():
+    key = module_key(loop_source(Scenario()))
+    smooth = module_key(loop_source(Scenario(), smooth=True))
     assert listed()["modules"][smooth] == "paper, smc, without quantizers"
     wave = Scenario().changed(
         {"plant.load.kind": "knee", "plant.load.disturbance_amplitude_n": 5.0}

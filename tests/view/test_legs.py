@@ -77,7 +77,8 @@ def test_a_run_that_fails_is_shown_up_to_there():
     assert np.isfinite(leg.knee_angle_rad).all()
 
 
-def test_results_of_simulate_are_a_leg(tmp_path, capsys):
+def test_results_of_simulate_are_a_leg(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("kneexo.command_line.output.save_figure", lambda *_: None)
     scenario = tmp_path / "g3.yaml"
     scenario.write_text("plant: {linkage: G3}\nsimulation: {duration_s: 0.5}\n")
     out = tmp_path / "run"

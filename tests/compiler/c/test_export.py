@@ -105,6 +105,7 @@ def test_make_and_cmake_build_the_folder(folder, no_targets):
     export_c(low_pass(), folder, name="filter", inputs=["u0"], samples=SAMPLES)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     not (shutil.which("make") and shutil.which("cmake")), reason="needs make and cmake"
 )

@@ -183,6 +183,7 @@ def test_an_interrupted_map_goes_on_with_identical_results(mapped):
     assert to_json(again.results()) == to_json(result.results())
 
 
+@pytest.mark.slow
 def test_a_run_that_fails_leaves_its_cell_empty(monkeypatch):
     def estimate(scenario, settings):
         if scenario.reference.frequency_hz == 0.2 and scenario.reference.amplitude_deg == 30.0:

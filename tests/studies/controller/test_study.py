@@ -151,6 +151,7 @@ def test_a_finished_study_is_taken_from_its_checkpoint(small, monkeypatch):
 # ------------------------------------------------------------------------------ a run that fails
 
 
+@pytest.mark.slow
 def test_a_run_that_fails_leaves_nan_and_its_reason(monkeypatch):
     def fail(scenario, **keywords):
         raise SimulationError("t = 1 s: knee_angle left the range of motion")
