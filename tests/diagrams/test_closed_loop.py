@@ -187,10 +187,15 @@ def test_bare_simulator_with_drakes_defaults_follows_the_reference():
 # ------------------------------------------------------------------------ CiA 402 drive
 
 
-@pytest.mark.parametrize("unit_rpm", [1.0, 0.1])
 @pytest.mark.parametrize("delay", [0, 1, 2])
 @pytest.mark.parametrize(
-    "controller", [SlidingModeParameters(), PidParameters()], ids=["smc", "pid"]
+    ("controller", "unit_rpm"),
+    [
+        pytest.param(SlidingModeParameters(), 1.0, id="smc"),
+        pytest.param(PidParameters(), 0.1, id="pid"),
+        pytest.param(SlidingModeParameters(), 0.1, id="smc, fine", marks=pytest.mark.slow),
+        pytest.param(PidParameters(), 1.0, id="pid, coarse", marks=pytest.mark.slow),
+    ],
 )
 def test_the_motor_receives_the_rounded_command_of_n_samples_ago(
     controller, delay, unit_rpm, fixed_step
