@@ -15,7 +15,8 @@ from .operations import OPERATIONS
 T = TypeVar("T")
 
 LARGEST_TREE = 20_000
-"""Largest number of nodes in the tree of an expression; a larger expression is an error."""
+"""Largest number of nodes in the tree of an expression, in which a quotient that is used again
+counts once. A larger expression is an error."""
 
 Steps: TypeAlias = Generator[Any, Any, T]
 """A generator that computes a value and yields other such generators to get their values.
@@ -32,7 +33,7 @@ _KINDS = {
     getattr(FormulaKind if row.is_condition else ExpressionKind, row.drake): name
     for name, row in OPERATIONS.items()
 }
-# A reading looks up 10,000 kinds; Drake takes five times as long to compare kinds as numbers.
+# A reading looks up thousands of kinds, and Drake compares its kinds slower than their numbers.
 _NAMES = {(type(kind), kind.value): name for kind, name in _KINDS.items()}
 
 
@@ -82,7 +83,7 @@ class Conversion:
         """Dictionary from the id of a variable to its node."""
         self._quotients: deque[tuple[Any, int]] = deque(maxlen=32)
         """The last quotients with their nodes. Drake sees at once that two uses of one quotient are
-        equal, so the second use is not read again."""
+        equal, so the second use is not read again. Few of them keep the search short."""
 
     def nodes(self, expressions: Sequence[Any]) -> Steps[list[int]]:
         """Return the node of each expression or float.
