@@ -42,7 +42,7 @@ def loop(gain, plant=STABLE, *, hold_s=T, others=()):
 @pytest.mark.parametrize(
     ("plant", "hold_s", "gain", "port"),
     [
-        pytest.param(STABLE, T, 1.5, "law:y0", marks=pytest.mark.slow),
+        (STABLE, T, 1.5, "law:y0"),
         pytest.param(UNSTABLE, T, 1.5, "hold_law:u", marks=pytest.mark.slow),
         (LAG, None, 0.8, "law:y0"),
     ],
