@@ -198,7 +198,11 @@ def estimate_sine(
         run = simulate(
             changed(
                 scenario,
-                {"reference.ramp_s": ramp, "simulation.duration_s": ramp + cycles / frequency},
+                {
+                    "reference.ramp_s": ramp,
+                    "simulation.duration_s": ramp + cycles / frequency,
+                    "push": None,
+                },
             ),
             signals=("knee_reference", "knee_angle", "motor_speed"),
         )

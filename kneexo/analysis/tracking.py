@@ -13,6 +13,7 @@ import numpy as np
 
 from kneexo.analysis.interaction import INTERACTION_SIGNALS, TORQUE_SIGNALS
 from kneexo.analysis.limit_cycle import limit_cycle
+from kneexo.analysis.push_response import PushResponse, push_response
 from kneexo.analysis.reductions import all_metrics, reduce_signals, tracking_reductions
 from kneexo.analysis.signals import period_s, to_rpm
 from kneexo.analysis.verdict import Verdict, verdict_of
@@ -275,6 +276,19 @@ class TrackingResult(Result):
         if metrics.settling_time_s > 0.5 * (time_s[-1] - reference.time_s):
             return replace(metrics, settling_time_s=math.nan)
         return metrics
+
+    @cached_property
+    def push(self) -> PushResponse | None:
+        """How the push of the scenario moves the knee; None without a push.
+
+        The scenario is run again, without the push, when the value is first asked for.
+        """
+        push = self.scenario.push
+        if push is None:
+            return None
+        free = simulate(self.scenario.changed({"push": None}), signals=("knee_angle",))
+        angles = (np.degrees(run["knee_angle_rad"]) for run in (self.run, free))
+        return push_response(self.run.time_s, *angles, start_s=push.start_s)
 
     def __str__(self) -> str:
         """Return the lines of the verdict."""

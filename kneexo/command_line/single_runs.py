@@ -78,7 +78,8 @@ def simulate(choice: ScenarioChoice, out: Path, page: ReportPage | None = None) 
     verdict, metrics = result.verdict, result.metrics
     origin = arguments.origin_of(scenario)
     step = {} if result.step is None else {"step": asdict(result.step)}
-    results = to_json(origin | {"verdict": verdict.results()} | asdict(metrics) | step)
+    push = {} if result.push is None else {"push": asdict(result.push)}
+    results = to_json(origin | {"verdict": verdict.results()} | asdict(metrics) | step | push)
     files: dict[str, Any] = {
         "signals.csv": lambda path: write_csv(path, result.run),
         "metrics.json": results,
@@ -96,6 +97,7 @@ def simulate(choice: ScenarioChoice, out: Path, page: ReportPage | None = None) 
     delivered_j = metrics.shaft_energy_delivered_j
     lines = [
         verdict.text,
+        *([] if result.push is None else [wrapped(result.push.line)]),
         f"  {error:24}  {number(metrics.rms_error_deg, '.3g')} deg",
         f"  {'change of the command':24}  {number(metrics.mean_command_change_rpm, '.3g')} rpm per "
         f"sample",

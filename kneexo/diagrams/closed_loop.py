@@ -21,7 +21,7 @@ from kneexo.diagrams.controller import (
     controller_parts,
     make_controller,
 )
-from kneexo.diagrams.part import Part, state_names
+from kneexo.diagrams.part import Part, connect, state_names
 from kneexo.diagrams.plant import make_plant, plant_parts
 from kneexo.diagrams.signals import (
     CONTROLLER_SIGNALS,
@@ -39,7 +39,7 @@ from kneexo.parameters import (
     Scenario,
 )
 from kneexo.rod_polynomial import controller_polynomial
-from kneexo.systems import StateVariable, drive, knee_reference
+from kneexo.systems import StateVariable, drive, knee_reference, push as push_system
 from kneexo.systems.function_law import LAW_COMMAND
 from kneexo.systems.knee_reference import require_reference_in_range
 
@@ -67,11 +67,12 @@ def make_closed_loop(
     - ``load_cell``: `LoadCell`, only with a wearer or a torque controller.
     - ``drive``: `Cia402Drive`, only with a bus of this kind.
     - ``can_bus``: `DiscreteTimeDelay`, only for a bus with latency.
+    - ``push``: `Push`, which acts on the plant, only with a push.
     - ``signals`` and ``log``: a `Multiplexer` and a `VectorLogSink`, which logs the columns
       ``columns(signals)`` at the control period. Both are absent for ``signals=()``.
 
-    Inputs: ``disturbance_force`` and, with a load and without a wearer, ``knee_torque``. An
-    unconnected input is zero.
+    Inputs: ``disturbance_force`` and, with a load, without a wearer and without a push,
+    ``knee_torque``. An unconnected input is zero.
     Outputs: each of `available_signals`. Drake logs the state before an update, so that the logged
     command at t was held until t. The paper's ideal case (Fig. 9) is
     `kneexo.studies.paper.IDEAL_SMC`.
@@ -160,8 +161,12 @@ def make_closed_loop(
     ports["motor_speed_command"] = command
     builder.Connect(command, plant.GetInputPort("motor_speed_command"))
 
+    if scenario.push is not None:
+        push = systems.Push(scenario.push, scenario.controller.sample_time_s)
+        connect(builder, builder.AddNamedSystem("push", push), "knee_torque", plant, "knee_torque")
+    given = scenario.push is not None or "wearer_motion" in wearer
     for name in ("disturbance_force", "knee_torque"):
-        if plant.HasInputPort(name) and not (name == "knee_torque" and "wearer_motion" in wearer):
+        if plant.HasInputPort(name) and not (name == "knee_torque" and given):
             builder.ExportInput(plant.GetInputPort(name), name)
     for name in available:
         builder.ExportOutput(ports[name], name)
@@ -242,6 +247,8 @@ def loop_values(
         yield f"controller/{part.name}", part.values()
     if isinstance(scenario.bus, Cia402Parameters):
         yield "drive", drive.context_values(scenario.bus)
+    if scenario.push is not None:
+        yield "push", push_system.context_values(scenario.push)
 
 
 def plant_states(scenario: Scenario) -> dict[str, StateVariable]:

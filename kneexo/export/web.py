@@ -30,6 +30,7 @@ from kneexo.export.web_maps import Map, fit_maps
 from kneexo.linkage import pose
 from kneexo.parameters import (
     LegParameters,
+    PushParameters,
     SampledReference,
     Scenario,
     StepReference,
@@ -92,7 +93,9 @@ def web_model(scenario: Scenario) -> dict[str, Any]:
         ``base`` has the values of the module's ``params``. Each of ``maps`` is a formula, see
         `map_value`, for the parameter with the number ``index``.
     ``quantities``
-        The numbers that a user varies, with label, unit, range and source.
+        The numbers that a user varies, with label, unit, range and source. The numbers of a push
+        come last. The page changes the torque on the knee at the samples where a push starts or
+        ends.
     ``references``
         ``sine``, ``step`` and ``ramp``, each with module, base, maps and quantities. A sampled
         reference is ``samples``. Its angle is a piecewise polynomial with ``breaks`` and
@@ -109,7 +112,8 @@ def web_model(scenario: Scenario) -> dict[str, Any]:
     steps of a module cannot follow. Raises the errors of `make_closed_loop`. Raises
     `CompilationError` if a module must be compiled and Zig is not installed.
     """
-    scenario = completed(scenario)
+    push = scenario.push or PushParameters()
+    scenario = completed(scenario.changed({"push": None}))  # the page pushes between two samples
     require_slow_modes(scenario)
     sliders = dict(sliders_of(scenario))
     if scenario.plant.knee_inertia_kg_m2 is not None:
@@ -141,10 +145,18 @@ def web_model(scenario: Scenario) -> dict[str, Any]:
         "load": scenario.plant.load.kind,
         "wearer": leg.kind != "none",
         "moment": (moment := moment_of(scenario)) and _table(input_table(moment_spline(moment))),
-        "quantities": [_quantity(scenario, p, sliders[p]) for p in names if p not in starts],
+        "quantities": [
+            *(_quantity(scenario, p, sliders[p]) for p in names if p not in starts),
+            *(_quantity(push, p, s, "push.") for p, s in sliders_of(push) if _can_push(scenario)),
+        ],
         "references": _references(scenario),
         "limits": _limits(scenario, base[numbers.places["limits"]], parts["limits"]),
     }
+
+
+def _can_push(scenario: Scenario) -> bool:
+    """Return whether a push can act on the knee, as `Scenario` requires."""
+    return scenario.plant.load.kind == "knee" and scenario.wearer.kind == "none"
 
 
 def controller_of(scenario: Scenario) -> str:

@@ -52,6 +52,7 @@ from kneexo.parameters.plant import (
     PlantParameters,
     RodPolynomialParameters,
 )
+from kneexo.parameters.push import PushParameters
 from kneexo.parameters.reference import (
     CsvReference,
     GaitReference,
@@ -139,6 +140,7 @@ __all__ = [
     "ObserverParameters",
     "PidParameters",
     "PlantParameters",
+    "PushParameters",
     "RampReference",
     "Reference",
     "RodPolynomialParameters",

@@ -1,7 +1,13 @@
-"""Smallest stability margins that kneexo calls good."""
+"""Bounds by which kneexo calls stability margins and recoveries good."""
 
 SOUND_DISK_MARGIN = 0.5
 """Smallest disk margin of a sound loop. Assumption: 28° of phase alone, or gains of 0.6…1.67."""
+
+RECOVERY_BAND_DEG = 0.1
+"""A knee has recovered from a push when it is this near, in deg, to its run without the push.
+
+Assumption. One count of the encoder is about 0.08° of the knee, and two runs differ by a count.
+"""
 
 MARGINS = {"gain": (1.5, 2.0), "phase_deg": (30.0, 45.0), "delay_samples": (1.0, 2.0)}
 """For each margin of a page, the least sufficient value and the least large value.

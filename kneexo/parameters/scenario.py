@@ -23,6 +23,7 @@ from kneexo.parameters.fields import Words
 from kneexo.parameters.names import searched_for_names
 from kneexo.parameters.plant import PlantParameters, RodPolynomialParameters
 from kneexo.parameters.presets import with_preset
+from kneexo.parameters.push import PushParameters
 from kneexo.parameters.quantity import Parameters, choice, quantity
 from kneexo.parameters.reference import (
     SHORTEST_RUN_S,
@@ -121,6 +122,7 @@ class Scenario(Parameters):
     ] = NoBus()
     reference: Reference = SineReference()
     wearer: Wearer = NoWearer()
+    push: PushParameters | None = choice(None, "left out: nobody pushes the leg")
     initial_offset_m: float = quantity(
         0.0, "m", "rod position minus reference at the start (Fig. 9: 89 mm off)", ge=-0.15, le=0.15
     )
@@ -212,13 +214,13 @@ class Scenario(Parameters):
     def without_quantizers(self) -> Scenario:
         """Return the scenario for linear analysis, in which no part rounds.
 
-        Encoder, load cell and bus do not round, the load cell has no noise, and the cuff does not
-        slip. The latency of the bus remains.
+        Encoder, load cell and bus do not round, the load cell has no noise, the cuff does not slip,
+        and nobody pushes the leg. The latency of the bus remains.
         """
         encoder = self.encoder.model_copy(update={"quantized": False})
         cell = self.load_cell.model_copy(update={"quantized": False, "noise_n": 0.0, "seed": None})
         bus = NoBus(latency_samples=self.bus.latency_samples)
-        update: dict[str, Any] = {"encoder": encoder, "load_cell": cell, "bus": bus}
+        update: dict[str, Any] = {"encoder": encoder, "load_cell": cell, "bus": bus, "push": None}
         if isinstance(self.wearer, LegParameters):
             cuff = self.wearer.cuff.model_copy(update={"slip_torque_n_m": None})
             update["wearer"] = self.wearer.model_copy(update={"cuff": cuff})
@@ -293,6 +295,28 @@ class Scenario(Parameters):
             raise ValueError(
                 f"bus.kind = {self.bus.kind} with latency_samples = {self.bus.latency_samples} "
                 f"needs a discrete controller"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _push_fits(self) -> Scenario:
+        push = self.push
+        if push is None:
+            return self
+        if self.plant.load.kind == "none":
+            raise ValueError(
+                "push: plant.load.kind must be knee, on which the torque of a push acts; add "
+                "plant: {load: knee}"
+            )
+        if self.wearer.kind != "none":
+            raise ValueError(
+                f"push: wearer.kind must be none, not {self.wearer.kind}; remove push or wearer"
+            )
+        if push.torque_n_m and push.end_s > self.duration_s:
+            raise ValueError(
+                f"push ends at {push.end_s:g} s, and the run lasts {self.duration_s:g} s; must end "
+                f"within the run; reduce push.start_s or push.duration_s, or extend "
+                f"simulation.duration_s"
             )
         return self
 

@@ -24,6 +24,7 @@ from kneexo.parameters.plant import (
     FullCylinderParameters,
     KneeLoadParameters,
 )
+from kneexo.parameters.push import PushParameters
 from kneexo.parameters.quantity import Parameters
 from kneexo.parameters.reference import RampReference, SineReference, StepReference
 from kneexo.parameters.torque import TorqueParameters
@@ -196,6 +197,13 @@ SLIDERS: Mapping[type[Parameters], Mapping[str, Slider]] = {
         "damping_n_m_s_per_rad": Slider(
             "damping of the cuff", 0.0, 20.0, "none to four times the default"
         ),
+    },
+    PushParameters: {
+        "torque_n_m": Slider(
+            "torque of the push", -150.0, 150.0, "beyond the torque that opens the relief valves"
+        ),
+        "start_s": Slider("start of the push", 0.0, 60.0, "within a run"),
+        "duration_s": Slider("duration of the push", 0.01, 5.0, "a knock to a hold", "log"),
     },
     SineReference: {
         "amplitude_deg": Slider("amplitude", 1.0, 44.0, "within the range of motion"),

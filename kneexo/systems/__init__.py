@@ -41,6 +41,7 @@ from kneexo.systems.knee_reference import (
 )
 from kneexo.systems.load_cell import LoadCell, LoadCell_
 from kneexo.systems.pid_controller import PidController, PidController_
+from kneexo.systems.push import Push, Push_
 from kneexo.systems.reduced_cylinder import ReducedCylinder, ReducedCylinder_
 from kneexo.systems.sliding_mode_controller import SlidingModeController, SlidingModeController_
 from kneexo.systems.state_estimator import (
@@ -86,6 +87,8 @@ __all__ = [
     "LoadCell_",
     "PidController",
     "PidController_",
+    "Push",
+    "Push_",
     "RampKneeReference",
     "RampKneeReference_",
     "ReducedCylinder",

@@ -12,7 +12,7 @@ from kneexo.errors import KneexoError, ParameterError
 from kneexo.export.web import web_model, web_modules, with_structure
 from kneexo.export.web_code import TORQUE_MODES
 from kneexo.parameters import Scenario
-from kneexo.parameters.criteria import MARGINS
+from kneexo.parameters.criteria import MARGINS, RECOVERY_BAND_DEG
 from kneexo.parameters.fields import kind_of
 from kneexo.parameters.law import Law
 from kneexo.parameters.paths import changed
@@ -57,6 +57,7 @@ _GROUPS = (
             "rate_deg_s",
         ),
     ),
+    ("Push", ("push.",), ("torque_n_m", "start_s", "duration_s")),
     (
         "Controller",
         ("controller.", "estimator.", "encoder.", "nominal.", "polynomial.", "bus."),
@@ -151,6 +152,7 @@ def playground_data(scenarios: Sequence[Scenario], names: Sequence[str]) -> dict
         "setups": [first, second],
         "compare": len(entries) > 1,
         "margins": MARGINS,
+        "recovery_band_deg": RECOVERY_BAND_DEG,
         "groups": [
             {"title": title, "prefixes": list(prefixes), "main": list(main)}
             for title, prefixes, main in _GROUPS

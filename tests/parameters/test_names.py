@@ -53,7 +53,12 @@ REMEDIES = [
     (Scenario, "mas_kg", (), "; did you mean plant.cylinder.mass_kg?"),
     (Scenario, "plant.cylindr.mass_kg", (), "; did you mean plant.cylinder.mass_kg?"),
     (Scenario, "nominal.knee.mass_kg", (), "; did you mean nominal.cylinder.mass_kg?"),
-    (Scenario, "duration", (Scenario,), "; did you mean simulation.duration_s?"),
+    (
+        Scenario,
+        "duration",
+        (Scenario,),
+        "; did you mean push.duration_s (needs push = {}) or simulation.duration_s?",
+    ),
     (PlantParameters, "mass_kg", (), "; did you mean cylinder.mass_kg?"),
     (CylinderParameters, "lag_s", (), "; Scenario has plant.pump.lag_s"),
     (Scenario, "qqq", (NoLoad,), "; known here: kind"),

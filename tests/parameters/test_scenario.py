@@ -99,3 +99,22 @@ def test_reference_and_moment_of_walking_have_one_frequency():
     times, moments = scenario.wearer.moment.times_s, scenario.wearer.moment.moments_n_m
     other = {"times_s": times, "moments_n_m": (*moments[:-1], 0.9 * moments[-1] + 1.0)}
     scenario.changed({"reference": gait_reference(0.8, 3), "wearer.moment": other})
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({}, "push: plant.load.kind must be knee"),
+        ({"plant": {"load": "knee"}, "wearer": "leg"}, "push: wearer.kind must be none, not leg"),
+        (
+            {"plant": {"load": "knee"}, "simulation": {"duration_s": 10.1}},
+            r"push ends at 10.2 s, and the run lasts 10.1 s; must end within the run",
+        ),
+    ],
+)
+def test_a_push_needs_a_load_and_a_run_that_contains_it(values, message):
+    with pytest.raises(ParameterError, match=message):
+        Scenario.model_validate(values | {"push": {"torque_n_m": 5.0}})
+    for duration_s in (-1.0, 0.0):
+        with pytest.raises(ParameterError, match=r"push\.duration_s.* must be"):
+            Scenario.model_validate({"push": {"duration_s": duration_s}})

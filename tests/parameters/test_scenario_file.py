@@ -553,6 +553,7 @@ def instances_of(model: type[Parameters]) -> st.SearchStrategy[Parameters]:
             jumps = "reference" in drawn and drawn["reference"].kind == "step"
             if jumps or drawn.get("plant", PlantParameters()).load.kind == "none":
                 del drawn["wearer"]  # a prescribed leg cannot jump, and a cuff acts on a load
+            del drawn["push"]  # needs a load, and a run that is long enough
             law, leg = drawn["controller"], drawn.get("wearer", NoWearer())
             if law.kind == "torque" and getattr(leg, "moment", None) is None:
                 drawn["controller"] = law.model_copy(update={"mode": "impedance"})

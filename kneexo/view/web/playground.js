@@ -22,7 +22,7 @@ const Page = (() => {
   function requestOf(setup) {
     const model = Setups.modelOf(data, setup);
     const values = Setups.valuesOf(data, setup);
-    return { model: model.key, reference: setup.reference, values, duration_s: values[data.duration.name] };
+    return { model: model.key, reference: setup.reference, values, duration_s: values[data.duration.name], band_deg: data.recovery_band_deg };
   }
 
   function change(index) {
@@ -52,7 +52,7 @@ const Page = (() => {
     }
     const setup = state.setups[index];
     results[index] = {
-      ...results[index], hasWearer: Setups.hasWearer(data, setup), margins: data.margins, fresh: parts.latest[index] === request, run: { ...answer, duration_s: request.duration_s },
+      ...results[index], hasWearer: Setups.hasWearer(data, setup), margins: data.margins, band_deg: data.recovery_band_deg, fresh: parts.latest[index] === request, run: { ...answer, duration_s: request.duration_s },
       frequency: request.reference === "sine" ? request.values["reference.frequency_hz"] : null,
       sample_time_s: data.modules[Setups.modelOf(data, setup).loop.module].table.sample_time_s,
       reference_key: JSON.stringify([request.reference, Object.entries(request.values).filter(([name]) => name.startsWith("reference."))]),

@@ -21,6 +21,13 @@ const Numbers = (() => {
 
   const hasStep = ({ run }) => run.metrics.settling_time_s !== undefined; // null if the knee does not settle
 
+  const isPushed = ({ run }) => Boolean(run.metrics.push);
+
+  function ofRecovery({ run, band_deg: band }) {
+    if (run.metrics.push.recovery_time_s === null) return [`not back within ±${shown(band)}°`, "bad"];
+    return [`after its start within ±${shown(band)}° of the run without it`, "good"];
+  }
+
   function ofCycle({ period_s: period, lowest_pressure_pa: low, highest_pressure_pa: high }) {
     return [`hunts every ${shown(period)} s, ${shown(1e-5 * low, 2)} … ${shown(1e-5 * high, 2)} bar`, "fair"];
   }
@@ -102,6 +109,11 @@ const Numbers = (() => {
       word: ({ run }) => ofCycle(run.metrics.limit_cycle) },
     { name: "error", wearer: false, when: (result) => !hasStep(result), label: "Largest error", unit: "deg",
       value: ({ run }) => shown(run.metrics.largest_error_rad * DEG), word: ({ run }) => ofError(run) },
+    { name: "deviation", wearer: false, when: isPushed, label: "Moved by the push", unit: "deg",
+      value: ({ run }) => shown(run.metrics.push.largest_deviation_rad * DEG),
+      word: () => ["from the run without it", "plain"] },
+    { name: "recovery", wearer: false, when: isPushed, label: "Recovery time", unit: "s",
+      value: ({ run }) => shown(run.metrics.push.recovery_time_s), word: ofRecovery },
     { name: "saturated", label: "Time at the limit", unit: "%",
       value: ({ run }) => shown(100 * shareOf(run)), word: ({ run }) => ofShare(shareOf(run)) },
     { name: "bandwidth", wearer: false, label: "Bandwidth", unit: "Hz",

@@ -107,16 +107,25 @@ const Setups = (() => {
   function faultOf(data, setup) {
     const { knee_low_rad: low, knee_high_rad: high } = modelOf(data, setup).limits;
     const [least, most] = [low, high].map((angle) => Math.round((angle * 180e6) / Math.PI) / 1e6);
-    const get = (name) => valuesOf(data, setup)[`reference.${name}`];
+    const values = valuesOf(data, setup);
+    const get = (name) => values[`reference.${name}`];
     const ends = {
       sine: () => [get("mean_deg") - get("amplitude_deg"), get("mean_deg") + get("amplitude_deg")],
       step: () => [get("start_deg"), get("end_deg")],
       ramp: () => [get("start_deg"), get("end_deg")],
     }[setup.reference]?.() ?? [];
     const wrong = ends.find((angle) => angle < least - 1e-9 || angle > most + 1e-9);
-    if (wrong === undefined) return "";
+    if (wrong === undefined) return faultOfPush(values, values[data.duration.name]);
     return `The reference would reach ${shown(wrong)}°, but the knee moves only from ${shown(least)}° to ${shown(most)}°. `
       + `Reduce ${setup.reference === "sine" ? "the amplitude, or change the mean" : "the step"}. The curves show the previous run.`;
+  }
+
+  /** Why a run of this duration cannot contain the push of a set-up, or an empty text. */
+  function faultOfPush(values, duration_s) {
+    const end = values["push.start_s"] + values["push.duration_s"];
+    if (!values["push.torque_n_m"] || end <= duration_s) return "";
+    return `The push ends at ${shown(end)} s, but the run lasts ${shown(duration_s)} s. Push earlier or for a shorter time, `
+      + "or extend the run. The curves show the previous run.";
   }
 
   // ------------------------------------------------------------------------------ links

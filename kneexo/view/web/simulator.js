@@ -17,6 +17,9 @@ const Simulator = (() => {
   const SMALLEST_CYCLE_DEG = 1e-3; // this and the next two as in kneexo/analysis/limit_cycle.py
   const REST_RAD = 1e-6;
   const SUSTAINED = 0.9;
+  const PUSH = ["push.torque_n_m", "push.start_s", "push.duration_s"];
+  const KNEE_TORQUE = "plant.load.knee_torque_n_m";
+  const SAME_S = 1e-9; // as in kneexo/systems/push.py
 
   function bytesOf(base64) {
     const text = atob(base64);
@@ -98,11 +101,14 @@ const Simulator = (() => {
     }
 
     // Start and step through all rows. Return the number of rows before a failure. ``pause`` may throw.
-    async run(pause) {
+    // ``changes`` maps ticks to the parameters that are valid from then on.
+    async run(pause, changes = new Map()) {
       if (this.wasm.start()) return 0;
+      const stops = [...changes.keys(), this.ticks].sort((a, b) => a - b);
       let tick = 0;
       while (tick < this.ticks) {
-        const piece = Math.min(CHUNK, this.ticks - tick);
+        if (changes.has(tick)) this.view(this.wasm.params(), changes.get(tick).length).set(changes.get(tick));
+        const piece = Math.min(CHUNK, stops.find((stop) => stop > tick) - tick);
         const good = this.wasm.advance(tick, piece);
         tick += good;
         if (good < piece) break;
@@ -296,8 +302,17 @@ const Simulator = (() => {
     const inputs = model.wearer ? intervalColumns(source, columns, ticks, period_s) : columns;
     if (model.moment) inputs.push(sampledColumns(model.moment, ticks, period_s)[0]);
     inputs.forEach((column, index) => instance.input(index).set(column));
-    const rows = await instance.run(pause);
+    const rows = await instance.run(pause, pushOf(model, all, period_s));
     return { instance, columns, rows, end: instance.endAt(rows) };
+  }
+
+  // The parameters of a loop by the tick at which a push starts or ends, as Push in kneexo.systems.
+  function pushOf(model, values, period_s) {
+    const [torque, start, duration] = PUSH.map((name) => values[name]);
+    if (!torque) return new Map();
+    const pushed = { ...values, [KNEE_TORQUE]: values[KNEE_TORQUE] + torque };
+    const tickAt = (time) => Math.ceil((time - SAME_S) / period_s);
+    return new Map([[tickAt(start), parametersOf(model.loop, pushed)], [tickAt(start + duration), parametersOf(model.loop, values)]]);
   }
 
   // The answer to a request of kind "run": columns over time, metrics, and an early end with its reason.
@@ -305,15 +320,15 @@ const Simulator = (() => {
     const { reference } = request;
     const model = modelOf(request);
     const values = valuesOf(model, reference, request.values);
-    const { instance, columns, rows, end } = await simulate(
-      { ...request, model, values },
-      pause,
-      "run",
-    );
+    const runWith = (all) => simulate({ ...request, model, values: all }, pause, "run");
+    const free = values[PUSH[0]] ? await runWith({ ...values, [PUSH[0]]: 0 }) : null;
+    const freeAngle = free?.instance.output("knee_angle_rad", free.rows);
+    const { instance, columns, rows, end } = await runWith(values);
     const limits = limitsOf(model, values);
     const signals = signalsOf(instance, columns[0].slice(0, rows), limits.command_limit_rad_s);
     const { time, shaft, hydraulic, chambers, rate, ...shown } = signals;
     const metrics = rows > 1 ? metricsOf(model, reference, values, limits, signals) : {};
+    if (freeAngle && !end) metrics.push = pushMetrics(signals, freeAngle, values[PUSH[1]], request.band_deg);
     return { time, columns: shown, metrics, limits, end };
   }
 
@@ -540,6 +555,16 @@ const Simulator = (() => {
       period_s: (time[crossings[2 * periods]] - time[crossings[0]]) / periods,
       lowest_pressure_pa: low,
       highest_pressure_pa: high,
+    };
+  }
+
+  // How a push moves the knee, as push_response in kneexo/analysis/push_response.py.
+  function pushMetrics({ time, angle }, freeAngle, start, band_deg) {
+    const deviation = angle.map((value, k) => Math.abs(value - freeAngle[k]));
+    const back = deviation.findLastIndex((value) => value > radians(band_deg)) + 1;
+    return {
+      largest_deviation_rad: largest(deviation),
+      recovery_time_s: back < time.length ? Math.max(time[back] - start, 0) : null,
     };
   }
 

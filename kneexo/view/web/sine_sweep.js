@@ -96,7 +96,7 @@ const SineSweep = (() => {
       throw new Error(`${frequency} Hz is too high: must be <= ${0.1 / period} Hz`);
     }
     const ramp = Math.max(RAMP_CYCLES / frequency, RAMP_MIN_S);
-    const sine = { "reference.frequency_hz": frequency, "reference.ramp_s": ramp };
+    const sine = { "reference.frequency_hz": frequency, "reference.ramp_s": ramp, "push.torque_n_m": 0 };
     const values = { ...request.values, ...sine };
     for (let cycles = AVERAGED_CYCLES + 1; ; cycles = Math.min(2 * cycles, LARGEST_CYCLES)) {
       const duration_s = ramp + cycles / frequency;

@@ -14,7 +14,7 @@ import pytest
 
 from kneexo.analysis import large_signal_bandwidth_hz, linearize_loop, track
 from kneexo.errors import KneexoError, SimulationError
-from kneexo.parameters import Scenario, SineReference
+from kneexo.parameters import PushParameters, Scenario, SineReference
 from kneexo.parameters.paths import changed
 from kneexo.parameters.scenario_file import load_scenario
 from kneexo.view.playground import playground_page
@@ -182,6 +182,33 @@ def test_the_numbers_on_the_page_are_those_of_kneexo(browser, single):
     assert "does not follow" in page.number("error")[1]
     assert _same(page.number("bandwidth")[0], large_signal_bandwidth_hz(Scenario()))
     assert page.number("bandwidth")[1] == "−3 dB, below the sine's 0.3 Hz"
+
+
+def test_a_push_is_that_of_kneexo_and_must_end_within_the_run(browser, single, tmp_path):
+    page = _Page(browser, single)
+    page.click("load-knee")
+    assert page.evaluate('document.querySelector("[data-number=recovery]").hidden')
+    page.type("push.torque_n_m", 60)
+    page.type("push.start_s", 12.5)
+    file = tmp_path / "push.yaml"
+    file.write_text(page.yaml(), encoding="utf-8")
+    scenario = load_scenario(file)
+    assert scenario.push == PushParameters(torque_n_m=60.0, start_s=12.5)
+    push = track(scenario).push
+    assert _same(page.number("deviation")[0], push.largest_deviation_deg)
+    assert _same(page.number("recovery")[0], push.recovery_time_s)
+    before = page.curve("angle")
+    page.evaluate(
+        """(() => { const box = document.getElementById("q-push.start_s-value");
+        box.value = "29.9"; box.dispatchEvent(new Event("change")); })()"""
+    )
+    assert page.text("notice").startswith("The push ends at 30.1 s, but the run lasts 30 s.")
+    np.testing.assert_array_equal(page.curve("angle"), before)
+    page.type("push.duration_s", -1)
+    row = page.evaluate("document.getElementById('q-push.duration_s').parentElement.textContent")
+    assert "must be 0.01 … 5 s" in row
+    page.type("push.start_s", 20)
+    assert page.evaluate("document.getElementById('notice').hidden") is True
 
 
 def test_a_slider_changes_the_curves_that_are_drawn(browser, single):

@@ -13,6 +13,7 @@ from kneexo.analysis.tracking import track
 from kneexo.errors import KneexoError, LinearizationError
 from kneexo.export.web import web_model, web_modules
 from kneexo.parameters import Scenario, gait_reference
+from kneexo.parameters.criteria import RECOVERY_BAND_DEG
 from kneexo.parameters.paths import value_at
 from kneexo.parameters.presets import with_preset
 from kneexo.systems.knee_reference import run_middle_deg
@@ -335,6 +336,32 @@ def test_a_run_that_fails_ends_with_time_and_reason(worker):
     sweep = worker.ask(kind="sweep", frequencies=[1.0], **request)
     assert sweep["minus_3_db_hz"] is None
     assert "range of motion" in sweep["failure"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["load smc", "leg pid"])
+def test_a_push_on_a_page_is_that_of_kneexo(worker, name):
+    """Curves and metrics, and a sweep and margins that do not feel the push."""
+    scenario = SCENARIOS[name]
+    model = loaded(worker, scenario)
+    push = {"torque_n_m": 90.0, "start_s": 2.0011, "duration_s": 0.15}
+    values = QUICK | {f"push.{quantity}": value for quantity, value in push.items()}
+    request = {"kind": "run", "model": "model", "reference": "sine", "duration_s": 6.0}
+    answer = worker.ask(values=values, band_deg=RECOVERY_BAND_DEG, **request)
+    result = in_kneexo(scenario.changed(QUICK | {"push": push}), model, 6.0)
+    check_run(answer, result)
+    metrics = answer["metrics"]["push"]
+    largest = math.radians(result.push.largest_deviation_deg)
+    assert metrics["largest_deviation_rad"] == pytest.approx(largest, rel=1e-6)
+    assert metrics["recovery_time_s"] == pytest.approx(result.push.recovery_time_s, abs=1e-9)
+    assert 0.1 < metrics["recovery_time_s"] < 4.0
+    quiet = worker.ask(values=values | {"push.torque_n_m": 0.0}, **request)
+    assert "push" not in quiet["metrics"]
+    points = [
+        worker.ask(kind="sweep", model="model", values=given, frequencies=[2.0])["points"][0]
+        for given in (QUICK, values)
+    ]
+    assert points[0] == points[1]
 
 
 WORN = {"plant": {"load": "knee"}, "wearer": "leg", "controller": "torque"}
