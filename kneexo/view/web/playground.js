@@ -11,7 +11,7 @@ const Page = (() => {
   const state = Setups.stateOf(data, location.hash);
   const results = [{}, {}];
   const byId = (id) => document.getElementById(id);
-  const parts = { latest: [null, null] };
+  const parts = { latest: [null, null], pinned: null };
   let drawing = false;
   let announcing = 0;
 
@@ -99,16 +99,31 @@ const Page = (() => {
     if (visible.every((result) => result.run)) {
       const runs = visible.map(({ run }) => run);
       if (runs[1]) runs[1].same_reference = visible[0].reference_key === visible[1].reference_key;
-      if (runs.some((run, index) => parts.drawn?.[index] !== run) || parts.drawn.length !== runs.length) {
-        parts.plots.show(runs);
+      if (runs.some((run, index) => parts.drawn?.[index] !== run) || parts.drawn?.length !== runs.length) {
+        parts.plots.show(runs, parts.pinned?.run);
         runs.forEach((run, index) => showOnStage(index, run));
         parts.drawn = runs;
       }
-      parts.board.show(visible);
+      parts.board.show(visible, parts.pinned);
+      byId("pin").disabled = !parts.pinned && !isComplete(visible[0]);
       tellEnds();
       announce(visible);
     }
     caption();
+  }
+
+  /** Whether a result has all its numbers. */
+  function isComplete({ fresh, hasWearer, linear, sweep }) {
+    return fresh && (hasWearer || (linear && sweep));
+  }
+
+  /** Keep the present run of set-up A as a ghost behind the later ones, or let it go. */
+  function pin() {
+    parts.pinned = parts.pinned ? null : { ...results[0], name: nameOf(0) };
+    byId("pin").setAttribute("aria-pressed", String(Boolean(parts.pinned)));
+    byId("pin").textContent = parts.pinned ? "Unpin" : "Pin this run";
+    parts.drawn = null;
+    draw();
   }
 
   function showOnStage(index, { time, columns }) {
@@ -171,7 +186,8 @@ const Page = (() => {
       return element("li", { class: `of-${letter}` }, nameOf(index));
     });
     const wearer = shownSetups().some((index) => Setups.hasWearer(data, state.setups[index]));
-    const lines = [["of-reference", "reference"], ...(wearer ? [["of-wearer", "wearer's knee"]] : []), ["of-limit", "limit of the command"]];
+    const lines = [["of-reference", "reference"], ...(wearer ? [["of-wearer", "wearer's knee"]] : []), ["of-limit", "limit of the command"],
+      ...(parts.pinned ? [["of-pinned", `pinned: ${parts.pinned.name}`]] : [])];
     return [...items, ...lines.map(([name, text]) => element("li", { class: name }, text))];
   }
 
@@ -306,6 +322,7 @@ const Page = (() => {
     on("print", () => print());
     on("zoom-in", () => parts.plots.zoomBy(0.5));
     on("zoom-out", () => parts.plots.zoomBy(2));
+    on("pin", pin);
     on("zoom-all", () => parts.plots.zoomAll());
     on("sweep", () => shownSetups().forEach(change));
     on("choose-plot", choosePlot, "change");

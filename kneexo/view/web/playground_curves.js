@@ -3,6 +3,7 @@
 
 const Curves = (() => {
   const COLOURS = ["#0062a8", "#b8480a"];
+  const PINNED = "#7a4fa3";
   const REFERENCE = "#1f2328";
   const WEARER = "#00563f"; // as the arrow of the stage
   const LIMIT = "#6b7280";
@@ -82,7 +83,7 @@ const Curves = (() => {
       return { ...plot, chart, box, figure, values };
     }
 
-    /** Series in the order of the columns: time, A, B, then the extra lines of A and of B. */
+    /** Series in the order of the columns: time, A, B, the extra lines of A and of B, the pinned run. */
     series(plot) {
       const main = COLOURS.map((stroke) => ({ stroke, width: 1.75 }));
       const extra = COLOURS.flatMap((colour, index) => {
@@ -93,7 +94,8 @@ const Curves = (() => {
         const limit = { stroke: index ? colour : LIMIT, width: 1, dash: index ? [2, 6] : [2, 3] };
         return plot.extra === "limit" ? [limit, limit] : [];
       });
-      return [{}, ...[...main, ...extra].map((line) => ({ ...line, points: { show: false } }))];
+      const pinned = { stroke: PINNED, width: 1.25, dash: [5, 4] };
+      return [{}, ...[...main, ...extra, pinned].map((line) => ({ ...line, points: { show: false } }))];
     }
 
     options(plot, last) {
@@ -115,13 +117,13 @@ const Curves = (() => {
       };
     }
 
-    /** Show one or two runs. The zoom stays the same if the duration stays the same. */
-    show(runs) {
+    /** Show one or two runs, and perhaps a pinned one. The zoom stays the same if the duration stays the same. */
+    show(runs, pinned = null) {
       const longest = runs.reduce((a, b) => (b.time.length > a.time.length ? b : a));
       const time = longest.time;
       const end = Math.max(...runs.map((run) => run.duration_s));
       const again = this.end === end && this.range !== null;
-      Object.assign(this, { runs, end, showing: true });
+      Object.assign(this, { runs, pinned, end, showing: true });
       for (const plot of this.plots) {
         plot.figure.hidden = !runs.some((run) => run.columns[plot.name]);
         plot.data = this.columns(plot, time);
@@ -145,7 +147,7 @@ const Curves = (() => {
         }
         return plot.extra === "limit" ? [1, -1].map((sign) => column(run, "limit", sign * RPM)) : [];
       });
-      return [time, ...main, ...extra];
+      return [time, ...main, ...extra, column(this.pinned, plot.name, plot.factor)];
     }
 
     follow(chart) {
@@ -197,6 +199,12 @@ const Curves = (() => {
       if (plot.extra === "reference" && index != null && plot.data[3][index] != null) {
         plot.values.prepend(element("span", { class: "of-reference" }, `reference ${fixed(plot.data[3][index])}`));
       }
+      const pinned = index == null ? null : plot.data.at(-1)[index];
+      if (pinned != null) {
+        const now = plot.data[1][index];
+        const change = now == null ? "" : ` (${signed(now - pinned)})`;
+        plot.values.append(element("span", { class: "of-pinned" }, `pinned ${fixed(pinned)}${change}`));
+      }
       if (chart === this.plots[0].chart) this.onCursor(index == null ? null : plot.data[0][index]);
     }
 
@@ -224,6 +232,11 @@ const Curves = (() => {
   function fixed(value) {
     const digits = Math.abs(value) >= 1000 ? 0 : Math.abs(value) >= 100 ? 1 : Math.abs(value) >= 1 ? 2 : 3;
     return value.toFixed(digits).replace("-", "−");
+  }
+
+  /** A difference, with its sign. */
+  function signed(value) {
+    return `${value < 0 ? "" : "+"}${fixed(value)}`;
   }
 
   /** Label a plot with its extremes for a screen reader. */

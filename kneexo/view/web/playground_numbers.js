@@ -109,9 +109,9 @@ const Numbers = (() => {
       word: ({ run }) => ofCycle(run.metrics.limit_cycle) },
     { name: "error", wearer: false, when: (result) => !hasStep(result), label: "Largest error", unit: "deg",
       value: ({ run }) => shown(run.metrics.largest_error_rad * DEG), word: ({ run }) => ofError(run) },
-    { name: "deviation", wearer: false, when: isPushed, label: "Moved by the push", unit: "deg",
+    { name: "deviation", wearer: false, when: isPushed, label: "Push deviation", unit: "deg",
       value: ({ run }) => shown(run.metrics.push.largest_deviation_rad * DEG),
-      word: () => ["from the run without it", "plain"] },
+      word: () => ["largest, from the run without a push", "plain"] },
     { name: "recovery", wearer: false, when: isPushed, label: "Recovery time", unit: "s",
       value: ({ run }) => shown(run.metrics.push.recovery_time_s), word: ofRecovery },
     { name: "saturated", label: "Time at the limit", unit: "%",
@@ -144,18 +144,25 @@ const Numbers = (() => {
           card.append(line, word);
           return { line, word };
         });
+        const pinned = element("p", { class: "pinned", hidden: "" });
         card.prepend(element("h3", {}, row.label));
+        card.append(pinned);
         parent.append(card);
-        return { card, row, values };
+        return { card, row, values, pinned };
       });
     }
 
-    /** Show the results of the set-ups: objects with run, linear, sweep, frequency, sample_time_s. */
-    show(results) {
-      for (const { card, row, values } of this.cells) {
+    /**
+     * Show the results of the set-ups: objects with run, linear, sweep, frequency, sample_time_s.
+     * A pinned result is a line with its number, and with the difference of A from it.
+     */
+    show(results, pinned = null) {
+      for (const { card, row, values, pinned: line } of this.cells) {
         const has = (result) => Boolean(result?.run) && (row.wearer ?? result.hasWearer) === result.hasWearer
           && (row.when?.(result) ?? true);
         card.hidden = !results.some(has);
+        line.hidden = !has(pinned);
+        if (has(pinned)) line.textContent = `pinned ${row.value(pinned)}${has(results[0]) ? changeFrom(row, pinned, results[0]) : ""}`;
         values.forEach(({ line, word }, index) => {
           const result = results[index];
           line.hidden = word.hidden = !has(result);
@@ -169,6 +176,13 @@ const Numbers = (() => {
         });
       }
     }
+  }
+
+  /** The difference of the numbers that two results show, in parentheses, or an empty text. */
+  function changeFrom(row, pinned, result) {
+    const [before, now] = [pinned, result].map((one) => Setups.parsed(row.value(one).replace("±", "")));
+    if (before === null || now === null) return "";
+    return now === before ? " (same)" : ` (${now < before ? "" : "+"}${shown(now - before)})`;
   }
 
   /** One sentence for a screen reader. */

@@ -95,7 +95,7 @@ class _Page:
     def curve(self, plot, column=1):
         """A line of a plot, as it is drawn."""
         plots = f"Page.parts.plots.plots.find(({{name}}) => name === '{plot}')"
-        script = f"Array.from({plots}.data[{column}])"
+        script = f"Array.from({plots}.data.at({column}))"
         return np.array(self.evaluate(script), dtype=float)
 
     def yaml(self, index=0):
@@ -209,6 +209,26 @@ def test_a_push_is_that_of_kneexo_and_must_end_within_the_run(browser, single, t
     assert "must be 0.01 … 5 s" in row
     page.type("push.start_s", 20)
     assert page.evaluate("document.getElementById('notice').hidden") is True
+
+
+def test_a_pinned_run_stays_beside_the_present_one(browser, single):
+    page = _Page(browser, single)
+    before, number = page.curve("angle"), float(page.number("error")[0])
+    page.evaluate("document.getElementById('pin').click()")
+    page.type("controller.lambda_per_s", 8.0)
+    np.testing.assert_array_equal(page.curve("angle", -1), before)
+    assert np.abs(page.curve("angle") - before).max() > 0.01
+    now = float(page.number("error")[0])
+    line = "[data-number=error] .pinned"
+    text = page.evaluate(f"document.querySelector('{line}').textContent")
+    change = re.fullmatch(r"pinned ([\d.]+) \(([+−][\d.]+)\)", text)
+    assert float(change[1]) == number
+    assert float(change[2].replace("−", "-")) == pytest.approx(now - number, rel=6e-3)
+    assert "pinned: sliding mode" in page.text("key")
+    page.evaluate("document.getElementById('pin').click()")
+    browser.wait_for("!document.getElementById('key').textContent.includes('pinned')")
+    assert np.isnan(page.curve("angle", -1)).all()
+    assert page.evaluate(f"document.querySelector('{line}').hidden")
 
 
 def test_a_slider_changes_the_curves_that_are_drawn(browser, single):
