@@ -126,6 +126,28 @@ const Page = (() => {
     draw();
   }
 
+  /** Put two cursors into the shown part of the run, or remove them. */
+  function toggleCursors() {
+    const [low, high] = parts.plots.range ?? [0, 0];
+    parts.plots.measure(parts.plots.cursors ? null : [0.75 * low + 0.25 * high, 0.25 * low + 0.75 * high]);
+  }
+
+  function showCursors(times) {
+    byId("measure").setAttribute("aria-pressed", String(Boolean(times)));
+    byId("cursors").hidden = !times;
+    if (!times) return;
+    times.forEach((time, k) => { byId(`cursor-${k + 1}`).value = Number(time.toFixed(4)); });
+    const distance = times[1] - times[0];
+    const rate = distance ? `, 1/Δt = ${Setups.shown(1 / Math.abs(distance))} Hz` : "";
+    byId("cursor-distance").textContent = `Δt = ${Setups.shown(distance, 4)} s${rate}`;
+  }
+
+  /** Move the cursors to the times in their fields. A text that is not a number has no effect. */
+  function typeCursors() {
+    const typed = [1, 2].map((number) => Setups.parsed(byId(`cursor-${number}`).value));
+    parts.plots.measure(typed.map((time, k) => time ?? parts.plots.cursors[k]));
+  }
+
   function showOnStage(index, { time, columns }) {
     const { angle, reference, pressure, wearer, torque } = columns;
     parts.stage.setRun(index, { time, angle, reference, pressure, ...(torque && { wearer, torque }) });
@@ -323,6 +345,8 @@ const Page = (() => {
     on("zoom-in", () => parts.plots.zoomBy(0.5));
     on("zoom-out", () => parts.plots.zoomBy(2));
     on("pin", pin);
+    on("measure", toggleCursors);
+    for (const id of ["cursor-1", "cursor-2"]) on(id, typeCursors, "change");
     on("zoom-all", () => parts.plots.zoomAll());
     on("sweep", () => shownSetups().forEach(change));
     on("choose-plot", choosePlot, "change");
@@ -342,7 +366,7 @@ const Page = (() => {
     const source = `data:text/javascript,${encodeURIComponent(text)}`; // VS Code blocks blobs
     const models = { modules: data.modules, models: modelsByKey() };
     parts.board = new Numbers.Board(byId("numbers"));
-    parts.plots = new Curves.RunPlots(byId("plots"), showTime, (time) => parts.stage.seek(time));
+    parts.plots = new Curves.RunPlots(byId("plots"), showTime, (time) => parts.stage.seek(time), showCursors);
     parts.bode = new Bode.BodePlots(byId("bode-plots"));
     parts.runs = new Runner.Runs(new Runner.Crew(source, models), onRun);
     parts.analyses = new Runner.Analyses(new Runner.Crew(source, models), REST_MS, handlers);

@@ -52,8 +52,13 @@ const Curves = (() => {
   }
 
   class RunPlots {
-    /** Four plots in `parent`. `onSeek(t)` gets the time that a click chooses. */
-    constructor(parent, onCursor, onSeek) {
+    /**
+     * Four plots in `parent`. `onSeek(t)` gets the time that a click chooses. While two cursors
+     * measure, a click moves the nearer one, and `onMeasure([t1, t2])` gets their times.
+     */
+    constructor(parent, onCursor, onSeek, onMeasure) {
+      this.onMeasure = onMeasure;
+      this.cursors = null;
       this.parent = parent;
       this.onCursor = onCursor;
       this.onSeek = onSeek;
@@ -78,7 +83,9 @@ const Curves = (() => {
       chart.over.addEventListener("pointerleave", () => { this.hovered = false; });
       chart.over.addEventListener("click", () => {
         const time = chart.posToVal(chart.cursor.left, "x");
-        if (this.range === null || (time >= 0 && Number.isFinite(time))) this.onSeek(time);
+        if (!(time >= 0 && Number.isFinite(time))) return;
+        if (this.cursors) this.measure(this.withNearest(time));
+        else this.onSeek(time);
       });
       return { ...plot, chart, box, figure, values };
     }
@@ -113,6 +120,7 @@ const Curves = (() => {
         hooks: {
           setScale: [(chart, key) => key === "x" && this.follow(chart)],
           setCursor: [(chart) => this.read(chart)],
+          draw: [(chart) => this.cursors?.forEach((time, k) => drawCursor(chart, time, `${k + 1}`))],
         },
       };
     }
@@ -133,6 +141,23 @@ const Curves = (() => {
       }
       this.showing = false;
       this.zoom(again ? this.range : [0, end]);
+      if (this.cursors) this.measure(this.cursors);
+    }
+
+    /** Measure between two times in s, or no longer if `times` is null. */
+    measure(times) {
+      this.cursors = times && times.map((time) => Math.min(Math.max(time, 0), this.end ?? 0));
+      for (const { chart } of this.plots) {
+        chart.redraw(false);
+        this.read(chart);
+      }
+      this.onMeasure(this.cursors);
+    }
+
+    /** The cursors after the nearer one has moved to a time. */
+    withNearest(time) {
+      const [first, second] = this.cursors;
+      return Math.abs(time - first) <= Math.abs(time - second) ? [time, second] : [first, time];
     }
 
     columns(plot, time) {
@@ -190,6 +215,24 @@ const Curves = (() => {
       const index = chart.cursor.idx;
       const plot = this.plots?.find((other) => other.chart === chart);
       if (!plot?.data) return;
+      if (this.cursors) plot.values.replaceChildren(...this.differences(plot));
+      else this.readAt(plot, index);
+      if (chart === this.plots[0].chart) this.onCursor(index == null ? null : plot.data[0][index]);
+    }
+
+    /** The values of each run at both cursors, and their difference. */
+    differences(plot) {
+      const rows = this.cursors.map((time) => nearest(plot.data[0], time));
+      const columns = [...this.runs.map((_, run) => [`of-${"ab"[run]}`, "AB"[run], plot.data[run + 1]]),
+        ...(this.pinned ? [["of-pinned", "pinned", plot.data.at(-1)]] : [])];
+      return columns.map(([name, label, column]) => {
+        const [first, second] = rows.map((row) => column[row]);
+        if (first == null || second == null) return element("span", { class: name }, "–");
+        return element("span", { class: name }, `${columns.length > 1 ? `${label} ` : ""}${fixed(first)} → ${fixed(second)}, Δ ${signed(second - first)}`);
+      });
+    }
+
+    readAt(plot, index) {
       const named = ["A", "B"].slice(0, this.runs.length);
       plot.values.replaceChildren(...(index == null ? [] : named.map((name, run) => {
         const value = plot.data[run + 1][index];
@@ -205,7 +248,6 @@ const Curves = (() => {
         const change = now == null ? "" : ` (${signed(now - pinned)})`;
         plot.values.append(element("span", { class: "of-pinned" }, `pinned ${fixed(pinned)}${change}`));
       }
-      if (chart === this.plots[0].chart) this.onCursor(index == null ? null : plot.data[0][index]);
     }
 
     /** Fit the plots to the width, or to `paper` px. A phone shows one plot at a time, with its time axis. */
@@ -232,6 +274,29 @@ const Curves = (() => {
   function fixed(value) {
     const digits = Math.abs(value) >= 1000 ? 0 : Math.abs(value) >= 100 ? 1 : Math.abs(value) >= 1 ? 2 : 3;
     return value.toFixed(digits).replace("-", "−");
+  }
+
+  /** A line with a number at a time of a plot. */
+  function drawCursor(chart, time, number) {
+    const { ctx, bbox } = chart;
+    const x = chart.valToPos(time, "x", true);
+    if (x < bbox.left - 1 || x > bbox.left + bbox.width + 1) return;
+    ctx.save();
+    ctx.strokeStyle = ctx.fillStyle = REFERENCE;
+    ctx.lineWidth = devicePixelRatio;
+    ctx.beginPath();
+    ctx.moveTo(x, bbox.top);
+    ctx.lineTo(x, bbox.top + bbox.height);
+    ctx.stroke();
+    ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
+    ctx.fillText(number, x + 3 * devicePixelRatio, bbox.top + 10 * devicePixelRatio);
+    ctx.restore();
+  }
+
+  /** The row of the time that is nearest to a time. */
+  function nearest(times, time) {
+    const period = times[1] - times[0];
+    return Math.min(Math.max(Math.round((time - times[0]) / period), 0), times.length - 1);
   }
 
   /** A difference, with its sign. */

@@ -231,6 +231,41 @@ def test_a_pinned_run_stays_beside_the_present_one(browser, single):
     assert page.evaluate(f"document.querySelector('{line}').hidden")
 
 
+def test_two_cursors_measure_times_and_values(browser, single):
+    page = _Page(browser, single)
+    page.evaluate("document.getElementById('measure').click()")
+
+    def read():
+        words = page.text("cursor-distance")
+        curve = page.evaluate(
+            "document.querySelector('[data-plot=angle] .plot-values').textContent"
+        )
+        return words, curve
+
+    for number, text in ((1, "2,5"), (2, "5"), (1, "x")):
+        page.evaluate(
+            f"""(() => {{ const box = document.getElementById("cursor-{number}");
+            box.value = "{text}"; box.dispatchEvent(new Event("change")); }})()"""
+        )
+    assert page.evaluate("document.getElementById('cursor-1').value") == "2.5"
+    first, second = page.curve("angle")[[1250, 2500]]
+    words, curve = read()
+    assert words == "Δt = 2.5 s, 1/Δt = 0.4 Hz"
+    assert curve == f"{first:.2f} → {second:.2f}, Δ +{second - first:.2f}"
+    x, y = page.evaluate(
+        """(({ chart }) => { const box = chart.over.getBoundingClientRect();
+        return [box.left + chart.valToPos(7.5, "x"), box.top + 20]; })(Page.parts.plots.plots[0])"""
+    )
+    for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
+        button = {} if kind == "mouseMoved" else {"button": "left", "clickCount": 1}
+        browser.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **button)
+    distance = float(read()[0].split()[2])
+    assert distance == pytest.approx(5.0, abs=0.05)
+    page.evaluate("document.getElementById('measure').click()")
+    assert page.evaluate("document.getElementById('cursors').hidden")
+    assert page.evaluate("Page.parts.plots.cursors") is None
+
+
 def test_a_slider_changes_the_curves_that_are_drawn(browser, single):
     page = _Page(browser, single)
     page.evaluate(
