@@ -36,6 +36,7 @@ _SCRIPTS = (
     "playground_controls.js",
     "playground_numbers.js",
     "playground_runner.js",
+    "playground_history.js",
     "playground.js",
 )
 

@@ -4,14 +4,14 @@
 const Page = (() => {
   const { element } = Curves;
   const SWEEP_HZ = Array.from({ length: 17 }, (_, i) => Number((0.05 * 10 ** (i / 7)).toPrecision(3)));
-  const REST_MS = 350; // margins and sweep start after the values have not changed for this time
+  const REST_MS = 350; // margins and sweep start, and the address changes, after the values have not changed for this time
   const PAPER_PX = 680; // width of the curves on A4 and letter
   const ANNOUNCE_MS = 1500;
   const data = prepared(JSON.parse(document.getElementById("playground").textContent));
   const state = Setups.stateOf(data, location.hash);
   const results = [{}, {}];
   const byId = (id) => document.getElementById(id);
-  const parts = { latest: [null, null], pinned: null };
+  const parts = { latest: [null, null], pinned: null, remark: Setups.remarkOf(data, location.hash, state) };
   let drawing = false;
   let announcing = 0;
 
@@ -171,9 +171,10 @@ const Page = (() => {
     complain([...faults, ...ends].join(" "));
   }
 
-  function complain(text) {
+  function complain(fault) {
     const notice = byId("notice");
-    if (notice.textContent !== (text || "")) notice.textContent = text || "";
+    const text = [parts.remark, fault].filter(Boolean).join(" ");
+    if (notice.textContent !== text) notice.textContent = text;
     notice.hidden = !text;
   }
 
@@ -233,6 +234,8 @@ const Page = (() => {
   }
 
   function onPanel(index) {
+    parts.remark = "";
+    parts.trail.note(Setups.linkOf(data, state));
     chooseStageIfNeeded();
     change(index);
   }
@@ -253,6 +256,25 @@ const Page = (() => {
     parts.panel.build();
     chooseStageIfNeeded();
     for (const index of shownSetups()) change(index);
+  }
+
+  // ------------------------------------------------------------------------- history
+
+  /** Show the values of the address, to which the browser has gone. */
+  function restore(event) {
+    Object.assign(state, Setups.stateOf(data, location.hash));
+    parts.remark = Setups.remarkOf(data, location.hash, state);
+    parts.trail.arrive(event.state);
+    setCompare(state.compare);
+  }
+
+  function showSteps() {
+    byId("undo").disabled = !parts.trail.canUndo;
+    byId("redo").disabled = !parts.trail.canRedo;
+  }
+
+  function go(direction) {
+    if (direction < 0 ? parts.trail.canUndo : parts.trail.canRedo) history.go(direction);
   }
 
   // --------------------------------------------------------------------- link and YAML
@@ -338,7 +360,18 @@ const Page = (() => {
 
   function listen() {
     const on = (id, action, event = "click") => byId(id).addEventListener(event, action);
-    on("compare", () => setCompare(!state.compare));
+    on("compare", () => {
+      setCompare(!state.compare);
+      parts.trail.note(Setups.linkOf(data, state));
+    });
+    on("undo", () => go(-1));
+    on("redo", () => go(1));
+    addEventListener("keydown", (event) => {
+      const direction = Addresses.directionOf(event);
+      if (!direction) return;
+      event.preventDefault();
+      go(direction);
+    });
     on("copy-link", showLink);
     on("copy-yaml", showYaml);
     on("print", () => print());
@@ -352,10 +385,7 @@ const Page = (() => {
     on("choose-plot", choosePlot, "change");
     addEventListener("beforeprint", () => onPrint(true));
     addEventListener("afterprint", () => onPrint(false));
-    addEventListener("hashchange", () => {
-      Object.assign(state, Setups.stateOf(data, location.hash));
-      setCompare(state.compare);
-    });
+    addEventListener("popstate", restore); // also after a link to another fragment
   }
 
   function start() {
@@ -365,6 +395,9 @@ const Page = (() => {
     const text = JSON.parse(byId("worker").textContent);
     const source = `data:text/javascript,${encodeURIComponent(text)}`; // VS Code blocks blobs
     const models = { modules: data.modules, models: modelsByKey() };
+    parts.trail = new Addresses.Trail(REST_MS, showSteps);
+    byId("undo").hidden = byId("redo").hidden = !parts.trail.active;
+    showSteps();
     parts.board = new Numbers.Board(byId("numbers"));
     parts.plots = new Curves.RunPlots(byId("plots"), showTime, (time) => parts.stage.seek(time), showCursors);
     parts.bode = new Bode.BodePlots(byId("bode-plots"));

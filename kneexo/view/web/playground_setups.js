@@ -8,6 +8,8 @@ const Setups = (() => {
   const REFERENCE_NAMES = { sine: "sine", step: "step", ramp: "ramp", samples: "samples" };
   const NUMBER = /^[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?$/i;
   const LINK_PREFIXES = ["a", "b"];
+  const SWITCHES = ["scenario", "controller", "load", "reference"];
+  const VERSION = "kneexo"; // name of the version in a link
 
   /** Unit and factor of a quantity on the page. Values, links and YAML have the unit of the scenario. */
   function display({ shown_unit: unit, shown_factor: factor }) {
@@ -130,14 +132,17 @@ const Setups = (() => {
 
   // ------------------------------------------------------------------------------ links
 
-  /** Text for the fragment of a link: everything that differs from the page as it opens. */
+  /**
+   * Text for the fragment of a link: everything that differs from the page as it opens, and the
+   * version of kneexo. Empty if nothing differs.
+   */
   function linkOf(data, state) {
     const parameters = new URLSearchParams();
     if (state.compare !== data.compare) parameters.set("compare", state.compare ? "1" : "0");
     state.setups.forEach((setup, index) => {
       const start = data.setups[index];
       const prefix = LINK_PREFIXES[index];
-      for (const name of ["scenario", "controller", "load", "reference"]) {
+      for (const name of SWITCHES) {
         if (setup[name] !== start[name]) parameters.set(`${prefix}.${name}`, String(setup[name]));
       }
       for (const quantity of quantitiesOf(data, setup)) {
@@ -146,7 +151,32 @@ const Setups = (() => {
         if (value !== before) parameters.set(`${prefix}.${quantity.name}`, String(value));
       }
     });
+    if (parameters.size) parameters.set(VERSION, data.kneexo);
     return parameters.toString();
+  }
+
+  /** What a user should know about a link that gave a state: another version, values without effect. */
+  function remarkOf(data, fragment, state) {
+    const parameters = new URLSearchParams(fragment.replace(/^#/, ""));
+    const version = parameters.get(VERSION);
+    parameters.delete(VERSION);
+    parameters.delete("compare");
+    const lost = [...parameters].filter(([path, text]) => !hasValue(data, state, path, text));
+    const words = [];
+    if (version !== null && version !== data.kneexo) words.push(`The link is of kneexo ${version.slice(0, 20)}, and this page of ${data.kneexo}.`);
+    if (lost.length) words.push(`${lost.length === 1 ? "One value" : `${lost.length} values`} of the link ${lost.length === 1 ? "does" : "do"} not fit this page, which shows its own instead.`);
+    return words.join(" ");
+  }
+
+  /** Whether a state has the value of a link at a path such as a.plant.pump.gear_ratio. */
+  function hasValue(data, state, path, text) {
+    const [prefix, ...names] = path.split(".");
+    const setup = state.setups[LINK_PREFIXES.indexOf(prefix)];
+    const name = names.join(".");
+    if (!setup) return false;
+    if (SWITCHES.includes(name)) return String(setup[name]) === text;
+    const quantity = quantitiesOf(data, setup).find((one) => one.name === name);
+    return Boolean(quantity) && valueOf(data, setup, quantity) === parsed(text);
   }
 
   /** The state that a link describes. Unknown names and wrong values have no effect. */
@@ -249,7 +279,7 @@ const Setups = (() => {
 
   return {
     CONTROLLER_NAMES, LOAD_NAMES, REFERENCE_NAMES, choices, choose, clamped, copied, defaultOf,
-    display, faultOf, fresh, hasWearer, linkOf, modelOf, parsed, quantitiesOf, references, setValue, shown, stateOf,
+    display, faultOf, fresh, hasWearer, linkOf, modelOf, parsed, quantitiesOf, references, remarkOf, setValue, shown, stateOf,
     valueOf, valuesOf, yamlOf,
   };
 })();

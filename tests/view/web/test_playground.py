@@ -17,6 +17,7 @@ from kneexo.errors import KneexoError, SimulationError
 from kneexo.parameters import PushParameters, Scenario, SineReference
 from kneexo.parameters.paths import changed
 from kneexo.parameters.scenario_file import load_scenario
+from kneexo.version import __version__
 from kneexo.view.playground import playground_page
 
 pytestmark = pytest.mark.slow
@@ -351,7 +352,7 @@ def test_a_link_carries_the_values(browser, single, tmp_path):
     page.click("controller-pid")
     page.type(GEAR, 3.5)
     fragment = page.evaluate("Setups.linkOf(Page.data, Page.state)")
-    assert fragment == f"a.controller=pid&a.{GEAR}=3.5"
+    assert fragment == f"a.controller=pid&a.{GEAR}=3.5&kneexo={__version__}"
     for url in ("about:blank", f"{single.resolve().as_uri()}#{fragment}"):
         browser.call("Page.navigate", url=url)
         browser.wait_for("document.readyState === 'complete'")
@@ -359,6 +360,52 @@ def test_a_link_carries_the_values(browser, single, tmp_path):
     state = page.evaluate("JSON.parse(JSON.stringify(Page.state.setups[0]))")
     assert (state["controller"], state["values"]) == ("pid", {GEAR: 3.5})
     assert page.evaluate(f"document.getElementById('q-{GEAR}-value').value") == "3.5"
+
+
+def test_the_address_follows_the_values_and_undo_and_reload_restore_them(browser, single):
+    page = _Page(browser, single)
+    gear = f"document.getElementById('q-{GEAR}-value').value"
+
+    def arrive(value, step):
+        browser.wait_for(f"{gear} === '{value}' && history.state?.step === {step}")
+
+    for value in (3.5, 4.5):
+        page.type(GEAR, value)
+        browser.wait_for(f"location.hash.includes('{GEAR}={value}')")
+    page.evaluate("document.getElementById('undo').click()")
+    arrive(3.5, 1)
+    page.wait()
+    metrics = track(_steps(changed(Scenario(), {GEAR: 3.5}), page)).metrics
+    assert _same(page.number("error")[0], metrics.max_error_deg)
+    keys = {"key": "y", "code": "KeyY", "windowsVirtualKeyCode": 89, "modifiers": 2}
+    for kind in ("keyDown", "keyUp"):
+        browser.call("Input.dispatchKeyEvent", type=kind, **keys)
+    arrive(4.5, 2)
+    assert page.evaluate("document.getElementById('redo').disabled")
+    browser.call("Page.reload")
+    browser.wait_for("document.readyState === 'complete'")
+    browser.wait_for("document.getElementById('undo')?.disabled === false")
+    arrive(4.5, 2)
+    page.evaluate("history.go(-2)")
+    browser.wait_for(f"{gear} === '6' && location.hash === ''")
+    assert page.evaluate("document.getElementById('undo').disabled")
+    assert page.evaluate("Page.state.setups[0].values") == {}
+
+
+def test_a_link_of_another_version_is_said_and_its_values_kept_where_they_fit(browser, single):
+    fragment = f"a.{GEAR}=3.5&a.plant.gone=1&a.{FREQUENCY}=1000&kneexo=0.0.1"
+    for url in ("about:blank", f"{single.resolve().as_uri()}#{fragment}"):
+        browser.call("Page.navigate", url=url)
+        browser.wait_for("document.readyState === 'complete'")
+    browser.wait_for("Page.results[0].fresh", 120.0)
+    words = f"The link is of kneexo 0.0.1, and this page of {__version__}. 2 values of the link do"
+    assert browser.evaluate("document.getElementById('notice').textContent").startswith(words)
+    assert browser.evaluate("Page.state.setups[0].values") == {GEAR: 3.5}
+    browser.evaluate(
+        f"""(() => {{ const box = document.getElementById("q-{GEAR}-value");
+        box.value = "4"; box.dispatchEvent(new Event("change")); }})()"""
+    )
+    assert browser.evaluate("document.getElementById('notice').hidden")
 
 
 @pytest.mark.parametrize(
