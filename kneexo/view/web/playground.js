@@ -279,7 +279,17 @@ const Page = (() => {
 
   // --------------------------------------------------------------------- link and YAML
 
-  function showText(title, hint, text) {
+  /** Save a text as a file of the user. */
+  function save(name, text) {
+    const url = URL.createObjectURL(new Blob([text]));
+    element("a", { href: url, download: name }).click();
+    setTimeout(() => URL.revokeObjectURL(url), 1000);
+  }
+
+  /** Show a text to copy. If it has the name of a file, the user can save it. */
+  function showText(title, hint, text, file = "") {
+    byId("save-text").hidden = !file;
+    byId("save-text").dataset.file = file;
     byId("text-title").textContent = title;
     byId("text-hint").textContent = hint;
     byId("text-area").value = text;
@@ -296,13 +306,19 @@ const Page = (() => {
       `${page}#${Setups.linkOf(data, state)}`);
   }
 
+  /** Save the shown run of the set-up whose sliders are shown. */
+  function saveCsv() {
+    const { run } = results[parts.panel.index];
+    if (run) save("signals.csv", Curves.csvOf(run));
+  }
+
   function showYaml() {
     const { index } = parts.panel;
     const title = state.compare ? `Set-up ${"AB"[index]} as YAML` : "These values as YAML";
     const fault = Setups.faultOf(data, state.setups[index]);
     showText(title, fault ? `kneexo refuses this file. ${fault}`
       : "Save this text as FILE.yaml. The command kneexo simulate FILE.yaml --out run makes the same run.",
-      Setups.yamlOf(data, state.setups[index]));
+      Setups.yamlOf(data, state.setups[index]), "scenario.yaml");
   }
 
   // ---------------------------------------------------------------------------- print
@@ -374,6 +390,8 @@ const Page = (() => {
     });
     on("copy-link", showLink);
     on("copy-yaml", showYaml);
+    on("save-csv", saveCsv);
+    on("save-text", () => save(byId("save-text").dataset.file, byId("text-area").value));
     on("print", () => print());
     on("zoom-in", () => parts.plots.zoomBy(0.5));
     on("zoom-out", () => parts.plots.zoomBy(2));

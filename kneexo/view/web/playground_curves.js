@@ -51,6 +51,20 @@ const Curves = (() => {
     return values;
   }
 
+  // Columns of a run, with the names that signals.csv of kneexo simulate has for them.
+  const CSV = {
+    knee_angle_rad: "angle", knee_reference_rad: "reference", motor_speed_command_rad_s: "command",
+    load_pressure_pa: "pressure", wearer_angle_rad: "wearer", interaction_torque_n_m: "torque",
+  };
+
+  /** The curves of a run as the text of a CSV file in SI units. */
+  function csvOf({ time, columns }) {
+    const names = Object.keys(CSV).filter((name) => columns[CSV[name]]);
+    const lines = Array.from(time, (t, row) =>
+      [Number(t.toFixed(9)), ...names.map((name) => columns[CSV[name]][row])].join(","));
+    return `${["time_s", ...names].join(",")}\n${lines.join("\n")}\n`;
+  }
+
   class RunPlots {
     /**
      * Four plots in `parent`. `onSeek(t)` gets the time that a click chooses. While two cursors
@@ -320,5 +334,5 @@ const Curves = (() => {
     plot.box.setAttribute("aria-label", `${plot.title} over time: ${parts.join("; ")}`);
   }
 
-  return { AXIS, COLOURS, FONT, GRID, LIMIT, MINUS_3_DB, PLOTS, RunPlots, axis, element, fixed, onTime };
+  return { AXIS, COLOURS, FONT, GRID, LIMIT, MINUS_3_DB, PLOTS, RunPlots, axis, csvOf, element, fixed, onTime };
 })();

@@ -7,6 +7,7 @@ import os
 import re
 import shutil
 import subprocess
+import time
 from pathlib import Path
 
 import numpy as np
@@ -345,6 +346,33 @@ def test_the_yaml_of_the_page_runs_as_the_page_does(browser, single, tmp_path, r
     metrics = track(scenario).metrics
     error = page.evaluate("Page.results[0].run.metrics.largest_error_rad")
     assert math.degrees(error) == pytest.approx(metrics.max_error_deg, rel=1e-6)
+
+
+def test_the_saved_files_are_the_run_of_kneexo(browser, single, tmp_path):
+    page = _Page(browser, single)
+    page.type("controller.lambda_per_s", 12)
+    browser.call("Page.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
+
+    def saved(name, button):
+        page.evaluate(f"document.getElementById('{button}').click()")
+        deadline = time.monotonic() + 30.0
+        while not (tmp_path / name).is_file():
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        return tmp_path / name
+
+    page.evaluate("document.getElementById('copy-yaml').click()")
+    run = track(load_scenario(saved("scenario.yaml", "save-text"))).run
+    table = np.genfromtxt(saved("signals.csv", "save-csv"), delimiter=",", names=True)
+    assert table.dtype.names[0] == "time_s"
+    np.testing.assert_allclose(table["time_s"], run.time_s, rtol=0.0, atol=1e-9)
+    assert len(table.dtype.names) == 5
+    for name in table.dtype.names[1:]:
+        size = np.abs(run[name]).max()
+        np.testing.assert_allclose(table[name], run[name], rtol=0.0, atol=1e-8 * size)
+    page.evaluate("document.getElementById('text-dialog').close()")
+    page.evaluate("document.getElementById('copy-link').click()")
+    assert page.evaluate("document.getElementById('save-text').hidden")
 
 
 def test_a_link_carries_the_values(browser, single, tmp_path):
