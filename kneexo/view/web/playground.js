@@ -52,7 +52,7 @@ const Page = (() => {
     }
     const setup = state.setups[index];
     results[index] = {
-      ...results[index], hasWearer: Setups.hasWearer(data, setup), margins: data.margins, band_deg: data.recovery_band_deg, fresh: parts.latest[index] === request, run: { ...answer, duration_s: request.duration_s },
+      ...results[index], hasWearer: Setups.hasWearer(data, setup), margins: data.margins, band_deg: data.recovery_band_deg, fresh: parts.latest[index] === request, run: { ...answer, duration_s: request.duration_s, reference: request.reference, step_s: request.values["reference.time_s"] },
       frequency: request.reference === "sine" ? request.values["reference.frequency_hz"] : null,
       sample_time_s: data.modules[Setups.modelOf(data, setup).loop.module].table.sample_time_s,
       reference_key: JSON.stringify([request.reference, Object.entries(request.values).filter(([name]) => name.startsWith("reference."))]),

@@ -139,13 +139,17 @@ const Curves = (() => {
       };
     }
 
-    /** Show one or two runs, and perhaps a pinned one. The zoom stays the same if the duration stays the same. */
+    /**
+     * Show one or two runs, and perhaps a pinned one. The zoom stays the same if duration and kinds of
+     * reference stay the same.
+     */
     show(runs, pinned = null) {
       const longest = runs.reduce((a, b) => (b.time.length > a.time.length ? b : a));
       const time = longest.time;
       const end = Math.max(...runs.map((run) => run.duration_s));
-      const again = this.end === end && this.range !== null;
-      Object.assign(this, { runs, pinned, end, showing: true });
+      const kind = runs.map((run) => run.reference).join(" ");
+      const again = this.end === end && this.kind === kind && this.range !== null;
+      Object.assign(this, { runs, pinned, end, kind, showing: true });
       for (const plot of this.plots) {
         plot.figure.hidden = !runs.some((run) => run.columns[plot.name]);
         plot.data = this.columns(plot, time);
@@ -154,7 +158,7 @@ const Curves = (() => {
         describe(plot, runs);
       }
       this.showing = false;
-      this.zoom(again ? this.range : [0, end]);
+      this.zoom(again ? this.range : eventOf(runs) ?? [0, end]);
       if (this.cursors) this.measure(this.cursors);
     }
 
@@ -288,6 +292,15 @@ const Curves = (() => {
   function fixed(value) {
     const digits = Math.abs(value) >= 1000 ? 0 : Math.abs(value) >= 100 ? 1 : Math.abs(value) >= 1 ? 2 : 3;
     return value.toFixed(digits).replace("-", "−");
+  }
+
+  /** The times around the steps of all runs, or null if a run does not settle after a step. */
+  function eventOf(runs) {
+    const ends = runs.map(({ step_s: start, metrics: { settling_time_s: settling, push } }) =>
+      (settling > 0 && !push ? [start, start + 3 * settling] : null));
+    if (!ends.every(Boolean)) return null;
+    const [first, last] = [Math.min(...ends.map(([start]) => start)), Math.max(...ends.map(([, end]) => end))];
+    return [first - 0.15 * (last - first), last];
   }
 
   /** A line with a number at a time of a plot. */

@@ -154,6 +154,12 @@ def test_the_result_of_a_step_is_its_settling_time(browser, single):
         assert _same(page.number(name)[0].removeprefix("±"), value), name
     assert page.number("cycle")[1].startswith(f"hunts every {cycle.period_s:.3g} s")
     assert page.evaluate('document.querySelector("[data-number=error]").hidden')
+    low, high = page.evaluate("Page.parts.plots.range")
+    assert low < scenario.reference.time_s
+    assert high == pytest.approx(scenario.reference.time_s + 3.0 * step.settling_time_s)
+    page.click("reference-ramp")
+    assert page.evaluate("Page.parts.plots.range") == [0.0, 30.0]
+    page.click("reference-step")
     page.type("reference.time_s", 9.9)
     page.type("simulation.duration_s", 10)
     assert page.number("settling")[1] == "does not settle"
