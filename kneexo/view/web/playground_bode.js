@@ -28,7 +28,7 @@ const Bode = (() => {
       const box = element("div", { role: "img", "aria-label": plot.title });
       figure.append(element("figcaption", { class: "plot-title" }, plot.title), box);
       this.parent.append(figure);
-      const chart = new uPlot(this.options(plot), [[0.1, 1], [0, 0], [0, 0]], box);
+      const chart = new uPlot(this.options(plot), [[0.1, 1], [null, null], [null, null]], box);
       return { ...plot, chart, box };
     }
 
@@ -38,8 +38,8 @@ const Bode = (() => {
         points: { show: false },
       });
       const range = plot.name === "gain"
-        ? (_, low, high) => [Math.max(-30, Math.min(-12, (low ?? 0) - 1)), Math.max(3, (high ?? 0) + 1)]
-        : (_, low) => [Math.min(-90, 45 * Math.floor((low ?? 0) / 45)), 15];
+        ? (_, low, high) => [Math.min(-12, (low ?? 0) - 1), Math.max(3, (high ?? 0) + 1)]
+        : (_, low, high) => [Math.min(-90, 45 * Math.floor((low ?? 0) / 45)), Math.max(15, (high ?? 0) + 5)];
       return {
         width: 600, height: plot.height, legend: { show: false },
         padding: [6, 20, 0, 0], cursor: { sync: { key: "bode" }, drag: { x: false }, y: false },
@@ -126,8 +126,9 @@ const Bode = (() => {
     }
 
     add(index, point) {
-      this.points[index].push(point);
+      this.points[index].push({ ...point });
       this.points[index].sort((a, b) => a.frequency_hz - b.frequency_hz);
+      unwrap(this.points[index]);
       this.draw();
     }
 
@@ -166,6 +167,17 @@ const Bode = (() => {
       const width = paper || Math.floor(this.plots[0].box.clientWidth);
       if (width < 50) return;
       for (const { chart, height } of this.plots) chart.setSize({ width, height });
+    }
+  }
+
+  /** Add whole turns to the phases, so that no phase jumps by more than half a turn from the one before. */
+  function unwrap(points) {
+    let before = 0; // a knee follows a slow sine
+    for (const point of points) {
+      if (Number.isFinite(point.phase_deg)) {
+        point.phase_deg -= 360 * Math.round((point.phase_deg - before) / 360);
+        before = point.phase_deg;
+      }
     }
   }
 

@@ -91,8 +91,9 @@ const Curves = (() => {
       caption.append(title, values);
       const box = element("div", { role: "img", "aria-label": plot.title });
       figure.append(caption, box);
+      figure.hidden = plot.name === "torque"; // until a run has it
       this.parent.append(figure);
-      const chart = new uPlot(this.options(plot, last), this.series(plot).map(() => [0, 1]), box);
+      const chart = new uPlot(this.options(plot, last), this.series(plot).map(() => []), box);
       chart.over.addEventListener("pointerenter", () => { this.hovered = true; });
       chart.over.addEventListener("pointerleave", () => { this.hovered = false; });
       chart.over.addEventListener("click", () => {

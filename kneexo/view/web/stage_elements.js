@@ -43,7 +43,7 @@ const StageElements = (() => {
     const rows = READOUTS.map((text) => {
       values[text] = make("dd");
       const title = TITLES[text] ?? "";
-      return make("div", { title }, [make("dt", { textContent: text }), values[text]]);
+      return make("div", { title, className: text === "pressure" ? "wide" : "" }, [make("dt", { textContent: text }), values[text]]);
     });
     const boxes = make("div", { className: "stage-boxes" }, [whole.element, joint.element]);
     const numbers = make("dl", { className: "stage-readout" }, rows);

@@ -593,6 +593,47 @@ def test_the_sweep_draws_its_points_and_the_bandwidth(browser, single):
     assert at == pytest.approx(-3.0103, abs=0.05)
 
 
+def test_phases_continue_and_low_gains_stay_in_sight(browser, single):
+    page = _Page(browser, single)
+    browser.wait_for("Page.results[0].swept", 120.0)
+    turn = -360.0 * np.arange(1, 5) / 2.5  # falls by 144 degrees from point to point
+    page.evaluate(
+        f"""(() => {{ const bode = Page.parts.bode; bode.clear(0);
+        {[f + 1 for f in (2, 0, 3, 1)]}.forEach((f) => bode.add(0, {{
+          frequency_hz: f, gain: 10 ** -f, phase_deg: {turn.tolist()}[f - 1] + 360 * Math.round(f / 2.5) }})); }})()"""
+    )
+    grid, gain, phase = (
+        page.evaluate(f"Page.parts.bode.plots[{k}].chart.data[{d}]")
+        for k, d in ((0, 0), (0, 1), (1, 1))
+    )
+    at = [grid.index(f) for f in (1, 2, 3, 4)]
+    np.testing.assert_allclose([phase[k] for k in at], turn, atol=1e-9)
+    np.testing.assert_allclose([gain[k] for k in at], [-20, -40, -60, -80], atol=1e-9)
+    browser.wait_for("Page.parts.bode.plots[1].chart.scales.y.min <= -576")
+    for plot, lowest in ((0, -80.0), (1, -576.0)):
+        scale = page.evaluate(
+            f"(({{min, max}}) => [min, max])(Page.parts.bode.plots[{plot}].chart.scales.y)"
+        )
+        assert scale[0] <= lowest
+    assert page.evaluate("Page.parts.bode.plots[1].chart.scales.y.max") >= 15.0
+
+
+def test_nothing_is_drawn_before_the_first_run(browser, single):
+    script = "window.Worker = class { addEventListener() {} postMessage() {} }"
+    call = browser.call("Page.addScriptToEvaluateOnNewDocument", source=script)
+    try:
+        browser.open(single, 1440, 900)
+        browser.wait_for("Page.parts.bode?.plots.length === 2")
+        values = """[...Page.parts.plots.plots, ...Page.parts.bode.plots]
+          .flatMap(({ chart }) => chart.data.slice(1).flatMap((column) => [...column]))
+          .filter((value) => value !== null)"""
+        assert browser.evaluate(values) == []
+        assert browser.evaluate("document.querySelectorAll('.card:not([hidden])').length") == 0
+        assert browser.evaluate("document.querySelector('[data-plot=torque]').hidden")
+    finally:
+        browser.call("Page.removeScriptToEvaluateOnNewDocument", identifier=call["identifier"])
+
+
 def test_the_newest_of_many_values_is_shown(browser, single):
     page = _Page(browser, single)
     page.evaluate(
