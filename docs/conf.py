@@ -247,7 +247,7 @@ FRAMES = {
 def place_frames(_app: Sphinx, document: str, content: list[str]) -> None:
     """Replace a marker by a frame with its page, and by a link that opens the page alone.
 
-    The style hides frames on phones and on paper. There a picture replaces the page to play with.
+    The style hides frames on paper. There a picture replaces the page to play with.
     """
     up = "../" * document.count("/")
     for marker, (file, title, _) in FRAMES.items():

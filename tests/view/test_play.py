@@ -127,3 +127,24 @@ def test_the_page_runs_in_the_cell_of_a_notebook(notebook, cell, browser, tmp_pa
     expected = kx.track(kx.Scenario()).metrics.max_error_deg
     assert float(error_deg) == pytest.approx(expected, abs=0.51e-3)  # three decimals
     assert browser.console == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("width", "height"), [(1010, 768), (358, 416)])
+def test_a_frame_shows_a_curve_and_a_slider_at_once(width, height, cell, browser, tmp_path):
+    outer = tmp_path / "outer.html"
+    style = "<style>body { margin: 0; } iframe { display: block; }</style>"
+    frame = cell.replace('height="900"', f'height="{height}"')
+    outer.write_text(f"<!doctype html>{style}{frame}", encoding="utf-8")
+    browser.open(outer, width=width, height=height)
+    ready = "document.body.classList.contains('framed') && Page.results[0].fresh"
+    boxes = """["#plots .plot:not([hidden]) canvas", "#panel input[type=range]"].map((name) => {
+      const box = [...document.querySelectorAll(name)].find((one) => one.checkVisibility())
+        .getBoundingClientRect();
+      return [box.top, box.bottom]; })"""
+    with frame_in(browser):
+        browser.wait_for(ready, 60.0)
+        places = browser.evaluate(boxes)
+        assert browser.evaluate("document.getElementById('undo').checkVisibility()") is False
+    for top, bottom in places:
+        assert 0.0 <= top < bottom <= height

@@ -121,15 +121,14 @@ const Page = (() => {
   function pin() {
     parts.pinned = parts.pinned ? null : { ...results[0], name: nameOf(0) };
     byId("pin").setAttribute("aria-pressed", String(Boolean(parts.pinned)));
-    byId("pin").textContent = parts.pinned ? "Unpin" : "Pin this run";
+    byId("pin").textContent = parts.pinned ? "Unpin" : "Pin run";
     parts.drawn = null;
     draw();
   }
 
   /** Put two cursors into the shown part of the run, or remove them. */
   function toggleCursors() {
-    const [low, high] = parts.plots.range ?? [0, 0];
-    parts.plots.measure(parts.plots.cursors ? null : [0.75 * low + 0.25 * high, 0.25 * low + 0.75 * high]);
+    parts.plots.measure(parts.plots.cursors ? null : parts.plots.quarters());
   }
 
   function showCursors(times) {
@@ -407,6 +406,7 @@ const Page = (() => {
   }
 
   function start() {
+    document.body.classList.toggle("framed", self !== top);
     byId("copy-link").hidden = location.protocol === "about:"; // inside a notebook
     byId("scenario-name").textContent = data.scenarios.map(({ name }) => name).join(", ");
     byId("made-by").textContent = `kneexo ${data.kneexo} made this page. The page needs no network and sends no data.`;
@@ -416,7 +416,7 @@ const Page = (() => {
     parts.trail = new Addresses.Trail(REST_MS, showSteps);
     byId("undo").hidden = byId("redo").hidden = !parts.trail.active;
     showSteps();
-    parts.board = new Numbers.Board(byId("numbers"));
+    parts.board = new Numbers.Board(byId("numbers"), byId("brief"));
     parts.plots = new Curves.RunPlots(byId("plots"), showTime, (time) => parts.stage.seek(time), showCursors);
     parts.bode = new Bode.BodePlots(byId("bode-plots"));
     parts.runs = new Runner.Runs(new Runner.Crew(source, models), onRun);

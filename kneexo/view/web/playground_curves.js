@@ -160,7 +160,7 @@ const Curves = (() => {
       }
       this.showing = false;
       this.zoom(again ? this.range : eventOf(runs) ?? [0, end]);
-      if (this.cursors) this.measure(this.cursors);
+      if (this.cursors) this.measure(again ? this.cursors : this.quarters());
     }
 
     /** Measure between two times in s, or no longer if `times` is null. */
@@ -171,6 +171,12 @@ const Curves = (() => {
         this.read(chart);
       }
       this.onMeasure(this.cursors);
+    }
+
+    /** The times at a quarter and at three quarters of the shown part of the run. */
+    quarters() {
+      const [low, high] = this.range ?? [0, 0];
+      return [0.75 * low + 0.25 * high, 0.25 * low + 0.75 * high];
     }
 
     /** The cursors after the nearer one has moved to a time. */

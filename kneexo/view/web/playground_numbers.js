@@ -133,9 +133,13 @@ const Numbers = (() => {
       value: ({ run }) => shown(1e-5 * run.metrics.peak_pressure_pa), word: ({ run }) => ofPressure(run) },
   ];
 
-  /** Cards of numbers. Each card has a value and a verdict for each set-up. */
+  // Rows that a phone shows beside the sliders.
+  const BRIEF = ["rms-torque", "settling", "overshoot", "error", "recovery", "saturated", "phase"];
+
+  /** Cards of numbers. Each card has a value and a verdict for each set-up. `brief` shows a few of them. */
   class Board {
-    constructor(parent) {
+    constructor(parent, brief) {
+      this.brief = brief;
       this.cells = ROWS.map((row) => {
         const card = element("div", { class: "card", "data-number": row.name, hidden: "" });
         const values = [0, 1].map((index) => {
@@ -175,7 +179,18 @@ const Numbers = (() => {
           word.dataset.kind = kind;
         });
       }
+      this.brief.replaceChildren(...this.cells.filter(({ card, row }) => !card.hidden && BRIEF.includes(row.name)).map(inBrief));
     }
+  }
+
+  /** A card on one line: label, and number, unit and mark of each set-up. */
+  function inBrief({ row, values }) {
+    const line = element("span", {}, `${row.label} `);
+    for (const { line: value, word } of values.filter((one) => !one.line.hidden)) {
+      const mark = element("span", { class: "word", "data-kind": word.dataset.kind });
+      line.append(...[...value.children].map((child) => child.cloneNode(true)), mark);
+    }
+    return line;
   }
 
   /** The difference of the numbers that two results show, in parentheses, or an empty text. */

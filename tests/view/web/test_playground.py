@@ -127,6 +127,22 @@ def test_the_page_is_small_silent_and_fits(browser, single):
         browser.require_width()
 
 
+def test_a_phone_shows_numbers_beside_the_moving_slider(browser, single):
+    page = _Page(browser, single, width=390, height=844, phone=True)
+    page.evaluate(f"document.getElementById('q-{GEAR}').scrollIntoView({{block: 'end'}})")
+    page.type("controller.lambda_per_s", 8.0)
+    boxes = f"""["brief", "q-{GEAR}"].map((name) => {{
+      const box = document.getElementById(name).getBoundingClientRect();
+      return [box.top, box.bottom]; }})"""
+    brief, slider = page.evaluate(boxes)
+    assert 0.0 <= brief[0] < brief[1] <= slider[0] < slider[1] <= 844.0
+    error, margin = (page.number(name)[0] for name in ("error", "phase"))
+    words = page.text("brief")
+    assert words.startswith(f"Largest error {error}deg")
+    assert f"Phase margin {margin}deg" in words
+    browser.require_width()
+
+
 def test_long_names_fit_a_phone(browser, two):
     _Page(browser, two, width=390, height=844, phone=True).wait(1)
     browser.require_width()
@@ -596,26 +612,24 @@ def test_the_sweep_draws_its_points_and_the_bandwidth(browser, single):
 def test_phases_continue_and_low_gains_stay_in_sight(browser, single):
     page = _Page(browser, single)
     browser.wait_for("Page.results[0].swept", 120.0)
-    turn = -360.0 * np.arange(1, 5) / 2.5  # falls by 144 degrees from point to point
+    falls = -144.0 * np.arange(1, 5)  # from point to point
+    measured = (falls + 180.0) % 360.0 - 180.0
+    points = [
+        {"frequency_hz": k + 1, "gain": 10.0 ** -(k + 1), "phase_deg": measured[k]}
+        for k in (1, 3, 0, 2)
+    ]
     page.evaluate(
-        f"""(() => {{ const bode = Page.parts.bode; bode.clear(0);
-        {[f + 1 for f in (2, 0, 3, 1)]}.forEach((f) => bode.add(0, {{
-          frequency_hz: f, gain: 10 ** -f, phase_deg: {turn.tolist()}[f - 1] + 360 * Math.round(f / 2.5) }})); }})()"""
+        f"""(() => {{ const {{ bode }} = Page.parts; bode.clear(0);
+        {json.dumps(points)}.forEach((point) => bode.add(0, point)); }})()"""
     )
-    grid, gain, phase = (
-        page.evaluate(f"Page.parts.bode.plots[{k}].chart.data[{d}]")
-        for k, d in ((0, 0), (0, 1), (1, 1))
-    )
-    at = [grid.index(f) for f in (1, 2, 3, 4)]
-    np.testing.assert_allclose([phase[k] for k in at], turn, atol=1e-9)
+    plots = "Page.parts.bode.plots"
+    grid, gain = page.evaluate(f"{plots}[0].chart.data.slice(0, 2)")
+    phase = page.evaluate(f"{plots}[1].chart.data[1]")
+    at = [grid.index(frequency) for frequency in (1, 2, 3, 4)]
+    np.testing.assert_allclose([phase[k] for k in at], falls, atol=1e-9)
     np.testing.assert_allclose([gain[k] for k in at], [-20, -40, -60, -80], atol=1e-9)
-    browser.wait_for("Page.parts.bode.plots[1].chart.scales.y.min <= -576")
-    for plot, lowest in ((0, -80.0), (1, -576.0)):
-        scale = page.evaluate(
-            f"(({{min, max}}) => [min, max])(Page.parts.bode.plots[{plot}].chart.scales.y)"
-        )
-        assert scale[0] <= lowest
-    assert page.evaluate("Page.parts.bode.plots[1].chart.scales.y.max") >= 15.0
+    browser.wait_for(f"{plots}[1].chart.scales.y.min <= {falls[-1]}")
+    browser.wait_for(f"{plots}[0].chart.scales.y.min <= -80")
 
 
 def test_nothing_is_drawn_before_the_first_run(browser, single):
