@@ -218,13 +218,14 @@ const Curves = (() => {
     }
 
     zoomBy(factor) {
+      if (!this.range) return; // before the first run
       const [low, high] = this.range;
       const middle = Math.min(high, Math.max(low, this.time ?? (low + high) / 2));
       const width = factor * (high - low);
       this.zoom([middle - width / 2, middle + width / 2]);
     }
 
-    zoomAll() { this.zoom([0, this.end]); }
+    zoomAll() { if (this.range) this.zoom([0, this.end]); }
 
     /** Put the cursor at the time of the stage, unless a pointer reads the curves. */
     setTime(time) {
@@ -317,6 +318,8 @@ const Curves = (() => {
     if (x < bbox.left - 1 || x > bbox.left + bbox.width + 1) return;
     ctx.save();
     ctx.strokeStyle = ctx.fillStyle = REFERENCE;
+    ctx.setLineDash([]);
+    ctx.textAlign = "left";
     ctx.lineWidth = devicePixelRatio;
     ctx.beginPath();
     ctx.moveTo(x, bbox.top);

@@ -199,7 +199,7 @@ const Setups = (() => {
       }
       if (faultOf(data, setup)) {
         for (const name of Object.keys(setup.values)) {
-          if (name.startsWith("reference.")) delete setup.values[name];
+          if (/^(reference|push)\./.test(name)) delete setup.values[name];
         }
       }
       return setup;

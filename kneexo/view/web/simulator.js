@@ -322,7 +322,7 @@ const Simulator = (() => {
     const values = valuesOf(model, reference, request.values);
     const runWith = (all) => simulate({ ...request, model, values: all }, pause, "run");
     const free = values[PUSH[0]] ? await runWith({ ...values, [PUSH[0]]: 0 }) : null;
-    const freeAngle = free?.instance.output("knee_angle_rad", free.rows);
+    const freeAngle = free && !free.end ? free.instance.output("knee_angle_rad", free.rows) : null;
     const { instance, columns, rows, end } = await runWith(values);
     const limits = limitsOf(model, values);
     const signals = signalsOf(instance, columns[0].slice(0, rows), limits.command_limit_rad_s);

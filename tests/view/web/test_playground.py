@@ -233,6 +233,9 @@ def test_a_push_is_that_of_kneexo_and_must_end_within_the_run(browser, single, t
     assert "must be 0.01 … 5 s" in row
     page.type("push.start_s", 20)
     assert page.evaluate("document.getElementById('notice').hidden") is True
+    beyond = "a.load=knee&a.push.torque_n_m=9&a.push.start_s=29.9"
+    values = f"Setups.stateOf(Page.data, {json.dumps(beyond)}).setups[0].values"
+    assert page.evaluate(values) == {}
 
 
 def test_a_pinned_run_stays_beside_the_present_one(browser, single):
@@ -644,6 +647,9 @@ def test_nothing_is_drawn_before_the_first_run(browser, single):
         assert browser.evaluate(values) == []
         assert browser.evaluate("document.querySelectorAll('.card:not([hidden])').length") == 0
         assert browser.evaluate("document.querySelector('[data-plot=torque]').hidden")
+        for name in ("zoom-in", "zoom-all", "measure", "save-csv"):
+            browser.evaluate(f"document.getElementById('{name}').click()")
+        browser.require_health()
     finally:
         browser.call("Page.removeScriptToEvaluateOnNewDocument", identifier=call["identifier"])
 
