@@ -88,11 +88,11 @@ class Alignment(Result):
         return np.asarray(self.placement.position + turn * motion.fixed_centrode)
 
     def misplaced_rms_mm(self, error_mm: ArrayLike) -> Array:
-        """Return the rms in mm that errors of the best place leave, with the strap put on anew.
+        """Return the rms of the migration in mm if the device is ``error_mm`` off its best place.
 
-        The direction is the worst one. If both directions of the migration count, all directions of
-        an error cost the same: √(rms² + error² (1 − |mean e^{jθ}|²)). Raises `ParameterError` if
-        the place is not the best one.
+        The strap is put on anew, and the error has the worst direction. If both directions of the
+        migration count, all directions of the error give √(rms² + error² (1 − |mean e^{jθ}|²)).
+        Raises `ParameterError` if this alignment is not at the best place.
         """
         worst = self._rms_per_error()[1]
         return np.asarray(np.hypot(self.rms_mm, worst * np.asarray(error_mm, dtype=float)))

@@ -69,8 +69,8 @@ def whole_bar(description: str, stages: Sequence[Stage]) -> Iterator[None]:
     """Context manager: show one bar for the whole work of its body, if stderr is a terminal.
 
     Each `progress_bar` of the body whose description is the name of a stage advances the bar by
-    the share of this stage. Meanwhile the elapsed time goes on. Lines on stderr appear above the
-    bar. The bar disappears at the end.
+    the share of this stage. Between two advances the bar still shows the elapsed time. Lines on
+    stderr appear above the bar. The bar disappears at the end.
     """
     global _whole
     with _shown(description, transient=True) as move:

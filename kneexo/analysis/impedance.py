@@ -380,8 +380,8 @@ def measure_impedance(
     Raises
     ------
     ParameterError
-        The scenario has no wearer. The controller follows the reference, as the leg does too. The
-        amplitude is zero, or a period has fewer than ten samples of the controller.
+        The scenario has no wearer, the controller follows the reference of the leg, the amplitude
+        is zero, or a period has fewer than ten samples of the controller.
     SimulationError
         The run fails.
     """

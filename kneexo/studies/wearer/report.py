@@ -25,7 +25,7 @@ from kneexo.studies.wearer.study import (
 
 
 def report(result: WearerResult) -> str:
-    """Return the Markdown report on the torque that a wearer feels and the help that it gets."""
+    """Return the Markdown report on the torque that a wearer feels, and on the assistance."""
     settings = result.settings
     cadence, rise = median_low(settings.cadences_hz), median_low(settings.rise_times_s)
     weak_cadence = median_low(settings.help_cadences_hz)

@@ -338,7 +338,7 @@ def in_motion(
 
 @needs_runs
 def measured(cycles: int, scenario: Scenario) -> dict[str, Any]:
-    """Return the numbers of a `WearerRow` for the cycles after the first one."""
+    """Simulate a scenario; return the fields of a `WearerRow` over all cycles after the first."""
     has_moment = scenario.wearer.kind == "leg" and scenario.wearer.moment is not None
     has_chambers = scenario.plant.full_order is not None
     signals = list(_SIGNALS)
