@@ -23,7 +23,7 @@ _DIGITS = 8
 """Significant digits of fitted coefficients.
 
 Rounding makes the coefficients equal on all processors, although the last digits of a least-squares
-solution differ. It changes x by 1e-5 mm.
+solution differ. The rounding changes x by 1e-5 mm.
 """
 
 

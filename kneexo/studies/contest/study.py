@@ -267,8 +267,8 @@ def contest_study(
     Raises
     ------
     ParameterError
-        No scenario has one of the uncertain values, or the value is out of range. Or ``scenario``
-        has none of the uncertain values, or the controller is a law of the user.
+        An uncertain value does not exist in any scenario, or is out of range. ``scenario`` has none
+        of the uncertain values. The controller is a law of the user.
     SimulationError
         The default SMC fails on a training plant. The chattering of the default SMC is the
         budget of the tuning.
