@@ -94,7 +94,7 @@ class Alignment(Result):
         migration count, all directions of the error give √(rms² + error² (1 − |mean e^{jθ}|²)).
         Raises `ParameterError` if this alignment is not at the best place.
         """
-        worst = self._rms_per_error()[1]
+        worst = np.sqrt(np.linalg.eigvalsh(self._square_per_error())[1])
         return np.asarray(np.hypot(self.rms_mm, worst * np.asarray(error_mm, dtype=float)))
 
     def placement_tolerance_mm(self, limit_mm: float = 5.0) -> Array:
@@ -104,15 +104,26 @@ class Alignment(Result):
         anew. The ellipse is a circle if both directions of the migration count. Raises
         `ParameterError` if the place is not the best one, or if the best place exceeds the limit.
         """
+        return self._rest_mm(limit_mm) / np.sqrt(np.linalg.eigvalsh(self._square_per_error()))
+
+    def tolerated_errors_mm(self, limit_mm: float = 5.0) -> Points:
+        """Return position errors x + jy in mm (721,) on the ellipse of `placement_tolerance_mm`."""
+        direction = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 721))
+        parts = np.stack([direction.real, direction.imag])
+        square = np.sum(parts * (self._square_per_error() @ parts), axis=0)
+        return np.asarray(self._rest_mm(limit_mm) / np.sqrt(square) * direction)
+
+    def _rest_mm(self, limit_mm: float) -> float:
+        """Return the rms in mm that the error of a place may add."""
         if not self.rms_mm < limit_mm:
             raise ParameterError(
                 f"limit_mm = {limit_mm:g} mm: must exceed {self.rms_mm:.4g} mm, which the best "
                 f"placement leaves"
             )
-        return np.asarray(np.sqrt(limit_mm**2 - self.rms_mm**2) / self._rms_per_error())
+        return float(np.sqrt(limit_mm**2 - self.rms_mm**2))
 
-    def _rms_per_error(self) -> Array:
-        """Return the least and the largest added rms per error of the place, (2,)."""
+    def _square_per_error(self) -> Array:
+        """Return the matrix S (2, 2): an error d of the place, backwards and up, adds d·S·d."""
         if not self.is_best:
             raise ParameterError(
                 "placement: is not the best one, so that a wrong place has no known effect; call "
@@ -122,8 +133,7 @@ class Alignment(Result):
         unit = np.exp(-1j * np.radians(self.knee_angle_deg)) * np.array([[1.0], [1.0j]])
         unit = unit - unit.mean(axis=1, keepdims=True)
         parts = [unit.real] if self.counts == "across" else [unit.real, unit.imag]
-        squares = sum(part @ part.T for part in parts) / unit.shape[1]
-        return np.asarray(np.sqrt(np.linalg.eigvalsh(squares)))
+        return np.asarray(sum(part @ part.T for part in parts) / unit.shape[1])
 
     def slotted_strap(self) -> SlottedStrap:
         """Return the motion if the strap is a pin in a slot along the shank, by Newton's method.

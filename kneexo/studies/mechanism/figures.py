@@ -74,19 +74,28 @@ def plot_migration(result: MechanismResult) -> Figure:
 
 
 def plot_misplacement(result: MechanismResult) -> Figure:
-    """Draw the migration over the error of the place."""
-    figure, ax = plt.subplots(figsize=(7.2, 4.4), layout="constrained")
-    figure.set_label(
-        "Migration of the strap over the error of the device's place. All directions of the error "
-        "cost the same, because the strap is put on anew."
-    )
+    """Draw the migration over the error of the place, and the errors that are tolerated."""
+    figure, axes = plt.subplots(1, 2, figsize=(9.6, 4.8), layout="constrained")
     settings = result.settings
+    figure.set_label(
+        "Migration of the strap over the error of the device's place (a), and the errors that "
+        f"leave at most {settings.tolerance_mm:g} mm rms (b). All directions of the error cost the "
+        "same, because the strap is put on anew (circles). If the cuff slides along the shank, "
+        "only the migration across it counts, and the direction matters (ellipses)."
+    )
     error_mm = np.linspace(0.0, _LARGEST_MISPLACEMENT * settings.misplacement_mm, 101)
     for (name, device), style in zip(result.devices.items(), _STYLES, strict=False):
-        ax.plot(error_mm, device.alignment.misplaced_rms_mm(error_mm), label=name, **style)
-    ax.axhline(settings.tolerance_mm, color="0.4", ls=":", lw=1.0, label="tolerated")
-    ax.set(xlabel="error of the place (mm)", ylabel="migration, rms (mm)", ylim=(0.0, None))
-    _finish(figure, [ax])
+        axes[0].plot(error_mm, device.alignment.misplaced_rms_mm(error_mm), label=name, **style)
+        for at in (device.alignment, device.sliding):
+            if at.rms_mm < settings.tolerance_mm:
+                rim = at.tolerated_errors_mm(settings.tolerance_mm)
+                axes[1].plot(-rim.real, rim.imag, **style)
+    axes[0].axhline(settings.tolerance_mm, color="0.4", ls=":", lw=1.0, label="tolerated")
+    axes[0].set(xlabel="error of the place (mm)", ylabel="migration, rms (mm)", ylim=(0.0, None))
+    axes[0].set_title("(a)")
+    axes[1].set(xlabel="place forwards (mm)", ylabel="place up (mm)", title="(b)")
+    axes[1].set_aspect("equal", adjustable="datalim")
+    _finish(figure, axes)
     return figure
 
 

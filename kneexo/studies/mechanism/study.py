@@ -61,6 +61,8 @@ class Device(Result):
     """Root of the mean square of the migration at a place that is wrong by ``misplacement_mm``."""
     placement_tolerance_mm: float
     """Error of the place in mm at which the migration reaches ``tolerance_mm``; nan if none."""
+    sliding: Alignment
+    """Alignment at the best place for a cuff that slides along the shank."""
     strap: SlottedStrap
     """Motion if the strap slides along the shank."""
     forces: CuffForces
@@ -203,6 +205,7 @@ def _device(linkage: LinkageParameters, settings: MechanismSettings) -> Device:
         turned=aligned(turn_rad=None),
         misplaced_rms_mm=float(best.misplaced_rms_mm(settings.misplacement_mm)),
         placement_tolerance_mm=tolerance_mm,
+        sliding=aligned(counts="across"),
         strap=best.slotted_strap(),
         forces=best.cuff_forces(),
         properties=linkage_properties(linkage, np.radians(angles_deg)),
