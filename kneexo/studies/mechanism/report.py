@@ -18,7 +18,8 @@ def _angles(name: str) -> Callable[[dict[str, Any]], str]:
 
 def report(result: MechanismResult) -> str:
     """Return the Markdown report on the alignment of the devices."""
-    rows = [{"name": name} | device.results() for name, device in result.devices.items()]
+    numbers = result.results()
+    rows = [{"name": name} | row for name, row in numbers["devices"].items()]
     by_name = {row["name"]: row for row in rows}
     return filled(
         "mechanism/report.md",
@@ -28,6 +29,7 @@ def report(result: MechanismResult) -> str:
         hinge=by_name["hinge"],
         slips=[name for name, device in result.devices.items() if device.forces.slips.any()],
         angles=_angles,
-        trade_off=result.results()["trade_off"],
+        trade_off=numbers["trade_off"],
+        stride=numbers["stride"],
         knee_is_gait2392=result.settings.knee == GAIT2392,
     )

@@ -11,6 +11,7 @@ import numpy as np
 from kneexo.alignment import MM, Alignment, CuffForces, SlottedStrap, align
 from kneexo.analysis import TradeOff, fit_polynomials, trade_off
 from kneexo.analysis.prosthetic_leg import LegLength, SwingClearance, leg_length, swing_clearance
+from kneexo.gait import gait_knee_flexion
 from kneexo.linkage_properties import LinkageProperties, linkage_properties
 from kneexo.parameters import (
     GAIT2392,
@@ -148,6 +149,7 @@ class MechanismResult(Result):
                 "centre_backwards_mm": centre.real,
                 "centre_up_mm": centre.imag,
             },
+            "stride": _stride(),
             "trade_off": [{name: getattr(design, name) for name in names} for design in designs],
         }
 
@@ -188,6 +190,18 @@ def mechanism_study(
         devices = {name: _device(linkage, settings) for name, linkage in linkages.items()}
         designs = trade_off(motion=settings.knee) if settings.trade_off else None
     return MechanismResult(scenario, settings, devices, designs)
+
+
+def _stride() -> dict[str, float]:
+    """Return the range of the knee angle in a measured stride, and its shares in ranges."""
+    flexion_deg = gait_knee_flexion()[1]
+    return {
+        "least_deg": float(flexion_deg.min()),
+        "largest_deg": float(flexion_deg.max()),
+        "share_0_to_90": float(np.mean((flexion_deg >= 0.0) & (flexion_deg <= 90.0))),
+        "share_0_to_135": float(np.mean((flexion_deg >= 0.0) & (flexion_deg <= 135.0))),
+        "share_hyperextended": float(np.mean(flexion_deg < 0.0)),
+    }
 
 
 def _device(linkage: LinkageParameters, settings: MechanismSettings) -> Device:

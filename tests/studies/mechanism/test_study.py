@@ -88,6 +88,26 @@ def test_a_device_that_exceeds_the_tolerance_has_no_tolerated_place():
     assert "| – |" in STUDIES["mechanism"].report(strict)
 
 
+def test_the_stride_is_the_measured_one():
+    # Of data/gait_knee_flexion.csv, read by eye: a stride neither hyperextends nor exceeds 90°.
+    stride = made_up().results()["stride"]
+    assert stride == {
+        "least_deg": pytest.approx(2.3, abs=0.05),
+        "largest_deg": pytest.approx(59.2, abs=0.05),
+        "share_0_to_90": 1.0,
+        "share_0_to_135": 1.0,
+        "share_hyperextended": 0.0,
+    }
+
+
+@pytest.mark.parametrize(
+    ("flexion_deg", "shares"), [([-5.0, 0.0, 90.0, 91.0], (0.5, 0.75, 0.25)), ([136.0], (0, 0, 0))]
+)
+def test_shares_of_a_stride_count_its_angles_in_each_range(monkeypatch, flexion_deg, shares):
+    monkeypatch.setattr(study, "gait_knee_flexion", lambda: (None, np.array(flexion_deg), None))
+    assert tuple(study._stride().values()) == (min(flexion_deg), max(flexion_deg), *shares)
+
+
 def test_the_trade_off_is_searched_if_asked_for(monkeypatch):
     assert made_up().trade_off is None
     assert made_up().results()["trade_off"] == []
