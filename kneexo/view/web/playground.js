@@ -328,7 +328,7 @@ const Page = (() => {
     const indices = shownSetups();
     const head = element("tr");
     head.append(...["Value", ...indices.map((i) => nameOf(i)), "Unit"].map((text) => element("th", { scope: "col" }, text)));
-    table.append(element("caption", {}, "Values of this page"), head);
+    table.append(element("caption", {}, captionOfValues()), head);
     for (const [label, words] of switchWords()) {
       const row = element("tr");
       row.append(element("th", { scope: "row" }, label), ...indices.map((i) => element("td", {}, words(state.setups[i]))), element("td"));
@@ -346,6 +346,14 @@ const Page = (() => {
       table.append(row);
     }
     byId("values").replaceChildren(table);
+  }
+
+  /** Version, date and link of the values on paper. A page in a notebook has no address. */
+  function captionOfValues() {
+    const [page] = location.href.split("#");
+    const fragment = Setups.linkOf(data, state);
+    const link = byId("copy-link").hidden ? "" : `, ${page}${fragment && "#"}${fragment}`;
+    return `Values of this page: kneexo ${data.kneexo}, ${new Date().toISOString().slice(0, 10)}${link}`;
   }
 
   /** Names of the switches, and functions that return their choice in words. */

@@ -733,9 +733,12 @@ def test_paper_has_values_numbers_and_curves(browser, single):
     try:
         page.evaluate("dispatchEvent(new Event('beforeprint'))")
         shown = """[...document.querySelectorAll(
-          "#panel, #values, #plots .plot:not([hidden]) canvas, #numbers")]
+          "#panel, #values, #plots .plot:not([hidden]) canvas, #numbers, .stage-legend, #pin")]
         .map(element => element.checkVisibility())"""
-        assert page.evaluate(shown) == [True, True, True, True, True, False, True]
+        assert page.evaluate(shown) == [True, True, False, True, True, True, True, False, True]
+        caption = page.evaluate("document.querySelector('#values caption').textContent")
+        assert re.match(rf"Values of this page: kneexo {__version__}, \d{{4}}-\d\d-\d\d", caption)
+        assert caption.endswith(f"#a.{GEAR}=4.5&kneexo={__version__}")
     finally:
         browser.call("Emulation.setEmulatedMedia", media="")
 
