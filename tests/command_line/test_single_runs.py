@@ -139,6 +139,17 @@ def test_a_step_has_rise_time_overshoot_and_settling_time(capsys, tmp_path, undr
 
 
 @pytest.mark.slow
+def test_a_push_has_a_deviation_and_a_recovery_time(capsys, tmp_path, undrawn):
+    values = ("plant.load=knee", "push={torque_n_m: 60, start_s: 0.5}", "simulation.duration_s=1.5")
+    command = ["simulate", *(word for value in values for word in ("--set", value))]
+    assert main([*command, "--out", str(tmp_path)]) == 0
+    words = " ".join(capsys.readouterr().out.split())
+    expected = track(load_scenario(tmp_path / "scenario.yaml")).push
+    assert expected.line in words
+    assert json.loads((tmp_path / "metrics.json").read_text())["push"] == asdict(expected)
+
+
+@pytest.mark.slow
 def test_the_reference_engine_can_be_asked_for(capsys, short, tmp_path, undrawn):
     results = {}
     for engine in ("compiled", "drake"):
