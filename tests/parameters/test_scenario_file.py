@@ -398,6 +398,7 @@ def test_aliases_cannot_multiply_a_text_without_end(
     lines = ["a0: &a0 [x, x, x, x, x, x, x, x, x]"]
     lines += [f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9)}]" for n in range(1, 10)]
     assert "too many values" in file.fault("\n".join(lines))
+    assert "too many values" in file.fault(f"a: &a [{', '.join('x' * 600)}]\nb: *a")
 
 
 @pytest.mark.parametrize(
