@@ -93,6 +93,7 @@ def test_runs_have_names_that_differ(tmp_path, capsys, monkeypatch, finished):
     assert json.loads(capsys.readouterr().out)["runs"] == ["a/run", "b/run", "walk"]
 
 
+@pytest.mark.slow
 def test_a_scenario_file_and_a_directory_of_one_name_have_names_that_differ(
     tmp_path, capsys, monkeypatch, finished
 ):

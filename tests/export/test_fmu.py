@@ -537,6 +537,7 @@ def test_initial_states_are_parameters(path, fmu_instance):
     assert plant.get("rod_force_n") == pytest.approx(2.5e5 * 2.748893571891069e-4, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_initial_states_of_a_plant_of_full_order_are_those_of_the_closed_loop():
     loop = make_closed_loop(LOADED, signals=())
     context = loop.CreateDefaultContext()

@@ -75,7 +75,13 @@ def largest_difference_from_drake(random_diagram, drake_runs, kind, seed):
 
 
 @pytest.mark.parametrize(
-    ("kind", "seed"), [("continuous", 0), ("sampled", 0), ("mixed", 0), ("multirate", 2)]
+    ("kind", "seed"),
+    [
+        ("continuous", 0),
+        ("sampled", 0),
+        ("mixed", 0),
+        pytest.param("multirate", 2, marks=pytest.mark.slow),
+    ],
 )
 def test_a_random_diagram_moves_as_in_drakes_simulator(random_diagram, drake_runs, kind, seed):
     assert largest_difference_from_drake(random_diagram, drake_runs, kind, seed) < 1e-7

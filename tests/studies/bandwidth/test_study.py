@@ -174,6 +174,7 @@ def test_the_frame_has_a_row_for_each_cell(by_hand, monkeypatch):
         assert columns[name].tolist() == values.ravel().tolist()
 
 
+@pytest.mark.slow
 def test_an_interrupted_map_goes_on_with_identical_results(mapped):
     result, path = mapped
     lines = path.read_bytes().splitlines(keepends=True)

@@ -231,6 +231,7 @@ def test_every_entrant_is_assessed_on_every_test_plant(small, flat):
         assert flat(contest.other_reference[name]) == flat(other_reference)
 
 
+@pytest.mark.slow
 def test_the_search_is_for_the_smallest_objective_within_the_default_smcs_budget(small):
     contest, _ = small
     lags = [0.010, *lags_of(SMALL.training_seed, 1)]
