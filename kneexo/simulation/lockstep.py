@@ -42,7 +42,7 @@ def needs_runs(function: Function) -> Function:
 
 
 def is_in_lockstep(function: Callable[..., Any]) -> bool:
-    """Return whether `needs_runs` decorates ``function`` or the function in its `partial`."""
+    """Return whether ``function``, or the function in a `functools.partial`, has `needs_runs`."""
     return hasattr(partial(function).func, "needs_runs")
 
 
