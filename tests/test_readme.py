@@ -130,7 +130,8 @@ def test_the_example_of_the_scenario_files_runs(tmp_path, capsys):
 @pytest.fixture
 def wearer_example(tmp_path):
     path = tmp_path / "scenario.yaml"
-    path.write_text(block("yaml", SCENARIO_FILES.partition("## A wearer")[2]), encoding="utf-8")
+    section = SCENARIO_FILES.partition("## A wearer")[2].partition("\n## ")[0]
+    path.write_text(block("yaml", section), encoding="utf-8")
     return load_scenario(path)
 
 

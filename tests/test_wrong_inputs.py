@@ -83,7 +83,7 @@ FILES = {
     "plant: {load: {segment_mass_kg: 3}}": r"needs plant.load.kind = knee$",
     "reference: {file: walk.csv}": r"needs reference.kind = csv$",
     "simulation: {duration: 5}": r"did you mean simulation.duration_s\?$",
-    "duration: 5": r"did you mean simulation.duration_s\?$",
+    "duration: 5": r"did you mean simulation.duration_s or push.duration_s \(needs push = {}\)\?$",
     "reference: {csv: walk.csv}": r"did you mean reference.kind = csv\?$",
     "colour: red": r"known here: bus, controller, encoder",
     # words and kinds

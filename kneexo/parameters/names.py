@@ -165,6 +165,8 @@ def advice(model: type[BaseModel], path: Path, here: Models = ()) -> str:
 def _nearest(names: list[Name], path: Path, here: Models) -> list[str]:
     """Return the paths of the names that are nearest to a wrong path, with what they need.
 
+    Paths that need nothing come first.
+
     A name is near if its path and the wrong path have names in common, at their beginnings and at
     their ends, and if parameters ``here`` have the name.
     """
@@ -177,11 +179,13 @@ def _nearest(names: list[Name], path: Path, here: Models) -> list[str]:
     by_path: dict[Path, list[Name]] = {}
     for name in nearest.values():
         by_path.setdefault(name.path, []).append(name)
-    texts = []
+    ready, needing = [], []
     for place, same in by_path.items():
-        need = _need(same, path, here)
-        texts.append(".".join(place) + (f" (needs {need})" if need else ""))
-    return texts[:_MOST]
+        if need := _need(same, path, here):
+            needing.append(f"{'.'.join(place)} (needs {need})")
+        else:
+            ready.append(".".join(place))
+    return (ready + needing)[:_MOST]
 
 
 def _in_common(path: Path, other: Path) -> int:

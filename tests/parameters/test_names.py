@@ -57,7 +57,7 @@ REMEDIES = [
         Scenario,
         "duration",
         (Scenario,),
-        "; did you mean push.duration_s (needs push = {}) or simulation.duration_s?",
+        "; did you mean simulation.duration_s or push.duration_s (needs push = {})?",
     ),
     (PlantParameters, "mass_kg", (), "; did you mean cylinder.mass_kg?"),
     (CylinderParameters, "lag_s", (), "; Scenario has plant.pump.lag_s"),

@@ -1,5 +1,6 @@
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -140,8 +141,10 @@ def test_growth_rate_of_a_growing_oscillation():
 
 
 def test_all_figures_run_with_the_linkage_of_the_scenario(monkeypatch):
-    runs = [(key, lambda case: case, cases) for key, _, cases in study._RUNS]
-    monkeypatch.setattr(study, "_RUNS", runs)
+    groups = {
+        figure: replace(group, run=lambda case: case) for figure, group in study._GROUPS.items()
+    }
+    monkeypatch.setattr(study, "_GROUPS", groups)
     monkeypatch.setattr(study, "sinestream", lambda scenario, *_, **__: scenario)
     result = reproduce_study(Scenario(plant={"linkage": "G5"}))
     groups = (result.fig12, result.scaling, result.eq27_exact, result.eq27_differences)
