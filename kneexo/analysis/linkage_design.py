@@ -51,6 +51,7 @@ _VIOLATION = 1e-7  # largest scaled violation of a result
 _NEARLY = 1e-3  # largest scaled violation of a start that is refined
 _BINDING = 1e-6  # scaled distance below which a limit counts as reached
 _CHECKED_DEG = (-5.0, 95.0)  # knee angles at which the links must close
+_LARGEST_EXTENSION_MM = 1000.0  # more is in a wrong unit
 _LEAST_SPAN_DEG = 10.0  # less is a range in the wrong unit
 _SAME = 1e-6  # relative difference of the costs of two linkages that count as equally good
 _DIGITS = 9  # decimals of lengths in m and angles in rad
@@ -487,6 +488,8 @@ def _excluding(improved: list[_Start]) -> str:
     met = problem.errors(x)[2]
     limits = problem.limits
     names = [n for n, values in met.items() if n != "rod_error_mm" and np.min(values) < -_NEARLY]
+    if not names and limits.rod_error_mm is None:
+        return "limits: the search ended before a linkage met all limits; increase starts"
     if not names:
         names = ["rod_error_mm"]
     shown = ", ".join(f"{name} = {getattr(limits, name)}" for name in names)
@@ -504,8 +507,12 @@ def _target(rod: RodTarget) -> tuple[Array, Array]:
             f"rod: has {angle_deg.size} knee angles and {extension_mm.size} extensions, must have "
             f"equally many of both, at least 3"
         )
-    if not np.all(np.isfinite(extension_mm)):
-        raise ParameterError("rod: has an extension that is not finite; leave its pair out")
+    # Written so that nan is wrong too.
+    if np.any(wrong := ~(np.abs(extension_mm) <= _LARGEST_EXTENSION_MM)):
+        raise ParameterError(
+            f"rod: extension {extension_mm[wrong][0]:.4g} mm must be finite and within "
+            f"±{_LARGEST_EXTENSION_MM:g} mm; leave its pair out"
+        )
     return np.radians(angle_deg), 1e-3 * extension_mm
 
 

@@ -212,9 +212,14 @@ def make_sil(
     The plant is in double precision, so ``precision`` and ``look_up`` belong to the controller. The
     test vectors come from a run of the compiled loop by RK4 with the steps of the plant in C. For
     all options and errors see `make_firmware`. Raises `ParameterError` too if the controller reads
-    the state of the rod, or the scenario has a bus, which neither model contains.
+    the state of the rod, or the scenario has a bus or a push, which neither model contains.
     """
     require_step(step_s)
+    if scenario.push is not None:
+        raise ParameterError(
+            "push: neither controller nor plant contains the push; leave it out for software in "
+            "the loop (--set push=null)"
+        )
     if scenario.bus.kind != "none" or scenario.bus.latency_samples:
         raise ParameterError(
             f"bus.kind = {scenario.bus.kind!r}, bus.latency_samples = "

@@ -114,6 +114,8 @@ def read_anatomical_knee(path: str | os.PathLike[str]) -> AnatomicalKneeParamete
     for name in names:
         table.require(name, -LARGEST_PLACE_MM, LARGEST_PLACE_MM, "mm")
     angles_deg = table.columns["knee_flexion_deg"]
+    if len(angles_deg) < 3:
+        raise file_error(path, None, f"has {len(angles_deg)} rows of numbers: must have at least 3")
     if not angles_deg[-1] >= 10.0:
         message = (
             f"knee_flexion_deg ends at {angles_deg[-1]:g} deg: must reach 10 deg; flexion is "

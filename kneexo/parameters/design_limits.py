@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
+from pydantic import model_validator
+
 from kneexo.parameters.plant import CylinderParameters
 from kneexo.parameters.quantity import Parameters, choice, quantity
 
@@ -70,3 +72,15 @@ class DesignLimits(Parameters):
         None, "mm", "chosen by the user; None: the error is weighed", ge=1e-3, le=100
     )
     """Largest rms error of the rod extension over its target."""
+
+    @model_validator(mode="after")
+    def _in_order(self) -> DesignLimits:
+        for low, high in (
+            ("least_arm_m", "largest_arm_m"),
+            ("cylinder_height_m", "pin_radius_m"),
+        ):
+            if not getattr(self, low) < getattr(self, high):
+                raise ValueError(
+                    f"{low} = {getattr(self, low):g} m must be < {high} = {getattr(self, high):g} m"
+                )
+        return self

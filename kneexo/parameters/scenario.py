@@ -312,6 +312,11 @@ class Scenario(Parameters):
             raise ValueError(
                 f"push: wearer.kind must be none, not {self.wearer.kind}; remove push or wearer"
             )
+        if push.duration_s < self.controller.sample_time_s:
+            raise ValueError(
+                f"push.duration_s = {push.duration_s:g} s: must be >= controller.sample_time_s = "
+                f"{self.controller.sample_time_s:g} s, because a push begins and ends at samples"
+            )
         if push.torque_n_m and push.end_s > self.duration_s:
             raise ValueError(
                 f"push ends at {push.end_s:g} s, and the run lasts {self.duration_s:g} s; must end "

@@ -150,6 +150,26 @@ def test_the_class_of_the_shortest_link_decides_on_the_sign():
             assert (np.min(met["grashof"]) > -1e-2) == (index == shortest[name])
 
 
+@pytest.mark.parametrize("extension_mm", [math.nan, 1e6])
+def test_an_extension_that_is_no_length_in_mm_is_refused(extension_mm):
+    rod = ([0.0, 45.0, 90.0], [0.0, -40.0, extension_mm])
+    with pytest.raises(ParameterError, match=r"^rod: extension .* must be finite and within ±1000"):
+        design_linkage(rod=rod)
+
+
+@pytest.mark.parametrize(
+    "limits",
+    [
+        {"least_arm_m": 0.1, "largest_arm_m": 0.05},
+        {"cylinder_height_m": 0.5, "pin_radius_m": 0.45},
+    ],
+)
+def test_limits_in_the_wrong_order_are_refused(limits):
+    low, high = limits
+    with pytest.raises(ParameterError, match=f"{low} = .* m must be < {high} = .* m"):
+        DesignLimits(**limits)
+
+
 def test_where_the_links_do_not_close_the_errors_are_finite_and_the_angle_is_violated():
     x = _points_of(changed(G3))
     x[0:2] += [0.0, 0.2]  # O_A is 200 mm higher
@@ -211,7 +231,7 @@ def test_a_linkage_near_the_right_one_finds_its_motion_again():
         ({"rod": (np.radians([0.0, 45.0, 90.0]), [148.0, 73.0, 38.0])},
          "rod: spans 1.57 deg of knee angle, must span at least 10 deg; a motion"),
         ({"rod": ([0.0, 90.0], [1.0, 2.0, 3.0])}, "rod: has 2 knee angles and 3 extensions"),
-        ({"rod": ([0.0, 1.0, 2.0], [1.0, math.nan, 3.0])}, "rod: has an extension that is not"),
+        ({"rod": ([0.0, 1.0, 2.0], [1.0, math.nan, 3.0])}, "rod: extension nan mm must be finite"),
         ({"first": G1}, "first: has the shank as ground"),
         ({"starts": 0}, "starts = 0: must be >= 1"),
     ],

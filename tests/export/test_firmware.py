@@ -16,7 +16,7 @@ from kneexo.command_line.main import main
 from kneexo.compiler.c import build as c_build, export as c_export
 from kneexo.errors import ParameterError
 from kneexo.export import firmware
-from kneexo.export.firmware import loop_inputs, make_firmware
+from kneexo.export.firmware import loop_inputs, make_firmware, make_sil
 from kneexo.export.target import largest_step_s, make_target
 from kneexo.parameters import Scenario
 from kneexo.parameters.scenario_file import load_scenario
@@ -366,6 +366,12 @@ def test_a_loop_that_two_modules_cannot_form_is_refused(tmp_path, short, capsys,
     assert line in error
     assert error.count("\n") == 1
     assert not out.exists()
+
+
+def test_a_loop_with_a_push_is_refused():
+    pushed = Scenario.model_validate({"plant": {"load": "knee"}, "push": {}})
+    with pytest.raises(ParameterError, match=r"^push: neither controller nor plant contains"):
+        make_sil(pushed)
 
 
 TWO_C = """

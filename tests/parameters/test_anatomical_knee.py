@@ -46,6 +46,14 @@ def test_a_file_gives_the_motion_that_it_was_written_from(tmp_path, what):
     np.testing.assert_allclose(got, expected, atol=5e-6)
 
 
+@pytest.mark.parametrize("count", [0, 2])
+def test_a_file_of_fewer_than_three_rows_is_refused(tmp_path, count):
+    columns = {name: values[:count] for name, values in GOOD.items()}
+    path = written(tmp_path / "knee.csv", columns)
+    with pytest.raises(ScenarioError, match=rf"has {count} rows of numbers: must have at least 3"):
+        read_anatomical_knee(path)
+
+
 GOOD = {
     "knee_flexion_deg": [0.0, 60.0, 120.0],
     "anterior_mm": [0.0, 4.0, -3.0],

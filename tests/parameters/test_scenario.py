@@ -115,6 +115,7 @@ def test_reference_and_moment_of_walking_have_one_frequency():
 def test_a_push_needs_a_load_and_a_run_that_contains_it(values, message):
     with pytest.raises(ParameterError, match=message):
         Scenario.model_validate(values | {"push": {"torque_n_m": 5.0}})
-    for duration_s in (-1.0, 0.0):
+    # The last one would lie between two samples of the controller.
+    for duration_s in (-1.0, 0.0, 0.0019):
         with pytest.raises(ParameterError, match=r"push\.duration_s.* must be"):
-            Scenario.model_validate({"push": {"duration_s": duration_s}})
+            Scenario.model_validate({"plant": {"load": "knee"}, "push": {"duration_s": duration_s}})
