@@ -27,7 +27,9 @@ class PushResponse(Result):
     def line(self) -> str:
         """One line with both numbers."""
         back = "is not back"
-        if math.isfinite(self.recovery_time_s):
+        if self.largest_deviation_deg <= RECOVERY_BAND_DEG:
+            back = "stays"
+        elif math.isfinite(self.recovery_time_s):
             back = f"is back {self.recovery_time_s:.3g} s after its start,"
         return (
             f"The push moves the knee by {self.largest_deviation_deg:.3g}°. The knee {back} within "

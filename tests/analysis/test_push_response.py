@@ -27,6 +27,7 @@ def test_recovery_counts_from_the_start_to_the_last_sample_outside(deviation, la
     assert response.largest_deviation_deg == pytest.approx(largest)
     assert response.recovery_time_s == pytest.approx(recovery_s, nan_ok=True)
     assert ("is not back" in response.line) == math.isnan(recovery_s)
+    assert ("The knee stays within 0.1°" in response.line) == (recovery_s == 0.0)
 
 
 @pytest.mark.slow
