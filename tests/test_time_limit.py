@@ -17,5 +17,5 @@ def test_a_fast_test_has_the_limit_of_the_settings(request):
 
 
 @pytest.mark.slow
-def test_a_slow_test_has_an_hour(request):
-    assert request.node.get_closest_marker("timeout").args == (3600,)
+def test_a_slow_test_has_a_quarter_of_an_hour(request):
+    assert request.node.get_closest_marker("timeout").args == (900,)

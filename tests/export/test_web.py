@@ -36,8 +36,13 @@ LEG = Scenario.model_validate(SHIPPED["leg"])
 
 @cache
 def model_of(scenario):
-    """The model of a scenario; the tests share it, for it takes a second."""
-    return web_model(scenario)
+    """The model of a scenario; the tests share it, for it takes a second.
+
+    It has no quantities of a push, which the page's worker adds: tests/view/web/test_worker.py.
+    """
+    model = web_model(scenario)
+    parts = [q for q in model["quantities"] if not q["name"].startswith("push.")]
+    return model | {"quantities": parts}
 
 
 def parameters_of(part, values):

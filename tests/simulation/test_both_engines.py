@@ -7,7 +7,7 @@ other is shut off. `TOLERANCES` says how far apart they may be, and why.
 import csv
 import json
 import re
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -27,7 +27,6 @@ from kneexo.studies.bandwidth import BandwidthSettings, bandwidth_study
 from kneexo.studies.catalogue import STUDIES
 from kneexo.studies.contest import Contestant, ContestSettings, contest_study
 from kneexo.studies.controller import ControllerSettings, controller_study
-from kneexo.studies.paper import EQ_27_DIFFERENCES, EQ_27_EXACT_STATES, FIG_12, IDEAL_SMC
 from kneexo.studies.reproduce import study as reproduce
 from kneexo.studies.robustness import RobustnessSettings, robustness_study
 from kneexo.studies.size import SizeSettings, size_study
@@ -265,15 +264,17 @@ def lasting(cases, duration_s):
 
 @pytest.mark.slow
 def test_reproduce_is_the_same_by_both_engines(monkeypatch):
-    runs = {key: run for key, run, _ in reproduce._RUNS}
-    cases = {
-        "fig9": lasting({"": IDEAL_SMC}, 1.01),
-        "fig12": lasting(FIG_12, 2.6),  # its first quarter period and more
-        "exact": lasting(EQ_27_EXACT_STATES, 0.3),
-        "differences": lasting(EQ_27_DIFFERENCES, 0.05),  # soon one count more makes another run
+    durations_s = {
+        "fig9": 1.01,
+        "fig12": 2.6,  # its first quarter period and more
+        "eq27_exact": 0.3,
+        "eq27_differences": 0.05,  # soon one count more makes another run
     }
-    shortened = tuple((key, runs[key], own) for key, own in cases.items())
-    monkeypatch.setattr(reproduce, "_RUNS", shortened)
+    shortened = {
+        figure: replace(group, scenarios=lasting(group.scenarios, durations_s[figure]))
+        for figure, group in reproduce._GROUPS.items()
+    }
+    monkeypatch.setattr(reproduce, "_GROUPS", shortened)
     fast = SinestreamSettings(
         frequencies_hz=(1.0, 2.0, 3.0), trials=2, transient_cycles=0, measured_cycles=1
     )
