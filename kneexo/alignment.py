@@ -143,6 +143,8 @@ class Alignment(Result):
         motion = anatomical_motion(self.knee, np.radians(self.knee_angle_deg))
         back = np.conj(motion.turn)
         angle = motion.knee_angle
+        # The strap s of the device at `angle` is in the slot of the shank, whose place is t and
+        # whose turn is e^{jθ}, if Re(e^{−jθ} (s − t)) = 0.
         for _ in range(20):
             strap, strap_rate = self._strap(linkage_motion(self.linkage, angle))
             slope = np.real(back * strap_rate)
@@ -271,8 +273,9 @@ def align(
     knee_angle_deg
         Knee angles in deg over which the strap migrates, (n,), such as those of a stride.
     position
-        Place in m of the device on the thigh, x + jy. The strap is then put where it fits best.
-        None stands for the best place.
+        Place in m of the device's origin on the thigh, x + jy. x points backwards and y to the hip,
+        from the origin of the wearer's knee. The strap is then put where it fits best. None stands
+        for the best place.
     turn_rad
         Turn in rad of the device on the thigh. None stands for the best turn, to 0.1°.
     placement
@@ -280,7 +283,8 @@ def align(
     cuff
         Place, stiffness and friction of the cuff.
     counts
-        The migration that the least squares count: ``"across"`` for a cuff that slides along.
+        Components of the migration that the fit minimizes: ``"both"``, or ``"across"`` alone for a
+        cuff that slides along the shank.
 
     Raises
     ------

@@ -60,9 +60,9 @@ class RodInverse:
     extension at the rod's dead centre (r = 0). The dead centre lies outside the range of motion, so
     θ_p, θ_4 and r are analytic functions of √(x_dc − x), and polynomials of degree 25 represent
     them to rounding. For the rod of the paper's Table 1 the error is 3e-10 rad, because its dead
-    centre is nearer. The coefficients are factors of powers of t, highest power first. Powers of t
-    give small symbolic expressions by Horner's rule. A Chebyshev series would give large
-    expressions by Clenshaw's rule.
+    centre is closer to the range of motion. The coefficients are those of the powers of t, highest
+    power first. Powers of t give small symbolic expressions by Horner's rule. A Chebyshev series
+    would give large expressions by Clenshaw's rule.
     """
 
     dead_centre_m: float

@@ -180,7 +180,8 @@ def stiffness_interval(
     )
 
     def growth(value: float) -> float:
-        return _growth(free + value / _SMALL * (stiff - free))  # the loop rests at one angle
+        # At a fixed angle the monodromy is affine in the stiffness, so that two loops give all.
+        return _growth(free + value / _SMALL * (stiff - free))
 
     ends = _interval(growth, _STIFFNESSES, law.stiffness_n_m_per_rad)
     return StiffnessInterval(*ends, knee_angle_deg, scenario)

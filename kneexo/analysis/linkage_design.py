@@ -129,7 +129,10 @@ class LinkageDesign(Result):
 
 @dataclass(frozen=True, repr=False)
 class TradeOff(Result):
-    """Designs with less and less error of the rod, as `trade_off` finds them."""
+    """Designs with falling error of the rod, each with the least migration found for its error.
+
+    `trade_off` makes them.
+    """
 
     designs: tuple[LinkageDesign, ...]
 

@@ -132,7 +132,7 @@ def _request(
 
 
 def out(options: argparse.Namespace) -> Path:
-    """Return the parsed argument of ``--out``. Serves as an attribute in `add_command`."""
+    """Return the path of ``--out``. `add_command` takes this function as directory or file."""
     path: Path = options.out
     return path
 

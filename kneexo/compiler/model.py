@@ -476,7 +476,7 @@ def _in_threads(
 
 
 class DiagramModel(CompiledModel):
-    """A compiled model together with its diagram of floats."""
+    """A compiled model together with the Drake diagram, of scalar type float, behind it."""
 
     def __init__(self, read: DiagramEquations) -> None:
         """Make the model of a diagram. ``read`` is the result of `read_diagram`."""

@@ -71,8 +71,8 @@ def make_closed_loop(
     - ``signals`` and ``log``: a `Multiplexer` and a `VectorLogSink`, which logs the columns
       ``columns(signals)`` at the control period. Both are absent for ``signals=()``.
 
-    Inputs: ``disturbance_force`` and, with a load, without a wearer and without a push,
-    ``knee_torque``. An unconnected input is zero.
+    Inputs: ``disturbance_force``, and ``knee_torque`` if the plant has a load and the scenario has
+    neither wearer nor push. An unconnected input is zero.
     Outputs: each of `available_signals`. Drake logs the state before an update, so that the logged
     command at t was held until t. The paper's ideal case (Fig. 9) is
     `kneexo.studies.paper.IDEAL_SMC`.
@@ -91,8 +91,8 @@ def make_closed_loop(
     external_moment
         True: an input port ``biological_moment`` replaces the subsystem ``moment`` if it exists.
     law
-        A system that replaces the law of the user: see `make_controller`. The port ``law_command``
-        of a `HeldCommand` becomes an input of the loop.
+        A system that replaces the law of the user: see `make_controller`. With a `HeldCommand` the
+        command comes from outside, by the input ``law_command`` of the loop.
 
     Raises
     ------

@@ -88,7 +88,10 @@ def kind_of(model: type[BaseModel]) -> str | None:
 
 
 def more_models_of(field: FieldInfo | None) -> tuple[type[BaseModel], ...]:
-    """Return the classes whose objects a field accepts but does not keep, as `Words` says."""
+    """Return the classes whose objects a field accepts and replaces by objects of other classes.
+
+    They are the ``models`` of `Words`.
+    """
     metadata = [] if field is None else field.metadata
     return tuple(model for more in metadata if isinstance(more, Words) for model in more.models)
 

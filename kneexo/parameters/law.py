@@ -344,7 +344,10 @@ class Law:
         return repr(self.name)
 
     def identity(self) -> str:
-        """Return name and fingerprint as text, ``NAME#DIGEST``, or only the name without one."""
+        """Return ``NAME#DIGEST``, the name and the begin of the fingerprint.
+
+        Return only the name if the law has no fingerprint.
+        """
         fingerprint = self.fingerprint
         return self.name if fingerprint is None else f"{self.name}#{fingerprint[:_DIGITS]}"
 

@@ -350,7 +350,7 @@ def sit_to_stand_reference(
 
 
 def read_reference(value: Any, directory: Any) -> Any:
-    """Return the samples of a gait or CSV reference. Return any other reference unchanged.
+    """Return a gait or CSV reference as a `SampledReference`, any other reference unchanged.
 
     ``value`` is a scenario's reference: an object, a mapping, or the path of a file of
     `CsvReference`. A relative path starts at ``directory``. Raises `ParameterError` for a faulty

@@ -138,7 +138,10 @@ def playground_page(scenarios: Sequence[Scenario], names: Sequence[str]) -> str:
 
 
 def playground_data(scenarios: Sequence[Scenario], names: Sequence[str]) -> dict[str, Any]:
-    """Return the data of a page: modules, scenarios, groups of sliders, and both set-ups."""
+    """Return the data of a page.
+
+    They are modules, scenarios, groups of sliders, and the two set-ups that the page can compare.
+    """
     entries = [_entry(scenario, name) for scenario, name in zip(scenarios, names, strict=True)]
     models = [model for entry in entries for model in entry["models"]]
     first = {"scenario": 0, **entries[0]["start"], "values": {}}

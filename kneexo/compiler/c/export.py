@@ -81,7 +81,8 @@ def export_c(
     name
         Prefix of all C names and file names, a C identifier of up to 31 characters.
     inputs
-        Names of the input ports of the diagram that become inputs of the C code.
+        Names of the input ports of the diagram that become inputs of the C code. All other input
+        ports count as unconnected.
     samples
         Inputs in each step of the test vectors, (steps, elements of all inputs); zeros by default.
         The inputs are finite, within the ranges of ``interface``, and whole numbers for an int32_t.

@@ -1,4 +1,4 @@
-"""Searches a linkage that follows a wearer's knee and obeys a rod map, within limits."""
+"""Searches for a linkage that follows a wearer's knee, with a given rod map, within limits."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def design_study(
     settings: DesignSettings = DesignSettings(),
     **options: Unpack[SweepOptions],
 ) -> DesignResult:
-    """Search a linkage within limits, and put it into a scenario.
+    """Search for a linkage within limits, and put it into a scenario.
 
     Parameters
     ----------
