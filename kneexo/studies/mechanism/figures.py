@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from kneexo.alignment import MM
+from kneexo.analysis import TradeOff
 from kneexo.plotting import SERIES
 from kneexo.studies.mechanism.study import MechanismResult
 from kneexo.studies.plots import legend_below
@@ -27,14 +28,16 @@ def figures(result: MechanismResult) -> dict[str, Figure]:
 
     The trade-off is drawn if it was searched.
     """
-    searched = result.trade_off is not None
-    return {
+    drawn = {
         "centres": plot_centres(result),
         "migration": plot_migration(result),
         "misplacement": plot_misplacement(result),
         "slotted_strap": plot_slotted_strap(result),
         "leg_length": plot_leg_length(result),
-    } | ({"trade_off": plot_trade_off(result)} if searched else {})
+    }
+    if result.trade_off is not None:
+        drawn["trade_off"] = plot_trade_off(result, result.trade_off)
+    return drawn
 
 
 def plot_centres(result: MechanismResult) -> Figure:
@@ -136,15 +139,14 @@ def plot_leg_length(result: MechanismResult) -> Figure:
     return figure
 
 
-def plot_trade_off(result: MechanismResult) -> Figure:
+def plot_trade_off(result: MechanismResult, trade_off: TradeOff) -> Figure:
     """Draw the migration of designed linkages and of all devices over the error of Table 1."""
     figure, ax = plt.subplots(figsize=(7.2, 4.4), layout="constrained")
     figure.set_label(
         "Migration of the strap over the difference from Table 1: the best linkages that a search "
         "found (line), and the devices (marks)."
     )
-    if result.trade_off is not None:
-        result.trade_off.plot(ax)
+    trade_off.plot(ax)
     for (name, device), style in zip(result.devices.items(), _STYLES, strict=False):
         row, place = device.results(), "D" if style["ls"] == "-" else "s"
         ax.plot(row["rod_rms_mm"], row["rms_mm"], place, color=style["color"], label=name)
