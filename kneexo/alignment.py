@@ -83,9 +83,9 @@ class Alignment(Result):
     @property
     def device_centre(self) -> Points:
         """Instantaneous centres of rotation (n,) of the device, in m, in the frame of the thigh."""
-        motion = linkage_motion(self.linkage, np.radians(self.knee_angle_deg))
+        device_motion = linkage_motion(self.linkage, np.radians(self.knee_angle_deg))
         turn = np.exp(1j * self.placement.turn_rad)
-        return np.asarray(self.placement.position + turn * motion.fixed_centrode)
+        return np.asarray(self.placement.position + turn * device_motion.fixed_centrode)
 
     def misplaced_rms_mm(self, error_mm: ArrayLike) -> Array:
         """Return the rms of the migration in mm if the device is ``error_mm`` off its best place.
@@ -140,15 +140,15 @@ class Alignment(Result):
 
         Raises `ParameterError` if no angle of the device puts the pin into the slot.
         """
-        motion = anatomical_motion(self.knee, np.radians(self.knee_angle_deg))
-        back = np.conj(motion.turn)
-        angle = motion.knee_angle
+        knee_motion = anatomical_motion(self.knee, np.radians(self.knee_angle_deg))
+        inverse_turn = np.conj(knee_motion.turn)
+        angle = knee_motion.knee_angle
         # The strap s of the device at `angle` is in the slot of the shank, whose place is t and
         # whose turn is e^{jθ}, if Re(e^{−jθ} (s − t)) = 0.
         for _ in range(20):
             strap, strap_rate = self._strap(linkage_motion(self.linkage, angle))
-            slope = np.real(back * strap_rate)
-            step = np.real(back * (strap - motion.translation)) / slope
+            slope = np.real(inverse_turn * strap_rate)
+            step = np.real(inverse_turn * (strap - knee_motion.translation)) / slope
             if np.all(np.abs(step) < 1e-12):
                 break
             angle = angle - step
@@ -157,7 +157,8 @@ class Alignment(Result):
                 "placement: at a knee angle no angle of the device puts the strap into the slot; "
                 "choose a place nearer to the best one"
             )
-        knee_slope = np.real(back * (1j * (motion.translation - strap) - motion.rate))
+        shank_rate = knee_motion.rate + 1j * (strap - knee_motion.translation)
+        knee_slope = -np.real(inverse_turn * shank_rate)
         return SlottedStrap(
             knee_angle_deg=self.knee_angle_deg,
             device_angle_deg=np.degrees(angle),
@@ -172,20 +173,20 @@ class Alignment(Result):
         its moment on the knee is its power per rate of the knee angle. The moments on both knees
         and the rate of the springs' energy sum to zero while the strap sticks.
         """
-        motion = anatomical_motion(self.knee, np.radians(self.knee_angle_deg))
+        knee_motion = anatomical_motion(self.knee, np.radians(self.knee_angle_deg))
         across_n = self.cuff.normal_stiffness_n_per_m * self.across_mm / MM
         spring_n = self.cuff.shear_stiffness_n_per_m * self.along_mm / MM
         hold_n = self.cuff.friction * self.cuff.preload_n
         along_n = np.clip(spring_n, -hold_n, hold_n)
-        force = motion.turn * (across_n + 1j * along_n)
-        strap, strap_rate = self._strap(linkage_motion(self.linkage, motion.knee_angle))
-        leg_rate = motion.rate + 1j * (strap - motion.translation)
+        force = knee_motion.turn * (across_n + 1j * along_n)
+        strap, strap_rate = self._strap(linkage_motion(self.linkage, knee_motion.knee_angle))
+        shank_rate = knee_motion.rate + 1j * (strap - knee_motion.translation)
         return CuffForces(
             knee_angle_deg=self.knee_angle_deg,
             across_n=across_n,
             along_n=along_n,
             slips=np.abs(spring_n) > hold_n,
-            knee_moment_n_m=np.real(np.conj(force) * leg_rate),
+            knee_moment_n_m=np.real(np.conj(force) * shank_rate),
             device_moment_n_m=-np.real(np.conj(force) * strap_rate),
         )
 
@@ -207,11 +208,12 @@ class Alignment(Result):
         ax.legend()
         return ax
 
-    def _strap(self, device: ShankMotion) -> tuple[Points, Points]:
+    def _strap(self, device_motion: ShankMotion) -> tuple[Points, Points]:
         """Return place (n,) of the strap in the frame of the thigh, and its rate over the angle."""
         turn, strap = np.exp(1j * self.placement.turn_rad), self.placement.strap
-        place = self.placement.position + turn * (device.translation + device.turn * strap)
-        return place, turn * (device.rate + 1j * device.turn * strap)
+        shank_point = device_motion.translation + device_motion.turn * strap
+        rate = device_motion.rate + 1j * device_motion.turn * strap
+        return self.placement.position + turn * shank_point, turn * rate
 
 
 @dataclass(frozen=True, repr=False)
@@ -298,10 +300,10 @@ def align(
     if not angle_deg.size:
         raise ParameterError("knee_angle_deg: has no knee angle; must have at least one")
     angle = np.radians(angle_deg)
-    device, motion = linkage_motion(linkage, angle), anatomical_motion(knee, angle)
+    device_motion, knee_motion = linkage_motion(linkage, angle), anatomical_motion(knee, angle)
     is_best = placement is None and position is None
     if placement is None:
-        fit = _Fit(device, motion, position, cuff.distance_m, counts)
+        fit = _Fit(device_motion, knee_motion, position, cuff.distance_m, counts)
         placement = fit.placement(fit.best_turn_rad() if turn_rad is None else turn_rad)
     if not (is_best or abs(placement.position) <= FARTHEST_M):
         raise ParameterError(
@@ -309,8 +311,8 @@ def align(
             f"wearer's knee"
         )
     turn = np.exp(1j * placement.turn_rad)
-    gap = placement.position + turn * device.translation - motion.translation
-    u = gap / motion.turn + turn * placement.strap + 1j * cuff.distance_m
+    gap = placement.position + turn * device_motion.translation - knee_motion.translation
+    u = gap / knee_motion.turn + turn * placement.strap + 1j * cuff.distance_m
     return Alignment(
         linkage=linkage,
         knee=knee,
@@ -332,8 +334,8 @@ class _Fit:
     beside the cuff.
     """
 
-    device: ShankMotion
-    motion: ShankMotion
+    device_motion: ShankMotion
+    knee_motion: ShankMotion
     position: complex | None
     distance_m: float
     counts: str
@@ -341,9 +343,11 @@ class _Fit:
     def placement(self, turn_rad: float) -> Placement:
         """Return the best placement at a turn; if all places are equal, the shortest placement."""
         turn = np.exp(1j * turn_rad)
-        gap = (turn * self.device.translation - self.motion.translation) / self.motion.turn
+        inverse_turn = np.conj(self.knee_motion.turn)
+        gap = turn * self.device_motion.translation - self.knee_motion.translation
         if self.position is not None:
-            gap = gap + self.position / self.motion.turn
+            gap = gap + self.position
+        gap = gap * inverse_turn
         unknowns = np.linalg.lstsq(self._columns(), -self._rows(gap[:, np.newaxis])[:, 0])[0]
         q = complex(*unknowns[-2:])
         p = complex(*unknowns[:2]) if self.position is None else self.position
@@ -351,10 +355,13 @@ class _Fit:
 
     def best_turn_rad(self) -> float:
         """Return the turn with the least mean square, a multiple of 0.1°; 0 if it has no effect."""
-        back = np.conj(self.motion.turn)
-        wanted = self.motion.translation - (self.position or 0.0)
-        device = self.device.translation
-        parts = self._rows(np.stack([device * back, 1j * device * back, -wanted * back], axis=1))
+        inverse_turn = np.conj(self.knee_motion.turn)
+        device = self.device_motion.translation * inverse_turn
+        wanted = (self.knee_motion.translation - (self.position or 0.0)) * inverse_turn
+        # At the turn τ the migration without places is a·cos τ + b·sin τ + c, with the columns a, b
+        # and c below. The best places remove from each column what they can fit. What they leave
+        # is a quadratic form of (cos τ, sin τ, 1), which is computed at all turns.
+        parts = self._rows(np.stack([device, 1j * device, -wanted], axis=1))
         columns = self._columns()
         parts = parts - columns @ np.linalg.lstsq(columns, parts)[0]
         turns = np.radians(np.arange(3600) / 10.0)
@@ -364,9 +371,9 @@ class _Fit:
         return turn - 2.0 * np.pi if turn > np.pi else turn
 
     def _columns(self) -> Array:
-        back = np.conj(self.motion.turn)
-        one = np.ones(back.size)
-        places = [] if self.position is not None else [back, 1j * back]
+        inverse_turn = np.conj(self.knee_motion.turn)
+        one = np.ones(inverse_turn.size)
+        places = [] if self.position is not None else [inverse_turn, 1j * inverse_turn]
         return self._rows(np.stack([*places, one, 1j * one], axis=1))
 
     def _rows(self, columns: Points) -> Array:

@@ -75,21 +75,22 @@ class RodInverse:
 
 @lru_cache(maxsize=64)
 def fit_rod_inverse(
-    link: LinkageParameters, table_1: RodPolynomialParameters | None = None
+    link: LinkageParameters, rod_polynomial: RodPolynomialParameters | None = None
 ) -> RodInverse:
-    """Fit `RodInverse` to the exact linkage, or to ``table_1`` (Eq. 10) if it is not None.
+    """Fit `RodInverse` to the exact linkage, or to ``rod_polynomial`` (Eq. 10) if it is not None.
 
     The fit is computed with 50 decimal digits and then rounded once. So the fit has the same bits
     on every processor and with every numerical library.
 
     Raises `LinkageError` when the linkage cannot be assembled, the rod extension does not fall as
-    the knee flexes over −2…91°, or the error of the fit is above 1e-8 rad. Without ``table_1`` the
-    error is a `RodInverseError`, whose text names a change of the linkage that helps.
+    the knee flexes over −2…91°, or the error of the fit is above 1e-8 rad. Without
+    ``rod_polynomial`` the error is a `RodInverseError`, whose text names a change of the linkage
+    that helps.
     """
     try:
-        return _fitted(link, table_1)
+        return _fitted(link, rod_polynomial)
     except LinkageError as error:
-        if table_1 is not None:
+        if rod_polynomial is not None:
             raise
         inverse_error = RodInverseError(str(error))
         inverse_error.link = link
@@ -136,9 +137,9 @@ def _helping_change(link: LinkageParameters) -> str:
     return ""
 
 
-def _fitted(link: LinkageParameters, table_1: RodPolynomialParameters | None) -> RodInverse:
+def _fitted(link: LinkageParameters, rod_polynomial: RodPolynomialParameters | None) -> RodInverse:
     """Return the value of `fit_rod_inverse`."""
-    if table_1 is None:
+    if rod_polynomial is None:
 
         def rod_and_arm(angle: Array) -> tuple[Array, Array]:
             return exact_rod_and_arm(link, angle)
@@ -146,7 +147,7 @@ def _fitted(link: LinkageParameters, table_1: RodPolynomialParameters | None) ->
         def decimal_rod_and_arm(angle: Decimal) -> tuple[Decimal, Decimal]:
             return _decimal_pose(link, angle)[:2]
     else:
-        p = table_1.p_si
+        p = rod_polynomial.p_si
         decimal_p = [Decimal(c) for c in p]
 
         def rod_and_arm(angle: Array) -> tuple[Array, Array]:

@@ -35,7 +35,7 @@ from kneexo.result import Array, Result, data_frame
 
 _STIFFNESS = "controller.stiffness_n_m_per_rad"
 _STIFFNESSES = np.append(0.0, np.geomspace(1.0, 1e6, 21))  # N·m/rad, by factors of 2
-_SMALL = 1e3  # N·m/rad
+_PROBE_STIFFNESS = 1e3  # N·m/rad, of the second of two loops on a straight line of loops
 _ALIKE = [
     f"{part}.{name}"
     for part in ("wearer", "wearer.cuff", "controller")
@@ -176,12 +176,12 @@ def stiffness_interval(
     spring = {"controller.mode": "impedance", "controller.damping_n_m_s_per_rad": damping}
     free, stiff = (
         coupled_loop(changed(scenario, spring | {_STIFFNESS: value}), knee_angle_deg).monodromy
-        for value in (0.0, _SMALL)
+        for value in (0.0, _PROBE_STIFFNESS)
     )
 
     def growth(value: float) -> float:
         # At a fixed angle the monodromy is affine in the stiffness, so that two loops give all.
-        return _growth(free + value / _SMALL * (stiff - free))
+        return _growth(free + value / _PROBE_STIFFNESS * (stiff - free))
 
     ends = _interval(growth, _STIFFNESSES, law.stiffness_n_m_per_rad)
     return StiffnessInterval(*ends, knee_angle_deg, scenario)
@@ -224,7 +224,10 @@ class CoupledStability(Result):
         return data_frame({self.row_label: rows, self.column_label: columns} | measures)
 
     def plot(self, ax: Any = None) -> Any:
-        """Plot a mark for each pair, and the border of stability. Return the Matplotlib axes."""
+        """Plot a mark for each pair, and the border of stability. Return the Matplotlib axes.
+
+        The x axis has the quantity of the rows, the y axis that of the columns.
+        """
         caption = (
             "Stability of knee and wearer. A loop is sound if its disk margin is at least "
             f"{SOUND_DISK_MARGIN:g}. Bars are on the border of stability."

@@ -17,8 +17,8 @@ from kneexo.errors import shown
 if TYPE_CHECKING:  # the compiler loads NumPy
     from kneexo.compiler import Measurement, SilMeasurement
 
-NO_BINARY = "none, without a C compiler (cc, gcc, clang) or Linux in 64 bits"
-"""Text in place of the platforms of an FMU that has C sources alone."""
+NO_BINARY = "none; a binary needs 64-bit Linux and a C compiler (cc, gcc, clang)"
+"""Text in place of the names of platforms, for an FMU that has C sources alone."""
 
 
 def add_exports(subparsers: Any) -> None:
@@ -105,7 +105,7 @@ def _add_code_options(parser: argparse.ArgumentParser) -> None:
         "--precision",
         choices=("double", "float"),
         default="double",
-        help="type of all numbers; for sil of the controller's",
+        help="type of the numbers in C; with sil, of the controller's alone",
     )
     parser.add_argument(
         "--look-up",
@@ -160,7 +160,7 @@ def export_c(
     name: str | None,
     outputs: list[str] | None,
 ) -> Outcome:
-    """Write controller, plant or loop as C to the directory ``out``; return the measurements.
+    """Write controller, plant or loop as C to the directory ``out``; return the command's text.
 
     See `kneexo.export.firmware`. Adds a notice if the replay of the test vectors differs by more
     than the tolerance.
@@ -203,7 +203,7 @@ def export_sil(
     step_s: float | None,
     look_up: bool,
 ) -> Outcome:
-    """Write controller, plant and the program of their loop as C; return the measurements.
+    """Write controller, plant and the program of their loop as C; return the command's text.
 
     See `kneexo.export.firmware.export_sil`. Adds a notice if the loop in C differs from the
     compiled loop by more than the tolerance.
@@ -258,7 +258,7 @@ def export_fmu(
     step_s: float | None,
     platforms: str | list[str] | None,
 ) -> Outcome:
-    """Write controller, plant or loop as FMU to ``out``; return the names of its variables.
+    """Write controller, plant or loop as FMU to ``out``; return the command's text.
 
     See `kneexo.export.fmu`.
     """

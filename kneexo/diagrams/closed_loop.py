@@ -132,9 +132,8 @@ def make_closed_loop(
         signal = ports.get(port.get_name()) or plant.GetOutputPort(port.get_name())
         builder.Connect(signal, port)
     available = available_signals(scenario)
-    ports["estimated_state"] = plant.GetOutputPort(
-        "rod_state"
-    )  # replaced below if the controller has this port
+    # An exact estimate; the port of a controller with an estimator replaces it below.
+    ports["estimated_state"] = plant.GetOutputPort("rod_state")
     ports |= {
         name: controller.GetOutputPort(name)
         for name in CONTROLLER_SIGNALS
@@ -236,6 +235,7 @@ def loop_values(
     for part in _plant_parts(scenario):
         yield f"plant/{part.name}", part.values()
     if scenario.encoder.quantized:
+        # "0[0]" is the first element of the first group of numeric parameters of Drake's block.
         # Drake's calibration offset of the encoder stays zero; the phase is added before it.
         yield "encoder_phase", {"0[0]": -scenario.encoder.phase_rad}
         yield "encoder", {"0[0]": 0.0}
@@ -297,7 +297,7 @@ def _start_arguments(scenario: Scenario) -> dict[str, Any]:
     return {
         "initial_knee_angle_rad": knee_reference.start_angle_rad(scenario.reference),
         "initial_offset_m": scenario.initial_offset_m,
-        "table_1": controller_polynomial(scenario),
+        "rod_polynomial": controller_polynomial(scenario),
     }
 
 

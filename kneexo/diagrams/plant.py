@@ -40,7 +40,7 @@ def make_plant(
     *,
     initial_knee_angle_rad: float = _START_RAD,
     initial_offset_m: float = 0.0,
-    table_1: RodPolynomialParameters = RodPolynomialParameters(),
+    rod_polynomial: RodPolynomialParameters = RodPolynomialParameters(),
 ) -> Diagram:
     """Build the plant, motor → cylinder → knee with load, as a purely continuous diagram.
 
@@ -61,7 +61,7 @@ def make_plant(
         Knee angle that defines the rod extension at the start.
     initial_offset_m
         Offset of the rod extension at the start.
-    table_1
+    rod_polynomial
         Polynomials between knee angle and rod extension, which the plant uses if its ``rod_map`` is
         ``"polynomial"``.
 
@@ -74,7 +74,7 @@ def make_plant(
     """
     builder = DiagramBuilder()
     systems_by_name = add_parts(
-        builder, plant_parts(parameters, initial_knee_angle_rad, initial_offset_m, table_1)
+        builder, plant_parts(parameters, initial_knee_angle_rad, initial_offset_m, rod_polynomial)
     )
     motor, cylinder, knee = (systems_by_name[name] for name in ("motor", "cylinder", "knee"))
     connect(builder, motor, "load_flow", cylinder, "load_flow")
@@ -107,7 +107,7 @@ def plant_parts(
     parameters: PlantParameters,
     initial_knee_angle_rad: float = _START_RAD,
     initial_offset_m: float = 0.0,
-    table_1: RodPolynomialParameters = RodPolynomialParameters(),
+    rod_polynomial: RodPolynomialParameters = RodPolynomialParameters(),
 ) -> list[Part]:
     """Return the leaf systems of the plant; `make_plant` describes the arguments.
 
@@ -115,14 +115,14 @@ def plant_parts(
     stroke, and `LinkageError` when the linkage cannot be assembled.
     """
     cylinder, full_order, load = parameters.cylinder, parameters.full_order, parameters.load
-    rod_map = _rod_map(parameters, table_1)
+    rod_map = _rod_map(parameters, rod_polynomial)
     external_leakage = parameters.pump.external_leakage_m3_per_s_pa
 
     # A part has functions, because a compiled run needs values but no systems.
     def start() -> tuple[float, ...]:
         """Return the state of the cylinder at rest; the pressures hold load and spring."""
         extension, force = _start_extension_and_force(
-            parameters, initial_knee_angle_rad, initial_offset_m, table_1
+            parameters, initial_knee_angle_rad, initial_offset_m, rod_polynomial
         )
         return (extension, 0.0, *_holding_pressures_pa(parameters, force))
 
@@ -194,9 +194,9 @@ def _polynomial_values(fit: RodInverse) -> dict[str, float]:
 
 
 def _rod_map(
-    parameters: PlantParameters, table_1: RodPolynomialParameters
+    parameters: PlantParameters, rod_polynomial: RodPolynomialParameters
 ) -> RodPolynomialParameters | None:
-    return table_1 if parameters.rod_map == "polynomial" else None
+    return rod_polynomial if parameters.rod_map == "polynomial" else None
 
 
 @lru_cache(maxsize=64)
@@ -208,7 +208,7 @@ def _start_extension_and_force(
     parameters: PlantParameters,
     initial_knee_angle_rad: float,
     initial_offset_m: float,
-    table_1: RodPolynomialParameters,
+    rod_polynomial: RodPolynomialParameters,
 ) -> tuple[float, float]:
     """Return the initial rod extension in m, and the force in N of load and spring on the rod."""
     low, high = parameters.knee.flexion_min_deg, parameters.knee.flexion_max_deg
@@ -217,9 +217,9 @@ def _start_extension_and_force(
             f"knee angle = {math.degrees(initial_knee_angle_rad):.6g} deg at the start lies "
             f"outside the range of motion {low:g} … {high:g} deg"
         )
-    fit = fit_rod_inverse(parameters.linkage, _rod_map(parameters, table_1))
+    fit = fit_rod_inverse(parameters.linkage, _rod_map(parameters, rod_polynomial))
     if parameters.rod_map == "polynomial":
-        extension = linkage.polynomial(table_1.p_si, initial_knee_angle_rad)
+        extension = linkage.polynomial(rod_polynomial.p_si, initial_knee_angle_rad)
     else:
         extension = _rod_extension(parameters.linkage, initial_knee_angle_rad)
     extension += initial_offset_m
@@ -241,11 +241,11 @@ def start_rod_force(
     parameters: PlantParameters,
     initial_knee_angle_rad: float,
     initial_offset_m: float,
-    table_1: RodPolynomialParameters,
+    rod_polynomial: RodPolynomialParameters,
 ) -> float:
     """Return the force of the rod on its load at the start, in N; see `make_plant`."""
     extension, force = _start_extension_and_force(
-        parameters, initial_knee_angle_rad, initial_offset_m, table_1
+        parameters, initial_knee_angle_rad, initial_offset_m, rod_polynomial
     )
     return force - parameters.cylinder.stiffness_n_per_m * extension
 

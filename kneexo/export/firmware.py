@@ -89,7 +89,7 @@ def make_firmware(
     ------
     ParameterError
         ``what``, ``vectors_s`` or ``step_s`` is wrong, or ``what`` is ``loop`` and the reference is
-        sampled. `make_closed_loop` raises this error too.
+        sampled or the wearer's moment is a table. `make_closed_loop` raises this error too.
     CompilationError
         The diagram cannot be exported: see `CSource`.
     SimulationError
@@ -111,7 +111,7 @@ def _firmware(
     scenario: Scenario,
     what: str,
     *,
-    solver: Mapping[str, Any] = MappingProxyType({}),
+    integrator_options: Mapping[str, Any] = MappingProxyType({}),
     precision: str,
     vectors_s: float | None,
     step_s: float | None,
@@ -119,7 +119,7 @@ def _firmware(
     name: str | None = None,
     outputs: Sequence[str] | None = None,
 ) -> tuple[CSource, Vectors]:
-    """Return the result of `make_firmware`; for ``solver`` see `loop_inputs`."""
+    """Return the result of `make_firmware`; for ``integrator_options`` see `loop_inputs`."""
     require_step(step_s)
     if what == "loop" and moment_of(scenario) is not None:
         raise ParameterError(
@@ -159,7 +159,7 @@ def _firmware(
         origin=("scenario.yaml", dump_scenario(completed(scenario))),
     )
     steps = round(vectors_s / source.plan.schedule.tick_s)
-    inputs = loop_inputs(scenario, target, source, steps, **solver)
+    inputs = loop_inputs(scenario, target, source, steps, **integrator_options)
     return source, recorded_vectors(target.diagram, source, inputs)
 
 
@@ -243,7 +243,7 @@ def make_sil(
     shared: dict[str, Any] = {
         "vectors_s": vectors_s,
         "step_s": step_s,
-        "solver": {"integrator": "rk4", "step_s": step_s},
+        "integrator_options": {"integrator": "rk4", "step_s": step_s},
     }
     controller = _firmware(scenario, "controller", precision=precision, look_up=look_up, **shared)
     plant = _firmware(scenario, "plant", precision="double", **shared)
@@ -279,28 +279,30 @@ def export_sil(
 
 
 def loop_inputs(
-    scenario: Scenario, target: Target, source: CSource, steps: int, **solver: Any
+    scenario: Scenario, target: Target, source: CSource, steps: int, **integrator_options: Any
 ) -> Array:
     """Run the compiled closed loop; return the inputs that ``target`` receives at each step.
 
-    The result has the shape (steps, input elements). Inputs in `OUTSIDE` are zero. ``solver`` has
-    the options ``integrator`` and ``step_s`` of `CompiledModel.simulate`.
+    The result has the shape (steps, input elements). Inputs in `OUTSIDE` are zero.
+    ``integrator_options`` has the options ``integrator`` and ``step_s`` of
+    `CompiledModel.simulate`.
     """
     sample_time_s = source.plan.schedule.tick_s
     signal_of = {name: name for name in target.inputs if name not in OUTSIDE}
+    # The port rod_state is the plant's state, which the loop has as the exact estimate.
     for name, signal in ((ENCODER_COUNT, "encoder_reading"), ("rod_state", "estimated_state")):
         if name in signal_of:
             signal_of[name] = signal
     model = compile_scenario(scenario)
-    parameters, state, table = scenario_run(scenario, model)
+    parameters, state, input_table = scenario_run(scenario, model)
     run = model.simulate(
         parameters,
         state,
         (steps + 1) * sample_time_s,
         outputs=tuple(dict.fromkeys(signal_of.values())),
         record_period_s=sample_time_s,
-        inputs=table,
-        **solver,
+        inputs=input_table,
+        **integrator_options,
     )
     columns = []
     for name, size in source.equations.inputs.items():

@@ -20,7 +20,9 @@ class NoBus(Parameters):
     """A bus that does not round: the motor receives the speed command as a real number."""
 
     kind: Literal["none"] = "none"
-    latency_samples: int = _latency(0, "assumption: latency from controller to motor; not printed")
+    latency_samples: int = _latency(
+        0, "assumption: latency from controller to motor; not in the paper"
+    )
 
     @property
     def velocity_unit_rad_s(self) -> float:

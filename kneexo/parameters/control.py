@@ -27,14 +27,14 @@ class EncoderParameters(Parameters):
     mounting_error_rad: float = quantity(
         0.0,
         "rad",
-        "assumption: true θ_4 minus calibrated θ_4; not printed",
+        "assumption: true θ_4 minus calibrated θ_4; not in the paper",
         ge=-0.2,
         le=0.2,
     )
     phase_rad: float = quantity(
         0.0,
         "rad",
-        "assumption: θ_4 at which a count begins, known from calibration; not printed",
+        "assumption: θ_4 at which a count begins, known from calibration; not in the paper",
         ge=0,
         le=2.0 * math.pi,
     )
@@ -100,27 +100,29 @@ class SlidingModeParameters(Parameters):
     switching: Literal["saturation", "signum"] = choice(
         "saturation", "sat of Eq. 27, or sgn of Eq. 24 to show chattering"
     )
-    lambda_per_s: float = quantity(20.0, "1/s", "assumption: λ is not printed", ge=1e-3, le=1e4)
+    lambda_per_s: float = quantity(
+        20.0, "1/s", "assumption: λ is not in the paper", ge=1e-3, le=1e4
+    )
     phi_m_s2: float = quantity(
-        3.2, "m/s²", "assumption: Φ is not printed; k/Φ = 1e5 1/s", ge=1e-6, le=1e9
+        3.2, "m/s²", "assumption: Φ is not in the paper; k/Φ = 1e5 1/s", ge=1e-6, le=1e9
     )
     eta_m_s3: float = quantity(
         2.8e5,
         "m/s³",
-        "assumption: η is not printed; β·η is the full speed authority",
+        "assumption: η is not in the paper; β·η is the full speed authority",
         ge=0,
         le=1e12,
     )
     mass_min_kg: float = quantity(1.4, "kg", "Table 2", ge=0.01, le=1000)
     mass_max_kg: float = quantity(1.8, "kg", "Table 2", ge=0.01, le=1000)
     stiffness_uncertainty_n_per_m: float = quantity(
-        0.0, "N/m", "assumption: ΔK_max of Eq. 27 is not printed", ge=0, le=1e7
+        0.0, "N/m", "assumption: ΔK_max of Eq. 27 is not in the paper", ge=0, le=1e7
     )
     damping_uncertainty_n_s_per_m: float = quantity(
-        0.0, "N/(m/s)", "assumption: ΔB_max of Eq. 27 is not printed", ge=0, le=1e6
+        0.0, "N/(m/s)", "assumption: ΔB_max of Eq. 27 is not in the paper", ge=0, le=1e6
     )
     load_rate_uncertainty_n_per_s: float = quantity(
-        0.0, "N/s", "assumption: bound on dF_L/dt in Eq. 27 is not printed", ge=0, le=1e9
+        0.0, "N/s", "assumption: bound on dF_L/dt in Eq. 27 is not in the paper", ge=0, le=1e9
     )
     area_uncertainty: float = quantity(
         0.0,
@@ -153,13 +155,13 @@ class PidParameters(Parameters):
     proportional_per_s: float = quantity(
         5.0,
         "1/s",
-        "assumption: PID gains are not printed; 5 1/s gives the error of Fig. 12",
+        "assumption: PID gains are not in the paper; 5 1/s gives the error of Fig. 12",
         ge=0,
         le=1e4,
     )
-    integral_per_s2: float = quantity(0.0, "1/s²", "assumption: not printed", ge=0, le=1e6)
+    integral_per_s2: float = quantity(0.0, "1/s²", "assumption: not in the paper", ge=0, le=1e6)
     derivative: float = quantity(
-        0.0, "1", "assumption: not printed; gain on the error's rate", ge=0, le=1e4
+        0.0, "1", "assumption: not in the paper; gain on the error's rate", ge=0, le=1e4
     )
     filter_s: float = quantity(
         0.020,

@@ -54,15 +54,15 @@ class BldcPumpParameters(Parameters):
     lag_s: float = quantity(
         0.010,
         "s",
-        "assumption: time constant of the drive's speed loop; not printed",
+        "assumption: time constant of the drive's speed loop; not in the paper",
         ge=1e-4,
         le=1,
     )
     acceleration_limit_rad_s2: float = quantity(
         1e4,
         "rad/s²",
-        "assumption: torque and inertia are not printed, but Section 5 explains its initial error "
-        "by the time that the motor needs to accelerate",
+        "assumption: torque and inertia are not in the paper, but Section 5 explains its initial "
+        "error by the time that the motor needs to accelerate",
         ge=1,
         le=1e7,
     )
@@ -75,12 +75,12 @@ class BldcPumpParameters(Parameters):
     internal_leakage_m3_per_s_pa: float = quantity(
         2e-13,
         "m³/(s·Pa)",
-        "assumption: C_im of Eq. 12 is not printed; the pump leaks, the piston seals barely",
+        "assumption: C_im of Eq. 12 is not in the paper; the pump leaks, the piston seals barely",
         ge=0,
         le=1e-9,
     )
     external_leakage_m3_per_s_pa: float = quantity(
-        0.0, "m³/(s·Pa)", "assumption: C_em of Eq. 12 is not printed", ge=0, le=1e-9
+        0.0, "m³/(s·Pa)", "assumption: C_em of Eq. 12 is not in the paper", ge=0, le=1e-9
     )
     rated_power_w: float = quantity(200.0, "W", "Table 3", ge=0.1, le=1e5)
 
@@ -118,12 +118,12 @@ class CylinderParameters(Parameters):
     )
     damping_n_s_per_m: float = quantity(0.05, "N/(m/s)", "Table 2: B", ge=0, le=1e6)
     stiffness_n_per_m: float = quantity(
-        0.0, "N/m", "assumption: K of Eq. 16 is not printed", ge=0, le=1e7
+        0.0, "N/m", "assumption: K of Eq. 16 is not in the paper", ge=0, le=1e7
     )
     leakage_m3_per_s_pa: float = quantity(
         0.0,
         "m³/(s·Pa)",
-        "assumption: C_L of Eq. 15 is not printed; piston seals barely leak",
+        "assumption: C_L of Eq. 15 is not in the paper; piston seals barely leak",
         ge=0,
         le=1e-9,
     )
@@ -173,15 +173,15 @@ class FullCylinderParameters(Parameters):
     reservoir_pressure_pa: float = quantity(
         0.2e6,
         "Pa",
-        "assumption: P_r of Eq. 14 is not printed; 2 bar keep the return line from cavitating",
+        "assumption: P_r of Eq. 14 is not in the paper; 2 bar keep the return line from cavitating",
         ge=0,
         le=1e6,
     )
     cap_external_leakage_m3_per_s_pa: float = quantity(
-        0.0, "m³/(s·Pa)", "assumption: C_em1' of Eq. 14 is not printed", ge=0, le=1e-9
+        0.0, "m³/(s·Pa)", "assumption: C_em1' of Eq. 14 is not in the paper", ge=0, le=1e-9
     )
     rod_side_external_leakage_m3_per_s_pa: float = quantity(
-        0.0, "m³/(s·Pa)", "assumption: C_em2' of Eq. 14 is not printed", ge=0, le=1e-9
+        0.0, "m³/(s·Pa)", "assumption: C_em2' of Eq. 14 is not in the paper", ge=0, le=1e-9
     )
     makeup_conductance_m3_per_s_pa: float = quantity(
         2e-10,

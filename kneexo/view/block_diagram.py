@@ -31,6 +31,12 @@ _STEP = 0.15
 """Size in inches of a step of the grid."""
 _HALF = (5, 2)
 """Half the width and height of a block in steps of the grid."""
+_PITCH = (14, 10)
+"""Distance of neighbouring columns and of neighbouring rows in steps of the grid."""
+_CORNER = (8, 6)
+"""Distance of the first block's centre from the left and upper edge in steps of the grid."""
+_KEY_HEIGHT = 5
+"""Height of the strip with the key of colours in steps of the grid."""
 _SLOTS = {
     "reference": (0, 0), "rod_reference": (1, 0), "law": (2, 0), "controller": (2, 0),
     "coordinates": (0, 1), "estimator": (1, 1), "drive": (2, 1),
@@ -43,8 +49,8 @@ _PARTS_OF = {"phase_sum": "encoder", "encoder_phase": "encoder", "limit": "law",
 """Systems that the diagram draws as a part of another block."""
 _UNNAMED = re.compile(r"[yu]\d*|sum|delayed_u")
 """Pattern of the names of ports of Drake's primitives, which say nothing about the signal."""
-_CONTROLLER, _MACHINE, _GIVEN = "#e3eefb", "#f3ead9", "#ffffff"
-_GIVEN_BLOCKS = ("reference", "wearer", "moment")
+_CONTROLLER_COLOUR, _MACHINE_COLOUR, _OUTSIDE_COLOUR = "#e3eefb", "#f3ead9", "#ffffff"
+_OUTSIDE_BLOCKS = ("reference", "wearer", "moment")
 _SYMBOLS = {
     "knee_reference": r"$\theta_d,\ \dot\theta_d,\ \ddot\theta_d,\ \dddot\theta_d$ (rad, s)",
     "rod_reference": r"$x_d,\ \dot x_d,\ \ddot x_d,\ \dddot x_d$ (m, s)",
@@ -81,34 +87,38 @@ def block_diagram(scenario: Scenario = Scenario()) -> Figure:
     systems = dict(_blocks(diagram))
     slots = dict(_slots(systems))
     rows = 1 + max(row for _, row in slots.values())
-    size = (44, 10 * rows + 1)
+    size = (3 * _PITCH[0] + 2, rows * _PITCH[1] + 1)
     boxes = {
-        name: Box(8 + 14 * column, size[1] - 6 - 10 * row, *_HALF)
+        name: Box(_CORNER[0] + column * _PITCH[0], size[1] - _CORNER[1] - row * _PITCH[1], *_HALF)
         for name, (column, row) in slots.items()
     }
-    figure = plt.figure(figsize=(_STEP * size[0], _STEP * (size[1] + 5)))
+    figure = plt.figure(figsize=(_STEP * size[0], _STEP * (size[1] + _KEY_HEIGHT)))
     figure.set_label(
         "The closed loop. Its blocks are the systems of the Drake diagram. The words beside the "
         "wires are the names of the ports."
     )
     ax = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    ax.set(xlim=(0, size[0]), ylim=(-5, size[1]))
+    ax.set(xlim=(0, size[0]), ylim=(-_KEY_HEIGHT, size[1]))
     ax.axis("off")
     controller = {name for name, system in systems.items() if system.part_of_controller}
     for name, box in boxes.items():
-        given = name in _GIVEN_BLOCKS
-        colour = _CONTROLLER if name in controller else _GIVEN if given else _MACHINE
+        if name in controller:
+            colour = _CONTROLLER_COLOUR
+        elif name in _OUTSIDE_BLOCKS:
+            colour = _OUTSIDE_COLOUR
+        else:
+            colour = _MACHINE_COLOUR
         words = _words(scenario).get(name) or systems[name].kind
         _draw_block(ax, box, colour, name, words)
     _draw_wires(ax, boxes, size, _wires(diagram))
     period = f"microcontroller, every {1e3 * scenario.controller.sample_time_s:g} ms"
-    for x, colour, text in ((3, _MACHINE, "machine"), (17, _CONTROLLER, period)):
+    for x, colour, text in ((3, _MACHINE_COLOUR, "machine"), (17, _CONTROLLER_COLOUR, period)):
         _draw_key(ax, x, colour, text)
     return figure
 
 
 class _Block:
-    """A block of the diagram: the class of its system, and whether it runs on the target."""
+    """A block of the diagram: its system's class, and whether the microcontroller runs it."""
 
     def __init__(self, system: System, part_of_controller: bool) -> None:
         self.kind = type(system).__name__.partition("_")[0]
@@ -116,7 +126,10 @@ class _Block:
 
 
 def _is_opened(system: System) -> bool:
-    """Return whether the diagram shows the subsystems of a system in place of the system."""
+    """Return whether the drawing shows the subsystems of a system in place of the system.
+
+    The plant of the user's own and a law that is one block stay closed.
+    """
     names = {"plant": "motor", "controller": "law"}
     name = system.get_name()
     return isinstance(system, Diagram) and name in names and system.HasSubsystemNamed(names[name])
@@ -132,16 +145,16 @@ def _blocks(diagram: Diagram) -> Iterator[tuple[str, _Block]]:
 
 
 def _wires(diagram: Diagram) -> dict[tuple[str, str], list[str]]:
-    """Return the names of the signals between each pair of blocks, by source and target."""
+    """Return the names of the signals between each pair of blocks, by source and reader."""
     wires: dict[tuple[str, str], set[str]] = {}
-    for source, target in _connections(diagram):
+    for source, reader in _connections(diagram):
         start, end = (
             _PARTS_OF.get(port.get_system().get_name(), port.get_system().get_name())
-            for port in (source, target)
+            for port in (source, reader)
         )
         name = source.get_name()
         if _UNNAMED.fullmatch(name):
-            name = "encoder_reading" if start == "encoder" else target.get_name()
+            name = "encoder_reading" if start == "encoder" else reader.get_name()
         if start != end:
             wires.setdefault((start, end), set()).add(name)
     return {ends: sorted(wires[ends]) for ends in sorted(wires)}
@@ -270,6 +283,8 @@ def _label(
 
     def cost(place: tuple[float, float]) -> float:
         """Return how bad a place of the text is; the worse the thing it covers, the larger."""
+        # Only the order of the weights matters: the edge of the figure before a block, another
+        # label, an arrow head, another wire, the text's own wire, and the distance from this wire.
         x, y = place
         total = 0.0
         for box in boxes.values():

@@ -99,8 +99,9 @@ def export_c(
         Time in s that a step covers, required for a diagram without a sample time. Otherwise a step
         covers the largest time that divides all sample times and ``tick_s``.
     options
-        Further options of `CSource`: ``precision``, ``step_s``, ``look_up``, ``subject``,
-        ``origin``.
+        Further options of `CSource`: ``precision``, the largest step ``step_s``, ``look_up`` for
+        tables in place of formulas, and ``subject`` and ``origin``, which the files name as what
+        the code is and where it comes from.
 
     Raises
     ------
