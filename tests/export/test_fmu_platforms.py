@@ -28,11 +28,9 @@ LOADED = Scenario(plant=PlantParameters(load=KneeLoadParameters()))
 def test_the_loop_is_the_same_on_each_platform(fmi, run_elsewhere, tmp_path):
     """2 s with a disturbance: other mathematical libraries round differently."""
     pytest.importorskip("ziglang", reason="needs Zig: pip install ziglang")
-    file = export_fmu(LOADED, tmp_path, "loop", fmi=fmi, platforms="all")
-    rows = {
-        platform: run_elsewhere(file.path, platform, STEPS, TICK_S)
-        for platform in ("x86_64-linux", "aarch64-linux", "x86_64-windows")
-    }
+    platforms = ["x86_64-linux", "aarch64-linux", "x86_64-windows"]
+    file = export_fmu(LOADED, tmp_path, "loop", fmi=fmi, platforms=platforms)
+    rows = {platform: run_elsewhere(file.path, platform, STEPS, TICK_S) for platform in platforms}
     native = rows.pop("x86_64-linux")
     largest = np.abs(native).max(axis=0)
     assert np.count_nonzero(largest) > 20
