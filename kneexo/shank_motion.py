@@ -94,9 +94,9 @@ def anatomical_motion(knee: AnatomicalKneeParameters, knee_angle: ArrayLike) -> 
     low, high = knee.range_rad
     if np.any(bad := ~((angle >= low) & (angle <= high))):
         raise ParameterError(
-            f"knee angle {np.degrees(angle[bad][0]):.4g} deg is outside the nodes of the "
-            f"anatomical knee: must be {np.degrees(low):.4g} … {np.degrees(high):.4g} deg; give "
-            f"nodes that cover the motion"
+            f"knee: has nodes over {np.degrees(low):.4g} … {np.degrees(high):.4g} deg of flexion, "
+            f"must have them at {np.degrees(angle[bad][0]):.4g} deg; add nodes, or rows to the "
+            f"knee's file"
         )
     anterior, up = _splines(knee)
     return ShankMotion(

@@ -297,7 +297,7 @@ def test_a_motion_without_angles_is_refused():
 
 
 def test_a_motion_beyond_the_nodes_is_refused():
-    with pytest.raises(ParameterError, match="knee angle 121 deg is outside the nodes"):
+    with pytest.raises(ParameterError, match="must have them at 121 deg; add nodes"):
         align(HINGE, knee_angle_deg=[0.0, 121.0])
 
 

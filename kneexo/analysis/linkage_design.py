@@ -51,7 +51,7 @@ _VIOLATION = 1e-7  # largest scaled violation of a result
 _NEARLY = 1e-3  # largest scaled violation of a start that is refined
 _BINDING = 1e-6  # scaled distance below which a limit counts as reached
 _CHECKED_DEG = (-5.0, 95.0)  # knee angles at which the links must close
-_LARGEST_EXTENSION_MM = 1000.0  # more is in a wrong unit
+_LARGEST_EXTENSION_MM, _LEAST_TRAVEL_MM = 1000.0, 1.0  # beyond these the unit is wrong
 _LEAST_SPAN_DEG = 10.0  # less is a range in the wrong unit
 _SAME = 1e-6  # relative difference of the costs of two linkages that count as equally good
 _DIGITS = 9  # decimals of lengths in m and angles in rad
@@ -515,6 +515,11 @@ def _target(rod: RodTarget) -> tuple[Array, Array]:
         raise ParameterError(
             f"rod: extension {extension_mm[wrong][0]:.4g} mm must be finite and within "
             f"±{_LARGEST_EXTENSION_MM:g} mm; leave its pair out"
+        )
+    if not np.ptp(extension_mm) >= _LEAST_TRAVEL_MM:
+        raise ParameterError(
+            f"rod: extensions span {np.ptp(extension_mm):.3g} mm, must span at least "
+            f"{_LEAST_TRAVEL_MM:g} mm; extensions are in mm"
         )
     return np.radians(angle_deg), 1e-3 * extension_mm
 

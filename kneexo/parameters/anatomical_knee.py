@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from typing import Annotated, Any
 
 import numpy as np
@@ -106,7 +107,11 @@ def read_anatomical_knee(path: str | os.PathLike[str]) -> AnatomicalKneeParamete
     Raises `ScenarioError` for a faulty file, for angles that do not increase, have the sign of
     OpenSim or are in rad, and for places more than 1 m away.
     """
-    centres = "icr_anterior_mm" in read_text(path, MOST_BYTES_OF_TABLE)
+    text = read_text(path, MOST_BYTES_OF_TABLE)
+    centres = "icr_anterior_mm" in text
+    if centres and re.search(r"\b(anterior|up)_mm", text):
+        message = "has places and centres of rotation: must have one of both; remove two columns"
+        raise file_error(path, None, message)
     names = ("icr_anterior_mm", "icr_up_mm") if centres else ("anterior_mm", "up_mm")
     table = read_table(path, ("knee_flexion_deg", *names), "; rename its columns")
     table.require("knee_flexion_deg", -60.0, 180.0, "deg")

@@ -91,7 +91,7 @@ class FourBarKnee(NamedLeaf):
         The links.
     knee
         The range of motion and ``overshoot_deg``.
-    table_1
+    rod_polynomial
         Quintics of the paper's controller. The rod then follows Eq. 10 instead of Eq. 8 and 9; θ_4
         always follows the linkage. None: the rod follows the linkage too.
 
@@ -108,9 +108,9 @@ class FourBarKnee(NamedLeaf):
         self,
         parameters: LinkageParameters = LinkageParameters(),
         knee: KneeParameters = KneeParameters(),
-        table_1: RodPolynomialParameters | None = None,
+        rod_polynomial: RodPolynomialParameters | None = None,
     ) -> None:
-        fit = fit_rod_inverse(parameters, table_1)
+        fit = fit_rod_inverse(parameters, rod_polynomial)
         self._declare_parameters(context_values(parameters, knee, fit))
         for coefficients in (fit.knee_angle, fit.encoder_angle, fit.moment_arm):
             self.DeclareNumericParameter(BasicVector_[self._scalar](list(coefficients)))
@@ -168,7 +168,7 @@ class FourBarKnee(NamedLeaf):
                 f"t = {context.get_time():.6g} s: {self.get_name()}: knee_angle {angle} deg left "
                 f"the range of motion "
                 f"{math.degrees(p.flexion_min_rad):g} … {math.degrees(p.flexion_max_rad):g} "
-                f"deg; reduce the motion, the load or the step"
+                f"deg; reduce the motion, the load, the push or the step"
             )
 
 

@@ -34,13 +34,13 @@ _COEFFICIENTS = ("p_1", "p_2", "p_3", "p_4", "p_5", "p_6")
 
 
 @lru_cache(maxsize=64)
-def rod_polynomial_values(table_1: RodPolynomialParameters) -> dict[str, float]:
+def rod_polynomial_values(rod_polynomial: RodPolynomialParameters) -> dict[str, float]:
     """Return a dictionary of the parameters of `RodReference`, p_1 … p_6 of Eq. 10 in SI units."""
-    return dict(zip(_COEFFICIENTS, table_1.p_si, strict=True))
+    return dict(zip(_COEFFICIENTS, rod_polynomial.p_si, strict=True))
 
 
 def context_values(
-    parameters: LinkageParameters, table_1: RodPolynomialParameters, offset_rad: float
+    parameters: LinkageParameters, rod_polynomial: RodPolynomialParameters, offset_rad: float
 ) -> dict[str, float]:
     """Return a dictionary {name: value} of the Context parameters of `KneeCoordinates`.
 
@@ -53,7 +53,7 @@ def context_values(
         ),
         "eq6_sign": eq6_sign(parameters),
         "offset_rad": offset_rad,
-        **rod_polynomial_values(table_1),
+        **rod_polynomial_values(rod_polynomial),
     }
 
 
@@ -79,7 +79,7 @@ class KneeCoordinates(NamedLeaf):
     ----------
     parameters
         The links.
-    table_1
+    rod_polynomial
         Coefficients of Eq. 10.
     offset_rad
         Angle in rad that is added to the reading: the zero of the encoder plus half a count,
@@ -94,10 +94,10 @@ class KneeCoordinates(NamedLeaf):
     def __init__(
         self,
         parameters: LinkageParameters = LinkageParameters(),
-        table_1: RodPolynomialParameters = RodPolynomialParameters(),
+        rod_polynomial: RodPolynomialParameters = RodPolynomialParameters(),
         offset_rad: float = 0.0,
     ) -> None:
-        self._declare_parameters(context_values(parameters, table_1, offset_rad))
+        self._declare_parameters(context_values(parameters, rod_polynomial, offset_rad))
         self._reading = self.DeclareVectorInputPort("encoder_reading", 1)
         declare = self._declare_output
         self._knee_angle = declare("knee_angle", 1, self._calc_knee_angle, self._reading)
@@ -131,8 +131,8 @@ class RodReference(NamedLeaf):
     Stateless. Context parameters by name: ``p_1`` … ``p_6`` of Eq. 10 in SI units.
     """
 
-    def __init__(self, table_1: RodPolynomialParameters = RodPolynomialParameters()) -> None:
-        self._declare_parameters(rod_polynomial_values(table_1))
+    def __init__(self, rod_polynomial: RodPolynomialParameters = RodPolynomialParameters()) -> None:
+        self._declare_parameters(rod_polynomial_values(rod_polynomial))
         self._knee = self.DeclareVectorInputPort("knee_reference", 4)
         self._declare_output("rod_reference", 4, self._calc, self._knee)
 

@@ -18,7 +18,7 @@ from kneexo.systems.knee_coordinates import rod_polynomial_values
 
 
 def context_values(
-    parameters: TorqueParameters, plant: PlantParameters, table_1: RodPolynomialParameters
+    parameters: TorqueParameters, plant: PlantParameters, rod_polynomial: RodPolynomialParameters
 ) -> dict[str, float]:
     """Return a dictionary {name: value} of the Context parameters of `TorqueController`."""
     speed_gain = plant.pump.gear_ratio * plant.cylinder.mean_area_m2
@@ -39,7 +39,7 @@ def context_values(
             "command_limit_rad_s",
         ),
         "speed_gain_rad_per_m": speed_gain / plant.pump.displacement_m3_per_rad,
-        **rod_polynomial_values(table_1),
+        **rod_polynomial_values(rod_polynomial),
     }
 
 
@@ -79,7 +79,7 @@ class TorqueController(NamedLeaf):
         Gains, limits, mode and sample time.
     plant
         The plant that the controller assumes: gear, area and displacement give G.
-    table_1
+    rod_polynomial
         Coefficients of Eq. 10.
     """
 
@@ -87,9 +87,9 @@ class TorqueController(NamedLeaf):
         self,
         parameters: TorqueParameters = TorqueParameters(),
         plant: PlantParameters = PlantParameters(),
-        table_1: RodPolynomialParameters = RodPolynomialParameters(),
+        rod_polynomial: RodPolynomialParameters = RodPolynomialParameters(),
     ) -> None:
-        self._declare_parameters(context_values(parameters, plant, table_1))
+        self._declare_parameters(context_values(parameters, plant, rod_polynomial))
         self._mode, self._sample_time = parameters.mode, parameters.sample_time_s
         self._force = self.DeclareVectorInputPort("measured_force", 2)
         self._estimate = self.DeclareVectorInputPort("estimated_state", 3)

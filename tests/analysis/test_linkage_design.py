@@ -150,10 +150,17 @@ def test_the_class_of_the_shortest_link_decides_on_the_sign():
             assert (np.min(met["grashof"]) > -1e-2) == (index == shortest[name])
 
 
-@pytest.mark.parametrize("extension_mm", [math.nan, 1e6])
-def test_an_extension_that_is_no_length_in_mm_is_refused(extension_mm):
-    rod = ([0.0, 45.0, 90.0], [0.0, -40.0, extension_mm])
-    with pytest.raises(ParameterError, match=r"^rod: extension .* must be finite and within ±1000"):
+@pytest.mark.parametrize(
+    ("extension_mm", "message"),
+    [
+        (math.nan, "extension nan mm must be finite and within ±1000 mm"),
+        (1e6, r"extension 1e\+06 mm must be finite and within ±1000 mm"),
+        (-0.08, "extensions span 0.08 mm, must span at least 1 mm; extensions are in mm"),
+    ],
+)
+def test_an_extension_that_is_no_length_in_mm_is_refused(extension_mm, message):
+    rod = ([0.0, 45.0, 90.0], [0.0, -0.04, extension_mm])
+    with pytest.raises(ParameterError, match=f"^rod: {message}"):
         design_linkage(rod=rod)
 
 

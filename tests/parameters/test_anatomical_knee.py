@@ -71,6 +71,7 @@ GOOD = {
         ("knee_flexion_deg", [5.0, 60.0, 120.0], "must have full extension, 0 rad, and flexion"),
         ("up_mm", [0.0, -9.0, -2700.0], "up_mm = -2700 mm is out of range: must be >= -1000"),
         ("up_mm", None, "has no column 'up_mm'; it has .*; rename its columns"),
+        ("icr_anterior_mm", [0.0] * 3, "has places and centres of rotation: must have one of both"),
     ],
 )
 def test_a_faulty_file_is_one_line(tmp_path, name, values, message):

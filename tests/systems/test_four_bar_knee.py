@@ -171,7 +171,7 @@ def test_slope_of_the_moment_arm_meets_differences(name):
 def test_knee_of_table_1_follows_eq_10_and_keeps_the_encoder_of_the_linkage(compass):
     knee_deg = np.linspace(0.0, 90.0, 91)
     x = 1e-3 * np.polyval(P_MM_DEG, knee_deg)
-    values = many_outputs(FourBarKnee(G1, table_1=RodPolynomialParameters()), x)
+    values = many_outputs(FourBarKnee(G1, rod_polynomial=RodPolynomialParameters()), x)
     # Degree 25 leaves 2.4e-10 rad for the polynomial.
     np.testing.assert_allclose(values["knee_angle"][:, 0], np.radians(knee_deg), atol=1e-9)
     walk = compass(G1, np.radians(np.linspace(82.6, -5.0, 20_001)))
@@ -211,7 +211,8 @@ def test_leaving_the_range_of_motion_raises_with_time_and_signal(end, limit):
     assert message.startswith(f"t = {first:.6g} s: ")
     assert "knee: knee_angle = " in message
     assert message.endswith(
-        " deg left the range of motion 0 … 90 deg; reduce the motion, the load or the step"
+        " deg left the range of motion 0 … 90 deg; reduce the motion, the load, the push or the "
+        "step"
     )
     angle = float(message.split("knee_angle = ")[1].split(" deg")[0])
     # One step of 10 ms at 85 mm/s is 0.85 mm, at most 1.4 deg.

@@ -176,7 +176,7 @@ def test_faults_are_one_line(tmp_path):
     with pytest.raises(ParameterError, match="knee = 'left': must be gait2392, the path of"):
         changed(MechanismSettings(), {"knee": "left"})
     short = AnatomicalKneeParameters(up_angles_rad=(0.0, 0.5, 1.0), up_m=(-0.4, -0.405, -0.41))
-    with pytest.raises(ParameterError, match="knee angle 58 deg is outside the nodes"):
+    with pytest.raises(ParameterError, match="must have them at 58 deg; add nodes"):
         mechanism_study(settings=MechanismSettings(knee=short))
     broken = HINGE.model_copy(update={"a_2_m": 70e-3})
     with pytest.raises(LinkageError, match="cannot be assembled"):
