@@ -8,6 +8,7 @@ numbers for a linkage hold if the linkage were the leg. For the wearer they hold
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -170,20 +171,41 @@ def voluntary_stability(
         As `leg_length`.
     """
     motion = _motion(knee, knee_angle_deg)
-    centre, sole = complex(motion.fixed_centrode[0]), -1j * (leg.shank_m + leg.ankle_height_m)
-
-    def hip_extension(contact: complex) -> float:
-        line = _hip(leg) - complex(_place(motion, contact)[0])
-        along = np.conj(line / abs(line)) * (centre - _hip(leg) + line)
-        y, d = along.real, along.imag
-        return float(abs(line) / y * (leg.load_n * d - leg.knee_moment_n_m))
-
+    centre, (heel, ball) = complex(motion.fixed_centrode[0]), contacts(leg)
     return VoluntaryStability(
         knee_angle_deg=float(knee_angle_deg),
         centre=centre,
-        hip_extension_n_m=hip_extension(sole + leg.heel_m),
-        hip_flexion_n_m=-hip_extension(sole - leg.forefoot_m),
+        hip_extension_n_m=float(_hip_extension_n_m(centre, complex(_place(motion, heel)[0]), leg)),
+        hip_flexion_n_m=-float(_hip_extension_n_m(centre, complex(_place(motion, ball)[0]), leg)),
     )
+
+
+def voluntary_margin_n_m(centre: Points, leg: WalkingLegParameters) -> Array:
+    """Return how much moment of the hip is left, for centres of rotation of a straight knee.
+
+    The result (…) in N·m is positive in Radcliffe's zone of voluntary stability. There the hip is
+    strong enough to keep the knee straight at heel contact, and to start its flexion at push-off.
+    ``centre`` (…) is in m, x backwards and y up from the knee's origin, above the ground.
+    """
+    heel, ball = contacts(leg)
+    return np.minimum(
+        leg.hip_extension_n_m - _hip_extension_n_m(centre, heel, leg),
+        leg.hip_flexion_n_m + _hip_extension_n_m(centre, ball, leg),
+    )
+
+
+def contacts(leg: WalkingLegParameters) -> tuple[complex, complex]:
+    """Return the places in m of heel and ball of the foot on the shank, with the knee straight."""
+    sole = -1j * (leg.shank_m + leg.ankle_height_m)
+    return sole + leg.heel_m, sole - leg.forefoot_m
+
+
+def _hip_extension_n_m(centre: Any, contact: complex, leg: WalkingLegParameters) -> Any:
+    """Return the extension moment of the hip that balances the knee about its centre."""
+    line = _hip(leg) - contact
+    along = np.conj(line / abs(line)) * (centre - contact)
+    y, d = along.real, along.imag
+    return abs(line) / y * (leg.load_n * d - leg.knee_moment_n_m)
 
 
 def _motion(knee: Knee, knee_angle_deg: ArrayLike) -> ShankMotion:

@@ -12,6 +12,11 @@ _THIGH = (
     "as in Perry and Burnfield, Gait Analysis, 2010; straight lines between"
 )
 
+_STRENGTH = (
+    "Anderson et al., J. Biomechanics 40, 2007, Table 3, men of 18-25 years: share of weight times "
+    "height, 736 N by 1.75 m, in the hip's flexion θ in rad;"
+)
+
 
 class WalkingLegParameters(Parameters):
     """Leg from the hip to the foot, whose ankle does not move, and the load on it in stance."""
@@ -60,6 +65,22 @@ class WalkingLegParameters(Parameters):
         ge=-1e3,
         le=1e3,
     )
+    hip_extension_n_m: float = quantity(
+        176.0,
+        "N·m",
+        f"{_STRENGTH} 0.161 cos(0.958 (θ - 0.932)) at θ = 20°, as at heel contact",
+        ge=0,
+        le=1e3,
+    )
+    """Largest extension moment of the hip at heel contact."""
+    hip_flexion_n_m: float = quantity(
+        145.0,
+        "N·m",
+        f"{_STRENGTH} 0.113 cos(0.738 (θ + 0.214)) at θ = -10°, as at push-off",
+        ge=0,
+        le=1e3,
+    )
+    """Largest flexion moment of the hip at push-off."""
     swing_percent: tuple[float, float, float, float] = quantities(
         (62.0, 75.0, 87.0, 100.0), "%", _THIGH, ge=0, le=100, min_length=None
     )

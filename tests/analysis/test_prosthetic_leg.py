@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from kneexo.analysis import leg_length, swing_clearance, voluntary_stability
+from kneexo.analysis.prosthetic_leg import voluntary_margin_n_m
 from kneexo.errors import LinkageError, ParameterError
 from kneexo.gait import gait_knee_flexion
 from kneexo.linkage import icr, pose
@@ -116,6 +117,15 @@ def test_hip_moments_hold_the_leg_in_equilibrium(knee_angle_deg, knee_moment_n_m
     assert of.hip_flexion_n_m == pytest.approx(flexion, rel=1e-9)
 
 
+def test_the_margin_of_the_zone_is_the_strength_of_the_hip_less_the_moment_that_it_needs():
+    for knee, needed in {"hip_extension_n_m": 100.0, "hip_flexion_n_m": 50.0}.items():
+        leg = LEG.changed({"hip_extension_n_m": 1e3, "hip_flexion_n_m": 1e3, knee: needed})
+        for linkage in (G2, G3):
+            stance = voluntary_stability(linkage, 0.0, leg)
+            margin = voluntary_margin_n_m(np.array([stance.centre]), leg)
+            assert margin == pytest.approx([needed - getattr(stance, knee)], rel=1e-12)
+
+
 def test_a_knee_on_the_load_line_needs_no_hip_moment_and_one_behind_it_is_stable():
     # The line from the heel to the hip passes 23.6 mm behind the origin.
     behind = 0.05 * 0.42 / 0.888
@@ -130,5 +140,5 @@ def test_a_knee_on_the_load_line_needs_no_hip_moment_and_one_behind_it_is_stable
 def test_a_linkage_that_breaks_and_a_knee_without_nodes_are_refused():
     with pytest.raises(LinkageError, match="a_2_m must be"):
         leg_length(G1.changed({"a_2_m": 0.2}))
-    with pytest.raises(ParameterError, match="outside the nodes"):
+    with pytest.raises(ParameterError, match="must have them at 150 deg"):
         leg_length(GAIT2392, 150.0)

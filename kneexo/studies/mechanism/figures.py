@@ -10,6 +10,8 @@ from matplotlib.figure import Figure
 
 from kneexo.alignment import MM
 from kneexo.analysis import TradeOff
+from kneexo.analysis.prosthetic_leg import contacts, voluntary_margin_n_m
+from kneexo.parameters import WalkingLegParameters
 from kneexo.plotting import SERIES
 from kneexo.studies.mechanism.study import MechanismResult
 from kneexo.studies.plots import legend_below
@@ -34,6 +36,7 @@ def figures(result: MechanismResult) -> dict[str, Figure]:
         "misplacement": plot_misplacement(result),
         "slotted_strap": plot_slotted_strap(result),
         "leg_length": plot_leg_length(result),
+        "stance": plot_stance(result),
     }
     if result.trade_off is not None:
         drawn["trade_off"] = plot_trade_off(result, result.trade_off)
@@ -136,6 +139,30 @@ def plot_leg_length(result: MechanismResult) -> Figure:
     axes[0].set(xlabel="knee angle (deg)", ylabel="shorter (mm)", title="(a)")
     axes[1].set(xlabel="time after heel contact (%)", ylabel="toe higher (mm)", title="(b)")
     _finish(figure, axes)
+    return figure
+
+
+def plot_stance(result: MechanismResult) -> Figure:
+    """Draw Radcliffe's zone of voluntary stability and the centres of all devices in it."""
+    leg = WalkingLegParameters()
+    figure, ax = plt.subplots(figsize=(6.4, 6.8), layout="constrained")
+    figure.set_label(
+        "A straight leg whose knee is the device, from the side. The centre of rotation must be in "
+        f"the shaded zone, so that at most {leg.hip_extension_n_m:g} N·m of hip extension keep the "
+        f"knee straight at heel contact, and at most {leg.hip_flexion_n_m:g} N·m of hip flexion "
+        "start flexion at push-off (Radcliffe). Dashed lines go from the contacts to the hip."
+    )
+    x, y = np.meshgrid(np.linspace(-0.2, 0.2, 201), np.linspace(-0.4, leg.thigh_m, 201))
+    margin = voluntary_margin_n_m(x + 1j * y, leg)
+    ax.contourf(-MM * x, MM * y, margin, levels=[0.0, np.inf], colors=["0.9"])
+    for contact in contacts(leg):
+        ax.plot([-MM * contact.real, 0.0], [MM * contact.imag, MM * leg.thigh_m], "k--", lw=0.8)
+    for (name, device), style in zip(result.devices.items(), _STYLES, strict=False):
+        centre, mark = MM * device.stance.centre, "D" if style["ls"] == "-" else "s"
+        ax.plot(-centre.real, centre.imag, mark, color=style["color"], ms=5.0, label=name)
+    ax.set(xlabel="forwards (mm)", ylabel="up from the knee, towards the hip (mm)", aspect="equal")
+    ax.set_xlim(-200.0, 200.0)
+    _finish(figure, [ax])
     return figure
 
 

@@ -10,7 +10,14 @@ import numpy as np
 
 from kneexo.alignment import MM, Alignment, CuffForces, SlottedStrap, align
 from kneexo.analysis import TradeOff, fit_polynomials, trade_off
-from kneexo.analysis.prosthetic_leg import LegLength, SwingClearance, leg_length, swing_clearance
+from kneexo.analysis.prosthetic_leg import (
+    LegLength,
+    SwingClearance,
+    VoluntaryStability,
+    leg_length,
+    swing_clearance,
+    voluntary_stability,
+)
 from kneexo.gait import gait_knee_flexion
 from kneexo.linkage_properties import LinkageProperties, linkage_properties
 from kneexo.parameters import (
@@ -72,6 +79,8 @@ class Device(Result):
     """Distance from hip to ankle if the device were the leg."""
     swing: SwingClearance
     """Height of the toe in swing if the device were the leg."""
+    stance: VoluntaryStability
+    """Moments of the hip on a straight leg whose knee is the device."""
     rod_error_mm: Array
     """Rod extension minus that of Table 1, over 0…90°."""
 
@@ -109,6 +118,8 @@ class Device(Result):
             "least_transmission_at_deg": transmission.at_deg if has_links else math.nan,
             "shortening_at_60_deg_mm": MM * float(at_60_deg.shortening_m[0]),
             "toe_clearance_gain_mm": MM * self.swing.least_clearance_gain_m,
+            "hip_extension_n_m": self.stance.hip_extension_n_m,
+            "hip_flexion_n_m": self.stance.hip_flexion_n_m,
         }
 
 
@@ -225,5 +236,6 @@ def _device(linkage: LinkageParameters, settings: MechanismSettings) -> Device:
         properties=linkage_properties(linkage, np.radians(angles_deg)),
         leg=leg_length(linkage, angles_deg),
         swing=swing_clearance(linkage),
+        stance=voluntary_stability(linkage),
         rod_error_mm=fit_polynomials(linkage, samples=91).table_p_error_mm,
     )
