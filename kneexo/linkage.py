@@ -114,7 +114,8 @@ def pose(link: LinkageParameters, knee_angle: ArrayLike) -> LinkagePose:
     The knee angle sets the angle of the coupler, θ_3 = θ_p − φ. The vector D is O_B − O_A −
     a_3e^{jθ_3}, and θ_4 solves |D + a_4e^{jθ_4}| = a_2. The equation has two solutions.
     ``link.branch`` is the sign of sin(θ_4 − θ_2) in the chosen solution. Eq. 8 and 9 give the rod.
-    θ_4 is continuous over the range of motion, because it lies within ±π of its value at 45°.
+    θ_4 is unwrapped to within ±π of its value at 45°, so that it is continuous over the range of
+    motion.
 
     Raises `LinkageError` where the links do not close.
     """

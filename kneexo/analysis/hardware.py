@@ -130,8 +130,9 @@ def scaled(scenario: Scenario, factors: Mapping[str, float]) -> Scenario:
     ``factors`` maps a path of `HARDWARE` to a factor. The number of encoder counts is rounded. The
     controller follows: if the scenario has its own nominal plant (the model in the controller),
     the same factors apply to it. The command limit is multiplied by the factor of the motor speed
-    limit. η and Φ of a sliding-mode controller are multiplied by the change of the largest rod
-    speed. So k/Φ does not change, nor does the ratio of βη to the largest rod speed.
+    limit. η and Φ of a sliding-mode controller are multiplied by the ratio of the new to the old
+    largest rod speed. So k/Φ does not change, with k = βη, nor does the ratio of k to the largest
+    rod speed.
     """
     values: dict[str, Any] = {}
     for path, factor in factors.items():

@@ -65,7 +65,7 @@ class SwingClearance(Result):
 
 @dataclass(frozen=True, repr=False)
 class VoluntaryStability(Result):
-    """Moments of the hip that keep a loaded knee without muscles extended, or start to flex it."""
+    """Hip moments that keep a loaded knee straight without knee muscles, or start its flexion."""
 
     knee_angle_deg: float
     centre: complex
@@ -73,7 +73,8 @@ class VoluntaryStability(Result):
     hip_extension_n_m: float
     """Extension moment that keeps the knee from flexing at heel contact.
 
-    If the number is negative, the knee does not flex up to a flexion moment of this magnitude.
+    If the number is negative, the knee stays straight even under a flexion moment of the hip of
+    this magnitude.
     """
     hip_flexion_n_m: float
     """Flexion moment that starts flexion at push-off, with the load on the ball of the foot.

@@ -72,7 +72,7 @@ class Stability(Result):
 
     @classmethod
     def of_loop(cls, loop: SampledLoop) -> Stability:
-        """Return eigenvalue and margins of a linear loop, for the verdict."""
+        """Return the largest eigenvalue of a linear loop, and the margins if the loop is stable."""
         return cls(
             math.degrees(loop.knee_angle_rad),
             loop.stable,

@@ -73,7 +73,8 @@ class _Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Print a message on one line, which names the help, and exit with code 2.
 
-        A misspelt argument is reported in place of the required argument that is missing then.
+        If a required argument is missing and another argument is misspelt, the message names the
+        misspelt one.
         """
         if "are required" in message:
             for word in self._words:

@@ -48,13 +48,13 @@ def input_table(
         value = np.concatenate([signal.value(0.0)[:, 0] for signal in signals])
         return InputTable(coefficients=value[None, :, None])
     rows = trajectory.rows()
-    width = 1 + max(
+    coefficient_count = 1 + max(
         trajectory.getSegmentPolynomialDegree(segment, row)
         for segment in range(times.size - 1)
         for row in range(rows)
     )
     # Segment 0 of the table lies before the first time, and the last segment after the last time.
-    table = np.zeros((times.size + 1, rows * len(signals), width))
+    table = np.zeros((times.size + 1, rows * len(signals), coefficient_count))
     for order, signal in enumerate(signals):
         first = order * rows
         if order == 0 or not zero_derivatives_beyond_limits:
@@ -62,8 +62,8 @@ def input_table(
                 table[segment, first : first + rows, 0] = signal.value(time)[:, 0]
         for segment in range(times.size - 1):
             for row in range(rows):
-                powers = signal.getPolynomial(segment, row, 0).GetCoefficients()
-                table[segment + 1, first + row, : powers.size] = powers
+                coefficients = signal.getPolynomial(segment, row, 0).GetCoefficients()
+                table[segment + 1, first + row, : coefficients.size] = coefficients
     return InputTable(times, table)
 
 
@@ -75,16 +75,18 @@ def stack_tables(*tables: InputTable) -> InputTable:
     """
     breaks = np.unique(np.concatenate([_breaks(table) for table in tables]))
     input_count = sum(table.coefficients.shape[1] for table in tables)
-    width = max(table.coefficients.shape[2] for table in tables)
-    stacked = np.zeros((breaks.size + 1, input_count, width))
+    coefficient_count = max(table.coefficients.shape[2] for table in tables)
+    stacked = np.zeros((breaks.size + 1, input_count, coefficient_count))
     for segment in range(breaks.size + 1):
         start = breaks[segment - 1] if segment else -np.inf
         row = 0
         for table in tables:
             old_segment = int(np.searchsorted(_breaks(table), start, side="right"))
-            shift = start - table.breaks[old_segment - 1] if old_segment else 0.0
-            for powers in table.coefficients[old_segment]:
-                shifted = Polynomial(powers)(Polynomial([shift, 1.0])).coef
+            shift = 0.0  # the first segments have powers of t
+            if segment:
+                shift = start - (table.breaks[old_segment - 1] if old_segment else 0.0)
+            for coefficients in table.coefficients[old_segment]:
+                shifted = Polynomial(coefficients)(Polynomial([shift, 1.0])).coef
                 stacked[segment, row, : shifted.size] = shifted
                 row += 1
     return InputTable(breaks, stacked)

@@ -99,6 +99,7 @@ def _read(law: Law, arguments: Mapping[str, Any]) -> _SystemLaw:
     system = law.any_system(arguments)
     require_ports(system, f"law {law.short_name}")
     inputs = tuple(port_sizes(system, inputs=True))
+    # `any_system` accepts a system that runs as Python only, `make_system` one that can be cloned.
     try:
         read_diagram(law.make_system(arguments), inputs=inputs)
     except KneexoError as error:

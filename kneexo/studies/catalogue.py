@@ -55,7 +55,7 @@ class Study:
     stages: tuple[Stage, ...] = ()
     """The progress bars of the study in their order, with their typical durations.
 
-    A duration is the wall time from the begin of a bar to the begin of the next one, measured with
+    A duration is the wall time from the start of a bar to the start of the next one, measured with
     the default settings on two cores without other work.
     """
     label: str = ""

@@ -20,7 +20,7 @@ from kneexo.files.reading import MIB
 from kneexo.parameters import LawParameters, Scenario
 from kneexo.version import __version__
 
-_MOST_BYTES = 4096 * MIB
+_MOST_BYTES = 4096 * MIB  # the results of some million runs
 
 
 class Checkpoint:
@@ -53,10 +53,10 @@ class Checkpoint:
         with self._output_errors():
             self._file = LockedFile(path)
             try:
-                self._read()
-                if not resume:
+                if resume:
+                    self._read()
+                else:
                     self._file.clear()
-                    self._results.clear()
             except OSError:
                 self.close()
                 raise
@@ -66,7 +66,7 @@ class Checkpoint:
         data = self._file.read(_MOST_BYTES)
         self._torn = not data.endswith(b"\n") and bool(data)
         damaged = 0
-        for line in data.splitlines():
+        for line in filter(None, data.splitlines()):  # an empty line ends one that was torn
             payload = line[_PAYLOAD_START:-1]
             try:
                 if line != _sealed(payload):
@@ -79,7 +79,7 @@ class Checkpoint:
             warnings.warn(
                 f"checkpoint {shown(self.path)}: {damaged} damaged "
                 f"{'line is' if damaged == 1 else 'lines are'} skipped",
-                stacklevel=4,
+                stacklevel=4,  # the line that opens the sweep
             )
 
     def __len__(self) -> int:
@@ -163,7 +163,7 @@ def piece_keys(function: Any, items: Iterable[Any]) -> list[str]:
     for item in items:
         piece = shared.copy()
         piece.update(_text(item))
-        keys.append(piece.hexdigest()[:32])
+        keys.append(piece.hexdigest()[:32])  # 128 bits, so that two pieces never share a key
     return keys
 
 

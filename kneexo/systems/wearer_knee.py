@@ -74,9 +74,9 @@ class WearerKnee(NamedLeaf):
     dξ_i/dt = 2π f_i (s − ξ_i),  W(θ) = m_h g l_h sin(α_thigh − θ).
     With ``passive`` motion the deflection is s = θ_h − θ_n about the neutral angle, and A = 0.
     With ``active`` motion the deflection is s = θ_h − θ_ref about the reference, and
-    A = (ε − 1) M + I_h d²θ_ref/dt² − W(θ_ref). The muscles of the leg give the share ε of the
-    biological moment M(t). An external torque −M + I_h d²θ_ref/dt² − W(θ_ref) balances the
-    whole moment, as the ground reaction does in walking.
+    A = (ε − 1) M + I_h d²θ_ref/dt² − W(θ_ref). A is the sum of two torques. The muscles of the leg
+    give ε M, a share of the biological moment M(t). The rest, −M + I_h d²θ_ref/dt² − W(θ_ref),
+    stands for the ground reaction. So a leg with ε = 1 that feels no torque follows the reference.
 
     ==================  ====  =============  ==================================================
     input port          size  unit
@@ -89,10 +89,10 @@ class WearerKnee(NamedLeaf):
     ==================  ====  =============  ==================================================
 
     State: θ_h in rad, dθ_h/dt in rad/s and ξ_i in rad. Context parameters by name: numbers of
-    `LegParameters`, with k_0 in place of k, and ``thigh_inclination_rad`` (α_thigh) and
-    ``gravity_m_s2`` of the load. Source: the Maxwell elements approximate hysteretic damping (see
-    `kneexo.parameters.wearer.MAXWELL_BANK`). The Maxwell element i has the weight κ_i and the
-    corner frequency f_i, and h is the loss modulus.
+    `LegParameters`, with ``bare_stiffness_n_m_per_rad`` (k_0) in place of k, and
+    ``thigh_inclination_rad`` (α_thigh) and ``gravity_m_s2`` of the load. Source: the Maxwell
+    elements approximate hysteretic damping (see `kneexo.parameters.wearer.MAXWELL_BANK`). The
+    Maxwell element i has the weight κ_i and the corner frequency f_i, and h is the loss modulus.
 
     Parameters
     ----------

@@ -86,6 +86,14 @@ def test_stacked_tables_keep_their_values():
     np.testing.assert_allclose(values(stacked), expected, rtol=0, atol=1e-13)
 
 
+def test_a_segment_before_all_breaks_has_powers_of_time():
+    line = InputTable(coefficients=np.array([[[0.0, 1.0]]]))
+    step = InputTable(np.array([1.0]), np.array([[[0.0]], [[5.0]]]))
+    stacked = stack_tables(line, step)
+    # From the break on both are in powers of t - 1.
+    np.testing.assert_array_equal(stacked.coefficients[1], [[1.0, 1.0], [5.0, 0.0]])
+
+
 def test_constants_stack_without_breaks():
     first, second = (InputTable(coefficients=np.full((1, 1, 1), value)) for value in (1.0, 2.0))
     stacked = stack_tables(first, second)

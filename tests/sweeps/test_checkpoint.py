@@ -1,5 +1,6 @@
 import hashlib
 import math
+import warnings
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
@@ -140,6 +141,16 @@ def test_a_file_cut_anywhere_keeps_what_is_whole(tmp_path):
         assert len(again) == len(checkpoint)
         assert again["new"] == 3
         again.close()
+
+
+def test_a_cleared_file_has_no_damage(tmp_path):
+    path, _ = lines_of(tmp_path, 2)
+    path.write_bytes(path.read_bytes()[:-5])
+    with warnings.catch_warnings(action="error"):
+        checkpoint = Checkpoint(path, resume=False)
+        checkpoint.keep("new", 3)
+        checkpoint.close()
+        assert list(map(Checkpoint(path).__contains__, ("new", "piece 0"))) == [True, False]
 
 
 def test_a_huge_file_is_refused_before_it_is_read(tmp_path):

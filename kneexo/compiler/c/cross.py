@@ -21,7 +21,10 @@ class Platform:
     """A kind of machine that runs shared libraries."""
 
     target: str
-    """Architecture, system and C library in the notation of Zig, with the oldest version."""
+    """Zig's name of architecture and system, with C library and oldest version where Zig has them.
+
+    An example is ``x86_64-linux-gnu.2.17``.
+    """
     suffix: str
     """End of the file name of a shared library."""
 

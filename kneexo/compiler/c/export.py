@@ -174,7 +174,7 @@ def require_export_folder(directory: str | os.PathLike[str], name: str) -> None:
 
 
 def write_c(directory: str | os.PathLike[str], source: CSource, vectors: Vectors) -> Measurement:
-    """Build, run and measure a model in C, and write its folder.
+    """Build, run and measure a model in C, write its folder, and return the measurements.
 
     Files of an earlier export in the directory are replaced, and other files stay. After an error
     all earlier files are still there.

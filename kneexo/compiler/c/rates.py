@@ -26,8 +26,8 @@ def fast_rates(graph: Graph, derivatives: Sequence[int], parameters: Array) -> d
 
     ``derivatives`` are the numbers of the derivatives' nodes in ``graph``. ``parameters`` decide
     which factors are zero. Each derivative is in the dictionary, and so is each node that a
-    derivative still requires after all rewritings. The new node computes the same value up to
-    rounding, in a graph that gets these nodes. Four rewritings follow each other, each a class
+    derivative still requires after all rewritings. The function adds the new nodes to ``graph``.
+    They compute the same values up to rounding. Four rewritings follow each other, each a class
     below. For a parameter p, p = 0 at first, and the states x, y and z:
 
     - sin(x)·p → 0 if p = 0, else sin(x)·p
@@ -36,6 +36,8 @@ def fast_rates(graph: Graph, derivatives: Sequence[int], parameters: Array) -> d
     - sin(x) + y + z → (y + z) + sin(x), since the sine is available last
     """
     latest = {node: node for node in graph.reachable(derivatives)}
+    # Zero factors first, as they remove the most. Then limits pass factors on, which the regrouping
+    # joins. Sums come last, because their order depends on the final terms.
     for rewriting in (_ZeroFactors, _ScaledLimits, _Regrouping, _ShortSums):
         roots = [latest[root] for root in derivatives]
         new = rewriting(graph, roots, parameters).nodes()
@@ -167,6 +169,7 @@ class _ShortSums(_Rewriting):
         graph, times = self.graph, self.times
         for number in range(len(times), node + 1):  # arguments have smaller numbers
             kind, arguments = graph.nodes[number][0], graph.arguments(number)
+            # A value that does not change within a tick is computed before the steps of RK4.
             is_early = kind in SOURCES or graph.depends[number] <= TICK_SOURCES
             times.append(0 if is_early else _cost(kind) + max(times[a] for a in arguments))
         return times[node]

@@ -15,8 +15,8 @@ def values_of(graph: Graph, roots: Iterable[int], sources: Mapping[str, Any]) ->
     """Return the value of each root; an undefined value is nan or inf.
 
     ``sources`` maps each kind of source, such as ``state``, to the values of all its elements, such
-    as all states. Constants need no entry. If the values are arrays, the results are arrays of the
-    same shape.
+    as all states. Constants need no entry. If each element is an array, each result is an array of
+    the same shape.
     """
     roots = list(roots)
     values: dict[int, Any] = {}

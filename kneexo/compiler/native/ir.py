@@ -274,7 +274,10 @@ class Function:
         return [self.coerce(operand, widest) for operand in operands]
 
     def binary(self, name: str, left: Operand, right: Operand) -> Value:
-        """Emit an arithmetic or bitwise operation with LLVM's ``name`` for integers, as ``add``."""
+        """Emit an arithmetic or bitwise instruction.
+
+        ``name`` is LLVM's name for integers, such as ``add``. Doubles get ``fadd``.
+        """
         a, b = self.alike(left, right)
         prefix = "f" if a.type.element == "double" else ""
         return self.instruction(f"{prefix}{name} {a.type} {a.name}, {b.name}", a.type)

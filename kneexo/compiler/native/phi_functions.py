@@ -72,7 +72,7 @@ class Columns:
             out[e] = total
 
     def norm(self, matrix: Array) -> Value:
-        """Emit the largest sum of magnitudes in a row of ``matrix``."""
+        """Emit the infinity norm of ``matrix``, the largest sum of magnitudes in a row."""
         f, largest = self.f, self.f.variable(self.f.constant(0.0))
         for block in range(self.blocks):
             total = f.variable(f.constant(0.0, self.type))

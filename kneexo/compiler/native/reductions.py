@@ -104,7 +104,7 @@ def _accumulated(
 
 
 class Reducer:
-    """Memory of the machine code for the reductions of the runs in all lanes."""
+    """Arrays in which the machine code collects the reductions, for the run in each lane."""
 
     def __init__(
         self, reductions: Sequence[Reduction], elements: Mapping[str, int], lanes: int

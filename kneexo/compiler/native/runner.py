@@ -326,7 +326,7 @@ class Runner:
     def unstable_step(self, lane: int, integrator: str | None = None) -> UnstableStep | None:
         """Return the first unstable step of the run in a lane since `restart`; None without one.
 
-        By default ``integrator`` is the integrator of this runner.
+        ``integrator`` has the steps that are judged, by default the integrator of this runner.
         """
         suspects = self._suspects[lane, self._suspects[lane, :, 0] > 0.0]
         if not suspects.size:

@@ -63,6 +63,7 @@ class BandwidthSettings(Parameters):
 
 
 _LEAST_GAIN = 1e-12  # lower limit for decibels; the knee may not move within a count of the encoder
+# Curves of the Bode plot that a limit of the hardware or of linear theory gives, with their words.
 _LIMITS = {
     "follower_hz": "speed limit",
     "acceleration_bound_hz": "acceleration limit",
@@ -226,13 +227,13 @@ def _measure(scenario: Scenario, settings: SineEstimateSettings, item: _Item) ->
     values = {"reference.amplitude_deg": amplitude}
     if frequency is not None:
         values["reference.frequency_hz"] = frequency
-    at = changed(scenario if quantized else scenario.without_quantizers(), values)
+    driven = changed(scenario if quantized else scenario.without_quantizers(), values)
     row = CELL | {"measured_hz": math.nan, "response": [math.nan, math.nan]}
     with failure_noted(row, kind=SimulationError):
         if frequency is None:
-            row["measured_hz"] = large_signal_bandwidth_hz(at)
+            row["measured_hz"] = large_signal_bandwidth_hz(driven)
         else:
-            estimate = estimate_sine(at, settings)
+            estimate = estimate_sine(driven, settings)
             row |= {name: getattr(estimate, name) for name in CELL}
             row["response"] = [estimate.response.real, estimate.response.imag]
     return row
@@ -274,10 +275,12 @@ def bandwidth_study(
     amplitudes, frequencies = settings.amplitudes_deg, np.array(settings.frequencies_hz)
     mean_deg = require_sine(scenario).mean_deg
     require_sampled(frequencies[-1], scenario)
-    at = [changed(scenario, {"reference.amplitude_deg": a}) for a in amplitudes]  # may raise
+    scenarios = [changed(scenario, {"reference.amplitude_deg": a}) for a in amplitudes]  # may raise
     quantized = scenario.quantized
     cells: list[_Item] = [(a, f, quantized) for a in amplitudes for f in settings.frequencies_hz]
-    small: list[_Item] = [(amplitudes[0], f, False) for f in settings.frequencies_hz if quantized]
+    small: list[_Item] = []  # without quantizers the first row of the map has these measurements
+    if quantized:
+        small = [(amplitudes[0], f, False) for f in settings.frequencies_hz]
     searches: list[_Item] = [(a, None, quantized) for a in amplitudes]
     items = [*cells, *small, *searches]
     with open_sweep(**options) as sweep:
@@ -285,22 +288,23 @@ def bandwidth_study(
             partial(_measure, scenario, settings.estimate),
             items,
             "amplitude map",
+            # A run lasts some periods. A search counts as a run at 1 Hz.
             weight=lambda item: 1.0 / (item[1] or 1.0),
         )
     grid, searched = measured[: len(cells)], measured[len(cells) + len(small) :]
     unquantized = measured[len(cells) : len(cells) + len(small)] or grid[: frequencies.size]
-    limited = _column(unquantized, "speed_limited_share")
-    limited = limited + _column(unquantized, "acceleration_limited_share")
+    limits = ("speed_limited_share", "acceleration_limited_share")
+    limited_share = np.sum([_column(unquantized, name) for name in limits], axis=0)
 
     linear: dict[str, Any] = {
         "hz": math.nan,
         "response": np.full(frequencies.size, complex(math.nan, math.nan)),
     }
-    with failure_noted(linear, kind=LinearizationError):
+    with failure_noted(linear, kind=LinearizationError):  # sets linear["failure"]
         loop = linearize_loop(scenario, knee_angle_deg=mean_deg)
         linear |= {"hz": loop.bandwidth_hz(), "response": loop.output_response(frequencies)}
     speed, acceleration = rod_limits(scenario)
-    rod = [rod_amplitude_m(s) for s in at]
+    rod = [rod_amplitude_m(s) for s in scenarios]
     shape = (len(amplitudes), frequencies.size)
     return BandwidthResult(
         amplitudes_deg=np.array(amplitudes),
@@ -313,15 +317,15 @@ def bandwidth_study(
             "acceleration_bound_hz": np.array(
                 [acceleration_bound_hz(acceleration, a) for a in rod]
             ),
-            "follower_hz": np.array([follower_bandwidth_hz(s) for s in at]),
+            "follower_hz": np.array([follower_bandwidth_hz(s) for s in scenarios]),
             "rate_limit_hz": np.array([rate_limit_bandwidth_hz(speed, a) for a in rod]),
-            "speed_limit_reached_hz": np.array([speed_limit_reached_hz(s) for s in at]),
+            "speed_limit_reached_hz": np.array([speed_limit_reached_hz(s) for s in scenarios]),
         },
         linear=linear["response"],
         linear_failure=linear["failure"],
-        follower=np.array([[follower_response(s, f) for f in frequencies] for s in at]),
+        follower=np.array([[follower_response(s, f) for f in frequencies] for s in scenarios]),
         unquantized=_response(unquantized),
-        unlimited=limited == 0.0,
+        unlimited=limited_share == 0.0,
         failures=tuple(
             f"{a:g} deg, {'−3 dB' if f is None else f'{f:g} Hz'}: {row['failure']}"
             for (a, f, _), row in zip(items, measured, strict=True)

@@ -26,20 +26,21 @@ def report(result: ContestResult) -> str:
             for path, value in tuning.gains.items()
         )
 
+    summary = result.summary()
     return filled(
         "contest/report.md",
         result=result,
         settings=result.settings,
         left_out=list(labels(result.left_out).values()),
         other=result.settings.other_reference,
-        summary=result.summary(),
+        summary=summary,
         rows={label: (name, ".3g") for name, label in COLUMNS.items()},
-        decisive=[{"name": name} | metrics for name, metrics in result.summary().items()],
+        summary_rows=[{"name": name} | metrics for name, metrics in summary.items()],
         unconverged=sum(not (t.converged and t.feasible) for t in result.tunings),
         winners={
             COLUMNS[metric]: names
             for metric, names in result.winners().items()
-            if len(names) < len(tuned)
+            if len(names) < len(tuned)  # a metric on which all tie has no winner
         },
         pairs=[
             {"first": first, "second": second, "share": result.better_share(first, second)}
@@ -59,10 +60,10 @@ def failed_runs(result: ContestResult) -> dict[str, Scenario]:
     """
     base = changed(result.scenario, {"simulation.duration_s": result.settings.duration_s})
     runs: dict[str, Scenario] = {}
-    for name, entrant in result.entrants.items():
+    for name, controller_values in result.entrants.items():
         for values, metrics in zip(result.samples, result.tested[name], strict=True):
             if error := metrics["tracking_failure"]:
-                run = realize(changed(base, entrant), result.uncertainty, values)
+                run = realize(changed(base, controller_values), result.uncertainty, values)
                 runs.setdefault(error, run)
                 break
     return runs

@@ -26,9 +26,10 @@ _STYLES: list[dict[str, Any]] = [
 
 
 def figures(result: MechanismResult) -> dict[str, Figure]:
-    """Draw centres of rotation, migration, wrong places and torque. Return figures by name.
+    """Draw all figures of the study; return them by name.
 
-    The trade-off is drawn if it was searched.
+    The last one, the trade-off of migration against the error of Table 1, exists only if the study
+    searched it.
     """
     drawn = {
         "centres": plot_centres(result),

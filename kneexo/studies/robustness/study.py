@@ -219,13 +219,13 @@ def rank_correlation(
 
 
 def chance(span: Uncertainty, count: int) -> float:
-    """Return the strength that an uncertain value without effect exceeds by chance in 5 % of cases.
+    """Return the rank correlation that is beyond chance.
 
-    `rank_correlation` defines the strength. ``span`` is the range of the value, and ``count`` is
-    the number of sampled plants.
+    The `rank_correlation` of a value without effect is larger in 5 % of cases. ``span`` is the
+    range of the value, and ``count`` is the number of sampled plants.
     """
     freedom = max(len(span.options), 2) - 1
-    return math.sqrt(scipy.stats.chi2.ppf(CONFIDENCE, freedom) / (count - 1)) if freedom else 0.0
+    return math.sqrt(scipy.stats.chi2.ppf(CONFIDENCE, freedom) / (count - 1))
 
 
 @dataclass(frozen=True, repr=False)

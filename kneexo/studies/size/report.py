@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from kneexo.analysis.frequency_response import require_sine
@@ -26,8 +26,8 @@ _WALKING = {
 }
 """Heading and number format of each metric of walking."""
 
-_ERRORS = ("max_error_deg", "rms_error_deg")
-_VARIED = (
+_ERRORS = ("max_error_deg", "rms_error_deg")  # columns of the table of steps
+_VARIED = (  # columns of the table of variations
     *("max_error_deg", "rms_error_deg", "peak_motor_speed_rpm", "peak_pressure_mpa"),
     *("peak_shaft_power_w", "delivered_energy_j"),
 )
@@ -39,7 +39,13 @@ def report(result: SizeResult) -> str:
     reference = require_sine(result.scenario)
     low, high = reference.range_deg
     steps, bound = numbers["steps"], settings.error_bound_deg
+    as_it_is = next(iter(steps.values()))  # the first step changes nothing; one run per frequency
     strides = {"Eq. 16": numbers["demand"], "shank": numbers["demand_with_segment_inertia"]}
+
+    def searched(name: str) -> Callable[[Mapping[str, Any]], str]:
+        """Return a function from the row of a design to the cell of a searched value."""
+        return lambda design: _searched(design[name], bound)
+
     return filled(
         "size/report.md",
         **numbers,
@@ -58,7 +64,7 @@ def report(result: SizeResult) -> str:
             {"torque": torque} | demand
             for torque, demand in numbers["demand_by_wearer_torque_n_m"].items()
         ],
-        as_it_is=next(iter(steps.values()))[0],
+        as_it_is=as_it_is[0],
         error_heads=[
             f"{kind} error at {frequency:.4g} Hz (deg)"
             for frequency in settings.stride_frequencies_hz
@@ -69,6 +75,7 @@ def report(result: SizeResult) -> str:
             for name, walks in steps.items()
         ],
         changes=list(_changes(result, numbers)),
+        # heading: name in the row, name and number format, or a function of the row
         stride_heads={
             "hardware": "hardware",
             "share": ("moment_share", "g"),
@@ -87,7 +94,7 @@ def report(result: SizeResult) -> str:
         * (result.scenario.plant.full_order or FullCylinderParameters()).relief_pressure_pa,
         vacuum_mpa=1e-6 * LOWEST_PRESSURE_PA,
         design_heads=[f"{design['frequency_hz']:.4g} Hz" for design in numbers["designs"]],
-        searched=lambda name: lambda design: _searched(design[name], bound),
+        searched=searched,
         walking={label: (_path(name), form) for name, (label, form) in _WALKING.items()},
         step_agreement=lambda design: number(100.0 * max(design["step_agreement"].values()), ".2f"),
         variation_heads=[_WALKING[name][0] for name in _VARIED],
@@ -121,7 +128,8 @@ def _walked(numbers: Mapping[str, Any], names: Sequence[str]) -> list[str]:
     If the run failed, the first cell has the reason and the others have dashes.
     """
     if numbers["failure"]:
-        return [f"fails: {numbers['failure'].split(';')[0]}", *["–"] * (len(names) - 1)]
+        reason = numbers["failure"].split(";")[0]  # without the advice
+        return [f"fails: {reason}", *["–"] * (len(names) - 1)]
     return [number(numbers[name], _WALKING[name][1]) for name in names]
 
 
