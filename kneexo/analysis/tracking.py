@@ -401,7 +401,7 @@ def _legend_above(ax: Axes) -> None:
 
 def _verdict_signals(scenario: Scenario) -> tuple[str, ...]:
     """Return names of additional signals that the verdict on a run of ``scenario`` requires."""
-    names = [*INTERACTION_SIGNALS, "biological_moment", "chamber_pressures"]
+    names = [*INTERACTION_SIGNALS, "biological_moment", "chamber_pressures", "active_faults"]
     if scenario.controller.kind == "torque":
         names += TORQUE_SIGNALS
     available = available_signals(scenario)

@@ -237,7 +237,11 @@ def verdict_of(scenario: Scenario, run: Run, *, step: tuple[bool, str] | None) -
     cycle, limits = limit_cycle(run), _limits(scenario, run)
     cycle_lines = [] if cycle is None else [cycle.line]
     stability = Stability.of_scenario(scenario)
-    notes = (*notices(scenario), *_pressure_notices(scenario, run))
+    notes = (
+        *notices(scenario),
+        *_pressure_notices(scenario, run),
+        *_fault_notices(scenario, run),
+    )
     saturation = _saturation_line(limits)
     return Verdict(
         **tracking,
@@ -312,6 +316,22 @@ def _torques(scenario: Scenario, run: Run) -> tuple[dict[str, Any], list[str]]:
             f"{time_s[worst]:.4g} s; the desired torque reaches {desired:.3g} N·m."
         )
     return fields, lines
+
+
+def _fault_notices(scenario: Scenario, run: Run) -> Iterator[str]:
+    """Yield a line that says when faults were active, or that none was."""
+    if not scenario.faults:
+        return
+    active = run["active_faults"]
+    samples = np.flatnonzero(active)
+    if not samples.size:
+        yield "no fault was active, because no signal passed its threshold; change above or below"
+        return
+    first, last = run.time_s[samples[[0, -1]]]
+    yield (
+        f"{len(scenario.faults)} faults: at most {active.max():.0f} at once, the first from "
+        f"{first:.4g} s, the last until {last:.4g} s; margins are those without faults"
+    )
 
 
 def _pressure_notices(scenario: Scenario, run: Run) -> Iterator[str]:

@@ -21,8 +21,9 @@ from kneexo.diagrams.controller import (
     controller_parts,
     make_controller,
 )
+from kneexo.diagrams.faults import LoopFaults, fault_values
 from kneexo.diagrams.part import Part, connect, state_names
-from kneexo.diagrams.plant import make_plant, plant_parts
+from kneexo.diagrams.plant import make_plant, scenario_plant_parts, start_arguments
 from kneexo.diagrams.signals import (
     CONTROLLER_SIGNALS,
     FULL_ORDER_OUTPUTS,
@@ -38,7 +39,6 @@ from kneexo.parameters import (
     SampledReference,
     Scenario,
 )
-from kneexo.rod_polynomial import controller_polynomial
 from kneexo.systems import StateVariable, drive, knee_reference, push as push_system
 from kneexo.systems.function_law import LAW_COMMAND
 from kneexo.systems.knee_reference import require_reference_in_range
@@ -68,6 +68,7 @@ def make_closed_loop(
     - ``drive``: `Cia402Drive`, only with a bus of this kind.
     - ``can_bus``: `DiscreteTimeDelay`, only for a bus with latency.
     - ``push``: `Push`, which acts on the plant, only with a push.
+    - ``fault_1``, …: see `kneexo.diagrams.faults`, only with faults.
     - ``signals`` and ``log``: a `Multiplexer` and a `VectorLogSink`, which logs the columns
       ``columns(signals)`` at the control period. Both are absent for ``signals=()``.
 
@@ -104,7 +105,12 @@ def make_closed_loop(
     require_reference_in_range(scenario.reference, scenario.plant.knee)
     names = chosen_signals(scenario, signals)
     builder = DiagramBuilder()
-    plant = builder.AddNamedSystem("plant", plant_of(scenario))
+    faults = LoopFaults(builder, scenario)
+    of_plant, of_wearer = faults.names_inside("plant"), faults.names_inside("")
+    plant = builder.AddNamedSystem(
+        "plant",
+        make_plant(scenario.plant, **start_arguments(scenario), fault_names=of_plant),
+    )
     encoder = add_encoder(builder, scenario, plant.GetOutputPort("encoder_angle"))
     if external_reference:
         source = builder.AddNamedSystem("knee_reference", PassThrough(4))
@@ -116,14 +122,21 @@ def make_closed_loop(
             raise ParameterError("reference: must have one output port of size 4")
         source = builder.AddNamedSystem("reference", reference)
     wearer = add_wearer(
-        builder, scenario, plant, source.get_output_port(), external_moment=external_moment
+        builder,
+        scenario,
+        plant,
+        source.get_output_port(),
+        external_moment=external_moment,
+        fault_names=of_wearer,
     )
     controller = builder.AddNamedSystem("controller", make_controller(scenario, law))
     ports = {name: plant.GetOutputPort(name) for name in SIGNALS if plant.HasOutputPort(name)} | {
         "knee_reference": source.get_output_port(),
-        "encoder_reading": encoder.get_output_port(),
+        "encoder_reading": faults.on_signal("encoder", encoder.get_output_port()),
         **wearer,
     }
+    if "measured_force" in ports:
+        ports["measured_force"] = faults.on_signal("load_cell", ports["measured_force"])
     for index in range(controller.num_input_ports()):
         port = controller.get_input_port(index)
         if port.get_name() == LAW_COMMAND:
@@ -157,12 +170,15 @@ def make_closed_loop(
         )
         builder.Connect(command, bus.get_input_port())
         command = bus.get_output_port()
+    command = faults.on_signal("command", command)
     ports["motor_speed_command"] = command
     builder.Connect(command, plant.GetInputPort("motor_speed_command"))
 
     if scenario.push is not None:
         push = systems.Push(scenario.push, scenario.controller.sample_time_s)
         connect(builder, builder.AddNamedSystem("push", push), "knee_torque", plant, "knee_torque")
+    faults.on_parameters(plant)
+    ports["active_faults"] = faults.finish(ports)
     given = scenario.push is not None or "wearer_motion" in wearer
     for name in ("disturbance_force", "knee_torque"):
         if plant.HasInputPort(name) and not (name == "knee_torque" and given):
@@ -204,6 +220,8 @@ def available_signals(scenario: Scenario) -> tuple[str, ...]:
         missing.discard("measured_force")
     if moment_of(scenario) is None:
         missing.add("biological_moment")
+    if not scenario.faults:
+        missing.add("active_faults")
     return tuple(name for name in SIGNALS if name not in missing)
 
 
@@ -232,7 +250,7 @@ def loop_values(
     Drake's systems without parameters are left out, and so is a controller that
     `has_unknown_parts`. ``law`` replaces the law of the user, and its parameters are left out too.
     """
-    for part in _plant_parts(scenario):
+    for part in scenario_plant_parts(scenario):
         yield f"plant/{part.name}", part.values()
     if scenario.encoder.quantized:
         # "0[0]" is the first element of the first group of numeric parameters of Drake's block.
@@ -249,6 +267,7 @@ def loop_values(
         yield "drive", drive.context_values(scenario.bus)
     if scenario.push is not None:
         yield "push", push_system.context_values(scenario.push)
+    yield from fault_values(scenario)
 
 
 def plant_states(scenario: Scenario) -> dict[str, StateVariable]:
@@ -279,26 +298,13 @@ def plant_start(scenario: Scenario) -> dict[str, float]:
 
 def _continuous_parts(scenario: Scenario) -> Iterator[tuple[str, Part]]:
     """Yield each part of plant, wearer and load cell, with the path of its subsystem."""
-    yield from (("plant", part) for part in _plant_parts(scenario))
+    yield from (("plant", part) for part in scenario_plant_parts(scenario))
     yield from (("", part) for part in wearer_parts(scenario))
-
-
-def _plant_parts(scenario: Scenario) -> list[Part]:
-    return plant_parts(scenario.plant, **_start_arguments(scenario))
 
 
 def plant_of(scenario: Scenario) -> Diagram:
     """Build the plant of a scenario, with the initial state that the scenario defines."""
-    return make_plant(scenario.plant, **_start_arguments(scenario))
-
-
-def _start_arguments(scenario: Scenario) -> dict[str, Any]:
-    """Return the arguments of `make_plant` that define the initial state of a scenario."""
-    return {
-        "initial_knee_angle_rad": knee_reference.start_angle_rad(scenario.reference),
-        "initial_offset_m": scenario.initial_offset_m,
-        "rod_polynomial": controller_polynomial(scenario),
-    }
+    return make_plant(scenario.plant, **start_arguments(scenario))
 
 
 def add_encoder(builder: Any, scenario: Scenario, angle: Any) -> Any:

@@ -5,10 +5,13 @@ The list is used by the builder of the diagram, compiled runs, linear analysis a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from kneexo.systems import StateVariable
+
+_NO_FAULTS: Mapping[str, tuple[str, ...]] = MappingProxyType({})
 
 
 class Part(NamedTuple):
@@ -16,8 +19,11 @@ class Part(NamedTuple):
 
     name: str
     """Name of the leaf system in the diagram."""
-    make: Callable[[], Any]
-    """Function that returns a new system; compiled runs do not call it."""
+    make: Callable[..., Any]
+    """Function that returns a new system; compiled runs do not call it.
+
+    The makers of plant and wearer take ``fault_names``, see `kneexo.systems._leaf.NamedLeaf`.
+    """
     values: Callable[[], dict[str, float]]
     """Function that returns a dictionary from the name of a Context parameter to its value.
 
@@ -43,9 +49,19 @@ def state_names(part: Part, path: str) -> list[str]:
     return [f"{system}.x[{index}]" for index in range(len(part.states))]
 
 
-def add_parts(builder: Any, parts: Iterable[Part]) -> dict[str, Any]:
-    """Add the systems of ``parts`` to a DiagramBuilder; return a dictionary from name to system."""
-    return {part.name: builder.AddNamedSystem(part.name, part.make()) for part in parts}
+def add_parts(
+    builder: Any, parts: Iterable[Part], fault_names: Mapping[str, tuple[str, ...]] = _NO_FAULTS
+) -> dict[str, Any]:
+    """Add the systems of ``parts`` to a DiagramBuilder; return a dictionary from name to system.
+
+    ``fault_names`` has the Context parameters that faults change, by the name of the part.
+    """
+    systems = {}
+    for part in parts:
+        names = fault_names.get(part.name)
+        system = part.make(fault_names=names) if names else part.make()
+        systems[part.name] = builder.AddNamedSystem(part.name, system)
+    return systems
 
 
 def connect(builder: Any, source: Any, output: str, target: Any, input_: str) -> None:

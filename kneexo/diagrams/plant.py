@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from functools import lru_cache
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -18,14 +20,17 @@ from kneexo.parameters import (
     LinkageParameters,
     PlantParameters,
     RodPolynomialParameters,
+    Scenario,
     SineReference,
 )
 from kneexo.rod_inverse import RodInverse, fit_rod_inverse, rounded_rod_extension
+from kneexo.rod_polynomial import controller_polynomial
 from kneexo.systems import (
     bldc_pump,
     four_bar_knee,
     full_cylinder,
     knee_load,
+    knee_reference,
     reduced_cylinder,
 )
 from kneexo.systems.four_bar_knee import knee_kinematics
@@ -41,6 +46,7 @@ def make_plant(
     initial_knee_angle_rad: float = _START_RAD,
     initial_offset_m: float = 0.0,
     rod_polynomial: RodPolynomialParameters = RodPolynomialParameters(),
+    fault_names: Mapping[str, tuple[str, ...]] = MappingProxyType({}),
 ) -> Diagram:
     """Build the plant, motor → cylinder → knee with load, as a purely continuous diagram.
 
@@ -65,6 +71,10 @@ def make_plant(
         Polynomials between knee angle and rod extension, which the plant uses if its ``rod_map`` is
         ``"polynomial"``.
 
+    fault_names
+        For subsystems by name, Context parameters that a fault can change. Such a subsystem has an
+        input port for the changes, which the plant exports, such as ``motor_fault``.
+
     Raises
     ------
     ParameterError
@@ -74,7 +84,9 @@ def make_plant(
     """
     builder = DiagramBuilder()
     systems_by_name = add_parts(
-        builder, plant_parts(parameters, initial_knee_angle_rad, initial_offset_m, rod_polynomial)
+        builder,
+        plant_parts(parameters, initial_knee_angle_rad, initial_offset_m, rod_polynomial),
+        fault_names,
     )
     motor, cylinder, knee = (systems_by_name[name] for name in ("motor", "cylinder", "knee"))
     connect(builder, motor, "load_flow", cylinder, "load_flow")
@@ -98,9 +110,25 @@ def make_plant(
             builder.ExportOutput(system.GetOutputPort(name), name)
     for name in FULL_ORDER_OUTPUTS if parameters.full_order is not None else ():
         builder.ExportOutput(cylinder.GetOutputPort(name), name)
+    for name in fault_names:
+        builder.ExportInput(systems_by_name[name].GetInputPort("fault"), f"{name}_fault")
     plant = builder.Build()
     plant.set_name("plant")
     return plant
+
+
+def scenario_plant_parts(scenario: Scenario) -> list[Part]:
+    """Return the leaf systems of the plant of a scenario, with the state that it starts from."""
+    return plant_parts(scenario.plant, **start_arguments(scenario))
+
+
+def start_arguments(scenario: Scenario) -> dict[str, Any]:
+    """Return the arguments of `make_plant` that define the initial state of a scenario."""
+    return {
+        "initial_knee_angle_rad": knee_reference.start_angle_rad(scenario.reference),
+        "initial_offset_m": scenario.initial_offset_m,
+        "rod_polynomial": controller_polynomial(scenario),
+    }
 
 
 def plant_parts(
@@ -126,12 +154,12 @@ def plant_parts(
         )
         return (extension, 0.0, *_holding_pressures_pa(parameters, force))
 
-    def make_cylinder() -> Any:
+    def make_cylinder(**fault: Any) -> Any:
         extension, _, *pressures = start()
         if full_order is None:
-            return systems.ReducedCylinder(cylinder, extension, *pressures)
+            return systems.ReducedCylinder(cylinder, extension, *pressures, **fault)
         return systems.FullCylinder(
-            cylinder, full_order, extension, tuple(pressures), external_leakage
+            cylinder, full_order, extension, tuple(pressures), external_leakage, **fault
         )
 
     def cylinder_values() -> dict[str, float]:
@@ -147,7 +175,7 @@ def plant_parts(
     parts = [
         Part(
             "motor",
-            lambda: systems.BldcPump(parameters.pump, parameters.ideal_motor),
+            lambda **fault: systems.BldcPump(parameters.pump, parameters.ideal_motor, **fault),
             lambda: bldc_pump.context_values(parameters.pump),
             bldc_pump.state_variables(parameters.ideal_motor),
         ),
@@ -160,13 +188,19 @@ def plant_parts(
         ),
         Part(
             "knee",
-            lambda: systems.FourBarKnee(parameters.linkage, parameters.knee, rod_map),
+            lambda **fault: systems.FourBarKnee(
+                parameters.linkage, parameters.knee, rod_map, **fault
+            ),
             knee_values,
         ),
     ]
     if isinstance(load, KneeLoadParameters):
         parts.append(
-            Part("load", lambda: systems.KneeLoad(load), lambda: knee_load.context_values(load))
+            Part(
+                "load",
+                lambda **fault: systems.KneeLoad(load, **fault),
+                lambda: knee_load.context_values(load),
+            )
         )
     return parts
 

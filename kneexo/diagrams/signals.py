@@ -53,6 +53,7 @@ SIGNALS = {
     "interaction_power": ("power_of_wearer_w", "power_into_exoskeleton_w"),
     "cuff_slip": ("cuff_slip_rad",),
     "biological_moment": ("biological_moment_n_m",),
+    "active_faults": ("active_faults",),
 }
 """For each signal of the closed loop, the names of its columns, which end with the unit."""
 
@@ -85,6 +86,7 @@ NEEDED_SETTINGS = {
     "desired_torque": "controller.kind = torque",
     **dict.fromkeys(FULL_ORDER_OUTPUTS, "plant.full_order = true"),
     "target_velocity": "bus.kind = cia402",
+    "active_faults": "faults",
 }
 """The setting of a scenario that a signal needs, by the name of the signal."""
 

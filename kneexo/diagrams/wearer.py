@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
@@ -30,14 +31,14 @@ def wearer_parts(scenario: Scenario) -> list[Part]:
         parts = [
             Part(
                 "wearer",
-                lambda: systems.WearerKnee(leg, load, *start),
+                lambda **fault: systems.WearerKnee(leg, load, *start, **fault),
                 lambda: wearer_knee.context_values(leg, load),
                 wearer_knee.state_variables(leg.motion),
                 lambda: wearer_knee.start_state(leg, *start),
             ),
             Part(
                 "cuff",
-                lambda: systems.Cuff(leg.cuff),
+                lambda **fault: systems.Cuff(leg.cuff, **fault),
                 lambda: cuff.context_values(leg.cuff),
                 cuff.state_variables(leg.cuff),
             ),
@@ -47,7 +48,9 @@ def wearer_parts(scenario: Scenario) -> list[Part]:
         parts.append(
             Part(
                 "load_cell",
-                lambda: systems.LoadCell(cell, sample_time_s, _start_force(scenario)),
+                lambda **fault: systems.LoadCell(
+                    cell, sample_time_s, _start_force(scenario), **fault
+                ),
                 lambda: load_cell.context_values(cell),
                 load_cell.STATE_VARIABLES,
                 lambda: [_start_force(scenario)],
@@ -80,15 +83,21 @@ def moment_of(scenario: Scenario) -> MomentTable | None:
 
 
 def add_wearer(
-    builder: Any, scenario: Scenario, plant: Any, reference: Any, *, external_moment: bool
+    builder: Any,
+    scenario: Scenario,
+    plant: Any,
+    reference: Any,
+    *,
+    external_moment: bool,
+    fault_names: Mapping[str, tuple[str, ...]],
 ) -> dict[str, Any]:
     """Add the `wearer_parts` to a DiagramBuilder; return their output ports by signal.
 
     ``plant`` is the plant, whose ``knee_torque`` becomes the interaction torque. ``reference`` is
     the output port of the knee reference. The biological moment is a source, or an input port of
-    the diagram if ``external_moment`` is True.
+    the diagram if ``external_moment`` is True. For ``fault_names`` see `add_parts`.
     """
-    part = add_parts(builder, wearer_parts(scenario))
+    part = add_parts(builder, wearer_parts(scenario), fault_names)
     ports = {
         name: part[system].GetOutputPort(name)
         for name, system in WEARER_OUTPUTS.items()

@@ -79,6 +79,10 @@ def make_target(scenario: Scenario, what: str, *, counts: bool = False) -> Targe
         )
     if what == "controller":
         return _controller(scenario, counts)
+    if what == "plant" and scenario.faults:
+        raise ParameterError(
+            "faults: the plant alone contains no faults; leave them out, or export the loop"
+        )
     return _plant(scenario) if what == "plant" else _loop(scenario)
 
 

@@ -26,6 +26,7 @@ from kneexo.parameters.control import (
     SlidingModeParameters,
 )
 from kneexo.parameters.design_limits import DesignLimits
+from kneexo.parameters.fault import FaultParameters
 from kneexo.parameters.law import LAW_INPUTS, Law
 from kneexo.parameters.linkages import (
     G1,
@@ -122,6 +123,7 @@ __all__ = [
     "DifferenceParameters",
     "EncoderParameters",
     "ExactParameters",
+    "FaultParameters",
     "FullCylinderParameters",
     "GaitMoment",
     "GaitReference",

@@ -104,6 +104,8 @@ def _walk(
         yield Name(path, word, model, setting, choice)
         if _holds_many(field):
             entered = keys[: len(path)] == path and len(keys) > len(path)
+            if not entered and not field.is_required() and field.default == ():
+                continue  # an empty list has no place for a name
             below = (*path, keys[len(path)] if entered else "NAME")
         more = more_models_of(field) if field.discriminator else ()
         for part in (*models_of(field), *more):

@@ -19,6 +19,7 @@ from kneexo.parameters.control import (
     PidParameters,
     SlidingModeParameters,
 )
+from kneexo.parameters.fault import FaultParameters
 from kneexo.parameters.fields import Words
 from kneexo.parameters.names import searched_for_names
 from kneexo.parameters.plant import PlantParameters, RodPolynomialParameters
@@ -123,6 +124,7 @@ class Scenario(Parameters):
     reference: Reference = SineReference()
     wearer: Wearer = NoWearer()
     push: PushParameters | None = choice(None, "left out: nobody pushes the leg")
+    faults: tuple[FaultParameters, ...] = choice((), "left out: nothing fails")
     initial_offset_m: float = quantity(
         0.0, "m", "rod position minus reference at the start (Fig. 9: 89 mm off)", ge=-0.15, le=0.15
     )
@@ -215,12 +217,13 @@ class Scenario(Parameters):
         """Return the scenario for linear analysis, in which no part rounds.
 
         Encoder, load cell and bus do not round, the load cell has no noise, the cuff does not slip,
-        and nobody pushes the leg. The latency of the bus remains.
+        nobody pushes the leg, and nothing fails. The latency of the bus remains.
         """
         encoder = self.encoder.model_copy(update={"quantized": False})
         cell = self.load_cell.model_copy(update={"quantized": False, "noise_n": 0.0, "seed": None})
         bus = NoBus(latency_samples=self.bus.latency_samples)
         update: dict[str, Any] = {"encoder": encoder, "load_cell": cell, "bus": bus, "push": None}
+        update["faults"] = ()
         if isinstance(self.wearer, LegParameters):
             cuff = self.wearer.cuff.model_copy(update={"slip_torque_n_m": None})
             update["wearer"] = self.wearer.model_copy(update={"cuff": cuff})
@@ -323,6 +326,36 @@ class Scenario(Parameters):
                 f"within the run; reduce push.start_s or push.duration_s, or extend "
                 f"simulation.duration_s"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _faults_fit(self) -> Scenario:
+        for number, fault in enumerate(self.faults, 1):
+            subject = f"faults[{number}]"
+            if fault.start_s >= self.duration_s:
+                raise ValueError(
+                    f"{subject}: start_s = {fault.start_s:g} s: must be < {self.duration_s:g} s, "
+                    f"the end of the run; reduce start_s, or extend simulation.duration_s"
+                )
+            if fault.place == "load_cell" and not self.has_load_cell:
+                raise ValueError(
+                    f"{subject}: place = load_cell: needs wearer.kind = leg or controller.kind = "
+                    f"torque"
+                )
+            counts = self.encoder.counts_per_revolution
+            if fault.kind == "bit_flip" and not (self.encoder.quantized and 2**fault.size < counts):
+                raise ValueError(
+                    f"{subject}: size = {fault.size:g} of kind = bit_flip: needs "
+                    f"encoder.quantized = true and a bit of {counts} counts"
+                )
+            for other_number, other in enumerate(self.faults[: number - 1], 1):
+                same = (fault.place, fault.kind) == (other.place, other.kind)
+                overlap = fault.start_s < other.end_s and other.start_s < fault.end_s
+                if same and overlap and fault.kind in ("frozen", "value"):
+                    raise ValueError(
+                        f"{subject}: is at the same place and time as faults[{other_number}]; must "
+                        f"begin after its end; set duration_s of both, or remove one"
+                    )
         return self
 
     @model_validator(mode="after")

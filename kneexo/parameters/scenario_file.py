@@ -299,6 +299,10 @@ def _dumped(parameters: Parameters, indent: str) -> Iterator[str]:
 
 def _text_of(value: Any) -> str:
     """Return a value as YAML text. A float such as 1e-8 becomes 1.0e-8, as YAML 1.1 requires."""
+    if isinstance(value, Parameters):
+        value = {name: item for name, item in vars(value).items() if item is not None}
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_text_of, value))}]"
     if isinstance(value, dict):
         return f"{{{', '.join(f'{json.dumps(k)}: {_text_of(v)}' for k, v in value.items())}}}"
     if isinstance(value, str):

@@ -15,6 +15,14 @@ AS_183 = ((30269, 171), (30307, 172), (30323, 170))
 """Moduli and multipliers of the random generator of Wichmann and Hill, Algorithm AS 183 (1982)."""
 
 
+def generator_seeds(seed: int) -> tuple[float, ...]:
+    """Return initial states of the three generators of `AS_183`, whole numbers >= 1."""
+    words = np.random.SeedSequence(seed).generate_state(len(AS_183)).tolist()
+    return tuple(
+        float(word % (modulus - 1) + 1) for word, (modulus, _) in zip(words, AS_183, strict=True)
+    )
+
+
 class LoadCellParameters(Parameters):
     """Load cell on the rod, in a loop with a wearer or a torque controller."""
 
@@ -44,12 +52,8 @@ class LoadCellParameters(Parameters):
 
     @property
     def generator_seeds(self) -> tuple[float, ...]:
-        """Initial states of the three generators of `AS_183`, whole numbers ≥ 1, from ``seed``."""
-        words = np.random.SeedSequence(self.seed or 0).generate_state(len(AS_183)).tolist()
-        return tuple(
-            float(word % (modulus - 1) + 1)
-            for word, (modulus, _) in zip(words, AS_183, strict=True)
-        )
+        """Initial states of the generators of `AS_183`, from ``seed``."""
+        return generator_seeds(self.seed or 0)
 
     @model_validator(mode="after")
     def _noise_can_be_repeated(self) -> LoadCellParameters:

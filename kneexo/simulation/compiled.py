@@ -45,6 +45,7 @@ from kneexo.diagrams.controller import (
     has_unknown_parts,
     make_controller,
 )
+from kneexo.diagrams.faults import fault_structure
 from kneexo.diagrams.law import (
     held_command,
     known_to_controller,
@@ -135,6 +136,7 @@ def structure_key(scenario: Scenario) -> str:
         fields["nominal"] = fields["plant"]
     fields.pop("simulation", None)  # decides how a loop is run, not its equations
     fields.pop("polynomial", None)  # has only numbers, also where it is left out
+    fields["faults"] = fault_structure(scenario)
     if not scenario.has_load_cell:
         del fields["load_cell"]
     if isinstance(scenario.reference, SampledReference):

@@ -11,6 +11,7 @@ from kneexo.systems.cuff import Cuff, Cuff_
 from kneexo.systems.drive import Cia402Drive, Cia402Drive_
 from kneexo.systems.encoder_count import EncoderCount, EncoderCount_
 from kneexo.systems.energy_meter import EnergyMeter, EnergyMeter_
+from kneexo.systems.fault import FaultySignal, FaultySignal_, ParameterFault, ParameterFault_
 from kneexo.systems.four_bar_knee import FourBarKnee, FourBarKnee_
 from kneexo.systems.full_cylinder import FullCylinder, FullCylinder_
 from kneexo.systems.function_law import (
@@ -67,6 +68,8 @@ __all__ = [
     "EncoderCount_",
     "EnergyMeter",
     "EnergyMeter_",
+    "FaultySignal",
+    "FaultySignal_",
     "FourBarKnee",
     "FourBarKnee_",
     "FullCylinder",
@@ -85,6 +88,8 @@ __all__ = [
     "LinearLaw_",
     "LoadCell",
     "LoadCell_",
+    "ParameterFault",
+    "ParameterFault_",
     "PidController",
     "PidController_",
     "Push",

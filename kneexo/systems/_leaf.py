@@ -61,10 +61,15 @@ class NamedLeaf(LeafSystem):
     ``Component``, ``Component(…)`` makes a system of floats, which converts to AutoDiffXd and
     Expression. `leaf_template` makes a class for each scalar type. The systems of all scalar types
     are instances of ``Component``.
+
+    ``Component(…, fault_names=("gear_ratio",))`` has an input port ``fault`` with a change of each
+    of the named Context parameters, so that a fault can change them during a run.
     """
 
     _scalar: Any = None  # Drake's scalar type, set by `leaf_template`
     _parameter_class: Any = _named_tuple(())  # named tuple of the Context parameters
+    _fault_names: tuple[str, ...] = ()  # Context parameters that a fault can change
+    _fault: Any = None  # input port of the changes of these parameters
     check: Callable[[Any], None]
 
     @property
@@ -86,6 +91,8 @@ class NamedLeaf(LeafSystem):
         self.DeclareNumericParameter(
             BasicVector_[self._scalar]([float(value) for value in values.values()])
         )
+        if self._fault_names:
+            self._fault = self.DeclareVectorInputPort("fault", len(self._fault_names))
 
     def _declare_output(
         self, name: str, size: int, calc: Callable[[Any], Sequence[Any]], *sources: Any
@@ -95,6 +102,8 @@ class NamedLeaf(LeafSystem):
         ``sources`` are the ports and dependency tickets that ``calc`` reads, except the Context
         parameters.
         """
+        if self._fault is not None:
+            sources = (*sources, self._fault)
         tickets = {s.ticket() if hasattr(s, "ticket") else s for s in sources}
         return self.DeclareVectorOutputPort(
             name,
@@ -129,9 +138,15 @@ class NamedLeaf(LeafSystem):
             self.DeclarePerStepPublishEvent(check)
 
     def parameters(self, context: Any) -> Any:
-        """Return the named Context parameters of this system, as a named tuple of scalars."""
-        vector = context.get_numeric_parameter(0)
-        return self._parameter_class._make(vector.CopyToVector().tolist())
+        """Return the named Context parameters of this system, as a named tuple of scalars.
+
+        A fault changes them by the values of the port ``fault``.
+        """
+        values = context.get_numeric_parameter(0).CopyToVector().tolist()
+        if self._fault is not None:
+            for name, change in zip(self._fault_names, self._fault.Eval(context), strict=True):
+                values[self.parameter_names.index(name)] += change
+        return self._parameter_class._make(values)
 
     def set_parameter(self, context: Any, name: str, value: Any) -> None:
         """Set one Context parameter by its name.
@@ -163,9 +178,16 @@ def leaf_template(component: type[NamedLeaf]) -> Any:
             __doc__ = component.__doc__
             _scalar = scalar
 
-            def _construct(self, *values: Any, converter: Any = None, **named: Any) -> None:
+            def _construct(
+                self,
+                *values: Any,
+                converter: Any = None,
+                fault_names: tuple[str, ...] = (),
+                **named: Any,
+            ) -> None:
                 LeafSystem_[scalar].__init__(self, converter)
-                self._arguments = values, named
+                self._arguments = values, named | {"fault_names": fault_names}
+                self._fault_names = fault_names
                 component.__init__(self, *values, **named)
 
             def _construct_copy(self, other: Any, converter: Any = None) -> None:

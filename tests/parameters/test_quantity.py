@@ -63,6 +63,7 @@ FIELDS = {
 }
 NUMBERS = {key: entry for key, entry in FIELDS.items() if is_number(entry[2].annotation)}
 del NUMBERS["LawParameters.initial_state"]  # its units are those of the user's law
+del NUMBERS["FaultParameters.size"]  # its unit is that of the place
 BOUNDED = {key: entry for key, entry in NUMBERS.items() if entry[2].annotation in (int, float)}
 
 

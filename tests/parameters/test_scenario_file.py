@@ -537,6 +537,7 @@ def instances_of(model: type[Parameters]) -> st.SearchStrategy[Parameters]:
         fields["initial_state"] = st.just(())
     if model is Scenario:  # a moment must cover the run
         fields["wearer"] = st.just(NoWearer()) | instances_of(LegParameters)
+        fields["faults"] = st.just(())  # whose times and places depend on all others
     if model is LegParameters:
         fields["loss_modulus_n_m_per_rad"] = st.just(0.0)
         fields["effort"] = st.just(1.0)

@@ -230,7 +230,7 @@ def quantities(parameters, path=()):
         value = getattr(parameters, name)
         if isinstance(value, Parameters):
             yield from quantities(value, (*path, name))
-        elif isinstance(value, float | tuple) and not isinstance(value, bool):
+        elif isinstance(value, float | tuple) and not isinstance(value, bool) and name != "faults":
             yield (*path, name), value
 
 

@@ -1,0 +1,225 @@
+"""Adds the faults of a scenario to the closed loop, on its signals and its parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from pydrake.systems.primitives import Adder
+
+from kneexo import systems
+from kneexo.diagrams.part import Part
+from kneexo.diagrams.plant import scenario_plant_parts
+from kneexo.diagrams.signals import SIGNALS
+from kneexo.diagrams.wearer import wearer_parts
+from kneexo.errors import ParameterError, close_names, question
+from kneexo.parameters import FaultParameters, Scenario
+from kneexo.parameters.fault import FAULTY_SIGNALS
+from kneexo.parameters.paths import changed, has_path, value_at
+from kneexo.systems import fault as fault_system
+
+_CHANGING = ("plant", "wearer", "load_cell")  # parts of a scenario whose numbers can change
+
+Offsets = dict[str, dict[str, float]]
+"""For each system, by its path, the Context parameters that a fault changes and their changes."""
+
+
+def fault_names(scenario: Scenario) -> dict[str, tuple[str, ...]]:
+    """Return the Context parameters that faults change, by the path of their system.
+
+    Raises `ParameterError` as `require_faults` does.
+    """
+    names: dict[str, dict[str, None]] = {}
+    for number, _ in _numbered(scenario, on_signals=False):
+        for path, offsets in _offsets(scenario, number).items():
+            names.setdefault(path, {}).update(dict.fromkeys(offsets))
+    return {path: tuple(found) for path, found in names.items()}
+
+
+def fault_structure(scenario: Scenario) -> tuple[Any, ...]:
+    """Return what decides the form of the equations of a scenario's faults, as plain data."""
+    kinds = ((fault.place, fault.kind, fault.signal) for fault in scenario.faults)
+    return (*kinds, *fault_names(scenario).items()) if scenario.faults else ()
+
+
+def fault_values(scenario: Scenario) -> Iterator[tuple[str, dict[str, float]]]:
+    """Yield name and Context parameters of each system of a fault, as `loop_values` does.
+
+    Raises `ParameterError` for a fault that cannot be in this scenario.
+    """
+    for number, fault in _numbered(scenario, on_signals=True):
+        options = _reading(scenario, fault)
+        yield _name(number), fault_system.context_values(fault, *options.values())
+    for number, fault in _numbered(scenario, on_signals=False):
+        for path, offsets in _padded(scenario, number):
+            yield _name(number, path), fault_system.offset_values(fault, offsets)
+
+
+class LoopFaults:
+    """Adds the faults of a scenario to the DiagramBuilder of its closed loop."""
+
+    def __init__(self, builder: Any, scenario: Scenario) -> None:
+        self._builder, self._scenario = builder, scenario
+        self._systems: dict[int, Any] = {}  # of each fault, for its output `active`
+        self._triggered: list[tuple[FaultParameters, Any]] = []
+        self.names = fault_names(scenario)
+        """The Context parameters that faults change, by the path of their system."""
+
+    def on_signal(self, place: str, port: Any) -> Any:
+        """Add the faults of the signal ``place``, an output port; return the port behind them."""
+        for number, fault in _numbered(self._scenario, on_signals=True):
+            if fault.place != place:
+                continue
+            system = systems.FaultySignal(
+                fault,
+                self._scenario.controller.sample_time_s,
+                size=port.size(),
+                trigger=_trigger(fault),
+                **_reading(self._scenario, fault),
+            )
+            self._add(number, fault, _name(number), system)
+            self._builder.Connect(port, system.GetInputPort("signal"))
+            port = system.GetOutputPort("signal")
+        return port
+
+    def names_inside(self, folder: str) -> dict[str, tuple[str, ...]]:
+        """Return `names` of the systems in the subsystem ``folder``, by the name of the system."""
+        return {
+            name: names
+            for path, names in self.names.items()
+            for inside, _, name in [path.rpartition("/")]
+            if inside == folder
+        }
+
+    def on_parameters(self, plant: Any) -> None:
+        """Add the faults of numbers, and connect them to their systems."""
+        sources: dict[str, list[Any]] = {path: [] for path in self.names}
+        for number, fault in _numbered(self._scenario, on_signals=False):
+            for path, offsets in _padded(self._scenario, number):
+                system = systems.ParameterFault(
+                    fault, offsets, self._scenario.controller.sample_time_s, _trigger(fault)
+                )
+                self._add(number, fault, _name(number, path), system)
+                sources[path].append(system.GetOutputPort("offsets"))
+        for path, ports in sources.items():
+            folder, _, name = path.rpartition("/")
+            if folder:
+                target = plant.GetInputPort(f"{name}_fault")
+            else:
+                target = self._builder.GetSubsystemByName(name).GetInputPort("fault")
+            self._builder.Connect(self._sum(f"faults_of_{name}", ports), target)
+
+    def finish(self, ports: Mapping[str, Any]) -> Any:
+        """Connect triggers to the output ports of all signals; return the port `active_faults`.
+
+        The port has the number of active faults. Without faults the result is None.
+        """
+        for fault, system in self._triggered:
+            self._builder.Connect(ports[_signal_of(fault)[0]], system.GetInputPort("trigger"))
+        active = [system.GetOutputPort("active") for system in self._systems.values()]
+        return self._sum("active_faults", active) if active else None
+
+    def _add(self, number: int, fault: FaultParameters, name: str, system: Any) -> None:
+        self._builder.AddNamedSystem(name, system)
+        self._systems.setdefault(number, system)
+        if fault.signal is not None:
+            self._triggered.append((fault, system))
+
+    def _sum(self, name: str, ports: list[Any]) -> Any:
+        """Add a sum of output ports of equal size; return its output port."""
+        adder = self._builder.AddNamedSystem(name, Adder(len(ports), ports[0].size()))
+        for index, port in enumerate(ports):
+            self._builder.Connect(port, adder.get_input_port(index))
+        return adder.get_output_port()
+
+
+def require_faults(scenario: Scenario) -> None:
+    """Raise `ParameterError` for a fault that cannot be in this scenario, or has no effect."""
+    for _ in fault_values(scenario):
+        pass
+
+
+def _numbered(scenario: Scenario, *, on_signals: bool) -> Iterator[tuple[int, FaultParameters]]:
+    """Yield the faults of signals, or of numbers, with their numbers from 1."""
+    for number, fault in enumerate(scenario.faults, 1):
+        if (fault.place in FAULTY_SIGNALS) == on_signals:
+            if fault.signal is not None:
+                _signal_of(fault)
+            yield number, fault
+
+
+def _name(number: int, path: str = "") -> str:
+    """Return the name of the system of a fault; a fault of a number has one for each ``path``."""
+    return f"fault_{number}_{path.rpartition('/')[2]}" if path else f"fault_{number}"
+
+
+def _reading(scenario: Scenario, fault: FaultParameters) -> dict[str, float]:
+    """Return the arguments ``lead_s`` and ``resolution`` of `FaultySignal`."""
+    sampled = fault.place != "command"
+    lead_s = scenario.controller.sample_time_s if sampled else 0.0
+    return {"lead_s": lead_s, "resolution": scenario.encoder.resolution_rad}
+
+
+def _signal_of(fault: FaultParameters) -> tuple[str, int]:
+    """Return the signal that triggers a fault, and the index of its column."""
+    for signal, columns in SIGNALS.items():
+        if fault.signal in columns and signal != "active_faults":
+            return signal, columns.index(fault.signal)
+    known = [column for columns in SIGNALS.values() for column in columns]
+    advice = question(close_names(str(fault.signal), known)) or "; must be a column of signals.csv"
+    raise ParameterError(f"faults: signal {fault.signal!r} is unknown{advice}")
+
+
+def _trigger(fault: FaultParameters) -> tuple[int, int] | None:
+    if fault.signal is None:
+        return None
+    signal, index = _signal_of(fault)
+    return len(SIGNALS[signal]), index
+
+
+def _parts(scenario: Scenario) -> Iterator[tuple[str, Part]]:
+    """Yield the systems whose parameters a fault can change, by path."""
+    for part in scenario_plant_parts(scenario):
+        yield f"plant/{part.name}", part
+    for part in wearer_parts(scenario):
+        yield part.name, part
+
+
+def _offsets(scenario: Scenario, number: int) -> Offsets:
+    """Return the changes of all Context parameters that the fault ``number`` of a number makes."""
+    fault = scenario.faults[number - 1]
+    subject = f"faults[{number}]: place = {fault.place}"
+    value = value_at(scenario, fault.place)
+    if fault.place.partition(".")[0] not in _CHANGING or not has_path(scenario, fault.place):
+        raise ParameterError(
+            f"{subject}: is unknown; must be {', '.join(FAULTY_SIGNALS)}, or the path of a number "
+            f"of {', '.join(_CHANGING)} that the scenario has"
+        )
+    if not isinstance(value, float):
+        raise ParameterError(f"{subject}: is no number that can change during a run")
+    try:
+        other = changed(scenario, {"faults": (), fault.place: fault.size})
+    except ParameterError as error:
+        raise ParameterError(f"faults[{number}]: {error}") from None
+    healthy = {path: part.values() for path, part in _parts(scenario)}
+    offsets: Offsets = {}
+    for path, part in _parts(other):
+        for name, faulty in part.values().items():
+            if (change := faulty - healthy[path][name]) != 0.0:
+                offsets.setdefault(path, {})[name] = change
+    if not offsets:
+        raise ParameterError(
+            f"{subject}: has no effect with size = {fault.size:g}; the value is {value:g} without "
+            f"the fault"
+        )
+    if any("[" in name for names in offsets.values() for name in names):
+        raise ParameterError(f"{subject}: changes the linkage, which a fault cannot")
+    return offsets
+
+
+def _padded(scenario: Scenario, number: int) -> Iterator[tuple[str, dict[str, float]]]:
+    """Yield path and changes of a fault of a number, zero for what only other faults change."""
+    offsets = _offsets(scenario, number)
+    for path, names in fault_names(scenario).items():
+        if path in offsets:
+            yield path, {name: offsets[path].get(name, 0.0) for name in names}

@@ -1,0 +1,134 @@
+"""Parameters of a fault: the place that fails, how it fails, and when."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from pydantic import model_validator
+
+from kneexo.errors import shown
+from kneexo.parameters.plant import RPM
+from kneexo.parameters.quantity import Parameters, choice, quantity
+from kneexo.parameters.torque import generator_seeds
+
+SignalFault = Literal["frozen", "offset", "drift", "scale", "noise", "dropped", "bit_flip"]
+"""Kinds of faults of a signal."""
+
+
+@dataclass(frozen=True)
+class FaultySignal:
+    """A signal of the closed loop that can be faulty, and the unit of a fault's size."""
+
+    unit: str
+    factor: float
+    """SI units of one ``unit``."""
+
+
+FAULTY_SIGNALS = {
+    "encoder": FaultySignal("deg", math.pi / 180.0),
+    "load_cell": FaultySignal("N", 1.0),
+    "command": FaultySignal("rpm", RPM),
+}
+"""The signals that can be faulty: encoder reading, reading of the load cell, speed command."""
+
+_BY_PLACE = "assumption: none"
+
+
+class FaultParameters(Parameters):
+    """A fault: a place, a kind, a size, and a trigger.
+
+    The ``place`` is one of `FAULTY_SIGNALS`, or the dotted path of a number of the scenario. The
+    fault begins at ``start_s``, or later, when a signal of the loop passes a threshold. It ends
+    after ``duration_s``, or never.
+    """
+
+    place: str = choice(
+        "encoder",
+        "encoder, load_cell or command; or the path of a number of plant, wearer or load_cell, as "
+        "plant.pump.internal_leakage_m3_per_s_pa",
+    )
+    kind: SignalFault | Literal["value"] = choice(
+        "frozen",
+        "frozen: the last reading stays; offset, drift (size a second), noise (standard "
+        "deviation): the size adds to the signal; scale: the size multiplies it; dropped: the size "
+        "is the share of samples that repeat the last reading; bit_flip: the size is the number of "
+        "the flipped bit of the encoder count; value: the number at the path becomes the size",
+    )
+    size: float = quantity(
+        0.0,
+        "by place",
+        "assumption: none; in deg, N or rpm, or in the unit of the path",
+        ge=-1e12,
+        le=1e12,
+    )
+    start_s: float = quantity(
+        10.0, "s", "assumption: after the transient of the start", ge=0, le=1e5
+    )
+    duration_s: float | None = quantity(
+        None, "s", "assumption: for ever, if left out", ge=1e-3, le=1e5
+    )
+    signal: str | None = choice(
+        None, "left out: none; a column of signals.csv whose threshold triggers the fault"
+    )
+    above: float | None = quantity(
+        None, "by signal", "given by the user: upper threshold, if any", ge=-1e12, le=1e12
+    )
+    below: float | None = quantity(
+        None, "by signal", "given by the user: lower threshold, if any", ge=-1e12, le=1e12
+    )
+    seed: int = quantity(
+        0, "1", "assumption: selects noise and dropped samples", ge=0, le=2**31 - 1
+    )
+
+    @property
+    def si_size(self) -> float:
+        """Size in the unit of the signal, or of the number at the path."""
+        if self.kind in ("offset", "drift", "noise"):
+            return self.size * FAULTY_SIGNALS[self.place].factor
+        return self.size
+
+    @property
+    def end_s(self) -> float:
+        """Time in s at which a fault ends that begins at ``start_s``."""
+        return math.inf if self.duration_s is None else self.start_s + self.duration_s
+
+    @property
+    def generator_seeds(self) -> tuple[float, ...]:
+        """Initial states of the generators of random numbers."""
+        return generator_seeds(self.seed)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> FaultParameters:
+        if (self.place in FAULTY_SIGNALS) == (self.kind == "value"):
+            signals = ", ".join(FAULTY_SIGNALS)
+            raise ValueError(
+                f"kind = {self.kind} at place = {shown(self.place)}: must be another kind than "
+                f"value for {signals}, and value for the path of a number"
+            )
+        if self.kind == "bit_flip" and self.place != "encoder":
+            raise ValueError(f"kind = bit_flip at place = {self.place}: must be at the encoder")
+        low, high = _SIZES.get(self.kind, (-math.inf, math.inf))
+        whole = self.kind != "bit_flip" or self.size == round(self.size)
+        if not (low <= self.size <= high and math.isfinite(self.size) and whole):
+            what = "a whole number, " if self.kind == "bit_flip" else ""
+            raise ValueError(
+                f"size = {self.size:g} of kind = {self.kind}: must be {what}{low:g} … {high:g}"
+            )
+        if self.kind in ("offset", "drift", "noise") and self.size == 0.0:
+            raise ValueError(f"size = 0 of kind = {self.kind}: has no effect, must not be 0")
+        if (self.signal is None) != (self.above is None and self.below is None):
+            raise ValueError("signal: must have above or below, and a threshold must have a signal")
+        if self.above is not None and self.below is not None:
+            raise ValueError("above and below: must be one of both")
+        return self
+
+
+_SIZES = {
+    "scale": (-100.0, 100.0),
+    "noise": (0.0, math.inf),
+    "dropped": (1e-6, 1.0),
+    "bit_flip": (0.0, 15.0),
+}
+"""Least and largest size of a fault, by kind."""
