@@ -262,6 +262,8 @@ def _numbers(parameters: Parameters, path: str = "") -> Iterator[tuple[str, floa
             yield f"{path}{name}", value, others
         elif isinstance(value, tuple) and len(value) <= _LONGEST_TUPLE:
             for i, x in enumerate(value):
+                if isinstance(x, Parameters):
+                    continue  # a fault keeps its numbers
                 tuples = [(*value[:i], factor * x, *value[i + 1 :]) for factor in _FACTORS]
                 yield f"{path}{name}[{i}]", x, tuples
 

@@ -10,6 +10,8 @@ from kneexo.analysis import track
 from kneexo.diagrams import make_closed_loop
 from kneexo.diagrams.faults import fault_names, require_faults
 from kneexo.errors import ParameterError
+from kneexo.export.firmware import export_firmware
+from kneexo.export.fmu import export_fmu
 from kneexo.export.target import make_target
 from kneexo.parameters import KneeLoadParameters, Scenario
 from kneexo.parameters.scenario_file import dump_scenario, load_scenario
@@ -128,6 +130,19 @@ def test_a_number_that_changes_at_the_start_is_a_plant_with_this_number(path, va
     np.testing.assert_allclose(
         faulty["rod_extension_m"], simulate(other)["rod_extension_m"], rtol=0.0, atol=1e-9
     )
+
+
+def test_a_reading_is_wrong_at_the_first_sample_of_the_fault_and_a_command_after_it():
+    at = {"start_s": 0.1, "duration_s": T}
+    values = scenario_values(
+        with_faults(
+            {"kind": "offset", "size": 2.0} | at,
+            {"place": "command", "kind": "offset", "size": 3.0} | at,
+        )
+    )
+    assert [values[f"fault_{n}.lead_s"] for n in (1, 2)] == [T, 0.0]
+    sizes = [math.radians(2.0), 3.0 * 2.0 * math.pi / 60.0]
+    assert [values[f"fault_{n}.size"] for n in (1, 2)] == pytest.approx(sizes, rel=1e-12)
 
 
 def test_a_change_of_a_number_ends():
@@ -296,3 +311,11 @@ def test_faults_of_a_file_are_those_of_python(tmp_path):
     path.write_text("faults:\n  - {place: encoder, kind: offset, size: x}\n")
     with pytest.raises(ParameterError, match="size = 'x': must be a number"):
         load_scenario(path)
+
+
+@pytest.mark.slow
+def test_an_exported_loop_has_its_faults(tmp_path):
+    fault = {"place": "command", "kind": "scale", "size": 0.5, "start_s": 0.1}
+    scenario = with_faults(fault)
+    assert export_firmware(scenario, tmp_path / "c", "loop").replay.passed
+    assert "active_faults" in export_fmu(scenario, tmp_path, "loop").outputs
