@@ -57,6 +57,7 @@ from kneexo.analysis.rate_limit import rate_limit_bandwidth_hz, rate_limited_gai
 from kneexo.analysis.sampled_loop import SampledLoop, linearize_loop
 from kneexo.analysis.sine_estimate import SineEstimate, estimate_sine
 from kneexo.analysis.stride import StrideLoad, stride_load
+from kneexo.analysis.survival import FaultCase, FaultSurvival, fault_survival
 from kneexo.analysis.torque_bandwidth import TorqueResponse, torque_response
 from kneexo.analysis.tracking import (
     StepMetrics,
@@ -74,6 +75,8 @@ __all__ = [
     "CoupledStability",
     "CuffForces",
     "EnergyBalance",
+    "FaultCase",
+    "FaultSurvival",
     "FrequencyResponse",
     "InteractionMetrics",
     "LegLength",
@@ -108,6 +111,7 @@ __all__ = [
     "draw_trials",
     "energy_balance",
     "estimate_sine",
+    "fault_survival",
     "find_operating_point",
     "fit_polynomials",
     "fundamental",

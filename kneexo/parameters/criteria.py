@@ -9,6 +9,13 @@ RECOVERY_BAND_DEG = 0.1
 Assumption. One count of the encoder is about 0.08° of the knee, and two runs differ by a count.
 """
 
+TOLERATED_DEVIATION_DEG = 5.0
+"""Largest deviation of the knee in deg that a wearer tolerates from a fault.
+
+Assumption. It is more than twice the standard deviation of measured strides, at most 2.1°
+(`kneexo.gait.gait_knee_flexion`).
+"""
+
 MARGINS = {"gain": (1.5, 2.0), "phase_deg": (30.0, 45.0), "delay_samples": (1.0, 2.0)}
 """For each margin of a page, the least sufficient value and the least large value.
 

@@ -1,0 +1,203 @@
+"""Critical durations: how long a fault may last before the knee moves too far.
+
+This is the time in which a detector and its reaction must end a fault, the fault-tolerant time
+interval. A permanent fault and a shorter one give the same run until the shorter one ends. So the
+time at which the permanent fault exceeds the bound limits the critical duration from above, and a
+bisection between zero and this limit finds it. Two runs confirm the result, one on each side.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from kneexo.errors import ParameterError, SimulationError
+from kneexo.parameters import FaultParameters, Scenario
+from kneexo.parameters.criteria import TOLERATED_DEVIATION_DEG
+from kneexo.plotting import SERIES, axes_or_new
+from kneexo.result import Array, Result, data_frame
+from kneexo.simulation import needs_runs, simulate
+from kneexo.sweeps.parallel import parallel_map
+
+
+@dataclass(frozen=True, repr=False)
+class FaultCase(Result):
+    """Effect of one fault that begins at one time, measured from the run without the fault."""
+
+    name: str
+    """Place and kind of the fault."""
+    start_s: float
+    largest_deviation_deg: float
+    """Largest deviation of the knee with the permanent fault; inf if the run fails."""
+    critical_duration_s: float
+    """Longest duration for which a run stays within the bound; inf if the fault may be permanent.
+
+    It is 0 if one sample is too long.
+    """
+    failing_duration_s: float
+    """Duration, one sample longer, for which a run exceeds the bound; nan for a permanent one."""
+
+
+@dataclass(frozen=True, repr=False)
+class FaultSurvival(Result):
+    """Critical durations of faults at several times. `fault_survival` makes it."""
+
+    bound_deg: float
+    cases: tuple[FaultCase, ...]
+
+    @property
+    def worst(self) -> FaultCase:
+        """The case with the shortest critical duration."""
+        return min(self.cases, key=lambda case: case.critical_duration_s)
+
+    def __str__(self) -> str:
+        """Return a line for each fault, with its shortest critical duration."""
+        lines = []
+        for name, cases in _by_name(self.cases):
+            case = min(cases, key=lambda c: c.critical_duration_s)
+            text = f"at most {1e3 * case.critical_duration_s:g} ms, at {case.start_s:g} s"
+            if math.isinf(case.critical_duration_s):
+                text = "may be permanent"
+            lines.append(f"{name}: {text}")
+        return "\n".join([f"Within {self.bound_deg:g}° of the run without the fault:", *lines])
+
+    def to_dataframe(self) -> Any:
+        """Return a `pandas.DataFrame` with a line for each case and the index ``name``.
+
+        Raises `PackageError` without pandas.
+        """
+        return data_frame(
+            {name: [getattr(case, name) for case in self.cases] for name in vars(self.cases[0])},
+            "name",
+        )
+
+    def plot(self, ax: Any = None) -> Any:
+        """Plot the critical duration of each fault over its start; return the axes."""
+        caption = (
+            "Longest duration of a fault with which the knee stays within "
+            f"{self.bound_deg:g}° of the run without the fault. A missing mark is a fault that may "
+            "be permanent."
+        )
+        ax = axes_or_new(ax, caption=caption)
+        for (name, cases), colour in zip(_by_name(self.cases), _colours(), strict=False):
+            durations = [1e3 * case.critical_duration_s for case in cases]
+            ax.plot([case.start_s for case in cases], durations, "o-", color=colour, label=name)
+        ax.set(xlabel="start of the fault (s)", ylabel="critical duration (ms)")
+        ax.set_ylim(bottom=0.0)
+        ax.legend()
+        return ax
+
+
+def _by_name(cases: Sequence[FaultCase]) -> Iterator[tuple[str, list[FaultCase]]]:
+    for name in dict.fromkeys(case.name for case in cases):
+        yield name, [case for case in cases if case.name == name]
+
+
+def _colours() -> Iterator[str]:
+    while True:
+        yield from SERIES
+
+
+def fault_survival(
+    scenario: Scenario,
+    faults: Sequence[FaultParameters],
+    starts_s: Sequence[float],
+    *,
+    bound_deg: float = TOLERATED_DEVIATION_DEG,
+    workers: int | None = 1,
+) -> FaultSurvival:
+    """Return the longest duration of each fault, at each time, that the loop survives.
+
+    The loop survives if the knee stays within ``bound_deg`` of the run without the fault, until the
+    end of the run. A run that fails does not survive.
+
+    >>> from kneexo import Scenario
+    >>> from kneexo.analysis import fault_survival
+    >>> from kneexo.parameters import FaultParameters
+    >>> scenario = Scenario(simulation={"duration_s": 6.0})
+    >>> dead = FaultParameters(place="command", kind="scale", size=0.0)
+    >>> print(fault_survival(scenario, [dead], [2.5], bound_deg=2.0))
+    Within 2° of the run without the fault:
+    command scale 0: at most 106 ms, at 2.5 s
+
+    Parameters
+    ----------
+    scenario
+        The scenario, whose own faults are part of both runs.
+    faults
+        Faults whose start and duration are replaced.
+    starts_s
+        Times in s at which the faults begin, each before the end of the run.
+    bound_deg
+        Largest tolerated deviation of the knee in deg.
+    workers
+        Number of worker processes, as in `kneexo.sweeps.parallel_map`.
+
+    Raises
+    ------
+    ParameterError
+        There is no fault or no start, ``bound_deg`` is not positive, or the scenario refuses a
+        fault.
+    SimulationError
+        The run without the fault fails.
+    """
+    if not faults or not len(starts_s):
+        raise ParameterError("faults, starts_s: must have at least one fault and one start")
+    if not bound_deg > 0.0:
+        raise ParameterError(f"bound_deg = {bound_deg:g} deg: must be > 0")
+    healthy = simulate(scenario, signals=("knee_angle",))["knee_angle_rad"]
+    items = [
+        fault.changed({"start_s": float(start_s), "duration_s": None})
+        for fault in faults
+        for start_s in starts_s
+    ]
+    for item in items:  # an error here, not in a worker
+        _faulty(scenario, item, 1)
+    case = partial(_case, scenario, healthy, bound_deg)
+    return FaultSurvival(bound_deg, tuple(parallel_map(case, items, workers=workers)))
+
+
+@needs_runs
+def _case(
+    scenario: Scenario, healthy: Array, bound_deg: float, fault: FaultParameters
+) -> FaultCase:
+    """Return the effect of a permanent fault, and its critical duration by bisection."""
+
+    def deviation_deg(samples: int | None) -> Array:
+        """Return the deviation of the knee if the fault lasts a number of samples, or for ever."""
+        try:
+            run = simulate(_faulty(scenario, fault, samples), signals=("knee_angle",))
+        except SimulationError:
+            return np.array([math.inf])
+        return np.degrees(np.abs(run["knee_angle_rad"] - healthy))
+
+    period = scenario.controller.sample_time_s
+    permanent = deviation_deg(None)
+    size = "" if fault.kind == "frozen" else f" {fault.size:g}"
+    name, largest = f"{fault.place} {fault.kind}{size}", float(np.max(permanent))
+    if largest <= bound_deg:
+        return FaultCase(name, fault.start_s, largest, math.inf, math.nan)
+    fails = healthy.size - round(fault.start_s / period)
+    if permanent.size > 1:
+        fails = int(np.argmax(permanent > bound_deg)) - round(fault.start_s / period)
+    survives = 0
+    while fails - survives > 1:
+        middle = (survives + fails) // 2
+        if np.max(deviation_deg(middle)) <= bound_deg:
+            survives = middle
+        else:
+            fails = middle
+    return FaultCase(name, fault.start_s, largest, survives * period, fails * period)
+
+
+def _faulty(scenario: Scenario, fault: FaultParameters, samples: int | None) -> Scenario:
+    """Return the scenario with one more fault that lasts a number of samples, or for ever."""
+    period = scenario.controller.sample_time_s
+    duration_s = None if samples is None else samples * period
+    faults = (*scenario.faults, fault.changed({"duration_s": duration_s}))
+    return scenario.changed({"faults": faults})

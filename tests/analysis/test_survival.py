@@ -1,0 +1,82 @@
+"""Critical durations against a reference whose motion is known, and runs on both sides."""
+
+import math
+
+import numpy as np
+import pytest
+
+from kneexo.analysis import fault_survival
+from kneexo.errors import ParameterError
+from kneexo.parameters import FaultParameters, Scenario
+from kneexo.simulation import simulate
+
+T = 0.002
+RAMP = Scenario(
+    reference={"kind": "ramp", "start_deg": 20, "end_deg": 60, "rate_deg_s": 10, "time_s": 0.1},
+    simulation={"duration_s": 2.0},
+)
+DEAD = FaultParameters(place="command", kind="scale", size=0.0)
+
+
+@pytest.fixture(scope="module")
+def survival():
+    return fault_survival(RAMP, [DEAD], [0.6, 0.9], bound_deg=2.0)
+
+
+@pytest.mark.slow
+def test_a_dead_command_may_last_as_long_as_the_reference_takes_to_leave_the_bound(survival):
+    """The knee stops, and the reference moves 2 deg at 10 deg/s in 0.2 s.
+
+    The motor runs down and up with a time constant of 10 ms.
+    """
+    for case in survival.cases:
+        assert case.critical_duration_s == pytest.approx(0.2, abs=0.03)
+        assert case.largest_deviation_deg > 5.0
+    assert survival.worst.critical_duration_s == min(c.critical_duration_s for c in survival.cases)
+
+
+@pytest.mark.slow
+def test_runs_on_both_sides_confirm_the_critical_duration(survival):
+    healthy = simulate(RAMP)["knee_angle_rad"]
+    for case in survival.cases:
+        assert case.failing_duration_s - case.critical_duration_s == pytest.approx(T)
+        for duration_s, survives in (
+            (case.critical_duration_s, True),
+            (case.failing_duration_s, False),
+        ):
+            fault = DEAD.changed({"start_s": case.start_s, "duration_s": duration_s})
+            angle = simulate(RAMP.changed({"faults": [fault]}))["knee_angle_rad"]
+            assert (np.degrees(np.max(np.abs(angle - healthy))) <= 2.0) == survives
+
+
+@pytest.mark.slow
+def test_lines_and_plot_have_the_shortest_duration_of_each_fault(survival):
+    assert str(survival).splitlines()[1].startswith("command scale 0: at most ")
+    (line,) = survival.plot().lines
+    np.testing.assert_allclose(line.get_xdata(), [0.6, 0.9])
+    expected = [1e3 * case.critical_duration_s for case in survival.cases]
+    np.testing.assert_allclose(line.get_ydata(), expected)
+
+
+@pytest.mark.slow
+def test_a_fault_that_moves_the_knee_little_may_be_permanent():
+    small = FaultParameters(place="command", kind="offset", size=1.0)
+    result = fault_survival(RAMP, [small], [0.6])
+    assert math.isinf(result.worst.critical_duration_s)
+    assert math.isnan(result.worst.failing_duration_s)
+    assert str(result).splitlines()[1] == "command offset 1: may be permanent"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (([], [1.0]), "must have at least one fault and one start"),
+        (([DEAD], []), "must have at least one fault and one start"),
+        (([DEAD], [2.0]), r"start_s = 2 s: must be < 2 s, the end of the run"),
+    ],
+)
+def test_wrong_arguments_are_one_line(arguments, message):
+    with pytest.raises(ParameterError, match=message):
+        fault_survival(RAMP, *arguments)
+    with pytest.raises(ParameterError, match="bound_deg = 0 deg: must be > 0"):
+        fault_survival(RAMP, [DEAD], [1.0], bound_deg=0.0)
