@@ -89,7 +89,7 @@ class FaultSurvival(Result):
             ax.plot([case.start_s for case in cases], durations, "o-", color=colour, label=name)
         ax.set(xlabel="start of the fault (s)", ylabel="critical duration (ms)")
         ax.set_ylim(bottom=0.0)
-        ax.legend()
+        ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, fontsize="small")
         return ax
 
 
