@@ -188,7 +188,9 @@ def test_without_faults_the_loop_has_no_system_of_a_fault():
 SIGNAL_KINDS = {"frozen": 0.0, "offset": 1.0, "drift": 5.0, "scale": 0.8, "noise": 0.2}
 SIGNAL_KINDS |= {"dropped": 0.4, "bit_flip": 2.0}
 LOADED = Scenario(
-    plant={"load": KneeLoadParameters()}, encoder={"quantized": False}, simulation=SHORT
+    plant={"load": KneeLoadParameters()},
+    encoder={"quantized": False},
+    simulation={"duration_s": 0.1},
 )
 
 
@@ -201,7 +203,7 @@ def fault_lists(draw):
         kinds = {kind: size for kind, size in SIGNAL_KINDS.items() if kind != "bit_flip"}
         kind = draw(st.sampled_from(sorted(kinds))) if place in ("encoder", "command") else "value"
         size = {LAG: 0.03, LEAKAGE: 2e-11}.get(place) or kinds[kind]
-        start = T * draw(st.integers(1, 60))
+        start = T * draw(st.integers(1, 40))
         faults.append({"place": place, "kind": kind, "size": size, "start_s": start})
         faults[-1]["duration_s"] = T * draw(st.integers(1, 30))
     return faults
@@ -212,10 +214,10 @@ def fault_lists(draw):
 @given(fault_lists())
 def test_drake_and_the_compiled_engine_have_the_same_faults(faults):
     scenario = with_faults(*faults, base=LOADED)
-    compiled = simulate(scenario.with_steps(1e-4))
-    drake = simulate(scenario.with_engine("drake").with_steps(1e-4))
+    compiled = simulate(scenario)
+    drake = simulate(scenario.with_engine("drake").with_steps(2e-4))
     np.testing.assert_array_equal(compiled["active_faults"], drake["active_faults"])
-    # Without faults the engines differ by 1e-7 of the range of motion.
+    # Without faults the engines differ by 1e-8 rad. Jumps excite a fast mode of the oil.
     np.testing.assert_allclose(
         compiled["knee_angle_rad"], drake["knee_angle_rad"], rtol=0.0, atol=1e-5
     )
