@@ -37,6 +37,8 @@ def exported_source(
     *,
     check_ranges: bool = True,
     outputs: Sequence[str] | None = None,
+    integrator: str = "rk4",
+    tolerance: float | None = None,
     step_s: float | None = None,
 ) -> tuple[Target, CSource]:
     """A target and its C, as `make_firmware` makes it, or with some of its outputs only.
@@ -52,6 +54,8 @@ def exported_source(
         outputs=outputs or exported.outputs,
         interface=interface if check_ranges else replace(interface, ranges={}),
         tick_s=exported.tick_s,
+        integrator=integrator,
+        tolerance=tolerance,
         step_s=step_s,
     )
     return exported, source

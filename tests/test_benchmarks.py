@@ -267,3 +267,14 @@ def test_mutants_are_counted_and_tests_that_fail_anyway_say_nothing():
         run = subprocess.run([*command, test], capture_output=True, text=True)
         assert run.returncode == code
         assert text in run.stdout + run.stderr
+
+
+@pytest.mark.slow
+def test_the_rosenbrock_method_keeps_its_tolerance_on_stiff_presets(load, capsys):
+    load("stiff").main(["--duration", "1", "--turns", "1"])
+    _, *rows = (line.split(" | ") for line in capsys.readouterr().out.splitlines())
+    errors = {(row[0], row[1]): float(row[4]) for row in rows}
+    assert len(errors) == 8
+    for preset in ("leg", "wearer"):
+        assert errors[preset, "rosenbrock, 1e-07"] <= 1e-6
+        assert errors[preset, "rosenbrock, 1e-07"] < errors[preset, "rosenbrock, 1e-05"]

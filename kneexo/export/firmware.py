@@ -51,6 +51,8 @@ def make_firmware(
     *,
     precision: str = "double",
     vectors_s: float | None = None,
+    integrator: str = "rk4",
+    tolerance: float | None = None,
     step_s: float | None = None,
     look_up: bool = False,
     name: str | None = None,
@@ -72,6 +74,11 @@ def make_firmware(
     vectors_s
         Length of the test vectors in s, at most the duration of the scenario; by default
         `VECTORS_S`.
+    integrator
+        ``rk4`` with fixed steps, or ``rosenbrock`` for stiff plants, with error control. A diagram
+        without continuous states ignores it.
+    tolerance
+        Largest error estimate of a substep of ``rosenbrock``: see `CSource`.
     step_s
         Largest step of RK4 in s; by default the value of `rk4_step_s`. A diagram without continuous
         states ignores ``step_s``.
@@ -100,6 +107,8 @@ def make_firmware(
         what,
         precision=precision,
         vectors_s=vectors_s,
+        integrator=integrator,
+        tolerance=tolerance,
         step_s=step_s,
         look_up=look_up,
         name=name,
@@ -115,6 +124,8 @@ def _firmware(
     precision: str,
     vectors_s: float | None,
     step_s: float | None,
+    integrator: str = "rk4",
+    tolerance: float | None = None,
     look_up: bool = False,
     name: str | None = None,
     outputs: Sequence[str] | None = None,
@@ -153,6 +164,8 @@ def _firmware(
         outputs=target.outputs if outputs is None else outputs,
         interface=target.interface,
         tick_s=target.tick_s,
+        integrator=integrator,
+        tolerance=tolerance,
         step_s=step_s,
         look_up=look_up,
         subject=f"{target.what} in {precision} precision",

@@ -15,6 +15,7 @@ from kneexo.export.firmware import make_firmware
 from kneexo.export.target import count_range, reference_range_rad
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
+from kneexo.parameters.presets import with_preset
 
 pytestmark = pytest.mark.slow  # compilers, analysers and emulators
 
@@ -64,8 +65,8 @@ def write(folder, files):
     return sorted(name for name in files if name.endswith(".c"))
 
 
-def with_harness(scenario, what, precision):
-    return files_of(*make_firmware(scenario, what, precision=precision, vectors_s=0.2))
+def with_harness(scenario, what, precision, **options):
+    return files_of(*make_firmware(scenario, what, precision=precision, vectors_s=0.2, **options))
 
 
 def run(folder, *command):
@@ -93,6 +94,17 @@ def test_compilers_have_nothing_to_say_of_other_structures(tmp_path, tool, expor
         for precision in PRECISIONS:
             _, source = exported.exported_source(scenario, what, precision)
             compiles(tmp_path, tool, source.files())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_compilers_have_nothing_to_say_of_the_rosenbrock_method(
+    tmp_path, tool, exported, precision
+):
+    for preset in ("paper", "leg"):  # the rates of leg depend on the time
+        scenario = Scenario.model_validate(with_preset(preset, {}))
+        _, source = exported.exported_source(scenario, "plant", precision, integrator="rosenbrock")
+        compiles(tmp_path, tool, source.files())
 
 
 @pytest.mark.slow
@@ -130,9 +142,13 @@ def test_a_warning_would_be_seen(tmp_path, tool):
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-@pytest.mark.parametrize("what", ["controller", *SLOW_TARGETS])
+@pytest.mark.parametrize("what", ["controller", *SLOW_TARGETS, "stiff plant"])
 def test_sanitizers_find_nothing_in_the_harness(tmp_path, tool, what, precision):
-    names = write(tmp_path, with_harness(Scenario(), what, precision))
+    scenario, options = Scenario(), {}
+    if what == "stiff plant":
+        scenario = Scenario.model_validate(with_preset("leg", {}))
+        what, options = "plant", {"integrator": "rosenbrock"}
+    names = write(tmp_path, with_harness(scenario, what, precision, **options))
     done = run(tmp_path, tool("gcc"), *SANITIZERS, *names, "-o", "harness", "-lm")
     assert done.returncode == 0, done.stderr
     done = run(tmp_path, tmp_path / "harness")
@@ -202,11 +218,11 @@ CPPCHECK += ("-DDBL_MANT_DIG=53",)  # else it stops at the #error of double prec
 
 MODELS = [
     pytest.param(
-        (what, precision),
+        (what, precision, integrator),
         marks=() if what == "controller" else pytest.mark.slow,
-        id=f"{what}:{precision}",
+        id=f"{what}:{precision}:{integrator}",
     )
-    for what in TARGETS
+    for what, integrator in (*((what, "rk4") for what in TARGETS), ("plant", "rosenbrock"))
     for precision in PRECISIONS
 ]
 
@@ -214,7 +230,8 @@ MODELS = [
 @pytest.fixture(params=MODELS)
 def model(request, exported):
     """Files of a target without its harness, which does not run on a microcontroller."""
-    return exported.exported_source(Scenario(), *request.param)[1].files()
+    what, precision, integrator = request.param
+    return exported.exported_source(Scenario(), what, precision, integrator=integrator)[1].files()
 
 
 def plain(text):

@@ -9,9 +9,11 @@ from dataclasses import dataclass, replace
 from itertools import compress
 
 from ..equations.equations import Update
+from ..equations.gradients import TIME
 from .interface import signal_names
 from .plan import Plan
 from .printer import CPrinter, section_comment
+from .rosenbrock import RODAS, Elimination
 from .template import words
 
 _MOST_TERMS = 2000
@@ -51,8 +53,11 @@ class Functions:
     ----------
     constants
         ``constants_of``: computes the values that depend on parameters alone.
+    elimination
+        Solver of the linear equations of the Rosenbrock method, or None for RK4.
     is_large
-        Whether the derivatives are a function of their own, ``rate_at``.
+        Whether RK4 calls a function for the derivatives, ``rate_at``. The Rosenbrock method always
+        does, and calls ``linear_at`` for the derivatives and their gradients.
     tick_values, rates
         Statements of ``integrate``, which has RK4: before the loops, the values that are constant
         over a tick; in the loop of the stages, the derivatives.
@@ -66,7 +71,8 @@ class Functions:
         Number of values that ``constants_of`` computes.
     operations
         Dictionary from an operator or function, such as ``+`` or ``sqrt``, to its number of
-        executions in a step in which all updates are due.
+        executions in a step in which all updates are due, with one substep of the Rosenbrock
+        method.
     library
         Names of the functions of the C library that the code calls.
     """
@@ -101,11 +107,19 @@ class Functions:
         nodes = equations.graph.reachable(equations.derivatives)
         terms = sum(len(equations.graph.arguments(node)) for node in nodes)
         self.is_large = terms > _MOST_TERMS
-        self.tick_values, self.rates = self._integration()
+        self.elimination: Elimination | None = None
+        if plan.integrator == "rosenbrock":
+            self._add_rosenbrock()
+            self.tick_values = self.rates = Function("integrate", "", [])
+        else:
+            self.tick_values, self.rates = self._integration()
         indices = range(len(equations.states))
         self.stage_states = [i for i in indices if self.rates.reads(f"z{i}")]
         self.constant_count = len(self._printer.fixed)
-        self.library = sorted(self._printer.functions)
+        library = {*self._printer.functions}
+        if self.elimination:
+            library.add(f"sqrt{plan.real.suffix}")  # of the length of a substep
+        self.library = sorted(library)
 
     def calls(self, name: str) -> bool:
         """Return whether any of the C functions calls the function ``name``."""
@@ -142,9 +156,8 @@ class Functions:
         ``z1`` … If the model is large, both are empty, and the function ``rate_at`` is added to
         `of_an_instant`.
         """
-        derivatives, faster = self._plan.equations.derivatives, self._plan.faster
-        names = self._printer.names.items()
-        self._printer.names = {faster.get(node, node): name for node, name in names}
+        derivatives = self._plan.equations.derivatives
+        self._name_faster_nodes()
         stages = 4 * self._plan.schedule.steps
         if self.is_large:
             rates = [(f"rate[{i}]", node) for i, node in enumerate(derivatives)]
@@ -158,6 +171,33 @@ class Functions:
             Function("integrate", ", real *x", self._block(before)),
             Function("integrate", ", real *x", self._block(rates, stages, depth=3, held=held)),
         )
+
+    def _add_rosenbrock(self) -> None:
+        """Add the functions of the Rosenbrock method to `of_an_instant`, and set `elimination`."""
+        plan, calls = self._plan, len(RODAS.nodes) - 1
+        self._name_faster_nodes()
+        rates = [(f"rate[{i}]", node) for i, node in enumerate(plan.equations.derivatives)]
+        zero = plan.equations.graph.zero
+        columns = [[c for c in gradient if c != TIME] for gradient in plan.gradients]
+        self.elimination = Elimination(columns, len(RODAS.nodes), plan.real)
+        partials = [
+            (f"jacobian[{place}]", plan.gradients[row].get(column, zero))
+            for place, (row, column) in enumerate(self.elimination.entries)
+        ]
+        arguments = ", real *rate, real *jacobian"
+        if plan.depends_on_time:
+            arguments += ", real *by_time"
+            partials += [(f"by_time[{i}]", g.get(TIME, zero)) for i, g in enumerate(plan.gradients)]
+        self.of_an_instant += [
+            Function("rate_at", ", real *rate", self._block(rates, calls)),
+            Function("linear_at", arguments, self._block([*rates, *partials])),
+        ]
+        self.operations.update(self.elimination.operations)
+
+    def _name_faster_nodes(self) -> None:
+        """Give the names of signals to the nodes that `fast_rates` computes in their place."""
+        faster, names = self._plan.faster, self._printer.names.items()
+        self._printer.names = {faster.get(node, node): name for node, name in names}
 
     def _load_at_stage(self, kind: str, index: int) -> str:
         """Return C text that reads an element at a stage of RK4. ``kind``: `_load`, or ``held``."""
@@ -243,6 +283,7 @@ class Functions:
 
 def _taken(plan: Plan) -> set[str]:
     """Return the names that the source of a model has beside the names of its signals."""
-    taken = words(__package__, "model.h") | words(__package__, "model.c")
+    templates = ("model.h", "model.c", "rosenbrock.c")
+    taken = frozenset[str]().union(*(words(__package__, template) for template in templates))
     tables = {f"{plan.name}_table_{number}" for number in range(len(plan.tables))}
     return tables | taken | {f"{plan.name}{word}" for word in taken}

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from ..equations.equations import Equations
+from ..equations.gradients import TIME
 from ..run_data import Array, State
 from .interface import Field
 from .printer import FLOAT, Precision
@@ -42,6 +43,18 @@ class Plan:
     """Dictionary from the index of a discrete state to the nodes that a compensated sum adds."""
     faster: Mapping[int, int] = field(default_factory=dict)
     """Dictionary from a node of the diagram's derivatives to its faster node; see `fast_rates`."""
+    gradients: tuple[Mapping[int, int], ...] = ()
+    """For the Rosenbrock method the gradient of each derivative; see `equations.gradients`."""
+
+    @property
+    def integrator(self) -> str:
+        """``rosenbrock`` or ``rk4``: the method that integrates the continuous states."""
+        return "rosenbrock" if self.gradients else "rk4"
+
+    @property
+    def depends_on_time(self) -> bool:
+        """Whether a gradient of the Rosenbrock method has a derivative by the time."""
+        return any(TIME in gradient for gradient in self.gradients)
 
     @cached_property
     def needs_time(self) -> bool:
@@ -57,7 +70,8 @@ class Plan:
     @property
     def step_nodes(self) -> list[int]:
         """Nodes of the graph whose values one step computes."""
-        return step_nodes(self.equations, self.output_nodes)
+        partials = [node for gradient in self.gradients for node in gradient.values()]
+        return [*step_nodes(self.equations, self.output_nodes), *partials]
 
 
 def step_nodes(equations: Equations, output_nodes: tuple[int, ...]) -> list[int]:

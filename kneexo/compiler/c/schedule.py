@@ -27,7 +27,7 @@ class Schedule:
     offsets: tuple[int, ...]
     """For each group of updates, the first tick at which the group is due."""
     largest_step_s: float
-    """Largest allowed step of the Runge-Kutta method in s."""
+    """Largest allowed step of the Runge-Kutta method in s; infinite for the Rosenbrock method."""
 
     @property
     def steps(self) -> int:
@@ -61,6 +61,7 @@ def schedule_of(
 ) -> Schedule:
     """Return the schedule of the model ``name``. For the arguments see `CSource`.
 
+    ``step_s`` is infinite for the Rosenbrock method, which chooses its substeps while it runs.
     Raises `CompilationError` if the diagram has no sample time and ``tick_s`` is None, if
     ``tick_s`` or ``step_s`` is not finite and positive, if a tick has too many steps, or if the
     updates repeat only after 2³¹ ticks.
@@ -68,7 +69,7 @@ def schedule_of(
     if not equations.updates and tick_s is None:
         raise CompilationError(f"{name}: tick_s is needed, for it has no sample time")
     for time, value in {"tick_s": tick_s, "step_s": step_s}.items():
-        if value is not None:
+        if value is not None and not (time == "step_s" and value == math.inf):
             require_positive(time, value, "s")
     periods: list[int] = []
     offsets: list[int] = []

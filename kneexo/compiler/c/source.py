@@ -2,9 +2,10 @@
 
 ``NAME_init`` computes the values that depend on parameters alone, and the discrete state after the
 initialization events. ``NAME_step`` simulates one tick, from t to t + T. The step executes the
-updates at t with the inputs of the call, integrates the continuous states with fixed steps of the
-classical fourth-order Runge-Kutta method, and computes the outputs just before the next updates, at
-t + T. So the call for a tick returns the command that a controller holds over this tick.
+updates at t with the inputs of the call, integrates the continuous states, and computes the outputs
+just before the next updates, at t + T. So the call for a tick returns the command that a controller
+holds over this tick. The integrator is the classical fourth-order Runge-Kutta method with fixed
+steps, or a Rosenbrock method with error control, which is for stiff equations.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from numbers import Real
 from types import NoneType
 from typing import Any
 
@@ -22,6 +24,7 @@ from pydrake.systems.framework import Context
 
 from ..diagram_equations import DiagramEquations
 from ..equations.equations import Equations
+from ..equations.gradients import gradients
 from ..errors import CompilationError, shown
 from ..root import ROOT, tool
 from ..run_data import Array, State
@@ -32,9 +35,13 @@ from .manifest import checksums, manifest_in_c
 from .plan import Plan, compensated_sums, step_nodes
 from .printer import PRECISIONS, literal, plain_line
 from .rates import fast_rates
+from .rosenbrock import MOST_SUBSTEPS, RODAS, TOLERANCE_RANGES, TOLERANCES
 from .schedule import schedule_of
 from .tables import Table, tables_of
 from .template import rendered
+
+INTEGRATORS = ("rk4", "rosenbrock")
+"""Names of the methods that integrate the continuous states in C."""
 
 STABILITY = 1.8
 """Product h |λ| from which the C code calls a step of RK4 unstable.
@@ -69,6 +76,11 @@ class CSource:
         Time in s that a step covers. ``tick_s`` is required for a diagram without a sample time.
         Otherwise a step covers the longest time that divides all sample times, and ``tick_s`` too
         if ``tick_s`` is not None.
+    integrator
+        ``rk4``, the classical Runge-Kutta method with fixed steps, or ``rosenbrock``, the method of
+        `rosenbrock.RODAS`, which is for stiff equations and chooses its substeps by ``tolerance``.
+    tolerance
+        Largest error estimate of a substep of ``rosenbrock``; by default `rosenbrock.TOLERANCES`.
     step_s
         Largest step of the Runge-Kutta method in s. By default, `rk4_step_s` computes the step from
         the fastest mode at the start.
@@ -79,7 +91,8 @@ class CSource:
     subject
         Short description of the model, part of the first line of each file.
     checks_steps
-        If True, a tick returns an error if its last step of RK4 seems to be unstable.
+        If True, a tick returns an error if its last step of RK4 seems to be unstable. The
+        Rosenbrock method has no such check, because it is stable with every step.
     origin
         Name and text of the file from which the diagram was made. The export gets a copy of the
         text, in which ``#`` begins a comment.
@@ -100,6 +113,8 @@ class CSource:
     outputs: Sequence[str] | None = None
     interface: Interface = field(default_factory=Interface)
     tick_s: float | None = None
+    integrator: str = "rk4"
+    tolerance: float | None = None
     step_s: float | None = None
     look_up: bool = False
     subject: str = ""
@@ -114,6 +129,23 @@ class CSource:
                 f"precision = {shown(f'{self.precision!r:.60}')}: must be one of "
                 f"{', '.join(PRECISIONS)}"
             )
+        if self.integrator not in INTEGRATORS:
+            raise CompilationError(
+                f"integrator = {shown(f'{self.integrator!r:.60}')}: must be one of "
+                f"{', '.join(INTEGRATORS)}"
+            )
+        unused = "tolerance" if self.integrator == "rk4" else "step_s"
+        if getattr(self, unused) is not None:
+            raise CompilationError(
+                f"{unused} = {shown(f'{getattr(self, unused)!r:.60}')}: integrator = "
+                f"{self.integrator!r} has none; leave it out or choose another integrator"
+            )
+        if self.tolerance is not None:
+            low, high = TOLERANCE_RANGES[self.precision]
+            words = f"a number in {low:g} … {high:g} in {self.precision} precision"
+            require_type("tolerance", self.tolerance, Real, words)
+            if not low <= self.tolerance <= high:
+                raise CompilationError(f"tolerance = {self.tolerance:g}: must be {words}")
         for option in ("look_up", "checks_steps"):
             require_type(option, getattr(self, option), bool, "True or False")
         require_type("subject", self.subject, str, "a text")
@@ -139,6 +171,17 @@ class CSource:
             return tuple(self.equations.outputs)
         return distinct_names("outputs", self.outputs)
 
+    @property
+    def error_tolerance(self) -> float:
+        """Tolerance of the Rosenbrock method; see `rosenbrock.TOLERANCES`."""
+        return TOLERANCES[self.precision] if self.tolerance is None else self.tolerance
+
+    @property
+    def rk4_steps(self) -> int:
+        """Number of steps of RK4 in a tick; 0 with another method or without continuous states."""
+        has_steps = self.equations.states and self.plan.integrator == "rk4"
+        return self.plan.schedule.steps if has_steps else 0
+
     @cached_property
     def plan(self) -> Plan:
         """The data from which the files are printed."""
@@ -148,6 +191,9 @@ class CSource:
         faster = fast_rates(graph, self.equations.derivatives, self.parameters)
         rates = [faster[node] for node in self.equations.derivatives]
         equations = replace(self.equations, graph=graph, derivatives=rates)
+        partials: list[dict[int, int]] = []
+        if self.integrator == "rosenbrock":
+            partials = gradients(graph, rates, by_time=True)
         nodes = {port: equations.outputs[port] for port in self.output_ports}
         output_nodes = tuple(node for port_nodes in nodes.values() for node in port_nodes)
         inputs = self.interface.members(equations.inputs)
@@ -176,11 +222,17 @@ class CSource:
             outputs=self.interface.members(sizes),
             output_nodes=output_nodes,
             schedule=schedule_of(
-                self.name, equations, self.parameters, self.state, self.tick_s, self.step_s
+                self.name,
+                equations,
+                self.parameters,
+                self.state,
+                self.tick_s,
+                math.inf if partials else self.step_s,
             ),
             tables=tuple(tables),
             sums=compensated_sums(equations, real),
             faster=faster,
+            gradients=tuple(partials),
         )
 
     @cached_property
@@ -199,6 +251,7 @@ class CSource:
         plan, real_bytes = self.plan, 8 if self.precision == "double" else 4
         groups = (self.equations.states, self.equations.discrete, plan.sums, plan.outputs)
         numbers = sum(map(len, groups)) + self.functions.constant_count
+        numbers += plan.integrator == "rosenbrock"  # the length of the next substep
         counter_bytes = 4 * (1 + plan.counts_steps)  # started, tick
         # The struct is padded to a multiple of the size of a floating-point number.
         return real_bytes * (numbers + math.ceil(counter_bytes / real_bytes))
@@ -238,7 +291,9 @@ class CSource:
             "outputs": self.plan.outputs,
             "schedule": self.plan.schedule,
             "sums": len(self.plan.sums),
-            "checks_steps": self.checks_steps and bool(self.equations.states),
+            "checks_steps": self.checks_steps and self.rk4_steps > 0,
+            "method": RODAS if self.plan.integrator == "rosenbrock" else None,
+            "most_substeps": MOST_SUBSTEPS,
             "stability": STABILITY,
             "smallest_change": 1e-9 if self.precision == "double" else 1e-4,
         }
@@ -257,6 +312,8 @@ class CSource:
             "states": len(equations.states),
             "discrete": len(equations.discrete),
             "constants": self.functions.constant_count,
+            "depends_on_time": plan.depends_on_time,
+            "error_tolerance": self.error_tolerance,
             "limits": len(equations.limits),
             "needs_time": plan.needs_time,
             "counts_steps": plan.counts_steps,

@@ -33,7 +33,8 @@ def recorded_vectors(diagram: System, source: CSource, inputs: Array) -> Vectors
     """Run the compiled diagram with the inputs of each step; return inputs and recorded outputs.
 
     Inputs are constant over a step. Outputs are recorded just before the updates of the next step.
-    The integrator is RK4 with the step size of ``source``.
+    The integrator is RK4 with the step size of ``source``. For the Rosenbrock method, which only C
+    code has, it is the exact hold with a hundredth of the tolerance of ``source``.
 
     Parameters
     ----------
@@ -63,7 +64,7 @@ def recorded_vectors(diagram: System, source: CSource, inputs: Array) -> Vectors
     tick_s, steps, ports = schedule.tick_s, len(inputs), tuple(source.equations.inputs)
     ends_s: Array = tick_s * np.arange(1.0, steps + 1.0)
     if equations.states and ports:
-        # The last stage of RK4 lies at the end of the step, and would read the next input.
+        # The last stage of a step lies at the end of the step, and would read the next input.
         if equations.updates and np.ptp(inputs, axis=0).any():
             raise CompilationError(
                 f"{source.name}: has continuous states, sample times and inputs; test vectors need "
@@ -81,7 +82,10 @@ def recorded_vectors(diagram: System, source: CSource, inputs: Array) -> Vectors
     if equations.states:
         records = {"record_period_s": tick_s}
     start = model.initialized(source.parameters, state, table)
-    how: dict[str, Any] = {"integrator": "rk4", "step_s": schedule.largest_step_s, "inputs": table}
+    how: dict[str, Any] = {"integrator": "rk4", "step_s": schedule.largest_step_s}
+    if source.plan.integrator == "rosenbrock":
+        how = {"integrator": "exact_hold", "tolerance": 0.01 * source.error_tolerance}
+    how["inputs"] = table
     values, end_s = source.parameters, steps * tick_s
     run = model.simulate(values, start, end_s, outputs=source.output_ports, **how, **records)
     outputs = np.hstack([run[name] for name in source.output_ports])

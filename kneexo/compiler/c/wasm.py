@@ -61,7 +61,7 @@ def wasm_table(source: CSource) -> dict[str, Any]:
     schedule, equations = source.plan.schedule, source.equations
     return {
         "sample_time_s": schedule.tick_s,
-        "rk4_steps_per_tick": schedule.steps if equations.states else 0,
+        "rk4_steps_per_tick": source.rk4_steps,
         "params": list(source.struct_values),
         "defaults": [float(text) for text in source.struct_values.values()],
         "inputs": [field.name for field in source.plan.inputs],

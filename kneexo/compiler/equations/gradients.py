@@ -7,31 +7,38 @@ from collections.abc import Iterable
 from .graph import SOURCES, Graph
 from .operations import OPERATIONS
 
+TIME = -1
+"""Key of the partial derivative by the time in a gradient that `gradients` returns."""
 
-def gradients(graph: Graph, roots: Iterable[int]) -> list[dict[int, int]]:
-    """Return the gradient of each root by the continuous states.
+
+def gradients(graph: Graph, roots: Iterable[int], *, by_time: bool = False) -> list[dict[int, int]]:
+    """Return the gradient of each root by the continuous states, and by the time with ``by_time``.
 
     A gradient is a dictionary from the index of a state to the node of the partial derivative by
-    this state. Derivatives that are zero are left out. At a corner (`Role.CORNER`) the node gives
-    the derivative on one side of the corner.
+    this state. The partial derivative by the time has the key `TIME`. Derivatives that are zero are
+    left out. At a corner (`Role.CORNER`) the node gives the derivative on one side of the corner.
     """
     roots = list(roots)
     of_node: dict[int, dict[int, int]] = {}
     for node in graph.reachable(roots):
-        of_node[node] = _gradient(graph, node, of_node)
+        kind, *index = graph.nodes[node]
+        if kind == "state":
+            of_node[node] = {int(index[0]): graph.one}
+        elif kind == "time" and by_time:
+            of_node[node] = {TIME: graph.one}
+        elif kind in SOURCES:
+            of_node[node] = {}
+        else:
+            of_node[node] = _gradient(graph, node, of_node)
     return [of_node[root] for root in roots]
 
 
 def _gradient(graph: Graph, node: int, gradient_of: dict[int, dict[int, int]]) -> dict[int, int]:
-    """Return the gradient of a node by the chain rule.
+    """Return the gradient of an operation by the chain rule.
 
     ``gradient_of``: dictionary from each argument of the node to the gradient of this argument.
     """
     name = str(graph.nodes[node][0])
-    if name == "state":
-        return {int(graph.nodes[node][1]): graph.one}
-    if name in SOURCES:
-        return {}
     arguments = graph.arguments(node)
     indices = sorted({index for argument in arguments for index in gradient_of[argument]})
     if not indices:

@@ -341,7 +341,10 @@ def test_state_bytes_are_those_of_the_compiler(c_text, multirate, precision):
     clocked = exported(multirate, precision=precision)
     unclocked = exported(accumulator(), inputs=["u0"], precision=precision)
     assert (clocked.plan.counts_steps, unclocked.plan.counts_steps) == (True, False)
-    for source in (clocked, unclocked):
+    stiff = exported(
+        oscillator(), inputs=["u0"], tick_s=0.01, integrator="rosenbrock", precision=precision
+    )
+    for source in (clocked, unclocked, stiff):
         files = source.files()
         text = files["model.h"] + "unsigned long size(void) { return sizeof(model_state_t); }\n"
         assert c_text(text).size() == source.state_bytes

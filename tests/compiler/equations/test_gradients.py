@@ -1,8 +1,10 @@
 """Derivatives of nodes against differences."""
 
+import math
+
 import pytest
 
-from kneexo.compiler.equations.gradients import gradients
+from kneexo.compiler.equations.gradients import TIME, gradients
 from kneexo.compiler.equations.graph import Graph
 from kneexo.compiler.equations.operations import UNARY
 
@@ -56,3 +58,14 @@ def test_a_node_of_whole_numbers_has_no_gradient():
     a, b = (graph.source("state", i) for i in range(2))
     (gradient,) = gradients(graph, [graph.add(graph.unary("floor", a), graph.multiply(b, b))])
     assert list(gradient) == [1]
+
+
+def test_the_time_has_a_derivative_of_its_own(interpreted):
+    graph = Graph()
+    t, x = graph.source("time"), graph.source("state", 0)
+    root = graph.multiply(graph.unary("sin", t), x)
+    ((by_state,), (with_time,)) = gradients(graph, [root]), gradients(graph, [root], by_time=True)
+    assert set(by_state) == {0}
+    assert set(with_time) == {0, TIME}
+    values = interpreted(graph, [with_time[0], with_time[TIME]], state=[3.0], time=[0.5])
+    assert values == pytest.approx([math.sin(0.5), 3.0 * math.cos(0.5)])

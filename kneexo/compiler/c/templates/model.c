@@ -47,7 +47,7 @@ static bool is_finite(real value)
     return (value >= -{{ real.largest | literal(real) }}) && (value <= {{ real.largest | literal(real) }});
 }
 
-{% if constants or numbers %}
+{% if constants or numbers or method %}
 static bool are_finite(const real *values, uint16_t count)
 {
     bool all = true;
@@ -59,14 +59,14 @@ static bool are_finite(const real *values, uint16_t count)
 }
 
 {% endif %}
-{% if functions.calls("minimum") %}
+{% if method or functions.calls("minimum") %}
 static real minimum(real a, real b)
 {
     return (b < a) ? b : a;
 }
 
 {% endif %}
-{% if functions.calls("maximum") %}
+{% if method or functions.calls("maximum") %}
 static real maximum(real a, real b)
 {
     return (a < b) ? b : a;
@@ -160,7 +160,9 @@ static void {{ function.name }}(const instant *at{{ function.arguments }})
 
 {% endfor %}
 {% set zero, one, two = 0.0 | literal(real), 1.0 | literal(real), 2.0 | literal(real) %}
-{% if states %}
+{% if method %}
+{% include "rosenbrock.c" %}
+{% elif states %}
 {% set step, half_step = schedule.step_s | literal(real, "step"), (0.5 * schedule.step_s) | literal(real, "half_step") %}
 {% set stage_parts = "{%s, %s, %s, %s}" | format(zero, half_step, half_step, step) %}
 {% set stage_weights = "{%s, %s, %s, %s}" | format(one, two, two, one) %}
@@ -189,7 +191,8 @@ static bool is_stable(const real *x, const real *rate)
 }
 
 {% endif %}
-{% if states and functions.is_large %}
+{% if method %}
+{% elif states and functions.is_large %}
 /* Integrate over a sample time by the classical Runge-Kutta method, in {{ schedule.steps }} equal steps.
  * Return whether all states are finite. */
 static bool integrate(const instant *start, real *x{{ ", bool *stable" if checks_steps }})
@@ -409,6 +412,9 @@ uint16_t {{ name }}_init({{ name }}_state_t *state, const {{ name }}_params_t *p
     for (uint16_t i = 0U; i < {{ states }}U; i++) {
         state->x[i] = params->initial_x[i];
     }
+{% if method %}
+    state->substep = {{ NAME }}_SAMPLE_TIME_S;
+{% endif %}
 {% endif %}
 {% if discrete %}
     for (uint16_t i = 0U; i < {{ discrete }}U; i++) {
@@ -454,6 +460,9 @@ uint16_t {{ name }}_step(const {{ name }}_params_t *params, {{ name }}_state_t *
 {% if states %}
     real x[{{ states }}];
 {% endif %}
+{% if method %}
+    real substep = state->substep;
+{% endif %}
 {% if discrete %}
     real d[{{ discrete }}];
 {% endif %}
@@ -497,7 +506,11 @@ uint16_t {{ name }}_step(const {{ name }}_params_t *params, {{ name }}_state_t *
 {% endif %}
 {% if states %}
         if (status == {{ NAME }}_OK) {
-{% if checks_steps %}
+{% if method %}
+            if (!integrate(&at, x, &substep)) {
+                status = {{ NAME }}_TOO_MANY_SUBSTEPS;
+            }
+{% elif checks_steps %}
             bool stable = true;
 
             if (!integrate(&at, x, &stable)) {
@@ -535,6 +548,9 @@ uint16_t {{ name }}_step(const {{ name }}_params_t *params, {{ name }}_state_t *
         for (uint16_t i = 0U; i < {{ states }}U; i++) {
             state->x[i] = x[i];
         }
+{% endif %}
+{% if method %}
+        state->substep = substep;
 {% endif %}
 {% if discrete %}
         for (uint16_t i = 0U; i < {{ discrete }}U; i++) {

@@ -29,6 +29,9 @@ typedef {{ real.name }} {{ name }}_real_t;
 {% endif %}
 #define {{ NAME }}_NOT_STARTED 8U /* {{ name }}_init has not succeeded yet */
 #define {{ NAME }}_BAD_PARAMETER 16U /* a parameter or a start value is not finite */
+{% if method %}
+#define {{ NAME }}_TOO_MANY_SUBSTEPS 64U /* {{ most_substeps }} substeps do not meet the tolerance */
+{% endif %}
 {% if checks_steps %}
 #define {{ NAME }}_UNSTABLE 32U /* a mode is too fast for the steps of the Runge-Kutta method */
 {% endif %}
@@ -72,6 +75,9 @@ typedef struct {
 {{ meaning | comment("    ") }}
     {{ name }}_real_t {{ member }}[{{ size }}];
 {% endfor %}
+{% if method %}
+    {{ name }}_real_t substep; /* length of the next substep of the integration in s */
+{% endif %}
     {{ name }}_outputs_t last; /* outputs of the last successful step or start */
 {% if counts_steps %}
     uint32_t tick; /* {{ "number of steps since the start" if needs_time else "number of the step in the cycle of sample times" }} */

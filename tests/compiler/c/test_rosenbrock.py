@@ -1,0 +1,289 @@
+"""The Rosenbrock method in C: its coefficients, its elimination, and its runs against SciPy."""
+
+import math
+
+import numpy as np
+import pytest
+from pydrake.systems.primitives import LinearSystem
+from scipy.integrate import solve_ivp
+
+from kneexo.compiler import read_diagram
+from kneexo.compiler.c.printer import DOUBLE
+from kneexo.compiler.c.rosenbrock import MOST_SUBSTEPS, RODAS, Elimination
+from kneexo.compiler.c.source import CSource, source_of
+from kneexo.compiler.c.vectors import recorded_vectors
+from kneexo.compiler.equations.equations import Equations
+from kneexo.compiler.errors import CompilationError
+from kneexo.compiler.run_data import State
+
+# --------------------------------------------------------------------------- coefficients
+
+
+def lower(rows):
+    """A lower triangular matrix of rows of different length."""
+    matrix = np.zeros((len(rows), len(rows)))
+    for number, row in enumerate(rows):
+        matrix[number, : len(row)] = row
+    return matrix
+
+
+def untransformed():
+    """The matrices alpha and gamma, and the weights of both methods (Hairer and Wanner, IV.7)."""
+    stages = len(RODAS.weights)
+    gamma = np.linalg.inv(np.eye(stages) / RODAS.gamma - lower(RODAS.rate_factors))
+    alpha = lower(RODAS.state_factors) @ gamma
+    weights = np.array(RODAS.weights) @ gamma
+    return alpha, gamma, weights, weights - np.array(RODAS.error_weights) @ gamma
+
+
+def order_conditions(alpha, beta, b):
+    """Pairs of a sum of the coefficients and its value in a method of order 4, by order."""
+    a = alpha.sum(axis=1)
+    c = beta.sum(axis=1)
+    return {
+        1: [(b.sum(), 1.0)],
+        2: [(b @ c, 1 / 2)],
+        3: [(b @ a**2, 1 / 3), (b @ beta @ c, 1 / 6)],
+        4: [
+            (b @ a**3, 1 / 4),
+            (b @ (a * (alpha @ c)), 1 / 8),
+            (b @ beta @ a**2, 1 / 12),
+            (b @ beta @ beta @ c, 1 / 24),
+        ],
+    }
+
+
+def test_rodas_has_order_four_and_its_embedded_method_order_three():
+    alpha, gamma, weights, embedded = untransformed()
+    for order, conditions in order_conditions(alpha, alpha + gamma, weights).items():
+        for value, expected in conditions:
+            assert value == pytest.approx(expected, abs=1e-13), order
+    errors = {
+        order: max(abs(value - expected) for value, expected in conditions)
+        for order, conditions in order_conditions(alpha, alpha + gamma, embedded).items()
+    }
+    assert max(errors[order] for order in (1, 2, 3)) < 1e-13
+    assert errors[4] > 1e-3  # else there would be no error estimate
+
+
+def test_rodas_is_consistent_and_damps_the_fastest_modes_at_once():
+    alpha, gamma, weights, embedded = untransformed()
+    np.testing.assert_allclose(alpha.sum(axis=1), RODAS.nodes, atol=1e-13)
+    np.testing.assert_allclose(gamma.sum(axis=1), RODAS.time_factors, atol=1e-13)
+    for b in (weights, embedded):  # R(inf) = 1 - b^T (alpha + gamma)^-1 1
+        at_infinity = 1.0 - b @ np.linalg.solve(alpha + gamma, np.ones(len(b)))
+        assert at_infinity == pytest.approx(0.0, abs=1e-12)
+
+
+# ---------------------------------------------------------------------------- elimination
+
+
+def executed(statements, **arrays):
+    """Execute C statements, which are Python without types and semicolons."""
+    for statement in statements:
+        exec(statement.strip().removeprefix("real ").removesuffix(";"), arrays)
+
+
+@pytest.mark.parametrize("density", [0.1, 0.3, 1.0])
+def test_the_elimination_solves_systems_of_any_pattern(density):
+    random = np.random.default_rng(7)
+    size = 9
+    jacobian = random.normal(size=(size, size)) * (random.random((size, size)) < density)
+    rows = [np.flatnonzero(row).tolist() for row in jacobian]
+    elimination = Elimination(rows, 1, DOUBLE)
+    assert {(i, i) for i in range(size)} <= set(elimination.entries)
+    values = [jacobian[entry] for entry in elimination.entries]
+    a, b = np.zeros(elimination.size), random.normal(size=size)
+    expected = np.linalg.solve(20.0 * np.eye(size) - jacobian, b)
+    executed(elimination.factorize, jacobian=values, diagonal=20.0, a=a)
+    executed(elimination.solve, a=a, b=b)
+    np.testing.assert_allclose(b, expected, rtol=1e-13)
+
+
+def test_the_elimination_of_an_arrow_adds_no_element():
+    """The first state depends on all others, and they on it: as first pivot it would fill all."""
+    size = 6
+    elimination = Elimination([range(size)] + [[0]] * (size - 1), 1, DOUBLE)
+    assert elimination.size == len(elimination.entries) == 3 * size - 2
+
+
+def test_operations_of_the_elimination_are_those_of_its_statements():
+    elimination = Elimination([range(3)] * 3, 2, DOUBLE)
+    products = " ".join(elimination.factorize).count("*")
+    products += 2 * " ".join(elimination.solve).count("*")
+    assert elimination.operations["*"] == products
+    assert elimination.operations["/"] == 3
+
+
+def test_many_states_that_depend_on_each_other_are_refused():
+    with pytest.raises(CompilationError, match=r"40 states that depend on each other take .* rk4"):
+        Elimination([range(40)] * 40, 6, DOUBLE)
+
+
+# ----------------------------------------------------------------------------------- runs
+
+
+def source_with(rates_of, start, tick_s=0.1, inputs=0, **options):
+    """A model whose derivatives are ``rates_of(graph, states)``; its outputs are the states."""
+    names = [f"m.x[{i}]" for i in range(len(start))]
+    equations = Equations(states=names, inputs={"u": inputs} if inputs else {})
+    g = equations.graph
+    states = [g.source("state", i) for i in range(len(start))]
+    equations.derivatives = rates_of(g, states)
+    equations.outputs = {"y": states}
+    state = State(np.array(start), np.zeros(0))
+    options = {"integrator": "rosenbrock", "tick_s": tick_s} | options
+    return CSource(equations, "m", np.zeros(0), state, **options)
+
+
+STIFFNESS = 1e3
+
+
+def van_der_pol(g, states):
+    """Dx/dt = v, dv/dt = mu ((1 - x²) v) - x with mu = 1000, which relaxes in 1/3000 s."""
+    x, v = states
+    damping = g.subtract(g.one, g.multiply(x, x))
+    return [v, g.subtract(g.multiply(g.constant(STIFFNESS), damping, v), x)]
+
+
+@pytest.mark.slow
+def test_a_stiff_oscillator_is_that_of_scipy_and_its_error_falls_with_the_tolerance(built):
+    def rates(_, y):
+        return [y[1], STIFFNESS * (1.0 - y[0] ** 2) * y[1] - y[0]]
+
+    ticks, tick_s = 10, 100.0  # the fast change is at 807 s
+    times = tick_s * np.arange(1, ticks + 1)
+    exact = solve_ivp(
+        rates, (0.0, times[-1]), [2.0, 0.0], "Radau", times, rtol=1e-12, atol=1e-12
+    ).y.T
+    errors = []
+    for tolerance in (1e-4, 1e-6, 1e-8):
+        model = built(source_with(van_der_pol, [2.0, 0.0], tick_s, tolerance=tolerance))
+        errors.append(np.abs(model.replay(np.zeros((ticks, 0))) - exact)[:, 0].max())
+    assert errors[0] < 1e-2
+    assert errors[1] < 0.1 * errors[0]
+    assert errors[2] < 0.1 * errors[1]
+    assert errors[2] < 1e-5
+
+
+def prothero_robinson(g, states):
+    """Dx/dt = -1e6 (x - cos t) - sin t, whose solution x = cos t is far slower than its mode."""
+    t = g.source("time")
+    error = g.subtract(states[0], g.unary("cos", t))
+    return [g.add(g.multiply(g.constant(-1e6), error), g.negate(g.unary("sin", t)))]
+
+
+def test_time_is_that_of_the_stages_and_has_a_derivative(built):
+    source = source_with(prothero_robinson, [1.0], tolerance=1e-7)
+    outputs = built(source).replay(np.zeros((30, 0)))
+    np.testing.assert_allclose(outputs[:, 0], np.cos(0.1 * np.arange(1, 31)), atol=1e-6)
+
+
+def valve(g, states):
+    """A pressure that falls at 1 per second, and a valve of 1e5 1/s that keeps it above zero."""
+    opening = g.operation("max", g.negate(states[0]), g.zero)
+    return [g.add(g.constant(-1.0), g.multiply(g.constant(1e5), opening))]
+
+
+def test_a_valve_opens_within_a_tick(built):
+    outputs = built(source_with(valve, [0.25], tolerance=1e-8)).replay(np.zeros((5, 0)))
+    np.testing.assert_allclose(outputs[:, 0], [0.15, 0.05, -1e-5, -1e-5, -1e-5], atol=1e-7)
+
+
+@pytest.mark.parametrize("precision", ["double", "float"])
+def test_a_copied_state_continues_with_the_same_bits(built, precision):
+    """The state has the length of the next substep."""
+    model = built(source_with(van_der_pol, [2.0, 0.0], 100.0, precision=precision))
+    assert model.init() == 0
+    for _ in range(7):
+        assert model.step() == 0
+    middle = bytes(model.state)
+
+    def continued():
+        outputs = []
+        for _ in range(3):
+            assert model.step() == 0
+            outputs.append(model.get())
+        return outputs
+
+    uninterrupted = continued()
+    model.state[:] = middle
+    assert continued() == uninterrupted
+
+
+@pytest.mark.parametrize("factor", [1.0, 1e300])
+def test_a_tick_that_takes_too_many_substeps_has_its_status(built, factor):
+    """Dx/dt = 1e2 x² + u: from x = 1 infinite after 10 ms."""
+
+    def rates_of(g, states):
+        square = g.multiply(g.constant(1e2 * factor), states[0], states[0])
+        return [g.add(square, g.source("input"))]
+
+    model = built(source_with(rates_of, [0.0], inputs=1))
+    assert (model.init([0.0]), model.step([0.0])) == (0, 0)
+    before = bytes(model.state)
+    assert model.step([1e4]) == 64
+    assert bytes(model.state) == before
+    assert model.step([0.0]) == 0
+    text = model.source.files()["m.c"]
+    assert f"count < {MOST_SUBSTEPS}U" in text
+
+
+def test_a_tick_at_rest_is_one_substep(built):
+    """A decay of 1e4 1/s, which RK4 would follow in 400 steps of a tick."""
+
+    def rates_of(g, states):
+        return [g.multiply(g.constant(-1e4), g.subtract(states[0], g.source("input")))]
+
+    source = source_with(rates_of, [0.0], inputs=1, tolerance=1e-6)
+    model = built(source)
+    lengths_s = []
+    assert model.init([0.0]) == 0
+    for _ in range(4):
+        assert model.step([1.0]) == 0
+        _, *_, last_s, _ = np.frombuffer(model.state, count=source.state_bytes // 8 - 1)
+        lengths_s.append(last_s)
+    assert lengths_s[-1] == pytest.approx(0.1)
+    assert model.get() == pytest.approx([1.0], abs=1e-6)
+
+
+def oscillator():
+    """A continuous plant of two states with an input."""
+    return LinearSystem([[0.0, 1.0], [-400.0, -4.0]], [[0.0], [400.0]], [[1.0, 0.0]], [[0.0]])
+
+
+def test_test_vectors_come_from_the_exact_hold(built):
+    read = read_diagram(oscillator(), inputs=["u0"])
+    source = source_of(read, "m", tick_s=0.01, integrator="rosenbrock", tolerance=1e-9)
+    inputs = np.sin(np.arange(50.0))[:, None]
+    vectors = recorded_vectors(oscillator(), source, inputs)
+    outputs = built(source).replay(inputs)
+    np.testing.assert_allclose(outputs, vectors.outputs, rtol=0, atol=1e-7)
+    assert np.abs(outputs - vectors.outputs).max() > 1e-13  # made by another method
+
+
+def test_a_diagram_without_continuous_states_has_no_integrator():
+    gain = LinearSystem(A=[[1.0]], B=[[1.0]], C=[[2.0]], D=[[0.0]], time_period=0.01)
+    read = read_diagram(gain, inputs=["u0"])
+    files = source_of(read, "m", integrator="rosenbrock").files()
+    assert files == source_of(read, "m").files()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"integrator": "radau"}, "integrator = 'radau': must be one of rk4, rosenbrock"),
+        ({"step_s": 1e-3}, "step_s = 0.001: integrator = 'rosenbrock' has none"),
+        (
+            {"integrator": "rk4", "tolerance": 1e-6},
+            "tolerance = 1e-06: integrator = 'rk4' has none",
+        ),
+        ({"tolerance": 0.0}, "tolerance = 0: must be a number in 1e-12 … 0.01 in double precision"),
+        ({"tolerance": math.nan}, "tolerance = nan: must be a number in 1e-12 … 0.01"),
+        ({"tolerance": "1"}, "tolerance = '1': must be a number in"),
+        ({"tolerance": 1e-7, "precision": "float"}, "in 1e-06 … 0.01 in float precision"),
+    ],
+)
+def test_wrong_options_are_refused(options, message):
+    with pytest.raises(CompilationError, match=message):
+        source_with(van_der_pol, [2.0, 0.0], **options)
