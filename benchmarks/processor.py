@@ -1,11 +1,12 @@
-"""The exported controller on an emulated microcontroller: differences, instructions, memory.
+"""Exported controllers and a stiff plant on an emulated microcontroller.
 
     python benchmarks/processor.py
 
-A row for each processor, controller and precision. The harness replays the test vectors under
+A row of differences, instructions and memory for each processor, model and precision. The stiff
+plant is that of preset leg, by the Rosenbrock method. The harness replays the test vectors under
 QEMU, built by arm-none-eabi-gcc with -O2: the largest difference of a command. QEMU counts the
 instructions of each step (mean and largest) and sees how deep the stack goes, C library included.
-Flash is that of the controller, its parameters and what it needs of the C library; RAM is its state
+Flash is that of the model, its parameters and what it needs of the C library; RAM is its state
 and outputs.
 
 The share of the sample time is that of the largest step at the clock of the processor, with
@@ -21,13 +22,16 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from kneexo.compiler.c.export import files_of
 from kneexo.export.firmware import make_firmware
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
+from kneexo.parameters.presets import with_preset
 
 FOLDER = Path(__file__).with_name("cortex_m")
 GCC, SIZE, QEMU = "arm-none-eabi-gcc", "arm-none-eabi-size", "qemu-system-arm"
@@ -72,18 +76,29 @@ SCENARIOS = {
 }
 
 
+LEG = Scenario.model_validate(with_preset("leg", {}))
+STIFF_PLANT: Mapping[str, Any] = {
+    "what": "plant",
+    "integrator": "rosenbrock",
+    "tolerance": 1e-5,
+    "outputs": ("rod_extension", "load_pressure"),
+    "vectors_s": 0.5,
+}
+"""Options of `make_firmware` for the plant of preset leg."""
+
+
 class MissingToolError(RuntimeError):
     """A cross-compiler or QEMU is missing."""
 
 
 @dataclass(frozen=True)
 class Figures:
-    """What a controller takes on a processor."""
+    """What a model takes on a processor."""
 
     failures: int
     """Of the harness: steps with a status, outputs beyond its tolerance."""
     difference: float
-    """Largest of the commands, in rad/s."""
+    """Largest of the first output, for a controller the command in rad/s."""
     hundred: float
     """Instructions counted for a hundred."""
     mean: float
@@ -105,14 +120,21 @@ def require_tools() -> None:
         raise MissingToolError(f"{', '.join(missing)}: not installed")
 
 
-def figures(scenario: Scenario, precision: str, processor: Processor) -> Figures:
-    """Build the controller with its harness, run it, measure it.
+def figures(
+    scenario: Scenario,
+    precision: str,
+    processor: Processor,
+    what: str = "controller",
+    **options: Any,
+) -> Figures:
+    """Build a model with its harness, run it, measure it. ``options``: of `make_firmware`.
 
     Raises `MissingToolError`, and `subprocess.SubprocessError` where a build or a run fails.
     """
     require_tools()
     precision, _, table = precision.partition(", ")
-    source, vectors = make_firmware(scenario, precision=precision, look_up=bool(table))
+    options |= {"precision": precision, "look_up": bool(table)}
+    source, vectors = make_firmware(scenario, what, **options)
     name = source.name
     model = (f"{name}.c", f"{name}_params.c")
     start = ("-nostartfiles", "--specs=rdimon.specs", f"-T{FOLDER / 'memory.ld'}")
@@ -170,20 +192,23 @@ def main() -> None:
     except MissingToolError as error:
         sys.exit(str(error))
     print(
-        "processor | controller | precision | difference (rpm) | instructions, mean, largest | "
+        "processor | model | precision | difference (rpm; m) | instructions, mean, largest | "
         f"share of sample time at {CYCLES:g} cycles each | stack, state (bytes) | flash (kB)"
     )
+    models = [(name, scenario, p, {}) for name, scenario in SCENARIOS.items() for p in PRECISIONS]
+    models += [("leg, Rosenbrock", LEG, p, STIFF_PLANT) for p in ("float", "double")]
     for processor in PROCESSORS:
-        for name, scenario in SCENARIOS.items():
-            for precision in PRECISIONS:
-                row = figures(scenario, precision, processor)
-                share = row.share(processor, scenario.controller.sample_time_s)
-                print(
-                    f"{processor.name}, {processor.clock_hz / 1e6:g} MHz | {name} | {precision} | "
-                    f"{row.difference / RPM:.2g} | {row.mean:.0f}, {row.largest:.0f} | "
-                    f"{100.0 * share:.2g} % | {row.stack_bytes}, {row.state_bytes} | "
-                    f"{row.flash_bytes / 1e3:.1f}"
-                )
+        for name, scenario, precision, options in models:
+            row = figures(scenario, precision, processor, **options)
+            share = row.share(processor, scenario.controller.sample_time_s)
+            difference = row.difference if options else row.difference / RPM
+            print(
+                f"{processor.name}, {processor.clock_hz / 1e6:g} MHz | {name} | {precision} | "
+                f"{difference:.2g} | {row.mean:.0f}, {row.largest:.0f} | "
+                f"{100.0 * share:.2g} % | {row.stack_bytes}, {row.state_bytes} | "
+                f"{row.flash_bytes / 1e3:.1f}",
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

@@ -35,7 +35,6 @@ def add_exports(subparsers: Any) -> None:
         duration_s=2.0,
     )
     _add_target(parser, "encoder count")
-    _add_integrator(parser)
     _add_code_options(parser)
     parser.add_argument(
         "--name",
@@ -137,6 +136,7 @@ def _add_target(parser: argparse.ArgumentParser, measurement: str) -> None:
         help=f"the controller, from {measurement} and knee reference to motor speed command; the "
         "plant with its encoder; or both as closed loop",
     )
+    _add_integrator(parser)
     _add_step(parser)
 
 
@@ -273,6 +273,8 @@ def export_fmu(
     out: Path,
     target: str,
     fmi: int,
+    integrator: str,
+    tolerance: float | None,
     step_s: float | None,
     platforms: str | list[str] | None,
 ) -> Outcome:
@@ -284,7 +286,16 @@ def export_fmu(
     from kneexo.export import fmu
 
     scenario = choice.load()
-    file = fmu.export_fmu(scenario, out, target, fmi=fmi, step_s=step_s, platforms=platforms)
+    file = fmu.export_fmu(
+        scenario,
+        out,
+        target,
+        fmi=fmi,
+        integrator=integrator,
+        tolerance=tolerance,
+        step_s=step_s,
+        platforms=platforms,
+    )
     lines = [
         f"{target} as FMU by FMI {fmi}: {shown(file.path)}",
         *wrap(f"  inputs: {', '.join(file.inputs)}", COLUMNS, subsequent_indent="    "),

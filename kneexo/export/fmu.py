@@ -57,6 +57,8 @@ def export_fmu(
     what: str = "controller",
     *,
     fmi: int = 3,
+    integrator: str = "rk4",
+    tolerance: float | None = None,
     step_s: float | None = None,
     platforms: str | Iterable[str] | None = None,
 ) -> KneeFmuFile:
@@ -71,8 +73,8 @@ def export_fmu(
         ``knee_plant.fmu`` for the plant.
     what
         ``controller``, ``plant`` or ``loop``: the part of the scenario to write.
-    fmi, step_s
-        Version of the standard, and largest step of RK4 in s, as in `make_fmu`.
+    fmi, integrator, tolerance, step_s
+        Version of the standard, and the method for continuous states, as in `make_fmu`.
     platforms
         Platforms of the binaries, as in `kneexo.compiler.export_fmu`. None: a binary for this
         machine if it has a C compiler.
@@ -87,7 +89,9 @@ def export_fmu(
     file = Path(path)
     if platforms is not None:
         platforms = require_platforms(platforms)
-    fmu = make_fmu(scenario, what, fmi=fmi, step_s=step_s)
+    fmu = make_fmu(
+        scenario, what, fmi=fmi, integrator=integrator, tolerance=tolerance, step_s=step_s
+    )
     if file.is_dir() or file.suffix != ".fmu":
         file /= f"{fmu.name}.fmu"
     written = write_fmu(file, fmu, platforms)
@@ -100,6 +104,8 @@ def make_fmu(
     what: str = "controller",
     *,
     fmi: int = 3,
+    integrator: str = "rk4",
+    tolerance: float | None = None,
     step_s: float | None = None,
 ) -> Fmu:
     """Return controller, plant or loop of a scenario as FMU.
@@ -117,6 +123,8 @@ def make_fmu(
         ``controller``, ``plant`` or ``loop``: see `make_target`.
     fmi
         Version of the standard: 2 or 3.
+    integrator, tolerance
+        Method for the continuous states, and its tolerance, as in `make_firmware`.
     step_s
         Largest step of RK4 in s; by default the value of `rk4_step_s`. A diagram without continuous
         states ignores ``step_s``.
@@ -139,6 +147,8 @@ def make_fmu(
         outputs=[name for name in target.outputs if name not in target.inputs],
         interface=target.interface,
         tick_s=target.tick_s,
+        integrator=integrator,
+        tolerance=tolerance,
         step_s=step_s,
         subject=f"{target.what} as FMU",
     )

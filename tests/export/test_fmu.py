@@ -43,6 +43,7 @@ from kneexo.parameters import (
 )
 from kneexo.parameters.fields import unit_of
 from kneexo.parameters.paths import changed, value_at
+from kneexo.parameters.presets import with_preset
 from kneexo.parameters.sliders import SLIDERS
 from kneexo.rod_polynomial import completed
 from kneexo.simulation.compiled import scenario_values, simulate_compiled
@@ -529,6 +530,27 @@ def test_saved_loops_continue_to_the_bit(path, fmu_instance, fmi):
     assert np.array_equal(_loop_run(other, steps, *names), expected)
 
 
+@NEEDS_COMPILER
+@pytest.mark.slow
+def test_a_stiff_loop_has_the_bits_of_its_c_and_continues_with_them(
+    tmp_path, fmu_instance, exported
+):
+    """By one compiler with one rounding of each operation, whole and from a saved state."""
+    leg = Scenario.model_validate(with_preset("leg", {}))
+    fmu = exports.make_fmu(leg, "loop", integrator="rosenbrock")
+    names = [field.name for field in fmu.source.plan.outputs]
+    rows = np.zeros((100, len(fmu.source.plan.inputs)))
+    expected = exported.Replay(fmu.source, flags=c_build.FLAGS).from_start(rows)
+    file = write_fmu(tmp_path / "loop.fmu", fmu).path
+    loop = fmu_instance(file).start()
+    assert np.array_equal(_loop_run(loop, range(50), *names), expected[:51])
+    data = loop.serialize()
+    assert np.array_equal(_loop_run(loop, range(50, 100), *names), expected[50:])
+    other = fmu_instance(file, name="other")
+    other.deserialize(data)
+    assert np.array_equal(_loop_run(other, range(50, 100), *names), expected[50:])
+
+
 def test_initial_states_are_parameters(path, fmu_instance):
     plant = fmu_instance(path("plant", 3)).start(
         **{"initial.rod_extension_m": 0.1, "initial.load_pressure_pa": 2.5e5}
@@ -638,6 +660,20 @@ def test_step_s_of_the_command_line_is_that_of_the_sources(tmp_path, no_compiler
     assert fmu.source.plan.schedule.steps == 4
     assert code == fmu.source.files()["knee_plant.c"]
     assert code != make_fmu(PAPER, "plant").source.files()["knee_plant.c"]
+
+
+@pytest.mark.slow
+def test_integrator_of_the_command_line_is_that_of_the_sources(tmp_path, no_compiler):
+    file = tmp_path / "plant.fmu"
+    chosen = ["--integrator", "rosenbrock", "--tolerance", "1e-5"]
+    assert main(["export", "fmu", "--what", "plant", *chosen, "--out", str(file)]) == 0
+    with zipfile.ZipFile(file) as archive:
+        code = archive.read("sources/knee_plant.c").decode()
+        texts = archive.read("sources/knee_plant_fmu.c").decode()
+    fmu = exports.make_fmu(PAPER, "plant", integrator="rosenbrock", tolerance=1e-5)
+    assert code == fmu.source.files()["knee_plant.c"]
+    assert "1000 substeps do not meet the tolerance" in texts
+    assert "RK4" not in texts
 
 
 @NEEDS_COMPILER

@@ -17,19 +17,25 @@ from kneexo.parameters import (
     SimulationParameters,
 )
 from kneexo.parameters.paths import changed
+from kneexo.parameters.presets import with_preset
 from kneexo.simulation.compiled import simulate_compiled
 
 TICK_S, STEPS = 0.002, 1000
 LOADED = Scenario(plant=PlantParameters(load=KneeLoadParameters()))
+LEG = Scenario.model_validate(with_preset("leg", {}))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fmi", [2, 3])
-def test_the_loop_is_the_same_on_each_platform(fmi, run_elsewhere, tmp_path):
+@pytest.mark.parametrize(
+    ("fmi", "scenario", "integrator"),
+    [(2, LOADED, "rk4"), (3, LOADED, "rk4"), (3, LEG, "rosenbrock")],
+)
+def test_the_loop_is_the_same_on_each_platform(fmi, scenario, integrator, run_elsewhere, tmp_path):
     """2 s with a disturbance: other mathematical libraries round differently."""
     pytest.importorskip("ziglang", reason="needs Zig: pip install ziglang")
     platforms = ["x86_64-linux", "aarch64-linux", "x86_64-windows"]
-    file = export_fmu(LOADED, tmp_path, "loop", fmi=fmi, platforms=platforms)
+    options = {"fmi": fmi, "integrator": integrator, "platforms": platforms}
+    file = export_fmu(scenario, tmp_path, "loop", **options)
     rows = {platform: run_elsewhere(file.path, platform, STEPS, TICK_S) for platform in platforms}
     native = rows.pop("x86_64-linux")
     largest = np.abs(native).max(axis=0)

@@ -49,6 +49,15 @@ def measured(module, name, controller, precision):
     return module.figures(module.SCENARIOS[controller], precision, chosen)
 
 
+def test_a_stiff_plant_runs_on_the_processor(processor):
+    """In double, with the Rosenbrock method; RK4 at its largest stable step takes 83,000."""
+    figures = processor.figures(processor.LEG, "double", processor.M7, **processor.STIFF_PLANT)
+    assert figures.failures == 0
+    assert 0.0 < figures.difference <= 1e-6 * processor.LEG.plant.cylinder.stroke_m
+    assert 5_000 < figures.mean <= figures.largest <= 25_000
+    assert figures.stack_bytes < 4_000
+
+
 @pytest.mark.parametrize(("name", "controller", "precision"), CASES)
 def test_the_controller_runs_on_the_processor(processor, name, controller, precision):
     figures = measured(processor, name, controller, precision)

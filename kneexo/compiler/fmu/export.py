@@ -91,7 +91,7 @@ def export_fmu(
         A short text about the model.
     options
         Options of `CSource`: ``outputs`` (names of output ports; all by default), ``interface``
-        (names and ranges of ports), ``step_s``, ``subject``.
+        (names and ranges of ports), ``integrator``, ``tolerance``, ``step_s``, ``subject``.
 
     Raises
     ------

@@ -144,6 +144,11 @@ static bool refuse_status({{ name }}_fmu_t *fmu, const char *what, double time, 
         append(text, ": a mode is too fast for the steps of RK4; export the FMU with a shorter step_s");
     }
 {% endif %}
+{% if method %}
+    if ((status & {{ NAME }}_TOO_MANY_SUBSTEPS) != 0U) {
+        append(text, ": {{ most_substeps }} substeps do not meet the tolerance; check parameters and inputs");
+    }
+{% endif %}
     if ((status & {{ NAME }}_NOT_STARTED) != 0U) {
         append(text, ": the model is not started; initialize the instance again");
     }
