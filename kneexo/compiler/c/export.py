@@ -240,7 +240,7 @@ def exported(source: CSource, vectors: Vectors) -> tuple[dict[str, str], Measure
         "precision": source.precision,
         "tick_s": source.plan.schedule.tick_s,
         "rk4_steps_per_tick": source.rk4_steps,
-        "rosenbrock_tolerance": source.error_tolerance if source.plan.gradients else None,
+        "rosenbrock_tolerance": source.rosenbrock_tolerance,
         "sha256": source.checksums,
         "origin": source.origin[0] if source.origin else None,
     }
@@ -254,9 +254,9 @@ def replay_tolerance(source: CSource) -> float:
     integrator that made the vectors differ by the sum of the errors of many substeps.
     """
     rounding = REPLAY_TOLERANCES[source.precision]
-    if source.plan.integrator == "rk4":
+    if source.rosenbrock_tolerance is None:
         return rounding
-    return min(_ROUGH, max(rounding, _MANY_SUBSTEPS * source.error_tolerance))
+    return min(_ROUGH, max(rounding, _MANY_SUBSTEPS * source.rosenbrock_tolerance))
 
 
 def files_of(source: CSource, vectors: Vectors) -> dict[str, str]:
@@ -305,7 +305,7 @@ def _stability(source: CSource, vectors: Vectors) -> Iterator[tuple[str, str]]:
     else:
         mode += (
             f"; the Rosenbrock method is stable with any step, and chooses its substeps by the "
-            f"tolerance {source.error_tolerance:g}, at most {MOST_SUBSTEPS} in a step"
+            f"tolerance {source.rosenbrock_tolerance:g}, at most {MOST_SUBSTEPS} in a step"
         )
     yield "fastest mode, at the recorded steps and at random states in their ranges", mode
 

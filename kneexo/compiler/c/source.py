@@ -172,8 +172,10 @@ class CSource:
         return distinct_names("outputs", self.outputs)
 
     @property
-    def error_tolerance(self) -> float:
-        """Tolerance of the Rosenbrock method; see `rosenbrock.TOLERANCES`."""
+    def rosenbrock_tolerance(self) -> float | None:
+        """Tolerance of the Rosenbrock method; None for RK4 and without continuous states."""
+        if self.plan.integrator == "rk4":
+            return None
         return TOLERANCES[self.precision] if self.tolerance is None else self.tolerance
 
     @property
@@ -313,7 +315,7 @@ class CSource:
             "discrete": len(equations.discrete),
             "constants": self.functions.constant_count,
             "depends_on_time": plan.depends_on_time,
-            "error_tolerance": self.error_tolerance,
+            "error_tolerance": self.rosenbrock_tolerance,
             "limits": len(equations.limits),
             "needs_time": plan.needs_time,
             "counts_steps": plan.counts_steps,

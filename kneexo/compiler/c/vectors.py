@@ -83,8 +83,8 @@ def recorded_vectors(diagram: System, source: CSource, inputs: Array) -> Vectors
         records = {"record_period_s": tick_s}
     start = model.initialized(source.parameters, state, table)
     how: dict[str, Any] = {"integrator": "rk4", "step_s": schedule.largest_step_s}
-    if source.plan.integrator == "rosenbrock":
-        how = {"integrator": "exact_hold", "tolerance": 0.01 * source.error_tolerance}
+    if source.rosenbrock_tolerance is not None:
+        how = {"integrator": "exact_hold", "tolerance": 0.01 * source.rosenbrock_tolerance}
     how["inputs"] = table
     values, end_s = source.parameters, steps * tick_s
     run = model.simulate(values, start, end_s, outputs=source.output_ports, **how, **records)

@@ -33,9 +33,10 @@ class WasmModule:
     """Dictionary of the module's layout; JSON can represent it.
 
     ``sample_time_s`` is the duration of a tick, and ``rk4_steps_per_tick`` the number of steps of
-    RK4 in a tick. ``params``, ``inputs``, ``outputs``, ``states`` and ``discrete`` are lists of
-    names in the order of the memory. ``params`` ends with the initial states. ``defaults`` has the
-    values of ``params``. ``sha256`` is the checksum of the module.
+    RK4 in a tick. ``rosenbrock_tolerance`` is the tolerance of the Rosenbrock method, or None.
+    ``params``, ``inputs``, ``outputs``, ``states`` and ``discrete`` are lists of names in the order
+    of the memory. ``params`` ends with the initial states. ``defaults`` has the values of
+    ``params``. ``sha256`` is the checksum of the module.
     """
 
 
@@ -62,6 +63,7 @@ def wasm_table(source: CSource) -> dict[str, Any]:
     return {
         "sample_time_s": schedule.tick_s,
         "rk4_steps_per_tick": source.rk4_steps,
+        "rosenbrock_tolerance": source.rosenbrock_tolerance,
         "params": list(source.struct_values),
         "defaults": [float(text) for text in source.struct_values.values()],
         "inputs": [field.name for field in source.plan.inputs],

@@ -71,7 +71,9 @@ def test_the_table_names_the_numbers_in_the_order_of_the_memory():
     made = source()
     table = wasm_table(made)
     assert table["sample_time_s"] == 0.01
-    assert table["rk4_steps_per_tick"] == 5
+    assert (table["rk4_steps_per_tick"], table["rosenbrock_tolerance"]) == (5, None)
+    stiff = wasm_table(source(integrator="rosenbrock", step_s=None))
+    assert (stiff["rk4_steps_per_tick"], stiff["rosenbrock_tolerance"]) == (0, 1e-7)
     assert table["inputs"] == ["u"]
     assert table["outputs"] == ["x", "sum", "wave", "level_0", "level_1"]
     assert table["states"] == ["plant.x[0]", "plant.x[1]"]
@@ -146,6 +148,17 @@ def test_a_module_runs_as_the_compiled_diagram(real_zig, web_run):
     np.testing.assert_array_equal(other[:, 3:], np.tile([1.5, 7.0], (301, 1)))
     np.testing.assert_allclose(other[:, 1] - outputs[:, 1], 4.0, rtol=1e-12)
     np.testing.assert_array_equal(run.run(module.table, inputs), outputs)
+
+
+@pytest.mark.slow
+def test_a_module_runs_by_the_rosenbrock_method(real_zig, web_run):
+    made = source(integrator="rosenbrock", step_s=None, tolerance=1e-8)
+    module = wasm_module(made)
+    inputs = np.sin(np.arange(50.0))[:, None]
+    outputs = web_run(module.code).run(module.table, inputs)
+    finer = wasm_module(source(step_s=1e-4))
+    expected = web_run(finer.code).run(finer.table, inputs)
+    np.testing.assert_allclose(outputs, expected, rtol=0, atol=1e-6)
 
 
 @pytest.mark.slow
