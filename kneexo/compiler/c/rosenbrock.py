@@ -10,7 +10,7 @@ II, Eq. IV.7.25):
 The matrix is factorized without exchanges of rows, as in the Kinetic PreProcessor (Sandu et al.
 1997, Atmos. Environ. 31). So the places of its nonzero elements are known when the code is printed,
 and the code computes with these elements alone. A pivot that is zero or small makes the error
-estimate large, so the step is repeated with half its length or less, where 1/(γ h) dominates.
+estimate large, so the step is repeated with a shorter one, in which 1/(γ h) dominates.
 """
 
 from __future__ import annotations

@@ -58,10 +58,9 @@ def schedule_of(
     state: State,
     tick_s: float | None,
     step_s: float | None,
+    integrator: str = "rk4",
 ) -> Schedule:
     """Return the schedule of the model ``name``. For the arguments see `CSource`.
-
-    ``step_s`` is infinite for the Rosenbrock method, which chooses its substeps while it runs.
     Raises `CompilationError` if the diagram has no sample time and ``tick_s`` is None, if
     ``tick_s`` or ``step_s`` is not finite and positive, if a tick has too many steps, or if the
     updates repeat only after 2³¹ ticks.
@@ -69,7 +68,7 @@ def schedule_of(
     if not equations.updates and tick_s is None:
         raise CompilationError(f"{name}: tick_s is needed, for it has no sample time")
     for time, value in {"tick_s": tick_s, "step_s": step_s}.items():
-        if value is not None and not (time == "step_s" and value == math.inf):
+        if value is not None:
             require_positive(time, value, "s")
     periods: list[int] = []
     offsets: list[int] = []
@@ -83,7 +82,10 @@ def schedule_of(
             ) from None
         tick_s, periods, offsets = times.tick, times.periods.tolist(), times.offsets.tolist()
     assert tick_s is not None
-    largest_s = rk4_step_s(equations, parameters, state) if step_s is None else step_s
+    if integrator == "rosenbrock":  # chooses its substeps while it runs
+        largest_s = math.inf
+    else:
+        largest_s = rk4_step_s(equations, parameters, state) if step_s is None else step_s
     result = Schedule(tick_s, tuple(periods), tuple(offsets), largest_s)
     if equations.states and result.steps > _MOST_STEPS:
         raise CompilationError(

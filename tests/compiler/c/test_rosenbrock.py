@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 import pytest
-from pydrake.systems.primitives import LinearSystem
+from pydrake.symbolic import Variable, sin
+from pydrake.systems.primitives import LinearSystem, SymbolicVectorSystem
 from scipy.integrate import solve_ivp
 
 from kneexo.compiler import read_diagram
@@ -179,6 +180,19 @@ def test_time_is_that_of_the_stages_and_has_a_derivative(built):
     np.testing.assert_allclose(outputs[:, 0], np.cos(0.1 * np.arange(1, 31)), atol=1e-6)
 
 
+def test_the_error_is_that_of_the_tolerance(built):
+    """Dx/dt = -x² from 1 is 1/(1 + t); the sum of a few substeps has a few times the tolerance."""
+
+    def rates_of(g, states):
+        return [g.negate(g.multiply(states[0], states[0]))]
+
+    for tolerance in (1e-6, 1e-9):
+        source = source_with(rates_of, [1.0], 1.0, tolerance=tolerance)
+        outputs = built(source).replay(np.zeros((4, 0)))
+        errors = np.abs(outputs[:, 0] - 1.0 / np.arange(2.0, 6.0))
+        assert 1e-3 * tolerance < errors.max() < 10.0 * tolerance
+
+
 def valve(g, states):
     """A pressure that falls at 1 per second, and a valve of 1e5 1/s that keeps it above zero."""
     opening = g.operation("max", g.negate(states[0]), g.zero)
@@ -193,11 +207,14 @@ def test_a_valve_opens_within_a_tick(built):
 @pytest.mark.parametrize("precision", ["double", "float"])
 def test_a_copied_state_continues_with_the_same_bits(built, precision):
     """The state has the length of the next substep."""
-    model = built(source_with(van_der_pol, [2.0, 0.0], 100.0, precision=precision))
+    source = source_with(van_der_pol, [2.0, 0.0], 100.0, precision=precision)
+    model, real = built(source), {"double": np.float64, "float": np.float32}[precision]
     assert model.init() == 0
     for _ in range(7):
         assert model.step() == 0
     middle = bytes(model.state)
+    *_, substep_s, _, _ = np.frombuffer(model.state, real, source.state_bytes // real().nbytes - 1)
+    assert 0.0 < substep_s < 100.0
 
     def continued():
         outputs = []
@@ -247,19 +264,24 @@ def test_a_tick_at_rest_is_one_substep(built):
     assert model.get() == pytest.approx([1.0], abs=1e-6)
 
 
-def oscillator():
-    """A continuous plant of two states with an input."""
-    return LinearSystem([[0.0, 1.0], [-400.0, -4.0]], [[0.0], [400.0]], [[1.0, 0.0]], [[0.0]])
+def pendulum():
+    """The angle q of a pendulum with ten 1/s² of gravity over length."""
+    q, v = Variable("q"), Variable("v")
+    system = SymbolicVectorSystem(state=[q, v], dynamics=[v, -10.0 * sin(q)], output=[q])
+    context = system.CreateDefaultContext()
+    context.SetContinuousState([1.0, 0.0])
+    return system, context
 
 
 def test_test_vectors_come_from_the_exact_hold(built):
-    read = read_diagram(oscillator(), inputs=["u0"])
-    source = source_of(read, "m", tick_s=0.01, integrator="rosenbrock", tolerance=1e-9)
-    inputs = np.sin(np.arange(50.0))[:, None]
-    vectors = recorded_vectors(oscillator(), source, inputs)
-    outputs = built(source).replay(inputs)
-    np.testing.assert_allclose(outputs, vectors.outputs, rtol=0, atol=1e-7)
-    assert np.abs(outputs - vectors.outputs).max() > 1e-13  # made by another method
+    system, context = pendulum()
+    stiff = {"tick_s": 0.1, "integrator": "rosenbrock", "tolerance": 1e-9}
+    source = source_of(read_diagram(system), "m", context, **stiff)
+    rows = np.zeros((20, 0))
+    differences = np.abs(
+        built(source).replay(rows) - recorded_vectors(system, source, rows).outputs
+    )
+    assert 1e-13 < differences.max() < 1e-7  # made by another method
 
 
 def test_a_diagram_without_continuous_states_has_no_integrator():

@@ -141,7 +141,8 @@ static bool refuse_status({{ name }}_fmu_t *fmu, const char *what, double time, 
 {% endif %}
 {% if checks_steps %}
     if ((status & {{ NAME }}_UNSTABLE) != 0U) {
-        append(text, ": a mode is too fast for the steps of RK4; export the FMU with a shorter step_s");
+        append(text, ": a mode is too fast for the steps of RK4; export the FMU with a shorter step_s "
+            "or with the integrator rosenbrock");
     }
 {% endif %}
 {% if method %}
