@@ -79,6 +79,44 @@ def test_exact_hold_is_exact_to_a_millionth_of_the_stroke(case):
     assert np.max(np.abs(hold["load_pressure_pa"] - fine["load_pressure_pa"])) < 1.0
 
 
+WEARER = {"plant": {"load": {"kind": "knee"}}, "wearer": {"kind": "leg"}}
+PULLED = {
+    "prescribed leg": (WEARER | {"controller": {"kind": "torque"}}, 2.8e-11, 3.8e-7),
+    "active leg": (
+        WEARER
+        | {"wearer": {"kind": "leg", "motion": "active"}}
+        | {"controller": {"kind": "torque", "mode": "impedance"}},
+        9.4e-10,
+        3.5e-7,
+    ),
+}
+"""Scenarios whose stiff cuff follows a function of time.
+
+Beside each, the errors in 30 s of an exact hold whose steps are never driven: the error of the rod
+extension relative to the stroke, and that of the load pressure relative to its peak.
+"""
+
+
+@pytest.mark.parametrize(
+    ("case", "duration_s"),
+    [
+        ("prescribed leg", 0.3),
+        pytest.param("prescribed leg", 12.0, marks=pytest.mark.slow),
+        pytest.param("active leg", 12.0, marks=pytest.mark.slow),
+    ],
+)
+def test_a_stiff_cuff_that_follows_a_function_of_time_is_exact(case, duration_s):
+    fields, most_of_stroke, most_of_peak = PULLED[case]
+    scenario, signals = scenario_of(duration_s, **fields), ("rod_extension", "load_pressure")
+    fine = simulate_compiled(scenario, signals=signals, integrator="rk4", step_s=1e-5)
+    hold = simulate_compiled(scenario, signals=signals)
+    error_m = np.max(np.abs(hold["rod_extension_m"] - fine["rod_extension_m"]))
+    assert error_m <= most_of_stroke * scenario.plant.cylinder.stroke_m
+    peak_pa = np.max(np.abs(fine["load_pressure_pa"]))
+    error_pa = np.max(np.abs(hold["load_pressure_pa"] - fine["load_pressure_pa"]))
+    assert error_pa <= most_of_peak * peak_pa
+
+
 def test_tolerance_of_the_exact_hold_rules_its_error():
     scenario = CASES["acceleration limited"]
     fine = simulate_compiled(scenario, signals=["motor_speed"], integrator="rk4", step_s=2e-6)

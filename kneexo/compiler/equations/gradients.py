@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from .graph import SOURCES, Graph
 from .operations import OPERATIONS
@@ -53,3 +53,32 @@ def _gradient(graph: Graph, node: int, gradient_of: dict[int, dict[int, int]]) -
         ]
         total[index] = graph.add(*terms)
     return {index: term for index, term in total.items() if term != graph.zero}
+
+
+def time_derivatives(graph: Graph, roots: Iterable[int], rates: Mapping[int, int]) -> list[int]:
+    """Return, for each root, the node of its total derivative by the time.
+
+    ``rates`` is a dictionary from the node of each source that changes with the time, such as a
+    state, to the node of its time derivative. At a corner (`Role.CORNER`) the node gives the
+    derivative on one side of the corner.
+    """
+    roots = list(roots)
+    of_node: dict[int, int] = dict(rates)
+    for node in graph.reachable(roots):
+        if node not in of_node:
+            of_node[node] = _time_derivative(graph, node, of_node)
+    return [of_node[root] for root in roots]
+
+
+def _time_derivative(graph: Graph, node: int, of_node: Mapping[int, int]) -> int:
+    arguments = graph.arguments(node)
+    rates = [of_node[argument] for argument in arguments]
+    if all(rate == graph.zero for rate in rates):
+        return graph.zero
+    partials = OPERATIONS[str(graph.nodes[node][0])].partials(graph, arguments, node)
+    terms = (
+        graph.multiply(partial, rate)
+        for partial, rate in zip(partials, rates, strict=True)
+        if partial is not None
+    )
+    return graph.add(*terms)

@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
 
 from .equations import Equations
-from .gradients import gradients
+from .gradients import gradients, time_derivatives
 from .graph import SOURCES, Graph
 from .operations import OPERATIONS
 from .partition import fixed_nodes, is_rounded, nodes_by_count
@@ -120,6 +120,11 @@ class Program:
         elements column by column.
         """
         self.derivatives = regrouped(graph, equations.derivatives)
+        self.second_derivatives = self._second_derivatives()
+        """Nodes of dx/dt and then of d²x/dt² along a solution; none if dx/dt follows from x alone.
+
+        The rates of the open inputs count as further elements of the inputs.
+        """
         self.initial_discrete = equations.initial_discrete
         self.groups = self._groups()
         self.instant = [node for group in self.groups for _, node in group.targets]
@@ -150,6 +155,19 @@ class Program:
             memos=tuple(len(memo.nodes) for memo in self.memos),
         )
 
+    def _second_derivatives(self) -> list[int]:
+        equations, graph = self.equations, self.graph
+        if not any(graph.depends[node] & {"time", "input"} for node in equations.derivatives):
+            return []
+        count = sum(equations.inputs.values())
+        rates = {graph.source("time"): graph.one}
+        for i, node in enumerate(equations.derivatives):
+            rates[graph.source("state", i)] = node
+        for i in range(count):
+            rates[graph.source("input", i)] = graph.source("input", count + i)
+        second = time_derivatives(graph, equations.derivatives, rates)
+        return regrouped(graph, [*equations.derivatives, *second])
+
     def _groups(self) -> list[Group]:
         """Return one group for all margins, one for each update, and one for each output port."""
         equations = self.equations
@@ -176,7 +194,8 @@ class Program:
 
     def _roots(self) -> list[int]:
         elements = [node for _, node in self.jacobian]
-        return [*self.derivatives, *self.initial_discrete, *self.instant, *elements]
+        rates = [*self.derivatives, *self.second_derivatives]
+        return [*rates, *self.initial_discrete, *self.instant, *elements]
 
     def _hoisted(self) -> dict[int, int]:
         nodes = fixed_nodes(self.graph, self._roots())

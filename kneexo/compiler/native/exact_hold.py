@@ -24,17 +24,45 @@ does not depend on time, g' is zero and the order is four.
 
 A straight line for g in place of the parabola gives a method of order two. The last term above is
 the difference between the two ends, and is the error estimate. A step that misses the tolerance is
-repeated with the Jacobian at its start. If this does not help, the step is halved. Short steps get
-past corners of the derivatives (a clip, a valve). If a tick requires eight steps or more, each step
-must meet a tenth of the tolerance, because the errors add up. Every sixteenth such step tries the
-Jacobian at its start even if the step meets the tolerance. An old Jacobian can be good enough for
-small steps only, and the steps would then stay small.
+repeated with the Jacobian at its start. If this does not help, the step is halved, or the steps
+become driven as explained below. Short steps get past corners of the derivatives (a clip, a valve).
+If a tick requires eight steps or more, each step must meet a tenth of the tolerance, because the
+errors add up. Every sixteenth such step tries the Jacobian at its start even if the step meets the
+tolerance. An old Jacobian can be good enough for small steps only, and the steps would then stay
+small.
 
 A step that fails with the Jacobian at its start fails because of g. If the norm of A h is at most 2
 after three halvings or more, the further steps of the tick are explicit: steps of `DormandPrince`,
 of order five, which evaluate dx/dt alone. Such steps are the rule where valves flutter and where
 friction changes its sign. They neither choose Jacobians nor fill tables. Their error estimate is
 close to their error where a derivative has a corner, so they must be ten times as accurate.
+
+Where dx/dt depends on the time itself, as through a reference or an input table, a straight line
+for g is poor even with the Jacobian at the start, and the error estimate is far too large. The
+steps are then driven. A driven step also uses the slope of g at its start,
+
+    g' = d²x/dt² - A dx/dt,  d²x/dt² = ∂f/∂t + J f,
+
+where f is dx/dt and J is its Jacobian by x. The compiler derives d²x/dt² from the equations. So g'
+contains the functions of time, and also the error of an old A. Let g_a be g at the middle minus g
+at the start minus h/2 g', and g_b be g at the end minus g at the start minus h g'. The states are
+
+    middle          x + h/2 phi_1(z/2) dx/dt + (h/2)^2 phi_2(z/2) g',
+    predicted end   x + h phi_1 dx/dt + h^2 phi_2 g' + 12 h phi_3 g_a,
+    end             x + h phi_1 dx/dt + h^2 phi_2 g' + 8 h phi_3 g_a + e,
+    e               h (2.8 phi_3 - 0.6 phi_2) (g_b - 4 g_a).
+
+With the factor 12 phi_4 - 2 phi_3 in e, g would be the cubic through its three values and its
+slope. This factor is 1/6 + z/60, up to the third power of z. The factor above is
+1/6 + z/60 - z^2/600, and needs no phi_4.
+
+The order of driven steps is four with any A. Let g'' be the second derivative of g. The middle
+lacks the term (h/2)^3 phi_3(z/2) g'', about h^3/48 g''. The predicted end has about h^3/12 g'' too
+much, because it contains 12 g_a in the place of 8 g_a. The end has g_a with the factor 4/6 h and
+g_b with the factor h/6 at z = 0, so the two errors cancel. The term e contains the third
+derivative of g, and is the error estimate. In a step of a whole tick, an oscillation with a period
+of about a tick can vanish from e. So a driven step lasts half a tick or less. The steps are driven
+until a parabola without g' would pass easily.
 
 A lane is one of the runs that the code makes side by side. Each lane has its own step, Jacobians
 and tables, so a run has the same bits in a lane and alone. A lane that has reached the end of the
@@ -47,10 +75,10 @@ from collections.abc import Callable, Iterator
 
 from .dormand_prince import DormandPrince
 from .integrators import Tick, before_end
-from .ir import UNROLLED, Array, Function, Module, Operand, Value, Variable
+from .ir import Array, Function, Module, Operand, Value, Variable
 from .jacobian_slots import Memory
 from .phi_functions import FINEST, Tables, fill_tables, step_of
-from .types import BOOL, DOUBLE, INT, POINTER
+from .types import BOOL, DOUBLE, INT, POINTER, Type
 
 ChooseSlot = Callable[[Tick, Value, Array, Value], None]
 """``choose(tick, lane, memory, time)`` emits code that chooses the Jacobian of one lane.
@@ -61,11 +89,12 @@ The code computes the Jacobian at the lane's state and then calls ``choose_slot`
 
 _MANY = 3  # least number of halvings with which a tick has "many" steps
 _EXPLICIT = 3  # least number of halvings of an explicit step
+_DRIVEN = 1  # least number of halvings of a driven step
 _SHORT = 2.0  # largest norm of A h of an explicit step
 _SHARE = 0.1  # share of the tolerance that each of many steps may use
 _CHECK = 16  # of many steps, one in this number tries the Jacobian at its start
 _EASY = 0.05  # share of the tolerance below which a step may double
-_STRICT = 10.0  # factor of the error estimate of an explicit step, beside that of many steps
+_STRICT = 10.0  # factor of the error estimate of explicit and driven steps, if there are many
 _NEGLIGIBLE = 0.01  # share of the tolerance below which a correction is left out
 _MOST_EXCESS = 1e-2  # largest sum of the errors of finest steps that miss the tolerance
 _WHOLE = 1 << FINEST  # number of finest steps in a tick
@@ -74,32 +103,38 @@ _WHOLE = 1 << FINEST  # number of finest steps in a tick
 class Shared:
     """Layout of the memory that all lanes share, in elements of eight bytes for each lane.
 
-    Each element has one value for each lane: ``level``, the number of halvings of the step; the
-    ``norm`` of the current ``jacobian``; and the five matrices of ``_step`` at ``tables``.
+    Each element has one value for each lane: ``level``, the number of halvings of the step;
+    ``driven``, 1 if the steps are driven; the ``norm`` of the current ``jacobian``; and the five
+    matrices of ``_take_step`` at ``tables``. The elements of ``head`` must be zero when a run
+    starts.
     """
 
     def __init__(self, size: int) -> None:
-        self.level, self.norm, self.jacobian = 0, 1, 2
+        self.level, self.driven, self.norm, self.jacobian = 0, 1, 2, 3
+        self.head = 2
         self.square = size * size
         self.tables = self.jacobian + self.square
         self.size = self.tables + 5 * self.square
 
 
 def multiplied(f: Function, size: int, matrix: Array, vector: Array, out: Array) -> None:
-    """Emit ``out`` = matrix · vector. The matrix is stored column by column."""
-    if size <= UNROLLED:
-        for row in range(size):
-            total = matrix[row] * vector[0]
-            for column in range(1, size):
-                total = f.fma(matrix[column * size + row], vector[column], total)
-            out[row] = total
-        return
-    for i in f.each(size):
-        out[i] = 0.0
+    """Emit ``out`` = matrix · vector. The matrix is stored column by column.
+
+    The code for a single lane works on four rows at once.
+    """
+    type_ = matrix.type
+    rows: list[tuple[int, Type]] = []  # first row of a block, and type of its elements
+    if type_.lanes == 1:
+        rows = [(row, type_.of(4)) for row in range(0, size - 3, 4)]
+    rows += [(row, type_) for row in range(4 * len(rows), size)]
+    totals = [f.variable(f.constant(0.0, block)) for _, block in rows]
     for k in f.each(size):
-        factor, elements = vector[k], matrix.shifted(k * size)
-        for i in f.each(size):
-            out[i] = f.fma(elements[i], factor, out[i])
+        factor, column = vector[k], matrix.shifted(f.coerce(k, INT) * size)
+        for (row, block), total in zip(rows, totals, strict=True):
+            elements = column.shifted(row).cast(block)[0]
+            total.set(f.fma(elements, f.coerce(factor, block), total.get()))
+    for (row, block), total in zip(rows, totals, strict=True):
+        out.shifted(row).cast(block)[0] = total.get()
 
 
 class _Step:
@@ -119,7 +154,19 @@ class _Step:
         self.middle = tick.vector()
         """State at the middle of a step that is not explicit."""
         self.rest = tick.vector()
-        """Change of dx/dt from start to middle, minus the change that the Jacobian predicts."""
+        """Change of dx/dt from start to middle, minus the change that the step predicts."""
+        self.undriven = f.variable(f.constant(0.0, tick.type))
+        """What ``worst`` would be if a driven step were not driven."""
+
+    def replace(self, tick: Tick, lanes: Value, other: _Step) -> None:
+        """Emit code that copies the result of another step, which is not explicit, in ``lanes``."""
+        f = tick.function
+        for i in f.each(tick.size):
+            self.end[i] = f.select(lanes, other.end[i], self.end[i])
+            self.middle[i] = f.select(lanes, other.middle[i], self.middle[i])
+            self.rest[i] = f.select(lanes, other.rest[i], self.rest[i])
+        self.worst.set(f.select(lanes, other.worst.get(), self.worst.get()))
+        self.undriven.set(f.select(lanes, other.undriven.get(), self.undriven.get()))
 
 
 def _take_step(
@@ -178,6 +225,72 @@ def _take_step(
             end[i] = f.select(large, end[i] + part[i], end[i])
             total = f.fma(f.absolute(part[i]), weight[i], worst.get())
             worst.set(f.select(large, total, worst.get()))
+
+
+def _take_driven_step(
+    tick: Tick,
+    time: Value,
+    h: Value,
+    weight: Array,
+    tables: Array,
+    jacobian: Array,
+    step: _Step,
+) -> None:
+    """Emit one driven step, by the equations of this module; arguments as in `_take_step`.
+
+    The tables contain p = h phi_2 and q = h (phi_2 - 4 phi_3). So h phi_3 is (p - q)/4, and the
+    factor of e is p/10 - 7/10 q. Without g' the error estimate would be q (2 g_a - g_b), or
+    -q (2 g_a + (g_b - 4 g_a)).
+    """
+    assert tick.second_rate is not None
+    f, size, square = tick.function, tick.size, tick.size**2
+    rates, slope, growth = f.array(2 * size, tick.type), tick.vector(), tick.vector()
+    predicted, rate, move, g_b = (tick.vector() for _ in range(4))
+    p_a, q_a, p_b, q_b = (tick.vector() for _ in range(4))
+    middle, end, g_a = step.middle, step.end, step.rest
+    phi_1, p, q, half_1, half_2 = (tables.shifted(n * square) for n in range(5))
+    tick.second_rate(time, tick.x, rates)
+    for i in f.each(size):
+        slope[i] = rates[i]
+    multiplied(f, size, jacobian, slope, rate)
+    for i in f.each(size):
+        # At a root at zero d²x/dt² is not finite. Any g' works, with smaller steps.
+        change = h * (rates[f.coerce(i, INT) + size] - rate[i])
+        growth[i] = f.select((change - change).equals(0.0), change, 0.0)
+    multiplied(f, size, half_1, slope, middle)
+    multiplied(f, size, half_2, growth, move)
+    for i in f.each(size):
+        middle[i] = f.fma(move[i], 0.5, tick.x[i] + middle[i])
+
+    def remainder(t: Value, y: Array, share: float, rest: Array) -> None:
+        tick.rate(t, y, rate)
+        for i in f.each(size):
+            move[i] = y[i] - tick.x[i]
+        multiplied(f, size, jacobian, move, rest)
+        for i in f.each(size):
+            rest[i] = f.fma(growth[i], -share, (rate[i] - slope[i]) - rest[i])
+
+    remainder(f.fma(h, 0.5, time), middle, 0.5, g_a)
+    multiplied(f, size, phi_1, slope, end)
+    multiplied(f, size, p, growth, move)
+    multiplied(f, size, p, g_a, p_a)
+    multiplied(f, size, q, g_a, q_a)
+    for i in f.each(size):
+        end[i] = f.fma(p_a[i] - q_a[i], 2.0, tick.x[i] + end[i] + move[i])
+        predicted[i] = end[i] + (p_a[i] - q_a[i])
+    remainder(before_end(tick, time + h), predicted, 1.0, g_b)
+    for i in f.each(size):
+        move[i] = f.fma(g_a[i], -4.0, g_b[i])
+    multiplied(f, size, p, move, p_b)
+    multiplied(f, size, q, move, q_b)
+    step.worst.set(0.0)
+    step.undriven.set(0.0)
+    for i in f.each(size):
+        correction = f.fma(p_b[i], 0.1, q_b[i] * -0.7)
+        end[i] = end[i] + correction
+        step.worst.set(f.fma(f.absolute(correction), weight[i], step.worst.get()))
+        undriven = f.fma(q_a[i], 2.0, q_b[i])
+        step.undriven.set(f.fma(f.absolute(undriven), weight[i], step.undriven.get()))
 
 
 def _define_copy_slot(module: Module, size: int, lanes: int) -> Function:
@@ -280,7 +393,10 @@ class ExactHold:
         """
         f, type_ = tick.function, tick.type
         ints = INT.of(type_.lanes)
-        level = f.variable(Array(self.shared.pointer, ints)[0])  # number of halvings of the step
+        at, rows = Shared(tick.size), Array(self.shared.pointer, ints)
+        # Number of halvings of the step, and 1 if the steps are driven.
+        level = f.variable(rows[at.level])
+        driven = f.variable(f.constant(0, ints) if tick.second_rate is None else rows[at.driven])
         # Position in the tick, and 1 if this step has tried another Jacobian.
         position, tried = (f.variable(f.constant(0, ints)) for _ in range(2))
         # The tolerance is missed by too much, and a step with the Jacobian at its start has failed.
@@ -294,18 +410,19 @@ class ExactHold:
                 active = active & tick.running
             loop.stop_if(~f.any_lane(active))
             time = self._time(tick, position.get())
-            with f.when(moved.get()):
+            explicit = self._explicit(f, level.get(), self._norm(tick), bent.get())
+            is_driven = driven.get().differs(0) & ~explicit
+            with f.when(moved.get() & f.any_lane(active & ~is_driven)):
                 tick.rate(time, tick.x, slope)
             with f.when(changed.get()):
                 for i in f.each(tick.size):
                     weight[i] = 1.0 / (self.tolerance * (1.0 + f.absolute(tick.x[i])))
             span = f.coerce(f.constant(_WHOLE, ints), ints) >> level.get()
-            explicit = self._try_step(
-                tick, position.get(), span, level.get(), bent.get(), active, slope, weight, step
-            )
+            lanes = (active & ~explicit & ~is_driven, active & is_driven, active & explicit)
+            self._try_step(tick, position.get(), span, level.get(), lanes, slope, weight, step)
             many = level.get() >= _MANY
             worst = step.worst.get() * f.select(many, f.constant(1.0 / _SHARE, type_), 1.0)
-            worst = worst * f.select(explicit, f.constant(_STRICT, type_), 1.0)
+            worst = worst * f.select(many & (explicit | is_driven), f.constant(_STRICT, type_), 1.0)
             good = f.variable(worst <= 1.0)
             limit = f.select(many & ~explicit, f.constant(_EASY, type_), 1.0)
             doubted = active & ~(worst <= limit)
@@ -314,19 +431,24 @@ class ExactHold:
                 doubted = doubted & (due | ~good.get())
                 tried.set(f.select(explicit, 1, tried.get()))  # without another Jacobian
                 with f.when(f.any_lane(doubted)):
-                    self._refine(tick, step, time, doubted, level, tried, good, rough, bent)
+                    self._refine(tick, step, time, doubted, level, driven, tried, good, rough, bent)
             taken = active & good.get()
-            moved.set(f.any_lane(taken & ~explicit))
+            moved.set(f.any_lane((taken | is_driven) & ~explicit))
             changed.set(f.any_lane(taken))
             for i in f.each(tick.size):
                 tick.x[i] = f.select(taken, step.end[i], tick.x[i])
                 slope[i] = f.select(taken & explicit, step.slope[i], slope[i])
             position.set(f.select(taken, position.get() + span, position.get()))
             tried.set(f.select(taken, 0, tried.get()))
+            # A driven step may end the driven steps: its estimate is then that of the next step.
+            undriven = step.undriven.get() * f.select(many, f.constant(1.0 / _SHARE, type_), 1.0)
+            back = taken & is_driven & (undriven <= _EASY)
+            driven.set(f.select(back, 0, driven.get()))
+            worst = f.select(back, undriven, worst)
             easy = taken & (level.get() > 0) & (worst <= _EASY)
             with f.when(f.any_lane(easy)):
-                self._coarsen(tick, worst, easy, position.get(), level, bent.get())
-        Array(self.shared.pointer, ints)[0] = level.get()
+                self._coarsen(tick, worst, easy, position.get(), level, driven.get(), bent.get())
+        rows[at.level], rows[at.driven] = level.get(), driven.get()
         with f.when(f.any_lane(bent.get()), rare=True):  # the next tick begins with a Jacobian
             flags, levels = _spilled(f, f.flags(bent.get())), self.shared.cast(INT)
             for lane, memory in self._lanes(tick):
@@ -340,27 +462,30 @@ class ExactHold:
         position: Value,
         span: Value,
         level: Value,
-        bent: Value,
-        active: Value,
+        lanes: tuple[Value, Value, Value],
         slope: Array,
         weight: Array,
         step: _Step,
-    ) -> Value:
-        """Emit one step of each lane of ``active``, as `_take_step` does, or an explicit one.
+    ) -> None:
+        """Emit one step of each lane.
 
-        ``position`` and ``span``: start and length of the step, see `_time`. Returns the condition
-        that a step is explicit.
+        ``lanes``: conditions for steps that are neither driven nor explicit, driven, and explicit.
+        ``position`` and ``span``: start and length of the step, see `_time`.
         """
-        f, lanes, at = tick.function, tick.type.lanes, Shared(tick.size)
-        norms, jacobian, tables = (
-            self.shared.shifted(place * lanes).cast(tick.type)
-            for place in (at.norm, at.jacobian, at.tables)
+        f, count, at = tick.function, tick.type.lanes, Shared(tick.size)
+        plain, driven, explicit = lanes
+        jacobian, tables = (
+            self.shared.shifted(place * count).cast(tick.type) for place in (at.jacobian, at.tables)
         )
         time, h = self._time(tick, position), step_of(f, self.tick_s, level)
-        explicit = self._explicit(f, level, norms[0], bent)
-        with f.when(f.any_lane(active & ~explicit)):
+        with f.when(f.any_lane(plain)):
             _take_step(tick, time, h, slope, weight, tables, jacobian, step)
-        with f.when(f.any_lane(active & explicit)):
+        if tick.second_rate is not None:
+            with f.when(f.any_lane(driven)):
+                other = _Step(tick)
+                _take_driven_step(tick, time, h, weight, tables, jacobian, other)
+                step.replace(tick, driven, other)
+        with f.when(f.any_lane(explicit)):
             after = self._time(tick, position + span)
             end, end_slope, error = self.dormand_prince.step(tick, time, h, after, slope)
             worst = f.variable(f.constant(0.0, tick.type))
@@ -369,7 +494,11 @@ class ExactHold:
                 step.end[i] = f.select(explicit, end[i], step.end[i])
                 worst.set(f.fma(f.absolute(error[i]), weight[i], worst.get()))
             step.worst.set(f.select(explicit, worst.get(), step.worst.get()))
-        return explicit
+
+    def _norm(self, tick: Tick) -> Value:
+        """Emit code that loads the norm of each lane's current Jacobian."""
+        place = Shared(tick.size).norm * tick.type.lanes
+        return self.shared.shifted(place).cast(tick.type)[0]
 
     def _time(self, tick: Tick, position: Value) -> Value:
         """Emit the time in s of a position within the tick, which has `_WHOLE` parts."""
@@ -385,6 +514,7 @@ class ExactHold:
         time: Value,
         doubted: Value,
         level: Variable,
+        driven: Variable,
         tried: Variable,
         good: Variable,
         rough: Variable,
@@ -399,6 +529,7 @@ class ExactHold:
         f, size, lanes, at = tick.function, tick.size, tick.type.lanes, Memory(tick.size)
         times, worsts = _spilled(f, time), _spilled(f, step.worst.get())
         levels, tries = _spilled(f, level.get()), _spilled(f, tried.get())
+        drivens = _spilled(f, driven.get())
         doubts, goods = (_spilled(f, f.flags(value)) for value in (doubted, good.get()))
         roughs, bents = (_spilled(f, f.flags(value.get())) for value in (rough, bent))
         change, rest = f.array(size * lanes), f.array(size * lanes)
@@ -420,7 +551,14 @@ class ExactHold:
                 failed = goods[lane].equals(0)
                 with f.when(again.get()):
                     goods[lane] = 0
-                with f.when(failed & ~again.get()):
+                failed = failed & ~again.get()
+                if tick.second_rate is not None:  # the steps become driven before they are halved
+                    undriven = failed & drivens[lane].equals(0)
+                    with f.when(undriven):
+                        drivens[lane] = 1
+                        levels[lane] = f.select(levels[lane] < _DRIVEN, _DRIVEN, levels[lane])
+                    failed = failed & ~undriven
+                with f.when(failed):
                     bents[lane] = 1
                     finest = levels[lane].equals(FINEST)
                     with f.when(finest):
@@ -438,6 +576,7 @@ class ExactHold:
                 self._refresh(tick, lane, memory, levels[lane], bents[lane].differs(0))
         ints = INT.of(lanes)
         level.set(levels.cast(ints)[0])
+        driven.set(drivens.cast(ints)[0])
         tried.set(tries.cast(ints)[0])
         good.set(goods.cast(ints)[0].differs(0))
         rough.set(roughs.cast(ints)[0].differs(0))
@@ -450,6 +589,7 @@ class ExactHold:
         easy: Value,
         position: Value,
         level: Variable,
+        driven: Value,
         bent: Value,
     ) -> None:
         """Emit code that lengthens the next step in each lane of ``easy``, whose error is small.
@@ -461,11 +601,13 @@ class ExactHold:
         flags, positions = _spilled(f, f.flags(easy)), _spilled(f, position)
         levels, worsts = _spilled(f, level.get()), _spilled(f, worst)
         bents = _spilled(f, f.flags(bent))
+        coarsest = _spilled(f, driven * _DRIVEN)
         for lane, memory in self._lanes(tick):
             with f.when(flags[lane].differs(0)):
                 before = levels[lane]
                 with f.forever() as loop:
-                    loop.stop_if(~((levels[lane] > 0) & (worsts[lane] <= _EASY)))
+                    more = levels[lane] > coarsest[lane]
+                    loop.stop_if(~(more & (worsts[lane] <= _EASY)))
                     twice = f.constant(2 * _WHOLE, INT) >> levels[lane]
                     loop.stop_if((positions[lane] % twice).differs(0))
                     levels[lane] = levels[lane] - 1

@@ -67,6 +67,11 @@ class Tick:
     step: Value
     """Largest step of the Runge-Kutta integrators in s."""
     report: Report = lambda lanes, step: None
+    second_rate: Rate | None = None
+    """Like ``rate``, but writes dx/dt and then d²x/dt² along a solution, twice ``size`` elements.
+
+    None if dx/dt follows from the states alone until the end of the tick.
+    """
     number: Value | None = None
     """Number of the tick, which decides which step is checked.
 

@@ -365,6 +365,19 @@ def define_derivatives(module: Module, program: Program, lanes: int, attributes:
     return f
 
 
+def define_second_derivatives(module: Module, program: Program, lanes: int) -> Function:
+    """Define the emitted function ``second_derivatives(t, x, d, u, c, out)``.
+
+    The function writes dx/dt and then d²x/dt² along a solution to ``out``. ``u`` has the open
+    inputs and then their rates. The other arguments are those of `define_derivatives`.
+    """
+    f, storage = _of_state(module, "second_derivatives", lanes, "noinline")
+    Printer(f, program, storage).emit(
+        (("out", i), node) for i, node in enumerate(program.second_derivatives)
+    )
+    return f
+
+
 def define_jacobian(module: Module, program: Program) -> Function:
     """Define the emitted function ``jacobian(t, x, d, u, c, out)``, which serves one lane.
 

@@ -157,7 +157,9 @@ class Runner:
         memory = jacobian_slots.Memory(len(layout.states))
         self._head = memory.head
         self._memory = np.empty((lanes, memory.size))
-        self._shared = np.empty(exact_hold.Shared(len(layout.states)).size * lanes)
+        shared = exact_hold.Shared(len(layout.states))
+        self._shared_head = shared.head
+        self._shared = np.empty(shared.size * lanes)
         self._tags = np.empty(len(layout.memos) * MEMO_LINES * lanes)
         self._values = np.empty(sum(layout.memos) * MEMO_LINES * lanes)
         self._status = np.zeros((lanes, 3), dtype=np.int64)
@@ -211,7 +213,7 @@ class Runner:
             self._constants(address(row), address(self._lane_c[lane]))
         self._c[:] = self._lane_c.T
         self._memory[:, : self._head] = 0.0
-        self._shared[: self.lanes] = 0.0
+        self._shared[: self._shared_head * self.lanes] = 0.0
         self._tags.fill(np.nan)
         return self
 

@@ -39,6 +39,7 @@ from .printer import (
     define_initialize,
     define_jacobian,
     define_rates,
+    define_second_derivatives,
 )
 from .reductions import define_reduce
 from .types import BOOL, BYTE, DOUBLE, INT, POINTER, Type
@@ -150,14 +151,13 @@ class _Model:
         )
         attributes = "noinline" if large else "alwaysinline"
         self.derivatives = define_derivatives(f.module, program, lanes, attributes)
-        self.evaluate = define_inputs(f.module, self.input_count) if self.input_count else None
         self.inputs = arguments.array("inputs")
         self.c = arguments.array("c", self.type)
         self.x = f.array(program.size, self.type)
         self.d = f.array(self.discrete_count, self.type)
-        self.u = f.array(self.input_count, self.type)
+        self.u = f.array(2 * self.input_count, self.type)  # the inputs, and then their rates
         self.y = f.array(self.output_count + 1, self.type)  # the last element stays zero
-        self._lane_u = f.array(self.input_count)
+        self._lane_u = f.array(2 * self.input_count)
         self.states = (
             ("snapshot_x", self.x, program.size),
             ("snapshot_d", self.d, self.discrete_count),
@@ -167,21 +167,26 @@ class _Model:
         sizes = program.size, self.discrete_count, self.input_count
         self._log = _define_log(f.module, lanes, sizes)
 
-    def inputs_of(self, lane: Operand, time: Value, u: Array) -> None:
-        """Emit code that writes the open inputs of one lane at ``time`` to ``u``."""
-        if self.evaluate is not None:
-            table = self.inputs.address(self.f.coerce(lane, INT) * len(INPUT))
-            self.f.call(self.evaluate, time, table, u.pointer)
+    def inputs_of(self, lane: Operand, time: Value, u: Array, *, rates: bool = False) -> None:
+        """Emit code that writes the open inputs of one lane at ``time`` to ``u``.
 
-    def set_inputs(self, time: Operand) -> None:
-        """Emit code that sets the open inputs of all lanes to their values at ``time``."""
-        if self.evaluate is None:
+        With ``rates`` the code writes the rates of the inputs behind the inputs.
+        """
+        if self.input_count:
+            name = "evaluate_inputs" + "_and_rates" * rates
+            make = partial(define_inputs, self.f.module, self.input_count, rates=rates)
+            table = self.inputs.address(self.f.coerce(lane, INT) * len(INPUT))
+            self.f.call(self.f.module.shared(name, make), time, table, u.pointer)
+
+    def set_inputs(self, time: Operand, *, rates: bool = False) -> None:
+        """Emit code that sets the open inputs of all lanes, as `inputs_of` does, to ``self.u``."""
+        if not self.input_count:
             return
         f, u = self.f, self._lane_u
         times = f.coerce(time, self.type)
         for lane in range(self.lanes):
-            self.inputs_of(lane, f.lane(times, lane), u)
-            for i in f.each(self.input_count):
+            self.inputs_of(lane, f.lane(times, lane), u, rates=rates)
+            for i in f.each((1 + rates) * self.input_count):
                 self.u.cast(DOUBLE)[f.coerce(i, INT) * self.lanes + lane] = u[i]
 
     def rate(self, time: Operand, x: Array, out: Array) -> None:
@@ -190,12 +195,21 @@ class _Model:
         pointers = (array.pointer for array in (x, self.d, self.u, self.c, out))
         self.f.call(self.derivatives, self.f.coerce(time, self.type), *pointers)
 
+    def second_rate(self, time: Operand, x: Array, out: Array) -> None:
+        """Emit code that writes dx/dt and then d²x/dt² to ``out``, with the inputs at ``time``."""
+        self.set_inputs(time, rates=True)
+        make = partial(define_second_derivatives, self.f.module, self.program, self.lanes)
+        function = self.f.module.shared("second_derivatives", make)
+        pointers = (array.pointer for array in (x, self.d, self.u, self.c, out))
+        self.f.call(function, self.f.coerce(time, self.type), *pointers)
+
     def tick(self, number: Value, start: Value, end: Value, step: Value, running: Value) -> Tick:
         """Return the `Tick` from which an integrator emits the tick ``number`` of this model."""
         report = partial(self._report, number)
         x, size = self.x, self.program.size
         tick = Tick(self.f, size, self.type, start, end, x, running, self.rate, step, report)
-        return replace(tick, number=number)
+        second_rate = self.second_rate if self.program.second_derivatives else None
+        return replace(tick, number=number, second_rate=second_rate)
 
     def _report(self, number: Value, lanes: Value, step: Sequence[Array]) -> None:
         """Emit the log of the tick ``number``, with the inputs at the end of the tick."""

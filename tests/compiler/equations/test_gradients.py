@@ -1,10 +1,10 @@
-"""Derivatives of nodes against differences."""
+"""Derivatives of nodes by states and by the time, against differences."""
 
 import math
 
 import pytest
 
-from kneexo.compiler.equations.gradients import TIME, gradients
+from kneexo.compiler.equations.gradients import TIME, gradients, time_derivatives
 from kneexo.compiler.equations.graph import Graph
 from kneexo.compiler.equations.operations import UNARY
 
@@ -69,3 +69,23 @@ def test_the_time_has_a_derivative_of_its_own(interpreted):
     assert set(with_time) == {0, TIME}
     values = interpreted(graph, [with_time[0], with_time[TIME]], state=[3.0], time=[0.5])
     assert values == pytest.approx([math.sin(0.5), 3.0 * math.cos(0.5)])
+
+
+def test_time_derivative_follows_all_sources_that_change(interpreted):
+    graph = Graph()
+    t, x, y, p = (
+        graph.source(*kind) for kind in (("time",), ("state",), ("state", 1), ("parameter",))
+    )
+    root = graph.add(graph.multiply(p, graph.unary("sin", t), x), graph.divide(x, y))
+    still = graph.multiply(p, graph.unary("floor", t))
+    rates = {t: graph.one, x: graph.multiply(x, y), y: graph.constant(-0.3)}
+    derivative, of_still = time_derivatives(graph, [root, still], rates)
+    assert of_still == graph.zero
+
+    def at(dt):
+        sources = {"time": [0.7 + dt], "state": [1.3 + 1.3 * 0.4 * dt, 0.4 - 0.3 * dt]}
+        return sources | {"parameter": [2.5]}
+
+    (exact,) = interpreted(graph, [derivative], **at(0.0))
+    ends = [interpreted(graph, [root], **at(dt))[0] for dt in (1e-6, -1e-6)]
+    assert exact == pytest.approx((ends[0] - ends[1]) / 2e-6, rel=1e-8)

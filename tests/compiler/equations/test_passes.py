@@ -427,6 +427,34 @@ def test_jacobian_is_that_of_complex_steps(interpreted, random_graphs, data, see
         )
 
 
+@short_property_test
+@given(data=st.data(), seed=seeds)
+def test_second_derivatives_are_those_of_complex_time(interpreted, random_graphs, data, seed):
+    kinds = ("add", "multiply", "sin", "cos", "tanh", "sinh", "exp", "sin", "cos")
+    sizes = {"time": 1, "parameter": 2, "state": 3, "discrete": 1, "input": 2}
+    graph, roots = data.draw(
+        random_graphs.graphs(kinds, nodes=15, roots=3, constants=(0.5, -1.0, 2.0), sizes=sizes)
+    )
+    program = Program(equations_of(graph, [], sizes, derivatives=roots))
+    if not program.second_derivatives:
+        assert not any(graph.depends[node] & {"time", "input"} for node in roots)
+        return
+    rng = np.random.default_rng(seed)
+    values = {kind: rng.uniform(-1.0, 1.0, size) for kind, size in sizes.items()}
+    input_rates = rng.uniform(-1.0, 1.0, 2)
+    given_values = values | {"input": np.append(values["input"], input_rates)}
+    nodes = program.graph.reachable(program.second_derivatives)
+    parts = np.abs(interpreted(program.graph, nodes, **given_values)).max()
+    if parts < 1e100:
+        results = interpreted(program.graph, program.second_derivatives, **given_values)
+        rates = interpreted(graph, roots, **values)
+        changes = {"time": 1.0, "state": np.array(rates), "input": input_rates}
+        later = {kind: values[kind] + 1e-100j * change for kind, change in changes.items()}
+        second = np.imag(interpreted(graph, roots, **values | later)) / 1e-100
+        expected = [*rates, *second]
+        np.testing.assert_allclose(results, expected, rtol=1e-12, atol=1e-12 * max(parts, 1.0))
+
+
 # ------------------------------------------------------------------------------------ memos
 
 

@@ -1,14 +1,16 @@
 """Tables of the exact hold against the matrix exponential."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.integrate
 import scipy.linalg
 import scipy.special
-from pydrake.symbolic import Variable, sin, tanh
+from pydrake.symbolic import Variable, sin, sqrt, tanh
 from pydrake.systems.primitives import LinearSystem, SymbolicVectorSystem
 
-from kneexo.compiler import State, compile_diagram
+from kneexo.compiler import InputTable, State, compile_diagram
 from kneexo.compiler.native import exact_hold, phi_functions
 from kneexo.compiler.native.exact_hold import ExactHold, Shared
 from kneexo.compiler.native.integrators import Tick
@@ -35,7 +37,15 @@ def without_explicit_steps():
         return make_rigid_body()
 
 
-def make_rigid_body():
+@pytest.fixture(scope="module")
+def driven():
+    """`without_explicit_steps`, whose steps are driven once a step has missed the tolerance."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(exact_hold, "_EXPLICIT", phi_functions.FINEST + 1)
+        return make_rigid_body(second_rate=True)
+
+
+def make_rigid_body(second_rate=False):
     """``run(start, tick_s, matrices, tolerance)``: state at the end, and how many rates it took.
 
     There is a tick for each of the matrices; they take the place of the Jacobian at the start of a
@@ -54,6 +64,12 @@ def make_rigid_body():
         out[1] = -x[0] * x[2]
         out[2] = -SQUARED_MODULUS * x[0] * x[1]
 
+    def second(_time, x, out):
+        rate(_time, x, out)
+        out[3] = out[1] * x[2] + x[1] * out[2]
+        out[4] = -out[0] * x[2] - x[0] * out[2]
+        out[5] = -SQUARED_MODULUS * (out[0] * x[1] + x[0] * out[1])
+
     def choose(_tick, _lane, own, _time):
         zero = f.constant(0.0)
         by_columns = [
@@ -68,6 +84,8 @@ def make_rigid_body():
 
     running = f.constant(1, BOOL)
     tick = Tick(f, 3, DOUBLE, f.constant(0.0), tick_s, x, running, rate, tick_s)
+    if second_rate:
+        tick = replace(tick, second_rate=second)
     hold = ExactHold(tick_s, tolerance, memory, shared, choose)
     hold.prepare(tick)
     Array(f.arguments["failed"], INT)[0] = f.flags(hold.advance(tick))
@@ -98,15 +116,20 @@ def turned(time_s):
 
 
 @pytest.mark.parametrize(
-    ("matrix", "order"),
-    [(np.zeros((3, 3)), 3), (SOME_MATRIX, 3), (None, 4)],
-    ids=["no matrix", "some matrix", "Jacobian"],
+    ("body", "matrix", "order"),
+    [
+        pytest.param("without_explicit_steps", np.zeros((3, 3)), 3, id="no matrix"),
+        pytest.param("without_explicit_steps", SOME_MATRIX, 3, id="some matrix"),
+        pytest.param("without_explicit_steps", None, 4, id="Jacobian"),
+        pytest.param("driven", np.zeros((3, 3)), 4, id="driven, no matrix"),
+        pytest.param("driven", SOME_MATRIX, 4, id="driven, some matrix"),
+    ],
 )
-def test_order(without_explicit_steps, matrix, order):
+def test_order(request, body, matrix, order):
     """All steps miss such a tolerance, so they are the finest."""
-    errors = []
+    run, errors = request.getfixturevalue(body), []
     for ticks in (1, 2):
-        end, _ = without_explicit_steps(turned(0.0), 40.0 / ticks, [matrix] * ticks, 1e-18)
+        end, _ = run(turned(0.0), 40.0 / ticks, [matrix] * ticks, 1e-18)
         errors.append(np.abs(end - turned(40.0)).max())
     assert np.log2(errors[0] / errors[1]) == pytest.approx(order, abs=0.1)
 
@@ -225,3 +248,68 @@ def test_lanes_and_pieces_have_the_bits_of_a_run_alone_through_friction(friction
             np.testing.assert_array_equal(x[:, 0], run["y0"][tick])
             runner.run(x, d, tick, np.array([tick + 1]), [friction.no_inputs])
         np.testing.assert_array_equal(x[:, 0], run["y0"][ticks])
+
+
+SPRING_RAD_S, PULL_RAD_S, DAMPING_PER_S = 2000.0, 0.5, 400.0
+RESPONSE = SPRING_RAD_S**2 / (SPRING_RAD_S**2 - PULL_RAD_S**2 + 1j * DAMPING_PER_S * PULL_RAD_S)
+
+
+def make_pulled(pull, inputs=()):
+    """A mass at x on a stiff damped spring, whose other end is at ``pull``: 318 Hz."""
+    x, v, t, u = (Variable(name) for name in "xvtu")
+    rates = [v, SPRING_RAD_S**2 * (pull(t, u) - x) - DAMPING_PER_S * v]
+    system = SymbolicVectorSystem(
+        time=t, state=[x, v], input=[u] * len(inputs), dynamics=rates, output=[x, v]
+    )
+    return compile_diagram(system, inputs=inputs)
+
+
+def pulled(times):
+    """The steady motion x and v, (times, 2), of a mass whose pull is sin(PULL_RAD_S t)."""
+    turning = RESPONSE * np.exp(1j * PULL_RAD_S * np.atleast_1d(times))
+    return np.column_stack([turning.imag, (1j * PULL_RAD_S * turning).imag])
+
+
+def taylor(start_s, width_s):
+    """Powers of the time since ``start_s`` of the sine, up to rounding within ``width_s``."""
+    shifts = PULL_RAD_S * start_s + 0.5 * np.pi * np.arange(8)
+    assert (PULL_RAD_S * width_s) ** 8 < 1e-16 * scipy.special.factorial(8)
+    return np.sin(shifts) * PULL_RAD_S ** np.arange(8) / scipy.special.factorial(np.arange(8))
+
+
+WIDTH_S = 0.0123  # not a multiple of half a tick, so that some breaks lie within steps
+BREAKS_S = WIDTH_S * np.arange(0, 20)
+TABLE = InputTable(BREAKS_S, [[taylor(b, WIDTH_S)] for b in (0.0, *BREAKS_S)])
+
+
+@pytest.mark.parametrize("source", ["time", "table"])
+def test_a_pulled_stiff_spring_is_exact_in_two_steps_a_tick(source):
+    """Steps that are not driven need 4 to 16 in a tick, as the estimate demands."""
+    if source == "time":
+        model = make_pulled(lambda t, u: sin(PULL_RAD_S * t))
+        table = model.no_inputs
+    else:
+        model, table = make_pulled(lambda t, u: u, ["u0"]), TABLE
+    runner = Runner(model.code, record_period_s=0.002).restart(model.parameters()[None])
+    x, d, levels = pulled(0.0).T.copy(), np.zeros((0, 1)), []
+    for tick in range(100):
+        runner.run(x, d, tick, np.array([tick + 1]), [table])
+        levels.append(int(runner._shared.view(np.int64)[Shared(2).level]))
+        (exact,) = pulled(0.002 * (tick + 1))
+        assert (np.abs(x[:, 0] - exact) / (1.0 + np.abs(exact))).max() <= 1e-9
+    assert max(levels) == 1
+
+
+def test_a_root_at_zero_whose_second_derivative_is_not_finite():
+    x, v, y, t = (Variable(name) for name in "xvyt")
+    pull = SPRING_RAD_S**2 * (sin(PULL_RAD_S * t) - x) - DAMPING_PER_S * v
+    system = SymbolicVectorSystem(
+        time=t, state=[x, v, y], dynamics=[v, pull, sqrt(y)], output=[x, v, y]
+    )
+    model = compile_diagram(system)
+    runner = Runner(model.code, record_period_s=0.002).restart(model.parameters()[None])
+    state = np.append(pulled(0.0), 0.0)[:, None]
+    runner.run(state, np.zeros((0, 1)), 0, np.array([5]), [model.no_inputs])
+    np.testing.assert_allclose(state[:2, 0], pulled(0.01)[0], rtol=0, atol=1e-9)
+    assert state[2, 0] == 0.0
+    assert runner._shared.view(np.int64)[Shared(3).level] == 1  # as without the root
