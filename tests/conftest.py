@@ -371,6 +371,7 @@ class _Browser:
         os.close(to_chromium)
         os.close(from_chromium)
         self._received, self._count, self._session = b"", 0, None
+        self._loaded = False
         self.console = []
         """Lines that tell of a fault: level or exception, and text."""
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
@@ -413,6 +414,18 @@ class _Browser:
             self.console.append(f"log: {told['entry']['text']}")
         elif event == "Network.requestWillBeSent":
             self.requests.append(told["request"]["url"])
+        elif event == "Page.loadEventFired":
+            self._loaded = True
+
+    def load(self, method="Page.navigate", **parameters):
+        """Load a document by a command of the protocol, and wait until it is complete.
+
+        The state of a document would not tell, because the document before is complete too.
+        """
+        self._loaded = False
+        self.call(method, **parameters)
+        while not self._loaded:
+            self._next()
 
     def open(self, path, width=800, height=600, phone=False):
         """Load a file in a window of that size in CSS pixels; ``phone``: as a phone would."""
@@ -420,8 +433,7 @@ class _Browser:
         scale = 2 if phone else 1
         size = {"width": width, "height": height, "deviceScaleFactor": scale, "mobile": phone}
         self.call("Emulation.setDeviceMetricsOverride", **size)
-        self.call("Page.navigate", url=path.resolve().as_uri())
-        self.wait_for("document.readyState === 'complete'")
+        self.load(url=path.resolve().as_uri())
 
     def evaluate(self, script):
         """The value of an expression in the page; promises are awaited."""

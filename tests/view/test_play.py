@@ -90,9 +90,12 @@ NOTEBOOKS = {
 
 @contextmanager
 def frame_in(browser):
-    """The calls of the browser reach the frame of the page, which has a process of its own."""
+    """The calls of the browser reach the frame of the page, which has a process of its own.
+
+    The frame of the page before may still be there.
+    """
     frames = []
-    while not frames:
+    while len(frames) != 1:
         targets = browser.call("Target.getTargets")["targetInfos"]
         frames = [target["targetId"] for target in targets if target["type"] == "iframe"]
     outer = browser._session

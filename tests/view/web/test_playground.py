@@ -407,8 +407,7 @@ def test_a_link_carries_the_values(browser, single, tmp_path):
     fragment = page.evaluate("Setups.linkOf(Page.data, Page.state)")
     assert fragment == f"a.controller=pid&a.{GEAR}=3.5&kneexo={__version__}"
     for url in ("about:blank", f"{single.resolve().as_uri()}#{fragment}"):
-        browser.call("Page.navigate", url=url)
-        browser.wait_for("document.readyState === 'complete'")
+        browser.load(url=url)
     page.wait()
     state = page.evaluate("JSON.parse(JSON.stringify(Page.state.setups[0]))")
     assert (state["controller"], state["values"]) == ("pid", {GEAR: 3.5})
@@ -417,7 +416,7 @@ def test_a_link_carries_the_values(browser, single, tmp_path):
 
 def test_the_address_follows_the_values_and_undo_and_reload_restore_them(browser, single):
     page = _Page(browser, single)
-    gear = f"document.getElementById('q-{GEAR}-value')?.value"  # none while a page loads
+    gear = f"document.getElementById('q-{GEAR}-value').value"
 
     def arrive(value, step):
         browser.wait_for(f"{gear} === '{value}' && history.state?.step === {step}")
@@ -435,11 +434,9 @@ def test_the_address_follows_the_values_and_undo_and_reload_restore_them(browser
         browser.call("Input.dispatchKeyEvent", type=kind, **keys)
     arrive(4.5, 2)
     assert page.evaluate("document.getElementById('redo').disabled")
-    page.evaluate("window.isOld = true")  # so that nothing below asks the page before the reload
-    browser.call("Page.reload")
-    browser.wait_for("!window.isOld && document.readyState === 'complete'")
-    browser.wait_for("document.getElementById('undo')?.disabled === false")
+    browser.load("Page.reload")
     arrive(4.5, 2)
+    assert not page.evaluate("document.getElementById('undo').disabled")
     page.evaluate("history.go(-2)")
     browser.wait_for(f"{gear} === '6' && location.hash === ''")
     assert page.evaluate("document.getElementById('undo').disabled")
@@ -449,8 +446,7 @@ def test_the_address_follows_the_values_and_undo_and_reload_restore_them(browser
 def test_a_link_of_another_version_is_said_and_its_values_kept_where_they_fit(browser, single):
     fragment = f"a.{GEAR}=3.5&a.plant.gone=1&a.{FREQUENCY}=1000&kneexo=0.0.1"
     for url in ("about:blank", f"{single.resolve().as_uri()}#{fragment}"):
-        browser.call("Page.navigate", url=url)
-        browser.wait_for("document.readyState === 'complete'")
+        browser.load(url=url)
     browser.wait_for("Page.results[0].fresh", 120.0)
     words = f"The link is of kneexo 0.0.1, and this page of {__version__}. 2 values of the link do"
     assert browser.evaluate("document.getElementById('notice').textContent").startswith(words)
@@ -681,8 +677,8 @@ def test_the_keyboard_reaches_and_moves_the_sliders(browser, single):
     press("Tab", windowsVirtualKeyCode=9, modifiers=8)
     assert page.evaluate("document.activeElement.id") == f"q-{FREQUENCY}"
     press("ArrowRight", windowsVirtualKeyCode=39)
+    browser.wait_for(f"document.getElementById('q-{FREQUENCY}').value === '{int(before) + 1}'")
     page.wait()
-    assert int(page.evaluate(f"document.getElementById('q-{FREQUENCY}').value")) == int(before) + 1
     assert FREQUENCY in page.evaluate("Page.state.setups[0].values")
     assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
 
