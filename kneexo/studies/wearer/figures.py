@@ -71,8 +71,7 @@ def _torque(result: WearerResult) -> Figure:
         "What torque does the leg feel? Above: angle of the leg and of the exoskeleton. The "
         "difference is the deflection of the cuff. Below: torque with which the leg must push "
         "the exoskeleton, positive in flexion. The desired torque is zero. A free leg would push "
-        "with 0 N·m. With higher gains the torque oscillates when the load changes from one "
-        "chamber to the other."
+        "with 0 N·m."
     )
     titles = f"walking, {cadence:g} strides/s", f"standing up and sitting down, {rise:g} s each"
     for column, title in zip(axes.T, titles, strict=True):
@@ -118,9 +117,10 @@ def _cadence(result: WearerResult) -> Figure:
     )
     figure.set_label(
         "How does the torque depend on the speed of the motion? Root mean square of the torque "
-        "with which the leg must push the exoskeleton, without desired torque. The torque that "
-        "remains with a motor without limits is due to control, oil and valves. The dotted line "
-        "is the largest mean magnitude of the torque of miniHydrA, an electro-hydraulic ankle."
+        "with which the leg must push the exoskeleton, without desired torque. The bars of the "
+        "motor without limits show the torque that the limits of the motor do not cause. The "
+        "dotted line is the largest mean magnitude of the torque of miniHydrA, an "
+        "electro-hydraulic ankle."
     )
     for ax, walking in zip(axes, (True, False), strict=True):
         rows = [row for row in result.transparency if np.isfinite(row.cadence_hz) == walking]
