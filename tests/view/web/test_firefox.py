@@ -1,0 +1,130 @@
+"""The page to play with in Firefox: the same numbers as in Chromium, by real keys and clicks."""
+
+import json
+import shutil
+import socket
+import subprocess
+import time
+
+import pytest
+
+from kneexo.analysis import track
+from kneexo.parameters import Scenario
+from kneexo.parameters.scenario_file import load_scenario
+from kneexo.view.playground import playground_page
+
+pytestmark = pytest.mark.slow
+
+FIREFOX = shutil.which("firefox-esr") or shutil.which("firefox")
+
+
+class _Firefox:
+    """Firefox without a window, by its protocol Marionette: texts of JSON behind their length."""
+
+    def __init__(self, profile):
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
+        profile.mkdir()
+        (profile / "user.js").write_text(f'user_pref("marionette.port", {port});\n', "utf-8")
+        command = [FIREFOX, "--headless", "--marionette", "--no-remote", "--profile", str(profile)]
+        pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        self._process = subprocess.Popen(command, **pipes)
+        self._socket, self._received, self._count = None, b"", 0
+        end = time.monotonic() + 60.0
+        while self._socket is None:
+            assert self._process.poll() is None, "Firefox has ended"
+            assert time.monotonic() < end, "Firefox does not listen"
+            try:
+                self._socket = socket.create_connection(("127.0.0.1", port), timeout=120.0)
+            except OSError:
+                time.sleep(0.2)
+        self._next()  # the greeting
+        self.call("WebDriver:NewSession")
+
+    def _next(self):
+        while b":" not in self._received:
+            self._receive()
+        length, _, self._received = self._received.partition(b":")
+        while len(self._received) < int(length):
+            self._receive()
+        text, self._received = self._received[: int(length)], self._received[int(length) :]
+        return json.loads(text)
+
+    def _receive(self):
+        piece = self._socket.recv(1 << 16)
+        assert piece, "Firefox has ended"
+        self._received += piece
+
+    def call(self, command, **parameters):
+        """The result of a command of the protocol."""
+        self._count += 1
+        text = json.dumps([0, self._count, command, parameters])
+        self._socket.sendall(f"{len(text.encode())}:{text}".encode())
+        _, _, error, result = self._next()
+        assert error is None, error
+        return result
+
+    def evaluate(self, expression):
+        """The value of an expression, which sees the document and nothing of the page's scripts."""
+        return self.call("WebDriver:ExecuteScript", script=f"return {expression}", args=[])["value"]
+
+    def wait_for(self, condition):
+        """Wait until an expression in the page is true."""
+        end = time.monotonic() + 60.0
+        while not self.evaluate(condition):
+            assert time.monotonic() < end, f"never true: {condition}"
+            time.sleep(0.1)
+
+    def find(self, selector):
+        """The element of a selector."""
+        result = self.call("WebDriver:FindElement", using="css selector", value=selector)
+        return next(iter(result["value"].values()))
+
+    def close(self):
+        self.call("Marionette:Quit", flags=["eForceQuit"])
+        self._process.wait(60.0)
+        self._socket.close()
+
+
+@pytest.fixture(scope="module")
+def firefox(tmp_path_factory):
+    if FIREFOX is None:
+        pytest.skip("needs the browser firefox-esr")
+    firefox = _Firefox(tmp_path_factory.mktemp("firefox") / "profile")
+    yield firefox
+    firefox.close()
+
+
+LAMBDA = "q-controller.lambda_per_s"
+READY = """[...document.querySelectorAll(".card:not([hidden])")].length === 7
+  && ![...document.querySelectorAll(".word")].some((word) => word.textContent === "computing")"""
+ERROR = "document.querySelector('[data-number=error] .number').textContent"
+
+
+def test_a_key_on_a_slider_gives_the_numbers_of_kneexo(firefox, tmp_path):
+    page = tmp_path / "page.html"
+    page.write_text(playground_page([Scenario()], ["paper"]), encoding="utf-8")
+    firefox.call("WebDriver:SetWindowRect", width=1440, height=900)
+    firefox.call("WebDriver:Navigate", url=page.as_uri())
+    firefox.wait_for(READY)
+    before = firefox.evaluate(ERROR)
+    slider = firefox.find(f"[id='{LAMBDA}']")
+    firefox.call("WebDriver:ElementSendKeys", id=slider, text=5 * "\ue012")  # to the left
+    firefox.wait_for(f"{ERROR} !== '{before}' && {READY}")
+    firefox.call("WebDriver:ElementClick", id=firefox.find("#copy-yaml"))
+    file = tmp_path / "page.yaml"
+    file.write_text(firefox.evaluate("document.getElementById('text-area').value"), "utf-8")
+    firefox.call("WebDriver:ElementClick", id=firefox.find("#text-dialog .primary"))
+    scenario = load_scenario(file)
+    assert scenario.controller.lambda_per_s < Scenario().controller.lambda_per_s
+    error_deg = track(scenario).metrics.max_error_deg
+    firefox.wait_for(f"Math.abs({ERROR} - {error_deg}) <= 6e-3 * {error_deg}")
+    assert firefox.evaluate("document.getElementById('notice').hidden")
+    assert firefox.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    firefox.call("WebDriver:ElementClick", id=firefox.find("#compare"))
+    names = "[...document.querySelectorAll('.stage-leg .name')].map((e) => e.textContent)"
+    firefox.wait_for(f"{names}.join() === 'A: sliding mode,B: PID'")
+    firefox.wait_for(
+        "document.querySelectorAll('[data-number=error] .value:not([hidden])').length === 2"
+    )
