@@ -31,10 +31,11 @@ def picture(browser: typing.Any, folder: Path) -> Image.Image:
     browser.open(page, width=WIDTH, height=HEIGHT)
     text = "document.querySelector('#numbers').textContent"
     browser.wait_for(f"/Phase margin\\s*[0-9.]+\\s*deg/.test({text})", 60.0)
+    play = "document.querySelector('#stage .play').textContent"
+    browser.wait_for(f"{play}.includes('Pause')")  # the whole run may come after the margins
     browser.evaluate(
         f"""(async () => {{
-          const play = document.querySelector("#stage .play");
-          if (play.textContent.includes("Pause")) play.click();
+          document.querySelector("#stage .play").click();
           const slider = document.querySelector("#stage .stage-bar input[type=range]");
           slider.value = {MOMENT_S};
           slider.dispatchEvent(new Event("input", {{ bubbles: true }}));

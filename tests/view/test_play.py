@@ -124,7 +124,7 @@ def test_the_page_runs_in_the_cell_of_a_notebook(notebook, cell, browser, tmp_pa
     browser.open(outer, width=1000, height=950)
     numbers = "document.querySelector('#numbers')?.innerText"
     with frame_in(browser):
-        browser.wait_for(rf"/Largest error\s+[\d.]+/i.test({numbers})", 60.0)
+        browser.wait_for(rf"/Largest error\s+[\d.]+\s+deg\s+follows/i.test({numbers})", 60.0)
         shown = browser.evaluate(numbers)
     (error_deg,) = re.findall(r"(?i)largest error\s+([\d.]+)", shown)
     expected = kx.track(kx.Scenario()).metrics.max_error_deg

@@ -221,6 +221,24 @@ def test_keys_play_and_move_the_time(stage):
 
 
 @pytest.mark.slow
+def test_a_slow_stage_rests_and_a_quick_one_does_not(stage):
+    browser = stage([G1], [a_run()])
+    clock = "document.querySelector('.stage-bar output').textContent"
+    browser.evaluate("stage.pause(), stage.seek(1), null")
+    browser.wait_for(f"{clock} === '1.00 of 4.0 s'")
+    rest = "stage._frame_ms = %g, stage.rest(%g), stage.time = %g, stage.setName(0, 'x'), null"
+    browser.evaluate(rest % (50, 3000, 1.5))
+    browser.evaluate("new Promise(requestAnimationFrame).then(() => 0)")
+    assert browser.evaluate(clock) == "1.00 of 4.0 s"
+    browser.wait_for(f"{clock} === '1.50 of 4.0 s'")
+    browser.evaluate(rest % (5, 1e6, 2))
+    browser.wait_for(f"{clock} === '2.00 of 4.0 s'")
+    browser.evaluate(rest % (50, 1e6, 3))
+    browser.evaluate("stage.seek(2.5), null")  # an action of the user
+    browser.wait_for(f"{clock} === '2.50 of 4.0 s'")
+
+
+@pytest.mark.slow
 def test_a_drag_turns_the_legs_and_the_wheel_scrolls_the_page(stage):
     browser = stage([G1], [a_run()], (800, 400))
 

@@ -5,6 +5,8 @@ const Page = (() => {
   const { element } = Curves;
   const SWEEP_HZ = Array.from({ length: 17 }, (_, i) => Number((0.05 * 10 ** (i / 7)).toPrecision(3)));
   const REST_MS = 350; // margins and sweep start, and the address changes, after the values have not changed for this time
+  const LONGEST_RUN_MS = 1000; // a slow stage stands still for so long after a change, or until the run is drawn
+  const STAGE_REST_MS = 120; // and for so long after the run, because a slider that moves changes the values again
   const PAPER_PX = 680; // width of the curves on A4 and letter
   const ANNOUNCE_MS = 1500;
   const data = prepared(JSON.parse(document.getElementById("playground").textContent));
@@ -30,9 +32,10 @@ const Page = (() => {
     const fault = Setups.faultOf(data, setup);
     complain(fault && `${state.compare ? `Set-up ${"AB"[index]}: ` : ""}${fault}`);
     if (fault || !shownSetups().includes(index)) return;
-    const request = requestOf(setup);
+    const request = { ...requestOf(setup), view_s: parts.plots.range };
     parts.latest[index] = request;
     results[index].fresh = false;
+    parts.stage.rest(LONGEST_RUN_MS);
     parts.runs.request(index, request);
     if (Setups.hasWearer(data, setup)) {
       parts.analyses.request(index, null);
@@ -51,10 +54,17 @@ const Page = (() => {
       return;
     }
     const setup = state.setups[index];
+    const { sample_time_s } = data.modules[Setups.modelOf(data, setup).loop.module].table;
+    const end_s = answer.time.at(-1) ?? 0;
     results[index] = {
-      ...results[index], hasWearer: Setups.hasWearer(data, setup), margins: data.margins, band_deg: data.recovery_band_deg, fresh: parts.latest[index] === request, run: { ...answer, duration_s: request.duration_s, reference: request.reference, step_s: request.values["reference.time_s"] },
+      ...results[index], hasWearer: Setups.hasWearer(data, setup), margins: data.margins, band_deg: data.recovery_band_deg,
+      fresh: !answer.unfinished && parts.latest[index] === request,
+      run: {
+        ...answer, duration_s: request.duration_s, reference: request.reference, step_s: request.values["reference.time_s"],
+        part_s: answer.unfinished && request.duration_s - end_s > sample_time_s ? end_s : null,
+      },
       frequency: request.reference === "sine" ? request.values["reference.frequency_hz"] : null,
-      sample_time_s: data.modules[Setups.modelOf(data, setup).loop.module].table.sample_time_s,
+      sample_time_s,
       reference_key: JSON.stringify([request.reference, Object.entries(request.values).filter(([name]) => name.startsWith("reference."))]),
     };
     draw();
@@ -102,10 +112,12 @@ const Page = (() => {
       if (runs.some((run, index) => parts.drawn?.[index] !== run) || parts.drawn?.length !== runs.length) {
         parts.plots.show(runs, parts.pinned?.run);
         runs.forEach((run, index) => showOnStage(index, run));
+        parts.stage.rest(runs.some((run) => run.unfinished) ? LONGEST_RUN_MS : STAGE_REST_MS);
         parts.drawn = runs;
       }
       parts.board.show(visible, parts.pinned);
       byId("pin").disabled = !parts.pinned && !isComplete(visible[0]);
+      byId("save-csv").disabled = byId("save-png").disabled = runs.some((run) => run.unfinished);
       tellEnds();
       announce(visible);
     }
@@ -147,7 +159,9 @@ const Page = (() => {
     parts.plots.measure(typed.map((time, k) => time ?? parts.plots.cursors[k]));
   }
 
-  function showOnStage(index, { time, columns }) {
+  /** Show a run on the stage. The first part of a run has no place there, because its end would stop the time. */
+  function showOnStage(index, { time, columns, unfinished }) {
+    if (unfinished) return;
     const { angle, reference, pressure, wearer, torque } = columns;
     parts.stage.setRun(index, { time, angle, reference, pressure, ...(torque && { wearer, torque }) });
     parts.stage.setName(index, nameOf(index));
@@ -278,9 +292,9 @@ const Page = (() => {
 
   // --------------------------------------------------------------------- link and YAML
 
-  /** Save a text as a file of the user. */
-  function save(name, text) {
-    const url = URL.createObjectURL(new Blob([text]));
+  /** Save a text or a picture as a file of the user. */
+  function save(name, content) {
+    const url = URL.createObjectURL(new Blob([content]));
     element("a", { href: url, download: name }).click();
     setTimeout(() => URL.revokeObjectURL(url), 1000);
   }
@@ -308,7 +322,13 @@ const Page = (() => {
   /** Save the shown run of the set-up whose sliders are shown. */
   function saveCsv() {
     const { run } = results[parts.panel.index];
-    if (run) save("signals.csv", Curves.csvOf(run));
+    save("signals.csv", Curves.csvOf(run));
+  }
+
+  /** Save the curves as a picture, below the meaning of their lines. */
+  function savePng() {
+    const items = [...byId("key").children].map((item) => [item.textContent, getComputedStyle(item).color]);
+    parts.plots.picture(items).toBlob((blob) => save("curves.png", blob));
   }
 
   function showYaml() {
@@ -368,6 +388,7 @@ const Page = (() => {
 
   function onPrint(printing) {
     if (printing) fillValues();
+    document.documentElement.classList.toggle("printing", printing); // with the colours of light screens
     parts.plots.resize(printing ? PAPER_PX : 0);
     parts.bode.resize(printing ? PAPER_PX / 2 : 0);
   }
@@ -384,6 +405,7 @@ const Page = (() => {
   function listen() {
     const on = (id, action, event = "click") => byId(id).addEventListener(event, action);
     on("compare", () => {
+      if (!state.compare) Setups.follow(data, state);
       setCompare(!state.compare);
       parts.trail.note(Setups.linkOf(data, state));
     });
@@ -398,6 +420,7 @@ const Page = (() => {
     on("copy-link", showLink);
     on("copy-yaml", showYaml);
     on("save-csv", saveCsv);
+    on("save-png", savePng);
     on("save-text", () => save(byId("save-text").dataset.file, byId("text-area").value));
     on("print", () => print());
     on("zoom-in", () => parts.plots.zoomBy(0.5));
@@ -410,10 +433,12 @@ const Page = (() => {
     on("choose-plot", choosePlot, "change");
     addEventListener("beforeprint", () => onPrint(true));
     addEventListener("afterprint", () => onPrint(false));
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => onPrint(false)); // draws the curves anew
     addEventListener("popstate", restore); // also after a link to another fragment
   }
 
   function start() {
+    if (typeof WebAssembly === "undefined") throw new Error("It has no WebAssembly.");
     document.body.classList.toggle("framed", self !== top);
     byId("copy-link").hidden = location.protocol === "about:"; // inside a notebook
     byId("scenario-name").textContent = data.scenarios.map(({ name }) => name).join(", ");
@@ -450,7 +475,7 @@ const Page = (() => {
     return Object.fromEntries(data.scenarios.flatMap(({ models }) => models.map((model) => [model.key, model])));
   }
 
-  return { data, parts, results, start, state };
+  return { data, draw, parts, results, start, state };
 })();
 
 try {
@@ -459,5 +484,6 @@ try {
   const notice = document.getElementById("notice");
   notice.textContent = `This browser cannot run the simulation. ${error.message}`;
   notice.hidden = false;
+  for (const part of document.querySelectorAll("main, header .actions")) part.hidden = true;
   throw error;
 }

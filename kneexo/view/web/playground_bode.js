@@ -2,7 +2,8 @@
 "use strict";
 
 const Bode = (() => {
-  const { COLOURS, LIMIT, MINUS_3_DB, axis, element, fixed } = Curves;
+  const { MINUS_3_DB, axis, colour, element, fixed, painted } = Curves;
+  const NAMES = ["a", "b"]; // of the colours
   const SATURATED = 0.01; // share of the time from which a point counts as limited by the motor
   const PLOTS = [
     { name: "gain", title: "Gain of the fundamental (dB)", height: 160 },
@@ -34,7 +35,7 @@ const Bode = (() => {
 
     options(plot) {
       const line = (index) => ({
-        stroke: COLOURS[index], width: 1.75, dash: index ? [8, 3] : undefined, spanGaps: true,
+        stroke: painted(NAMES[index]), width: 1.75, dash: index ? [8, 3] : undefined, spanGaps: true,
         points: { show: false },
       });
       const range = plot.name === "gain"
@@ -62,7 +63,7 @@ const Bode = (() => {
       ctx.setLineDash([]);
       ctx.lineWidth = 1.75 * devicePixelRatio;
       this.points.forEach((points, index) => {
-        ctx.strokeStyle = COLOURS[index];
+        ctx.strokeStyle = colour(NAMES[index]);
         for (const point of points) this.mark(chart, ctx, plot, index, point);
       });
     }
@@ -77,7 +78,7 @@ const Bode = (() => {
       const size = (index ? 3.5 : 5) * devicePixelRatio; // A stays visible behind B
       if (index === 0) ctx.arc(x, y, size, 0, 2 * Math.PI);
       else ctx.rect(x - size, y - size, 2 * size, 2 * size);
-      ctx.fillStyle = point.saturated_share > SATURATED ? COLOURS[index] : "#fff";
+      ctx.fillStyle = colour(point.saturated_share > SATURATED ? NAMES[index] : "ground");
       ctx.fill();
       ctx.stroke();
     }
@@ -89,7 +90,7 @@ const Bode = (() => {
       ctx.font = `${12 * devicePixelRatio}px system-ui, sans-serif`;
       if (plot.name === "gain") this.level(chart, ctx, bbox);
       this.minus3db.forEach((hz, index) => {
-        if (hz) this.vertical(chart, ctx, bbox, hz, COLOURS[index], [2, 3]);
+        if (hz) this.vertical(chart, ctx, bbox, hz, colour(NAMES[index]), [2, 3]);
       });
       this.marks(chart, ctx, plot);
       ctx.restore();
@@ -97,20 +98,20 @@ const Bode = (() => {
 
     level(chart, ctx, bbox) {
       const y = chart.valToPos(MINUS_3_DB, "y", true);
-      ctx.strokeStyle = LIMIT;
+      ctx.strokeStyle = colour("limit");
       ctx.setLineDash([6 * devicePixelRatio, 4 * devicePixelRatio]);
       ctx.beginPath();
       ctx.moveTo(bbox.left, y);
       ctx.lineTo(bbox.left + bbox.width, y);
       ctx.stroke();
-      ctx.fillStyle = "#374151";
+      ctx.fillStyle = colour("soft");
       ctx.textAlign = "right";
       ctx.fillText("−3 dB", bbox.left + bbox.width - 4 * devicePixelRatio, y - 5 * devicePixelRatio);
     }
 
-    vertical(chart, ctx, bbox, hz, colour, dash) {
+    vertical(chart, ctx, bbox, hz, stroke, dash) {
       const x = chart.valToPos(hz, "x", true);
-      ctx.strokeStyle = colour;
+      ctx.strokeStyle = stroke;
       ctx.setLineDash(dash.map((length) => length * devicePixelRatio));
       ctx.beginPath();
       ctx.moveTo(x, bbox.top);
@@ -118,10 +119,12 @@ const Bode = (() => {
       ctx.stroke();
     }
 
-    clear(index, frequencies) {
+    clear(index, frequencies = this.frequencies) {
+      const isEmpty = !this.points[index].length && this.minus3db[index] === null;
+      if (isEmpty && this.frequencies === frequencies) return;
       this.points[index] = [];
       this.minus3db[index] = null;
-      if (frequencies) this.frequencies = frequencies;
+      this.frequencies = frequencies;
       this.draw();
     }
 

@@ -2,13 +2,6 @@
 "use strict";
 
 const Curves = (() => {
-  const COLOURS = ["#0062a8", "#b8480a"];
-  const PINNED = "#7a4fa3";
-  const REFERENCE = "#1f2328";
-  const WEARER = "#00563f"; // as the arrow of the stage
-  const LIMIT = "#6b7280";
-  const AXIS = "#4b5563";
-  const GRID = "#e5e7eb";
   const FONT = "12px system-ui, sans-serif";
   const DEG = 180 / Math.PI;
   const RPM = 30 / Math.PI;
@@ -23,6 +16,12 @@ const Curves = (() => {
     { name: "pressure", title: "Load pressure", unit: "bar", factor: 1e-5, height: 100 },
   ];
 
+  /** The present colour of that name in the style sheet. On paper it is that of light screens. */
+  const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
+
+  /** The same as a function, which uPlot calls for each picture. */
+  const painted = (name) => () => colour(name);
+
   function element(tag, attributes = {}, text = "") {
     const made = document.createElement(tag);
     for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
@@ -32,21 +31,33 @@ const Curves = (() => {
 
   function axis(more) {
     return {
-      stroke: AXIS, font: FONT, size: 58, grid: { stroke: GRID, width: 1 },
-      ticks: { stroke: GRID, width: 1 }, ...more,
+      stroke: painted("soft"), font: FONT, size: 58, grid: { stroke: painted("grid"), width: 1 },
+      ticks: { stroke: painted("grid"), width: 1 }, ...more,
     };
   }
 
   /** A column at the times of the longer run. The column is null where its run has no sample. */
   function onTime(run, column, time, factor) {
-    const values = new Array(time.length).fill(null);
     const same = run.time.length < 2 || Math.abs(run.time[1] - time[1]) < 1e-12;
+    const whole = same && run.time.length === time.length && multiplied(column, factor);
+    if (whole) return whole;
+    const values = new Array(time.length).fill(null);
     const end = run.time[run.time.length - 1];
     let at = 0;
     for (let i = 0; i < time.length && time[i] <= end + 1e-9; ++i) {
       if (same) at = i;
       else while (at + 1 < run.time.length && run.time[at + 1] <= time[i] + 1e-12) ++at;
       if (Number.isFinite(column[at])) values[i] = factor * column[at];
+    }
+    return values;
+  }
+
+  /** A column times a factor, or null if an element is not finite. */
+  function multiplied(column, factor) {
+    const values = new Float64Array(column.length);
+    for (let i = 0; i < values.length; ++i) {
+      if (!Number.isFinite(column[i])) return null;
+      values[i] = factor * column[i];
     }
     return values;
   }
@@ -107,16 +118,17 @@ const Curves = (() => {
 
     /** Series in the order of the columns: time, A, B, the extra lines of A and of B, the pinned run. */
     series(plot) {
-      const main = COLOURS.map((stroke) => ({ stroke, width: 1.75 }));
-      const extra = COLOURS.flatMap((colour, index) => {
+      const main = ["a", "b"].map((name) => ({ stroke: painted(name), width: 1.75 }));
+      const extra = [0, 1].flatMap((index) => {
+        const stroke = (name) => painted(index ? "b" : name);
         if (plot.extra === "reference") {
-          const wearer = { stroke: index ? colour : WEARER, width: 1.25, dash: [10, 3, 2, 3] };
-          return [{ stroke: index ? colour : REFERENCE, width: 1.25, dash: index ? [2, 4] : [6, 4] }, wearer];
+          const wearer = { stroke: stroke("wearer"), width: 1.25, dash: [10, 3, 2, 3] };
+          return [{ stroke: stroke("ink"), width: 1.25, dash: index ? [2, 4] : [6, 4] }, wearer];
         }
-        const limit = { stroke: index ? colour : LIMIT, width: 1, dash: index ? [2, 6] : [2, 3] };
+        const limit = { stroke: stroke("limit"), width: 1, dash: index ? [2, 6] : [2, 3] };
         return plot.extra === "limit" ? [limit, limit] : [];
       });
-      const pinned = { stroke: PINNED, width: 1.25, dash: [5, 4] };
+      const pinned = { stroke: painted("pinned"), width: 1.25, dash: [5, 4] };
       return [{}, ...[...main, ...extra, pinned].map((line) => ({ ...line, points: { show: false } }))];
     }
 
@@ -142,7 +154,7 @@ const Curves = (() => {
 
     /**
      * Show one or two runs, and perhaps a pinned one. The zoom stays the same if duration and kinds of
-     * reference stay the same.
+     * reference stay the same, unless the first part of a run has set the zoom.
      */
     show(runs, pinned = null) {
       const longest = runs.reduce((a, b) => (b.time.length > a.time.length ? b : a));
@@ -150,17 +162,21 @@ const Curves = (() => {
       const end = Math.max(...runs.map((run) => run.duration_s));
       const kind = runs.map((run) => run.reference).join(" ");
       const again = this.end === end && this.kind === kind && this.range !== null;
-      Object.assign(this, { runs, pinned, end, kind, showing: true });
+      const unfinished = runs.some((run) => run.unfinished);
+      const keeps = again && (unfinished || !this.isFirst);
+      Object.assign(this, { runs, pinned, end, kind, showing: true, isFirst: unfinished && (!again || this.isFirst) });
+      const empty = new Array(time.length).fill(null);
       for (const plot of this.plots) {
         plot.figure.hidden = !runs.some((run) => run.columns[plot.name]);
-        plot.data = this.columns(plot, time);
+        plot.data = this.columns(plot, time, empty);
+        plot.data.forEach((column, index) => { plot.chart.series[index].show = column !== empty; }); // saves time
         plot.chart.setData(plot.data, false);
         plot.chart.series[1].width = runs.length > 1 ? 3.5 : 1.75; // A stays visible behind B
         describe(plot, runs);
       }
       this.showing = false;
-      this.zoom(again ? this.range : eventOf(runs) ?? [0, end]);
-      if (this.cursors) this.measure(again ? this.cursors : this.quarters());
+      this.zoom(keeps ? this.range : eventOf(runs) ?? [0, end]);
+      if (this.cursors) this.measure(keeps ? this.cursors : this.quarters());
     }
 
     /** Measure between two times in s, or no longer if `times` is null. */
@@ -185,8 +201,8 @@ const Curves = (() => {
       return Math.abs(time - first) <= Math.abs(time - second) ? [time, second] : [first, time];
     }
 
-    columns(plot, time) {
-      const empty = new Array(time.length).fill(null);
+    /** The columns of the series of a plot at the times: `empty` for a series that the runs do not have. */
+    columns(plot, time, empty) {
       const column = (run, name, factor) =>
         (run?.columns[name] ? onTime(run, run.columns[name], time, factor) : empty);
       const [a, b] = this.runs;
@@ -276,6 +292,37 @@ const Curves = (() => {
       }
     }
 
+    /** A canvas with all shown plots and their titles, below a line of words in colours. */
+    picture(words) {
+      const shown = this.plots.filter(({ box }) => box.checkVisibility());
+      const scale = devicePixelRatio;
+      const line = 24 * scale;
+      const width = shown[0].chart.ctx.canvas.width;
+      const height = shown.reduce((sum, { chart }) => sum + line + chart.ctx.canvas.height, line);
+      const canvas = Object.assign(element("canvas"), { width, height });
+      const ctx = canvas.getContext("2d");
+      ctx.fillStyle = colour("ground");
+      ctx.fillRect(0, 0, width, height);
+      let x = 8 * scale;
+      const write = (text, style, weight, y) => {
+        ctx.font = `${weight} ${13 * scale}px system-ui, sans-serif`;
+        ctx.fillStyle = style;
+        ctx.fillText(text, x, y);
+      };
+      for (const [text, style] of words) {
+        write(text, style, 400, 0.7 * line);
+        x += ctx.measureText(text).width + 16 * scale;
+      }
+      x = 8 * scale;
+      let y = line;
+      for (const { chart, title, unit } of shown) {
+        write(`${title} (${unit})`, colour("ink"), 600, y + 0.7 * line);
+        ctx.drawImage(chart.ctx.canvas, 0, y + line);
+        y += line + chart.ctx.canvas.height;
+      }
+      return canvas;
+    }
+
     /** Fit the plots to the width, or to `paper` px. A phone shows one plot at a time, with its time axis. */
     resize(paper = 0) {
       const width = paper || Math.floor(this.parent.clientWidth);
@@ -317,7 +364,7 @@ const Curves = (() => {
     const x = chart.valToPos(time, "x", true);
     if (x < bbox.left - 1 || x > bbox.left + bbox.width + 1) return;
     ctx.save();
-    ctx.strokeStyle = ctx.fillStyle = REFERENCE;
+    ctx.strokeStyle = ctx.fillStyle = colour("ink");
     ctx.setLineDash([]);
     ctx.textAlign = "left";
     ctx.lineWidth = devicePixelRatio;
@@ -357,5 +404,5 @@ const Curves = (() => {
     plot.box.setAttribute("aria-label", `${plot.title} over time: ${parts.join("; ")}`);
   }
 
-  return { AXIS, COLOURS, FONT, GRID, LIMIT, MINUS_3_DB, PLOTS, RunPlots, axis, csvOf, element, fixed, onTime };
+  return { MINUS_3_DB, PLOTS, RunPlots, axis, colour, csvOf, element, fixed, onTime, painted };
 })();

@@ -71,6 +71,11 @@ const Numbers = (() => {
     return [`of the wearer, ${time}`, "plain"];
   }
 
+  /** Which part of a run a number of an unfinished run belongs to. */
+  function ofPart({ part_s: part, duration_s: duration }) {
+    return [part === null ? "computing" : `first ${shown(part, 2)} s of ${shown(duration)} s`, "plain"];
+  }
+
   function ofPressure(run) {
     const peak = run.metrics.peak_pressure_pa;
     const rating = run.limits.pressure_rating_pa;
@@ -86,7 +91,8 @@ const Numbers = (() => {
   }
 
   // If a row has `wearer`, it is only for set-ups with a wearer (true) or without a wearer (false).
-  // If a row has `when`, it is only for results for which this function is true.
+  // If a row has `when`, it is only for results for which this function is true. A row of an `analysis`
+  // does not have its number from the run.
   const ROWS = [
     { name: "rms-torque", label: "Torque, rms", unit: "N·m", wearer: true,
       value: ({ run }) => shown(run.metrics.rms_torque_n_m), word: ({ run }) => ofPeriods(run) },
@@ -116,16 +122,16 @@ const Numbers = (() => {
       value: ({ run }) => shown(run.metrics.push.recovery_time_s), word: ofRecovery },
     { name: "saturated", label: "Time at the limit", unit: "%",
       value: ({ run }) => shown(100 * shareOf(run)), word: ({ run }) => ofShare(shareOf(run)) },
-    { name: "bandwidth", wearer: false, label: "Bandwidth", unit: "Hz",
+    { name: "bandwidth", analysis: true, wearer: false, label: "Bandwidth", unit: "Hz",
       value: ({ sweep }) => (sweep && Number.isFinite(sweep.minus_3_db_hz) ? shown(sweep.minus_3_db_hz) : "–"),
       word: ({ sweep, frequency }) => ofBandwidth(sweep, frequency) },
-    { name: "phase", wearer: false, label: "Phase margin", unit: "deg",
+    { name: "phase", analysis: true, wearer: false, label: "Phase margin", unit: "deg",
       value: ({ linear }) => margin(linear, "phase_margin_deg", 1),
       word: ({ linear, margins }) => ofMargin(linear, linear?.phase_margin_deg, margins.phase_deg) },
-    { name: "gain", wearer: false, label: "Gain margin", unit: "",
+    { name: "gain", analysis: true, wearer: false, label: "Gain margin", unit: "",
       value: ({ linear }) => margin(linear, "gain_margin", 1),
       word: ({ linear, margins }) => ofMargin(linear, linear?.gain_margin, margins.gain) },
-    { name: "delay", wearer: false, label: "Delay margin", unit: "ms",
+    { name: "delay", analysis: true, wearer: false, label: "Delay margin", unit: "ms",
       value: ({ linear }) => margin(linear, "delay_margin_s", 1e3),
       word: ({ linear, margins, sample_time_s: sample }) => ofMargin(linear, linear?.delay_margin_s,
         margins.delay_samples.map((count) => count * sample), (value) => `${Math.floor(value / sample)} samples`) },
@@ -158,23 +164,27 @@ const Numbers = (() => {
 
     /**
      * Show the results of the set-ups: objects with run, linear, sweep, frequency, sample_time_s.
-     * A pinned result is a line with its number, and with the difference of A from it.
+     * A pinned result is a line with its number, and with the difference of A from it. While a run is
+     * unfinished, the same cards stay.
      */
     show(results, pinned = null) {
+      const unfinished = results.some(({ run }) => run.unfinished) && this.cells.some(({ card }) => !card.hidden);
       for (const { card, row, values, pinned: line } of this.cells) {
         const has = (result) => Boolean(result?.run) && (row.wearer ?? result.hasWearer) === result.hasWearer
           && (row.when?.(result) ?? true);
-        card.hidden = !results.some(has);
+        if (!unfinished) card.hidden = !results.some(has);
         line.hidden = !has(pinned);
         if (has(pinned)) line.textContent = `pinned ${row.value(pinned)}${has(results[0]) ? changeFrom(row, pinned, results[0]) : ""}`;
         values.forEach(({ line, word }, index) => {
           const result = results[index];
-          line.hidden = word.hidden = !has(result);
-          if (!has(result)) return;
-          const [text, kind] = row.word(result);
+          if (!unfinished || !result) line.hidden = word.hidden = !has(result);
+          if (line.hidden) return;
+          const isPart = Boolean(result.run.unfinished) && !row.analysis;
+          const [text, kind] = isPart ? ofPart(result.run) : row.word(result);
           const name = results.length > 1 ? element("span", { class: "name" }, "AB"[index]) : "";
-          line.replaceChildren(name, element("span", { class: "number" }, row.value(result)),
+          line.replaceChildren(name, element("span", { class: "number" }, has(result) ? row.value(result) : "–"),
             element("span", { class: "unit" }, row.unit));
+          line.classList.toggle("part", isPart);
           word.textContent = text;
           word.dataset.kind = kind;
         });

@@ -2,7 +2,7 @@
 "use strict";
 
 const Runner = (() => {
-  /** A worker with the simulator. It answers a request with one message, or a sweep with several. */
+  /** A worker with the simulator. It answers a request with one message, a sweep and a long run with several. */
   class Crew {
     constructor(source, models) {
       this.worker = new Worker(source);
@@ -16,8 +16,8 @@ const Runner = (() => {
     hear(answer) {
       const request = this.waiting.get(answer.id);
       if (!request) return;
-      if (answer.point) {
-        request.onPoint(answer.point);
+      if (answer.point || answer.unfinished) {
+        request.onPart(answer);
         return;
       }
       this.waiting.delete(answer.id);
@@ -30,37 +30,47 @@ const Runner = (() => {
       for (const request of requests) request.onAnswer({ error: message || "the simulator stopped" });
     }
 
-    ask(message, onAnswer, onPoint = () => {}) {
+    ask(message, onAnswer, onPart = () => {}) {
       const id = ++this.count;
-      this.waiting.set(id, { onAnswer, onPoint });
+      this.waiting.set(id, { onAnswer, onPart });
       this.worker.postMessage({ id, ...message });
       return id;
     }
 
-    forget(id) { this.waiting.delete(id); }
+    /** End all work of these kinds for a set-up, and forget the requests. */
+    cancel(setup, kinds, ids) {
+      for (const id of ids) this.waiting.delete(id);
+      this.worker.postMessage({ id: ++this.count, kind: "cancel", setup, kinds });
+    }
   }
 
-  /** Runs of A and B. While a run is under way, only the newest request waits. */
+  /**
+   * Runs of A and B. A newer request replaces the older one, but only after the older one has shown
+   * something. So the curves follow a slider that never rests.
+   */
   class Runs {
     constructor(crew, onRun) {
-      Object.assign(this, { crew, onRun, busy: [false, false], next: [null, null] });
+      Object.assign(this, { crew, onRun, present: [null, null], next: [null, null], isHeard: [true, true] });
     }
 
     request(index, message) {
       this.next[index] = message;
-      if (!this.busy[index]) this.send(index);
+      if (this.isHeard[index]) this.send(index);
     }
 
     send(index) {
       const message = this.next[index];
       if (!message) return;
       this.next[index] = null;
-      this.busy[index] = true;
-      this.crew.ask({ kind: "run", setup: index, ...message }, (answer) => {
-        this.busy[index] = false;
+      this.present[index] = message;
+      this.isHeard[index] = false;
+      const hear = (answer) => {
+        if (this.present[index] !== message) return; // replaced
+        this.isHeard[index] = true;
         this.onRun(index, answer, message);
         this.send(index);
-      });
+      };
+      this.crew.ask({ kind: "run", setup: index, ...message }, hear, hear);
     }
   }
 
@@ -73,7 +83,7 @@ const Runner = (() => {
     /** Request margins and sweep of a set-up. If `messages` is null, the set-up has neither. */
     request(index, messages) {
       clearTimeout(this.timers[index]);
-      for (const id of this.ids[index]) this.crew.forget(id);
+      if (this.ids[index].length) this.crew.cancel(index, ["linear", "sweep"], this.ids[index]);
       this.ids[index] = [];
       this.handlers.onStart(index);
       if (messages) this.timers[index] = setTimeout(() => this.send(index, messages), this.rest_ms);
@@ -83,7 +93,7 @@ const Runner = (() => {
     send(index, { linear, sweep, frequencies }) {
       const { onLinear, onPoint, onSweep, onEnd } = this.handlers;
       const ask = (message, onAnswer) => {
-        this.ids[index].push(this.crew.ask(message, onAnswer, (point) => onPoint(index, point)));
+        this.ids[index].push(this.crew.ask(message, onAnswer, ({ point }) => onPoint(index, point)));
       };
       ask({ kind: "linear", setup: index, ...linear }, (answer) => onLinear(index, answer));
       ask({ kind: "sweep", setup: index, ...sweep, frequencies: [] }, (answer) => {

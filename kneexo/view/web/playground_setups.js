@@ -226,6 +226,20 @@ const Setups = (() => {
     }
   }
 
+  /**
+   * Give set-up B the values of A, and a controller that A does not have. Only if B is as the page opens,
+   * with the scenario of A: a user who compares controllers compares them in the same task.
+   */
+  function follow(data, state) {
+    const [a, b] = state.setups;
+    const isUntouched = JSON.stringify(b) === JSON.stringify(fresh(data, 1));
+    if (!isUntouched || a.scenario !== b.scenario) return;
+    const next = copied(a);
+    const others = choices(data, next, "controller").filter((controller) => controller !== a.controller);
+    if (others.length) choose(data, next, "controller", others.includes(b.controller) ? b.controller : others[0]);
+    state.setups[1] = next;
+  }
+
   // ------------------------------------------------------------------------------- YAML
 
   function yamlNumber(value) {
@@ -279,7 +293,7 @@ const Setups = (() => {
 
   return {
     CONTROLLER_NAMES, LOAD_NAMES, REFERENCE_NAMES, choices, choose, clamped, copied, defaultOf,
-    display, faultOf, fresh, hasWearer, linkOf, modelOf, parsed, quantitiesOf, references, remarkOf, setValue, shown, stateOf,
+    display, faultOf, follow, fresh, hasWearer, linkOf, modelOf, parsed, quantitiesOf, references, remarkOf, setValue, shown, stateOf,
     valueOf, valuesOf, yamlOf,
   };
 })();

@@ -4,7 +4,11 @@
 "use strict";
 
 const Simulator = (() => {
-  const CHUNK = 20000; // ticks between two pauses: about 30 ms
+  const PIECE_MS = 8; // time between two pauses, in which a worker hears of newer values
+  const PIECE_TICKS = [100, 20000]; // fewest and most ticks of a piece
+  const FIRST_PART_MS = 16; // time after which the page gets the first part of a run
+  const NEXT_PART_MS = 200;
+  const SOON_MS = 24; // a run that ends within this time needs no part before
   const STATUS = {
     1: "an input is not finite or out of its range",
     2: "the motion diverges: a value is no longer finite",
@@ -100,21 +104,44 @@ const Simulator = (() => {
       return this.view(this.wasm.states(), states.length + discrete.length);
     }
 
-    // Start and step through all rows. Return the number of rows before a failure. ``pause`` may throw.
-    // ``changes`` maps ticks to the parameters that are valid from then on.
+    // Start and step through all rows. Return the number of rows before a failure. ``pause`` gets the
+    // number of ticks until then, and may throw. ``changes`` maps ticks to the parameters that are
+    // valid from then on. The memory before the first change is kept for `goOn`.
     async run(pause, changes = new Map()) {
+      this.kept = null;
       if (this.wasm.start()) return 0;
       const stops = [...changes.keys(), this.ticks].sort((a, b) => a - b);
       let tick = 0;
-      while (tick < this.ticks) {
-        if (changes.has(tick)) this.view(this.wasm.params(), changes.get(tick).length).set(changes.get(tick));
-        const piece = Math.min(CHUNK, stops.find((stop) => stop > tick) - tick);
-        const good = this.wasm.advance(tick, piece);
-        tick += good;
-        if (good < piece) break;
-        if (tick < this.ticks) await pause();
+      for (const [index, stop] of stops.entries()) {
+        tick = await this.advance(tick, stop, pause);
+        if (tick < stop || !changes.has(stop)) break;
+        if (index === 0) this.kept = { tick, memory: this.wasm.memory.buffer.slice(0) };
+        this.view(this.wasm.params(), changes.get(stop).length).set(changes.get(stop));
       }
       return tick + 1;
+    }
+
+    // Go on from the first change of the last run, as if there were no change.
+    async goOn(pause) {
+      const { tick, memory } = this.kept;
+      new Uint8Array(this.wasm.memory.buffer).set(new Uint8Array(memory));
+      return await this.advance(tick, this.ticks, pause) + 1;
+    }
+
+    // Step from a tick to another one, in pieces of about `PIECE_MS`. Return the tick before a failure.
+    async advance(tick, stop, pause) {
+      let piece = PIECE_TICKS[0];
+      while (tick < stop) {
+        const start = performance.now();
+        const count = Math.min(piece, stop - tick);
+        const good = this.wasm.advance(tick, count);
+        tick += good;
+        if (good < count) break;
+        const wanted = (count * PIECE_MS) / Math.max(performance.now() - start, 0.1);
+        piece = Math.round(Math.min(Math.max(wanted, PIECE_TICKS[0]), PIECE_TICKS[1]));
+        if (tick < this.ticks) await pause(tick);
+      }
+      return tick;
     }
 
     // Why a run ended early, or null.
@@ -288,21 +315,41 @@ const Simulator = (() => {
 
   const periodOf = (model) => sources.get(model.loop.module).table.sample_time_s;
 
-  // Run a closed loop and return its instance, the reference and the number of good rows.
-  async function simulate({ model, reference, values, duration_s, setup = 0 }, pause, purpose) {
+  const lastInputs = new Map(); // by purpose: the reference of the last run, its columns and the inputs
+
+  // The columns of a reference and the inputs of a loop: those of the last run if they are the same.
+  async function inputsOf({ model, reference, values }, ticks, period_s, pause, purpose) {
+    const source = model.references[reference];
+    if (!source) throw new Error(`reference ${reference} is not in this model`);
+    const names = Object.keys(values).filter((name) => name.startsWith("reference."));
+    const key = JSON.stringify([reference, ticks, ...names.map((name) => [name, values[name]])]);
+    const last = lastInputs.get(purpose);
+    if (last?.key === key && last.model === model) return last;
+    const columns = await referenceColumns(source, values, ticks, period_s, pause, purpose);
+    const inputs = model.wearer ? intervalColumns(source, columns, ticks, period_s) : [...columns];
+    if (model.moment) inputs.push(sampledColumns(model.moment, ticks, period_s)[0]);
+    lastInputs.set(purpose, { model, key, columns, inputs });
+    return { columns, inputs };
+  }
+
+  // Prepare a run of a closed loop. Return its instance, the reference, and the changes by a push.
+  async function prepare(request, pause, purpose) {
+    const { model, values, duration_s, setup = 0 } = request;
     const { module } = model.loop;
     const instance = instanceOf(module, `${purpose} ${setup}`);
     const ticks = Math.max(1, Math.floor(duration_s / instance.table.sample_time_s + 1e-6));
-    const source = model.references[reference];
-    if (!source) throw new Error(`reference ${reference} is not in this model`);
     const period_s = instance.table.sample_time_s;
-    const columns = await referenceColumns(source, values, ticks, period_s, pause, `${purpose} ${setup}`);
+    const { columns, inputs } = await inputsOf(request, ticks, period_s, pause, `${purpose} ${setup}`);
     const all = { ...values, start_angle_rad: columns[0][0], start_rate_rad_s: columns[1][0] };
     instance.prepare(parametersOf(model.loop, all), ticks);
-    const inputs = model.wearer ? intervalColumns(source, columns, ticks, period_s) : columns;
-    if (model.moment) inputs.push(sampledColumns(model.moment, ticks, period_s)[0]);
     inputs.forEach((column, index) => instance.input(index).set(column));
-    const rows = await instance.run(pause, pushOf(model, all, period_s));
+    return { instance, columns, changes: pushOf(model, all, period_s) };
+  }
+
+  // Run a closed loop and return its instance, the reference and the number of good rows.
+  async function simulate(request, pause, purpose) {
+    const { instance, columns, changes } = await prepare(request, pause, purpose);
+    const rows = await instance.run(pause, changes);
     return { instance, columns, rows, end: instance.endAt(rows) };
   }
 
@@ -316,20 +363,62 @@ const Simulator = (() => {
   }
 
   // The answer to a request of kind "run": columns over time, metrics, and an early end with its reason.
-  async function run(request, pause) {
-    const { reference } = request;
+  // ``send`` receives the parts of a long run, each from the start. The first part comes when the run
+  // has passed the end of the time in view, or after a short time.
+  async function run(request, pause, send) {
+    const { reference, duration_s } = request;
     const model = modelOf(request);
     const values = valuesOf(model, reference, request.values);
-    const runWith = (all) => simulate({ ...request, model, values: all }, pause, "run");
-    const free = values[PUSH[0]] ? await runWith({ ...values, [PUSH[0]]: 0 }) : null;
-    const freeAngle = free && !free.end ? free.instance.output("knee_angle_rad", free.rows) : null;
-    const { instance, columns, rows, end } = await runWith(values);
+    const { instance, columns, changes } = await prepare({ ...request, model, values }, pause, "run");
     const limits = limitsOf(model, values);
-    const signals = signalsOf(instance, columns[0].slice(0, rows), limits.command_limit_rad_s);
-    const { time, shaft, hydraulic, chambers, rate, ...shown } = signals;
-    const metrics = rows > 1 ? metricsOf(model, reference, values, limits, signals) : {};
-    if (freeAngle && !end) metrics.push = pushMetrics(signals, freeAngle, values[PUSH[1]], request.band_deg);
-    return { time, columns: shown, metrics, limits, end };
+    const answerOf = (rows, end = null) => {
+      const signals = signalsOf(instance, columns[0].slice(0, rows), limits.command_limit_rad_s);
+      const { time, shaft, hydraulic, chambers, rate, ...shown } = signals;
+      const metrics = rows > 1 ? metricsOf(model, reference, values, limits, signals) : {};
+      return { time, columns: shown, metrics, limits, end };
+    };
+    const isDue = partsOf(instance, request.view_s ?? [0, duration_s]);
+    const rows = await instance.run(async (tick) => {
+      await pause();
+      if (isDue(tick)) send({ unfinished: true, ...answerOf(tick + 1) });
+    }, changes);
+    const answer = answerOf(rows, instance.endAt(rows));
+    if (!instance.kept || answer.end) return answer;
+    const free = await freeAngle(request, instance, pause, () => send({ unfinished: true, ...answerOf(rows) }));
+    if (free) answer.metrics.push = pushMetrics({ time: answer.time, angle: answer.columns.angle }, free, values[PUSH[1]], request.band_deg);
+    return answer;
+  }
+
+  // Return a function that tells whether a part of a run that begins now is due at a tick.
+  function partsOf({ ticks, table: { sample_time_s: period_s } }, [low, high]) {
+    const start = performance.now();
+    let due = FIRST_PART_MS;
+    let seen = false; // the end of the time in view
+    return (tick) => {
+      const passed = performance.now() - start;
+      const isSeen = tick * period_s >= high;
+      if (tick * period_s <= low || (passed * (ticks - tick)) / tick < SOON_MS) return false;
+      if (passed < due && (seen || !isSeen)) return false;
+      seen = isSeen;
+      due = passed + NEXT_PART_MS;
+      return true;
+    };
+  }
+
+  const freeRuns = new Map(); // by set-up: the model and values of the last run without its push, and its angle
+
+  // The angle of the last run of an instance as if there were no push, or null if that run ends early.
+  // A change of the push alone does not change it. ``wait`` is called before a computation.
+  async function freeAngle({ setup = 0, ...request }, instance, pause, wait) {
+    const values = Object.entries(request.values).filter(([name]) => !PUSH.includes(name));
+    const key = JSON.stringify([request.reference, request.duration_s, values]);
+    const known = freeRuns.get(setup);
+    if (known?.key === key && known.instance === instance && known.model === modelOf(request)) return known.angle;
+    wait();
+    const rows = await instance.goOn(pause);
+    const angle = instance.endAt(rows) ? null : instance.output("knee_angle_rad", rows);
+    freeRuns.set(setup, { key, instance, model: modelOf(request), angle });
+    return angle;
   }
 
   // The signals of a run over time: the curves of a page, and those that only metrics need.
@@ -355,9 +444,18 @@ const Simulator = (() => {
 
   // ------------------------------------------------------------------------------- metrics
 
-  const largest = (values) => values.reduce((most, value) => Math.max(most, Math.abs(value)), 0);
+  // Loops, because a function for each of 15,000 elements would take milliseconds.
+  function largest(values) {
+    let most = 0;
+    for (let k = 0; k < values.length; k++) most = Math.max(most, Math.abs(values[k]));
+    return most;
+  }
 
-  const mean = (values, term) => values.reduce((sum, value) => sum + term(value), 0) / values.length;
+  function mean(values, term) {
+    let sum = 0;
+    for (let k = 0; k < values.length; k++) sum += term(values[k]);
+    return sum / values.length;
+  }
 
   const share = (values, holds) => mean(values, (value) => (holds(value) ? 1 : 0));
 
@@ -588,5 +686,5 @@ const Simulator = (() => {
     };
   }
 
-  return { load, modelOf, periodOf, instanceOf, parametersOf, limitsOf, valuesOf, rangeOf, simulate, run, radians };
+  return { load, modelOf, periodOf, instanceOf, parametersOf, limitsOf, valuesOf, rangeOf, partsOf, simulate, run, radians };
 })();

@@ -8,6 +8,7 @@ const Stage = (() => {
   const HOME = { azimuth: 0.42, elevation: 0.12, zoom: 1 };
   const SIDE = { azimuth: 0, elevation: 0, zoom: 1 };
   const LONGEST_FRAME_MS = 45;
+  const QUICK_FRAME_MS = 8; // such frames delay nothing
   const SMALL_PIXELS = 120_000; // a picture of this size is quick to draw
   const LEAST_SHARPNESS = 0.5;
   const MANY_LEGS = 3;
@@ -29,6 +30,8 @@ const Stage = (() => {
       this.loop = true;
       this.playing = false;
       this._sharpness = 1;
+      this._frame_ms = 0; // time that the last frame took
+      this._restUntil = 0;
       this._hasPlayed = !playing;
       this._removed = new AbortController();
       this._build(trace);
@@ -74,33 +77,41 @@ const Stage = (() => {
       this._hasPlayed = true;
       this.playing = true;
       this._last = null;
-      this._update();
+      this._updateNow();
     }
 
     pause() {
       this.playing = false;
-      this._update();
+      this._updateNow();
     }
 
     seek(time) {
       this.time = clamp(time, 0, this.duration);
-      this._update();
+      this._updateNow();
+    }
+
+    /**
+     * Draw nothing for a time in ms, if frames are so slow that other work on the page would wait. An
+     * action of the user on the stage ends the rest.
+     */
+    rest(duration_ms) {
+      if (this._frame_ms > QUICK_FRAME_MS) this._restUntil = performance.now() + duration_ms;
     }
 
     turn(azimuth, elevation) {
       this.orbit.azimuth += azimuth;
       this.orbit.elevation = clamp(this.orbit.elevation + elevation, -0.5, 1.4);
-      this._update();
+      this._updateNow();
     }
 
     enlarge(factor) {
       this.orbit.zoom = clamp(this.orbit.zoom * factor, 0.5, 8);
-      this._update();
+      this._updateNow();
     }
 
     resetView() {
       this.orbit = { ...HOME };
-      this._update();
+      this._updateNow();
     }
 
     /** Leave the page, and give the WebGL context back. */
@@ -127,7 +138,9 @@ const Stage = (() => {
 
     /** Write the legend. Its arrow has the scale of the present runs. */
     _explain() {
-      this._quarterTurn = StageArrow.scaleOf(this.legs);
+      const quarterTurn = StageArrow.scaleOf(this.legs);
+      if (quarterTurn === this._quarterTurn) return;
+      this._quarterTurn = quarterTurn;
       const legend = StageElements.legend(this.legs, this._quarterTurn);
       if (this._legend) this._legend.replaceWith(legend);
       else this.element.append(legend);
@@ -136,12 +149,19 @@ const Stage = (() => {
 
     /** Draw in three dimensions, or from the side if the browser has no WebGL. */
     _choose(flat) {
-      this._drawing = (flat ? null : StageSolid.of(this.legs)) ?? new StageFlat(this.legs);
+      this._drawing = flat ? new StageFlat(this.legs) : StageSolid.of(this.legs) ?? this._flatInstead();
       this._drawing.renderer?.domElement.addEventListener("webglcontextlost", () => {
         if (this._removed.signal.aborted) return;
-        this._drawing = new StageFlat(this.legs);
+        this._drawing = this._flatInstead();
         this._update();
       });
+    }
+
+    /** The drawing from the side, with a line that says why. */
+    _flatInstead() {
+      const textContent = "This browser has no WebGL, so the view shows the leg from the side only.";
+      this.element.append(StageElements.make("p", { className: "stage-note", textContent }));
+      return new StageFlat(this.legs);
     }
 
     _listen() {
@@ -168,18 +188,31 @@ const Stage = (() => {
       window.addEventListener("afterprint", () => this._trace?.resize(), { signal });
     }
 
-    /** Draw at the next frame of the browser. */
+    /** Draw at the next frame of the browser after the rest. */
     _update() {
       this._request ??= requestAnimationFrame((now) => this._frame(now));
     }
 
+    _updateNow() {
+      this._restUntil = 0;
+      this._update();
+    }
+
     _frame(now) {
-      this._request = null;
       if (this._removed.signal.aborted) return;
+      this._request = null;
+      const rest = this._restUntil - performance.now();
+      if (rest > 0) {
+        clearTimeout(this._wake);
+        this._wake = setTimeout(() => this._update(), rest);
+        return;
+      }
       if (this.playing) this._advance(now);
       const start = performance.now();
       this._draw(false);
-      this._adapt(performance.now() - start);
+      this._frame_ms = performance.now() - start;
+      this._adapt(this._frame_ms);
+      if (this.playing) this.rest(this._frame_ms); // half of the time is for the rest of the page
       if (this._announcedTime !== this.time) {
         this._announcedTime = this.time;
         this.element.dispatchEvent(new CustomEvent("stagetime", { detail: this.time }));

@@ -1,4 +1,4 @@
-// Answers the requests of a page: load, run, linear and sweep. See Simulator, LinearLoop and
+// Answers the requests of a page: load, run, linear, sweep and cancel. See Simulator, LinearLoop and
 // SineSweep, which stand before this script in the worker.
 "use strict";
 
@@ -20,6 +20,7 @@
 
   const answers = {
     load: (request) => (Simulator.load(request), {}),
+    cancel: ({ id, setup, kinds }) => (kinds.forEach((kind) => newest.set(`${kind} ${setup}`, id)), {}),
     run: Simulator.run,
     linear: LinearLoop.linear,
     sweep: SineSweep.sweep,
@@ -43,7 +44,7 @@
     const pause = () => pauseOf(place, id);
     try {
       if (!Object.hasOwn(answers, kind)) throw new Error(`kind ${kind} is unknown`);
-      if (kind !== "load") await pause();
+      if (kind !== "load" && kind !== "cancel") await pause();
       post(id, await answers[kind](request, pause, (part) => post(id, part)));
     } catch (error) {
       post(id, error.cancelled ? { cancelled: true } : { error: error.message });

@@ -45,11 +45,14 @@ class _Worker:
         return _numbers(json.loads(line))
 
     def ask(self, **request):
-        """The answer to a request, with its list of points."""
-        number, points = self.send(**request), []
-        while (answer := self.receive())["id"] != number or "point" in answer:
-            points.append(answer["point"])
-        return answer | {"points": points}
+        """The answer to a request, with the points of a sweep and the parts of a run before it."""
+        number, points, parts = self.send(**request), [], []
+        while (answer := self.receive())["id"] != number or {"point", "unfinished"} & set(answer):
+            if "point" in answer:
+                points.append(answer["point"])
+            else:
+                parts.append(answer)
+        return answer | {"points": points, "parts": parts}
 
     def evaluate(self, script):
         """The value of an expression; promises are awaited."""

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.image import imread
 
 from kneexo.analysis import large_signal_bandwidth_hz, linearize_loop, track
 from kneexo.errors import KneexoError, SimulationError
@@ -396,6 +397,13 @@ def test_the_saved_files_are_the_run_of_kneexo(browser, single, tmp_path):
         size = np.abs(run[name]).max()
         np.testing.assert_allclose(table[name], run[name], rtol=0.0, atol=1e-8 * size)
     page.evaluate("document.getElementById('text-dialog').close()")
+    picture = imread(saved("curves.png", "save-png"))[..., :3]
+    width = page.evaluate("document.querySelector('#plots canvas').width")
+    assert picture.shape[:2] == (96 + sum((150, 100, 110, 100)) + 24 + 24, width)
+    is_curve = np.abs(picture - np.array([0.0, 0x62, 0xA8]) / 255.0).max(axis=2) < 0.02
+    tops = 24 + np.cumsum([0, 174, 124, 134])
+    for top, height in zip(tops, (174, 124, 134, 148), strict=True):
+        assert is_curve[top + 24 : top + height].sum() > 200  # each plot has its curve
     page.evaluate("document.getElementById('copy-link').click()")
     assert page.evaluate("document.getElementById('save-text').hidden")
 
@@ -522,6 +530,22 @@ def test_two_set_ups_stand_beside_each_other(browser, two):
         == "none"
     )
     assert np.isnan(page.curve("angle", 2)).all()
+
+
+def test_the_other_controller_is_compared_in_the_present_task(browser, single):
+    page = _Page(browser, single)
+    page.click("load-knee")
+    page.type(GEAR, 5)
+    page.click("compare")
+    page.wait(1)
+    first, second = json.loads(page.evaluate("JSON.stringify(Page.state.setups)"))
+    assert second == first | {"controller": "pid"}
+    assert first["values"] == {GEAR: 5}
+    page.click("compare")
+    page.type(GEAR, 7)
+    page.click("compare")
+    page.wait(1)
+    assert page.evaluate("Page.state.setups[1].values") == {GEAR: 5}  # as the user left it
 
 
 def test_a_choice_of_scenarios_leaves_one_stage_in_three_dimensions(browser, two):
@@ -651,6 +675,61 @@ def test_nothing_is_drawn_before_the_first_run(browser, single):
         browser.call("Page.removeScriptToEvaluateOnNewDocument", identifier=call["identifier"])
 
 
+def test_numbers_of_an_unfinished_run_are_marked(browser, single):
+    page = _Page(browser, single)
+    before = page.number("error")[0]
+    unfinished = """((part_s) => { const [result] = Page.results;
+      const largest_error_rad = 0.5 * result.run.metrics.largest_error_rad;
+      const metrics = { ...result.run.metrics, largest_error_rad };
+      Page.results[0] = { ...result, fresh: false,
+        run: { ...result.run, metrics, unfinished: true, part_s } };
+      Page.draw(); })"""
+    marked = (
+        "[...document.querySelectorAll('.value.part')].map((e) => e.parentElement.dataset.number)"
+    )
+    frame = "new Promise(requestAnimationFrame).then(() => 0)"
+    assert page.evaluate(marked) == []
+    page.evaluate(f"{unfinished}(3.25)")
+    page.evaluate(frame)
+    assert page.evaluate(marked) == ["error", "saturated", "pressure"]
+    number, word = page.number("error")
+    assert float(number) == pytest.approx(0.5 * float(before), rel=0.01)
+    assert word == "first 3.3 s of 30 s"
+    assert page.number("phase")[1] == "large"
+    for button in ("save-csv", "pin"):
+        assert page.evaluate(f"document.getElementById('{button}').disabled")
+    page.evaluate(f"{unfinished}(null)")
+    page.evaluate(frame)
+    assert page.number("error")[1] == "computing"
+    page.click("compare")
+    page.wait(1)
+    page.evaluate("Page.state.compare = false, null")  # B has a line when the first part of A comes
+    page.evaluate(f"{unfinished}(3.25)")
+    page.evaluate(frame)
+    assert page.evaluate("document.querySelectorAll('.value.of-b:not([hidden])').length") == 0
+    page.type(GEAR, 6)
+    assert page.evaluate(marked) == []
+    assert page.number("error") == (before, page.number("error")[1])
+    assert not page.evaluate("document.getElementById('save-csv').disabled")
+
+
+def test_the_first_part_of_a_run_sets_no_zoom_for_the_whole(browser, single):
+    page = _Page(browser, single)
+    page.click("reference-step")
+    zoom = page.evaluate("Page.parts.plots.range")
+    assert zoom[1] < 10.0
+    show = """((run) => { const first = run.time.findIndex((time) => time > 0.2);
+      const part = { ...run, unfinished: true, time: run.time.slice(0, first), metrics: {},
+        columns: Object.fromEntries(
+          Object.entries(run.columns).map(([name, column]) => [name, column.slice(0, first)])) };
+      Page.parts.plots.kind = "";  // as after another reference
+      Page.parts.plots.show([part]);
+      const range = [...Page.parts.plots.range];
+      Page.parts.plots.show([run]);
+      return [range, Page.parts.plots.range]; })(Page.results[0].run)"""
+    assert page.evaluate(show) == [[0, 30], zoom]
+
+
 def test_the_newest_of_many_values_is_shown(browser, single):
     page = _Page(browser, single)
     page.evaluate(
@@ -683,25 +762,40 @@ def test_the_keyboard_reaches_and_moves_the_sliders(browser, single):
     assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
 
 
-def test_a_page_without_webgl_works(browser, single):
-    script = """HTMLCanvasElement.prototype.getContext = (original => function (kind, ...more) {
+def test_a_page_without_webgl_and_with_blocked_storage_works(browser, single):
+    script = """for (const name of ["localStorage", "sessionStorage", "indexedDB"]) {
+      const get = () => { throw new DOMException("no", "SecurityError"); };
+      Object.defineProperty(window, name, { get });
+    }
+    HTMLCanvasElement.prototype.getContext = (original => function (kind, ...more) {
       return kind.startsWith("webgl") ? null : original.call(this, kind, ...more);
     })(HTMLCanvasElement.prototype.getContext);"""
     call = browser.call("Page.addScriptToEvaluateOnNewDocument", source=script)
     try:
         page = _Page(browser, single)
         assert _same(page.number("bandwidth")[0], 0.224)
+        lines = page.evaluate(
+            "[...document.querySelectorAll('.stage-note')].map((e) => e.textContent)"
+        )
+        assert lines == ["This browser has no WebGL, so the view shows the leg from the side only."]
+        browser.require_health()
     finally:
         browser.call("Page.removeScriptToEvaluateOnNewDocument", identifier=call["identifier"])
 
 
-def test_a_page_without_workers_says_so(browser, single):
-    script = "delete window.Worker"
+@pytest.mark.parametrize(
+    ("missing", "why"), [("Worker", "Worker is not"), ("WebAssembly", "It has no WebAssembly.")]
+)
+def test_a_page_that_cannot_run_says_so_and_shows_no_half(browser, single, missing, why):
+    script = f"delete window.{missing}"
     call = browser.call("Page.addScriptToEvaluateOnNewDocument", source=script)
     try:
         browser.open(single)
-        assert "cannot run the simulation" in browser.evaluate("notice.textContent")
-        assert browser.evaluate("notice.checkVisibility()")
+        notice = browser.evaluate("notice.textContent")
+        assert notice.startswith(f"This browser cannot run the simulation. {why}")
+        for name, shown in (("#notice", True), ("main", False), (".actions", False), ("h1", True)):
+            script = f"document.querySelector('{name}').checkVisibility()"
+            assert browser.evaluate(script) is shown, name
     finally:
         browser.call("Page.removeScriptToEvaluateOnNewDocument", identifier=call["identifier"])
 
@@ -712,6 +806,43 @@ def test_reduced_motion_starts_no_animation(browser, single):
     try:
         page = _Page(browser, single)
         assert page.evaluate("Page.parts.stage.playing") is False
+    finally:
+        browser.call("Emulation.setEmulatedMedia", features=[])
+
+
+def test_a_dark_screen_has_a_dark_page_and_light_paper(browser, single):
+    page = _Page(browser, single)
+    light_blue, dark_blue = [0x00, 0x62, 0xA8], [0x6D, 0xB5, 0xF5]
+
+    def is_drawn(colour):
+        """Whether the first plot has a curve of that colour."""
+        script = """((colour) => {
+          const [{ chart: { ctx } }] = Page.parts.plots.plots;
+          const { data } = ctx.getImageData(0, 0, ctx.canvas.width, ctx.canvas.height);
+          let count = 0;
+          for (let k = 0; k < data.length; k += 4) {
+            const near = (part, c) => Math.abs(data[k + c] - part) < 3;
+            count += data[k + 3] > 250 && colour.every(near);
+          }
+          return count > 100; })"""
+        page.evaluate("new Promise(requestAnimationFrame).then(() => 0)")
+        return page.evaluate(f"{script}({colour})")
+
+    def ground():
+        return page.evaluate("getComputedStyle(document.body).backgroundColor")
+
+    assert ground() == "rgb(245, 246, 248)"
+    assert is_drawn(light_blue)
+    features = [{"name": "prefers-color-scheme", "value": "dark"}]
+    browser.call("Emulation.setEmulatedMedia", features=features)
+    try:
+        browser.wait_for("matchMedia('(prefers-color-scheme: dark)').matches")
+        assert ground() == "rgb(20, 23, 27)"
+        assert is_drawn(dark_blue)
+        page.evaluate("dispatchEvent(new Event('beforeprint'))")
+        assert is_drawn(light_blue)
+        page.evaluate("dispatchEvent(new Event('afterprint'))")
+        assert is_drawn(dark_blue)
     finally:
         browser.call("Emulation.setEmulatedMedia", features=[])
 
@@ -755,8 +886,13 @@ def axe(tmp_path_factory):
     return (folder / "node_modules/axe-core/axe.min.js").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("phone", [False, True])
-def test_axe_finds_nothing(browser, two, axe, phone):
+@pytest.mark.parametrize(("phone", "scheme"), [(False, ""), (True, ""), (False, "dark")])
+def test_axe_finds_nothing(browser, two, axe, phone, scheme, request):
+    browser.call(
+        "Emulation.setEmulatedMedia",
+        features=[{"name": "prefers-color-scheme", "value": scheme}],
+    )
+    request.addfinalizer(lambda: browser.call("Emulation.setEmulatedMedia", features=[]))
     size = {"width": 390, "height": 844, "phone": True} if phone else {}
     page = _Page(browser, two, **size)
     page.wait()

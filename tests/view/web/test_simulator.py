@@ -80,3 +80,29 @@ def test_the_values_of_a_request_replace_the_defaults(worker):
     model = json.dumps({"quantities": quantities, "references": reference})
     script = f"Simulator.valuesOf({model}, 'sine', {{b: 5, c: 6}})"
     assert worker.evaluate(script) == {"a": 1.0, "b": 5.0, "c": 6.0}
+
+
+def test_parts_come_when_the_view_is_full_and_then_rarely_and_not_shortly_before_the_end(worker):
+    """A run of 10 s of which one second takes 20 ms."""
+    script = """((view) => {
+      const { performance } = globalThis;
+      let now = 5;
+      const set = (value) =>
+        Object.defineProperty(globalThis, "performance", { value, configurable: true });
+      set({ now: () => now });
+      const isDue = Simulator.partsOf({ ticks: 1000, table: { sample_time_s: 0.01 } }, view);
+      const due = [];
+      for (let tick = 10; tick < 1000; tick += 10) {
+        now = 5 + 0.2 * tick;
+        if (isDue(tick)) due.push(tick / 100);
+      }
+      set(performance);
+      return due; })"""
+    for view, due in (
+        ([0, 10], [0.8]),
+        ([0, 0.5], [0.5]),
+        ([0, 3], [0.8, 3.0]),
+        ([5, 6], [5.1, 6.0]),
+    ):
+        assert worker.evaluate(f"{script}({json.dumps(view)})") == due, view
+    assert worker.evaluate(f"{script}([9, 10])") == []

@@ -217,10 +217,52 @@ def test_a_newer_request_cancels_the_older_one_of_its_set_up(worker):
         worker.send(setup=setup, duration_s=duration_s, **request)
         for setup, duration_s in ((0, 100.0), (1, 1.0), (0, 2.0))
     ]
-    answers = {answer["id"]: answer for answer in (worker.receive() for _ in numbers)}
+    answers = {}
+    while len(answers) < len(numbers):
+        answer = worker.receive()
+        if "unfinished" not in answer:
+            answers[answer["id"]] = answer
     assert answers[numbers[0]] == {"id": numbers[0], "cancelled": True}
     assert answers[numbers[1]]["time"][-1] == 1.0
     assert answers[numbers[2]]["time"][-1] == 2.0
+
+
+@pytest.mark.slow
+def test_a_request_can_be_cancelled(worker):
+    loaded(worker, Scenario())
+    sweep = {"kind": "sweep", "model": "model", "values": {}, "frequencies": [0.05, 0.05]}
+    other, number = worker.send(setup=1, **sweep), worker.send(setup=0, **sweep)
+    worker.send(kind="cancel", setup=0, kinds=["linear", "sweep"])
+    ends = {}
+    while len(ends) < 2:
+        answer = worker.receive()
+        if answer["id"] in (number, other) and "point" not in answer:
+            ends[answer["id"]] = answer
+    assert ends[number] == {"id": number, "cancelled": True}
+    assert ends[other]["minus_3_db_hz"] > 0.1
+
+
+@pytest.mark.slow
+def test_the_part_in_view_comes_first_and_is_the_begin_of_the_run(worker):
+    """The parts of a long run, which differ from the run in nothing but their ends."""
+    scenario = SCENARIOS["leg smc"]
+    loaded(worker, scenario)
+    request = {"kind": "run", "model": "model", "reference": "sine", "duration_s": 60.0}
+    whole = worker.ask(values={}, **request)
+    late = worker.ask(values={}, view_s=[20.0, 22.0], **request)
+    assert late["columns"] == whole["columns"]
+    assert late["parts"][0]["time"][-1] > 20.0
+    for answer in (late, whole):
+        assert answer["parts"]
+        for part in answer["parts"]:
+            rows = len(part["time"])
+            assert rows < len(answer["time"])
+            for name, column in part["columns"].items():
+                assert column == whole["columns"][name][:rows], name
+            assert part["end"] is None
+        assert not answer.get("unfinished")
+    short = worker.ask(kind="run", model="model", reference="sine", values={}, duration_s=0.1)
+    assert short["parts"] == []
 
 
 @pytest.mark.slow
@@ -356,8 +398,14 @@ def test_a_push_on_a_page_is_that_of_kneexo(worker, name):
     assert metrics["largest_deviation_rad"] == pytest.approx(largest, rel=1e-6)
     assert metrics["recovery_time_s"] == pytest.approx(result.push.recovery_time_s, abs=1e-9)
     assert 0.1 < metrics["recovery_time_s"] < 4.0
+    assert answer["parts"][-1]["columns"] == answer["columns"]  # before the run without the push
+    again = worker.ask(values=values, band_deg=RECOVERY_BAND_DEG, **request)
+    assert again["metrics"] == answer["metrics"]
+    assert all(len(part["time"]) < len(again["time"]) for part in again["parts"])  # it is known
     quiet = worker.ask(values=values | {"push.torque_n_m": 0.0}, **request)
     assert "push" not in quiet["metrics"]
+    largest = np.max(np.abs(np.subtract(answer["columns"]["angle"], quiet["columns"]["angle"])))
+    assert metrics["largest_deviation_rad"] == largest  # as if the push had not been
     points = [
         worker.ask(kind="sweep", model="model", values=given, frequencies=[2.0])["points"][0]
         for given in (QUICK, values)
