@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from threading import Event, local
@@ -18,7 +20,7 @@ from .equations.contexts import set_parameters
 from .equations.equations import Equations
 from .equations.tree import Node
 from .errors import Error, ResultError, SimulationError
-from .model_base import ModelBase, not_finite
+from .model_base import ContextAt, ModelBase, not_finite
 from .native.arguments import NOT_FINITE, OK
 from .native.buffers import RECORDS
 from .native.cores import available_cores
@@ -28,6 +30,9 @@ from .native.reductions import starts_and_bounds
 from .native.runner import LONGEST_TICK_S, Runner, Snapshots, output_elements
 from .reductions import Reduction
 from .run_data import Array, InputTable, Integers, State
+
+_MOST_RUNNERS = 2
+"""Number of runners that a model keeps for its next single runs."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -82,8 +87,26 @@ class CompiledModel(ModelBase):
     in numbers can share one compiled model. Runs do not call Drake, and they release the GIL.
     """
 
+    def __init__(self, code: MachineCode, context_at: ContextAt | None = None) -> None:
+        """Store the code, and the function that makes a Context for a leaf's ``check``."""
+        super().__init__(code, context_at)
+        self._runners: OrderedDict[Any, Runner] = OrderedDict()
+
     def __reduce__(self) -> tuple[type[CompiledModel], tuple[MachineCode]]:
         return CompiledModel, (self.code,)
+
+    @contextmanager
+    def _runner(self, **settings: Any) -> Iterator[Runner]:
+        """Lend a runner with a single lane; keep the runner for a later run with equal settings.
+
+        To make a runner, and to get fresh memory for it, takes a tenth of a run of 30 s.
+        """
+        key = tuple(sorted(settings.items()))
+        runner = self._runners.pop(key, None) or Runner(self.code, **settings)
+        yield runner
+        self._runners[key] = runner
+        if len(self._runners) > _MOST_RUNNERS:
+            self._runners.popitem(last=False)
 
     def simulate(
         self,
@@ -134,18 +157,18 @@ class CompiledModel(ModelBase):
         """
         if record_times_s is not None and not self.sample_times_s:
             record_period_s = record_period_s or LONGEST_TICK_S
-        runner = Runner(self.code, outputs=outputs, record_period_s=record_period_s, **options)
-        batch = self._batch(
-            runner, np.asarray(parameters, dtype=float)[None], [state], [duration_s], [inputs]
-        )
-        if record_times_s is None:
-            (run,) = self._run_lanes(runner, batch, [0])
-        else:
-            times = np.array(record_times_s, dtype=float)
-            end = duration_s * (1.0 + 1e-12)
-            if times.ndim != 1 or not (np.diff(times, prepend=0.0, append=end) >= 0.0).all():
-                raise ValueError(f"record_times_s: must ascend within 0 … {duration_s:g} s")
-            run = self._run_with_records(runner, batch, times)
+        names = None if outputs is None else tuple(outputs)
+        rows = np.asarray(parameters, dtype=float)[None]
+        with self._runner(outputs=names, record_period_s=record_period_s, **options) as runner:
+            batch = self._batch(runner, rows, [state], [duration_s], [inputs])
+            if record_times_s is None:
+                (run,) = self._run_lanes(runner, batch, [0])
+            else:
+                times = np.array(record_times_s, dtype=float)
+                end = duration_s * (1.0 + 1e-12)
+                if times.ndim != 1 or not (np.diff(times, prepend=0.0, append=end) >= 0.0).all():
+                    raise ValueError(f"record_times_s: must ascend within 0 … {duration_s:g} s")
+                run = self._run_with_records(runner, batch, times)
         if isinstance(run, Error):
             raise run
         return run

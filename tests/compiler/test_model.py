@@ -41,6 +41,8 @@ from kneexo.compiler.errors import (
     SimulationError,
     UnstableStepError,
 )
+from kneexo.compiler.model import CompiledModel
+from kneexo.compiler.native.runner import Runner
 
 # ------------------------------------------------------------------- diagrams of the user
 
@@ -220,6 +222,33 @@ def test_a_run_may_record_nothing_but_time(servo):
     assert repr(run) == "Simulation(6 records of nothing)"
     with pytest.raises(ResultError, match=r"^output 'x': was not recorded; recorded outputs: none"):
         run["x"]
+
+
+def test_single_runs_with_equal_settings_share_a_runner(servo, monkeypatch):
+    made = []
+
+    def counted(code, **settings):
+        made.append(settings)
+        return Runner(code, **settings)
+
+    monkeypatch.setattr("kneexo.compiler.model.Runner", counted)
+    compiled, parameters, state = servo
+    model = CompiledModel(compiled.code)
+    rows = varied(compiled, parameters, 3)
+    fresh = [CompiledModel(compiled.code).simulate(row, state, 0.1)["velocity"] for row in rows]
+    made.clear()
+    for row, expected in zip(rows, fresh, strict=True):
+        run = model.simulate(row, state, 0.1)
+        np.testing.assert_array_equal(run["velocity"], expected)
+        with pytest.raises(SimulationError):
+            model.simulate(row, State(np.nan * state.continuous, state.discrete), 0.1)
+    assert len(made) == 1
+    model.simulate(parameters, state, 0.1, integrator="rk4")
+    model.simulate(parameters, state, 0.1, outputs=["velocity"])  # beyond the two that are kept
+    model.simulate(parameters, state, 0.1, integrator="rk4")
+    assert [settings.get("integrator") for settings in made] == [None, "rk4", None]
+    model.simulate(parameters, state, 0.1)
+    assert len(made) == 4
 
 
 def test_a_batch_over_references(multirate):

@@ -88,7 +88,6 @@ class Snapshots:
 
 
 _NEVER = 2**62  # a row that no run reaches
-_NO_TICKS: Integers = np.empty(0, dtype=np.int64)
 
 
 class Runner:
@@ -292,12 +291,17 @@ class Runner:
         snapshots: Snapshots | None = None,
     ) -> None:
         """Set the arrays that the next calls of `call_once` read and write: see `run`."""
-        stored = snapshots or Snapshots(_NO_TICKS, x, d)
-        _set(self._arguments, x=x, d=d, last=last)
-        _set(self._arguments, snapshots=stored.ticks, snapshot_x=stored.x, snapshot_d=stored.d)
-        self._arguments.snapshot_count = stored.ticks.size
-        self._bound = (x, d, last, stored)  # the arrays must live as long as their addresses
-        if record is not None:
+        arrays = {"x": x, "d": d, "last": last}
+        if snapshots is not None:
+            arrays |= {
+                "snapshots": snapshots.ticks,
+                "snapshot_x": snapshots.x,
+                "snapshot_d": snapshots.d,
+            }
+        _set(self._arguments, **arrays)
+        self._arguments.snapshot_count = 0 if snapshots is None else snapshots.ticks.size
+        self._bound = arrays  # the arrays must live as long as their addresses
+        if record is not None:  # which the caller keeps
             _set(self._arguments, record=record)
 
     def call_once(
