@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from .ir import Array, Function, Operand, Value, Variable
-from .types import BOOL, INT, Type
+from .types import INT, Type
 
 Rate = Callable[[Operand, Array, Array], None]
 """``rate(t, x, out)`` emits code that writes dx/dt at time t in s and states x to ``out``.
@@ -23,6 +23,9 @@ Report = Callable[[Value, Sequence[Array]], None]
 which the ticks of a lane are compared. The tick begins at the time ``start`` in s with the states
 x, and has steps of the length h. The emitted arrays have one element, or one for each state.
 """
+
+Differences = Callable[[Operand], tuple[Value, Value]]
+"""``differences(i)`` emits the slower and the faster difference of the rates of state i."""
 
 RATIO = 1.4**4
 """Square of the ratio (h |λ|)² of two differences of the rates from which a step is suspected.
@@ -124,21 +127,24 @@ class _Watch:
         self._most_moved = f.maximum(steps * (1.0 / STEPS_PER_CHECK), 1.0)
         # The checked step changes from tick to tick, or it could keep step with an oscillation.
         candidates = f.to_int(f.minimum(steps, float(STEPS_PER_CHECK)))
-        self._chosen = None if tick.number is None else tick.number % candidates
+        first = f.constant(0, INT) if tick.number is None else tick.number % candidates
+        self._next = f.variable(first)
+        """Number of the next step that is checked, among the steps of the tick."""
+        self._stride = 1 if tick.number is None else STEPS_PER_CHECK
 
-    def step(
-        self, number: Operand, h: Value, differences: Callable[[Operand], tuple[Value, Value]]
-    ) -> None:
+    def stop(self, count: Value) -> Value:
+        """Emit the number of the step after the next checked one, but at most ``count``."""
+        after = self._next.get() + 1
+        return self.tick.function.select(after < count, after, count)
+
+    def check(self, done: Value, h: Value, differences: Differences) -> None:
         """Emit code that compares the differences of the rates of a step, if this step is checked.
 
-        ``number``: number of the step in its tick. ``differences(i)`` emits the slower and the
-        faster difference of the rates of state i.
+        ``done``: number of the tick's steps up to this one.
         """
         tick, f = self.tick, self.tick.function
-        chosen = f.constant(1, BOOL)
-        if self._chosen is not None:
-            chosen = (f.coerce(number, INT) % STEPS_PER_CHECK).equals(self._chosen)
-        with f.when(chosen):
+        with f.when(done > self._next.get()):
+            self._next.set(self._next.get() + self._stride)
             slow, fast = self._sum(), self._sum()
             for i in f.each(tick.size):
                 for total, difference in zip((slow, fast), differences(i), strict=True):
@@ -207,21 +213,27 @@ def advance_rk4(tick: Tick) -> None:
         # |k₁ + k₄ - 2 k₃| = (h |λ|)²/2 |k₂ - k₁| for a single mode
         return (k2[i] - k1[i]) * 0.5, f.fma(k3[i], -2.0, k1[i] + k4[i])
 
-    for number in f.loop(f.to_int(steps)):
-        t = f.fma(f.to_double(f.coerce(number, INT)), h, tick.start)
-        tick.rate(t, tick.x, k1)
-        tick.along(z, (0.5 * h, k1))
-        tick.rate(t + 0.5 * h, z, k2)
-        tick.along(z, (0.5 * h, k2))
-        tick.rate(t + 0.5 * h, z, k3)
-        tick.along(z, (h, k3))
-        tick.rate(t + h, z, k4)
-        sixth = f.coerce(h * (1.0 / 6.0), tick.type)
-        for i in f.each(tick.size):
-            middle = f.fma(k2[i] + k3[i], 2.0, k1[i] + k4[i])
-            z[i] = f.fma(sixth, middle, tick.x[i])
-        tick.accept(z)
-        watch.step(number, h, differences)
+    done, count = f.variable(f.constant(0, INT)), f.to_int(steps)
+    with f.forever() as loop:
+        loop.stop_if(done.get() >= count)
+        # The check is outside of the loop over steps, which then needs fewer registers.
+        first, stop = done.get(), watch.stop(count)
+        for number in f.loop(stop - first):
+            t = f.fma(f.to_double(first + number), h, tick.start)
+            tick.rate(t, tick.x, k1)
+            tick.along(z, (0.5 * h, k1))
+            tick.rate(t + 0.5 * h, z, k2)
+            tick.along(z, (0.5 * h, k2))
+            tick.rate(t + 0.5 * h, z, k3)
+            tick.along(z, (h, k3))
+            tick.rate(t + h, z, k4)
+            sixth = f.coerce(h * (1.0 / 6.0), tick.type)
+            for i in f.each(tick.size):
+                middle = f.fma(k2[i] + k3[i], 2.0, k1[i] + k4[i])
+                z[i] = f.fma(sixth, middle, tick.x[i])
+            tick.accept(z)
+        done.set(stop)
+        watch.check(stop, h, differences)
     watch.end(h)
 
 
@@ -251,7 +263,7 @@ def advance_runge_kutta3(tick: Tick) -> None:
         tick.accept(z)
         number = count.get()
         # |k₁ + k₃ - 2 k₂| = (h |λ|)² |k₁| for a single mode
-        watch.step(number, h, lambda i: (k1[i], f.fma(k2[i], -2.0, k1[i] + k3[i])))
+        watch.check(number + 1, h, lambda i: (k1[i], f.fma(k2[i], -2.0, k1[i] + k3[i])))
         count.set(number + 1)
         time.set(f.select(last, tick.end, t + h))
     watch.end(tick.step)
