@@ -123,15 +123,29 @@ def test_the_references_of_the_scenario_files_load(text, tmp_path):
     assert load_scenario(path).reference.kind == ("samples" if kind == "csv" else kind)
 
 
+def section(title):
+    return SCENARIO_FILES.partition(f"\n## {title}\n")[2].partition("\n## ")[0]
+
+
 def test_the_example_of_the_scenario_files_runs(tmp_path, capsys):
-    assert 1.0 < float(output_of(block("python", SCENARIO_FILES), tmp_path, capsys)) < 90.0
+    example = block("python", SCENARIO_FILES.replace(section("Faults"), ""))
+    assert 1.0 < float(output_of(example, tmp_path, capsys)) < 90.0
+
+
+@pytest.mark.slow
+def test_the_examples_of_faults_run(tmp_path, capsys):
+    path = tmp_path / "scenario.yaml"
+    path.write_text(block("yaml", section("Faults")), encoding="utf-8")
+    assert len(load_scenario(path).faults) == 3
+    lines = output_of(block("python", section("Faults")), tmp_path, capsys).splitlines()
+    assert lines[0] == "Within 5° of the run without the fault:"
+    assert [line.partition(":")[0] for line in lines[1:]] == ["encoder frozen", "command scale 0"]
 
 
 @pytest.fixture
 def wearer_example(tmp_path):
     path = tmp_path / "scenario.yaml"
-    section = SCENARIO_FILES.partition("## A wearer")[2].partition("\n## ")[0]
-    path.write_text(block("yaml", section), encoding="utf-8")
+    path.write_text(block("yaml", section("A wearer and torque control")), encoding="utf-8")
     return load_scenario(path)
 
 
