@@ -13,7 +13,7 @@ from kneexo.parameters.plant import RPM
 from kneexo.parameters.quantity import Parameters, choice, quantity
 from kneexo.parameters.torque import generator_seeds
 
-SignalFault = Literal["frozen", "offset", "drift", "scale", "noise", "dropped", "bit_flip"]
+SignalFault = Literal["frozen", "offset", "drift", "scale", "noise", "dropped", "late", "bit_flip"]
 """Kinds of faults of a signal."""
 
 
@@ -53,7 +53,8 @@ class FaultParameters(Parameters):
         "frozen",
         "frozen: the last reading stays; offset, drift (size a second), noise (standard "
         "deviation): the size adds to the signal; scale: the size multiplies it; dropped: the size "
-        "is the share of samples that repeat the last reading; bit_flip: the size is the number of "
+        "is the share of samples that repeat the last reading; late: the size is a number of "
+        "samples; bit_flip: the size is the number of "
         "the flipped bit of the encoder count; value: the number at the path becomes the size",
     )
     size: float = quantity(
@@ -110,9 +111,9 @@ class FaultParameters(Parameters):
         if self.kind == "bit_flip" and self.place != "encoder":
             raise ValueError(f"kind = bit_flip at place = {self.place}: must be at the encoder")
         low, high = _SIZES.get(self.kind, (-math.inf, math.inf))
-        whole = self.kind != "bit_flip" or self.size == round(self.size)
+        whole = self.kind not in ("late", "bit_flip") or self.size == round(self.size)
         if not (low <= self.size <= high and math.isfinite(self.size) and whole):
-            what = "a whole number, " if self.kind == "bit_flip" else ""
+            what = "" if whole else "a whole number, "
             raise ValueError(
                 f"size = {self.size:g} of kind = {self.kind}: must be {what}{low:g} … {high:g}"
             )
@@ -125,10 +126,14 @@ class FaultParameters(Parameters):
         return self
 
 
+LATEST = 10
+"""Largest number of samples by which a signal can be late."""
+
 _SIZES = {
     "scale": (-100.0, 100.0),
     "noise": (0.0, math.inf),
     "dropped": (1e-6, 1.0),
+    "late": (1.0, LATEST),
     "bit_flip": (0.0, 15.0),
 }
 """Least and largest size of a fault, by kind."""

@@ -342,6 +342,12 @@ class Scenario(Parameters):
                     f"{subject}: place = load_cell: needs wearer.kind = leg or controller.kind = "
                     f"torque"
                 )
+            first_s = fault.size * self.controller.sample_time_s
+            if fault.kind == "late" and fault.start_s < first_s:
+                raise ValueError(
+                    f"{subject}: start_s = {fault.start_s:g} s: must be >= {first_s:g} s, because "
+                    f"no sample is older"
+                )
             counts = self.encoder.counts_per_revolution
             if fault.kind == "bit_flip" and not (self.encoder.quantized and 2**fault.size < counts):
                 raise ValueError(

@@ -8,7 +8,7 @@ from typing import Any
 
 import pydrake.math as drake_math
 
-from kneexo.parameters.fault import FaultParameters
+from kneexo.parameters.fault import LATEST, FaultParameters
 from kneexo.parameters.torque import AS_183
 from kneexo.systems._leaf import NamedLeaf, discrete_state, leaf_template, where_positive
 from kneexo.systems.drive import nearest_integer
@@ -108,6 +108,7 @@ class FaultySignal(_Fault):
     scale     s u
     noise     u + s n_k, with n_k of `unit_noise`
     dropped   in a share s of all samples the value of the sample before, else u
+    late      the value of s samples before
     bit_flip  u ± 2^s q, the bit s of the count u/q is flipped
     ========  ====================================================================
 
@@ -122,7 +123,8 @@ class FaultySignal(_Fault):
     ===============  ====  ====  ====================================================
 
     Discrete states, updated every ``sample_time_s``: the clock of the fault, the last healthy
-    value, and three states of a generator for the kinds noise and dropped. Context parameters by
+    value, three states of a generator for the kinds noise and dropped, and the last samples for the
+    kind late. Context parameters by
     name: ``start_s`` (t_s), ``duration_s`` (T_f), ``lead_s`` (t_lead), ``size``, ``resolution``
     (q), ``threshold``, ``direction`` and the seeds. A fault begins at a sample. The trigger is
     positive if direction · (trigger − threshold) > 0. ``Simulator.Initialize()`` sets the generator
@@ -155,7 +157,8 @@ class FaultySignal(_Fault):
         self._kind = parameters.kind
         self._random = parameters.kind in _RANDOM
         self._signal = self.DeclareVectorInputPort("signal", size)
-        self._declare_clock(sample_time_s, trigger, 1 + len(AS_183) * self._random)
+        others = len(AS_183) if self._random else LATEST if self._kind == "late" else 0
+        self._declare_clock(sample_time_s, trigger, 1 + others)
         if self._random:
             self._declare_initialization(self._initialize)
         self._output = self._declare_output(
@@ -168,7 +171,11 @@ class FaultySignal(_Fault):
 
     def _faulty(self, context: Any, value: Any) -> Any:
         p = self.parameters(context)
-        clock, last, *seeds = discrete_state(context)
+        clock, last, *others = discrete_state(context)
+        if self._kind == "late":
+            for age, sample in enumerate(others):
+                value = where_positive(p.size - 0.5 - age, sample, value)
+            return value
         if self._kind == "frozen":
             return last
         if self._kind == "offset":
@@ -178,9 +185,9 @@ class FaultySignal(_Fault):
         if self._kind == "scale":
             return p.size * value
         if self._kind == "noise":
-            return value + p.size * unit_noise(seeds)
+            return value + p.size * unit_noise(others)
         if self._kind == "dropped":
-            return where_positive(p.size - _uniform(seeds), last, value)
+            return where_positive(p.size - _uniform(others), last, value)
         count = nearest_integer(value / p.resolution)
         bit = drake_math.floor(count / p.size) - 2.0 * drake_math.floor(0.5 * count / p.size)
         return value + p.resolution * p.size * (1.0 - 2.0 * bit)
@@ -189,11 +196,15 @@ class FaultySignal(_Fault):
         return [0.0, 0.0, *self.parameters(context)[-len(AS_183) :]]
 
     def _update(self, context: Any) -> list[Any]:
-        _, last, *seeds = discrete_state(context)
+        _, last, *others = discrete_state(context)
         healthy = self._output.Eval(context)[0]
         if self._kind != "dropped":  # which repeats the value of the sample before
             healthy = where_positive(self._active(context), last, self._signal.Eval(context)[0])
-        return [self._next_clock(context), healthy, *(next_seeds(seeds) if self._random else ())]
+        if self._kind == "late":
+            others = [self._signal.Eval(context)[0], *others[:-1]]
+        if self._random:
+            others = next_seeds(others)
+        return [self._next_clock(context), healthy, *others]
 
 
 def _uniform(seeds: Sequence[Any]) -> Any:

@@ -186,7 +186,7 @@ def test_without_faults_the_loop_has_no_system_of_a_fault():
 
 
 SIGNAL_KINDS = {"frozen": 0.0, "offset": 1.0, "drift": 5.0, "scale": 0.8, "noise": 0.2}
-SIGNAL_KINDS |= {"dropped": 0.4, "bit_flip": 2.0}
+SIGNAL_KINDS |= {"dropped": 0.4, "late": 1.0, "bit_flip": 2.0}
 LOADED = Scenario(
     plant={"load": KneeLoadParameters()},
     encoder={"quantized": False},
@@ -252,6 +252,11 @@ REFUSED = [
     ({"kind": "bit_flip", "size": 12.0}, "size = 12 of kind = bit_flip: needs encoder.quantized"),
     ({"kind": "scale", "size": 1e3}, "size = 1000 of kind = scale: must be -100 … 100"),
     ({"kind": "dropped", "size": 0.0}, "size = 0 of kind = dropped: must be 1e-06 … 1"),
+    ({"kind": "late", "size": 0.0}, "size = 0 of kind = late: must be 1 … 10"),
+    (
+        {"kind": "late", "size": 9.0, "start_s": 0.01},
+        "start_s = 0.01 s: must be >= 0.018 s, because",
+    ),
     ({"kind": "bit_flip", "size": 1.5}, "must be a whole number, 0 … 15"),
     ({"kind": "offset", "size": 0.0}, "size = 0 of kind = offset: has no effect, must not be 0"),
     ({"signal": "knee_angle_rad"}, "signal: must have above or below"),

@@ -57,6 +57,8 @@ SIGNAL = np.array([1.0, 2.0, 4.0, 7.0, 11.0, 16.0])
         ("drift", 3.0, [1, 2, 4.0, 7.0 + 3.0 * T, 11, 16]),
         ("scale", -2.0, [1, 2, -8, -14, 11, 16]),
         ("dropped", 1.0, [1, 2, 2, 2, 11, 16]),
+        ("late", 1.0, [1, 2, 2, 4, 11, 16]),
+        ("late", 2.0, [1, 2, 1, 2, 11, 16]),
     ],
 )
 def test_a_reading_is_wrong_while_the_fault_is_active(kind, size, expected):
@@ -69,8 +71,11 @@ def test_a_reading_is_wrong_while_the_fault_is_active(kind, size, expected):
     np.testing.assert_array_equal(active[:, 0], [0, 0, 1, 1, 0, 0])
 
 
-@pytest.mark.parametrize("kind", ["frozen", "dropped"])
-def test_a_held_command_repeats_that_of_the_sample_before(kind):
+@pytest.mark.parametrize(
+    ("kind", "expected"),
+    [("frozen", [1, 2, 2, 2, 5, 6]), ("dropped", [1, 2, 2, 2, 5, 6]), ("late", [1, 2, 2, 3, 5, 6])],
+)
+def test_a_held_command_repeats_those_of_samples_before(kind, expected):
     """A command is held between two samples, and changes together with the state of the fault."""
     builder = DiagramBuilder()
     steps = builder.AddNamedSystem("steps", SampledSteps())
@@ -84,7 +89,7 @@ def test_a_held_command_repeats_that_of_the_sample_before(kind):
     for tick in range(6):
         simulator.AdvanceTo((tick + 0.5) * T)
         found.append(diagram.GetOutputPort("signal").Eval(simulator.get_context())[0])
-    assert found == [1, 2, 2, 2, 5, 6]
+    assert found == expected
 
 
 @pytest.mark.parametrize("bit", [0, 3, 11])
