@@ -68,7 +68,7 @@ def make_closed_loop(
     - ``drive``: `Cia402Drive`, only with a bus of this kind.
     - ``can_bus``: `DiscreteTimeDelay`, only for a bus with latency.
     - ``push``: `Push`, which acts on the plant, only with a push.
-    - ``fault_1``, …: see `kneexo.diagrams.faults`, only with faults.
+    - ``fault_0``, …: see `kneexo.diagrams.faults`, only with faults.
     - ``signals`` and ``log``: a `Multiplexer` and a `VectorLogSink`, which logs the columns
       ``columns(signals)`` at the control period. Both are absent for ``signals=()``.
 

@@ -140,8 +140,8 @@ def require_faults(scenario: Scenario) -> None:
 
 
 def _numbered(scenario: Scenario, *, on_signals: bool) -> Iterator[tuple[int, FaultParameters]]:
-    """Yield the faults of signals, or of numbers, with their numbers from 1."""
-    for number, fault in enumerate(scenario.faults, 1):
+    """Yield the faults of signals, or of numbers, with their places in the list."""
+    for number, fault in enumerate(scenario.faults):
         if (fault.place in FAULTY_SIGNALS) == on_signals:
             if fault.signal is not None:
                 _signal_of(fault)
@@ -187,8 +187,8 @@ def _parts(scenario: Scenario) -> Iterator[tuple[str, Part]]:
 
 def _offsets(scenario: Scenario, number: int) -> Offsets:
     """Return the changes of all Context parameters that the fault ``number`` of a number makes."""
-    fault = scenario.faults[number - 1]
-    subject = f"faults[{number}]: place = {fault.place}"
+    fault = scenario.faults[number]
+    subject = f"faults.{number}: place = {fault.place}"
     value = value_at(scenario, fault.place)
     if fault.place.partition(".")[0] not in _CHANGING or not has_path(scenario, fault.place):
         raise ParameterError(
@@ -200,7 +200,8 @@ def _offsets(scenario: Scenario, number: int) -> Offsets:
     try:
         other = changed(scenario, {"faults": (), fault.place: fault.size})
     except ParameterError as error:
-        raise ParameterError(f"faults[{number}]: {error}") from None
+        message = str(error).removeprefix("Scenario: ")
+        raise ParameterError(f"faults.{number}: {message}") from None
     healthy = {path: part.values() for path, part in _parts(scenario)}
     offsets: Offsets = {}
     for path, part in _parts(other):

@@ -13,8 +13,10 @@ from kneexo.parameters.plant import RPM
 from kneexo.parameters.quantity import Parameters, choice, quantity
 from kneexo.parameters.torque import generator_seeds
 
-SignalFault = Literal["frozen", "offset", "drift", "scale", "noise", "dropped", "late", "bit_flip"]
-"""Kinds of faults of a signal."""
+Kind = Literal[
+    "frozen", "offset", "drift", "scale", "noise", "dropped", "late", "bit_flip", "value"
+]  # fmt: skip
+"""Kinds of faults: of a signal, and ``value`` of a number."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,7 @@ class FaultParameters(Parameters):
         "encoder, load_cell or command; or the path of a number of plant, wearer or load_cell, as "
         "plant.pump.internal_leakage_m3_per_s_pa",
     )
-    kind: SignalFault | Literal["value"] = choice(
+    kind: Kind = choice(
         "frozen",
         "frozen: the last reading stays; offset, drift (size a second), noise (standard "
         "deviation): the size adds to the signal; scale: the size multiplies it; dropped: the size "

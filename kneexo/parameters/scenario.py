@@ -330,8 +330,8 @@ class Scenario(Parameters):
 
     @model_validator(mode="after")
     def _faults_fit(self) -> Scenario:
-        for number, fault in enumerate(self.faults, 1):
-            subject = f"faults[{number}]"
+        for number, fault in enumerate(self.faults):
+            subject = f"faults.{number}"
             if fault.start_s >= self.duration_s:
                 raise ValueError(
                     f"{subject}: start_s = {fault.start_s:g} s: must be < {self.duration_s:g} s, "
@@ -354,12 +354,12 @@ class Scenario(Parameters):
                     f"{subject}: size = {fault.size:g} of kind = bit_flip: needs "
                     f"encoder.quantized = true and a bit of {counts} counts"
                 )
-            for other_number, other in enumerate(self.faults[: number - 1], 1):
+            for other_number, other in enumerate(self.faults[:number]):
                 same = (fault.place, fault.kind) == (other.place, other.kind)
                 overlap = fault.start_s < other.end_s and other.start_s < fault.end_s
                 if same and overlap and fault.kind in ("frozen", "value"):
                     raise ValueError(
-                        f"{subject}: is at the same place and time as faults[{other_number}]; must "
+                        f"{subject}: is at the same place and time as faults.{other_number}; must "
                         f"begin after its end; set duration_s of both, or remove one"
                     )
         return self

@@ -140,9 +140,9 @@ def test_a_reading_is_wrong_at_the_first_sample_of_the_fault_and_a_command_after
             {"place": "command", "kind": "offset", "size": 3.0} | at,
         )
     )
-    assert [values[f"fault_{n}.lead_s"] for n in (1, 2)] == [T, 0.0]
+    assert [values[f"fault_{n}.lead_s"] for n in (0, 1)] == [T, 0.0]
     sizes = [math.radians(2.0), 3.0 * 2.0 * math.pi / 60.0]
-    assert [values[f"fault_{n}.size"] for n in (1, 2)] == pytest.approx(sizes, rel=1e-12)
+    assert [values[f"fault_{n}.size"] for n in (0, 1)] == pytest.approx(sizes, rel=1e-12)
 
 
 def test_a_change_of_a_number_ends():
@@ -238,12 +238,12 @@ def test_a_fault_has_the_same_bits_in_a_batch():
 
 PHI = BASE.plant.linkage.phi_rad
 REFUSED = [
-    ({"start_s": 0.2}, r"faults\[1\]: start_s = 0.2 s: must be < 0.2 s, the end of the run"),
-    ({"place": "load_cell"}, r"faults\[1\]: place = load_cell: needs wearer.kind = leg or"),
-    ({"place": "plant.pump.lag"}, r"faults\[1\]: place = plant.pump.lag: is unknown; must be"),
+    ({"start_s": 0.2}, r"faults\.0: start_s = 0.2 s: must be < 0.2 s, the end of the run"),
+    ({"place": "load_cell"}, r"faults\.0: place = load_cell: needs wearer.kind = leg or"),
+    ({"place": "plant.pump.lag"}, r"faults\.0: place = plant.pump.lag: is unknown; must be"),
     ({"place": "encoder.phase_rad"}, "is unknown; must be encoder, load_cell, command, or the"),
     ({"place": "plant.ideal_motor"}, "is no number that can change during a run"),
-    ({"place": LAG, "size": 50.0}, r"faults\[1\]: .*lag_s = 50 s is out of range"),
+    ({"place": LAG, "size": 50.0}, r"faults\.0: .*lag_s = 50 s is out of range"),
     ({"place": LAG, "size": 0.01}, "has no effect with size = 0.01; the value is 0.01 without"),
     (
         {"place": "plant.linkage.phi_rad", "size": PHI + 1e-3},
@@ -252,6 +252,7 @@ REFUSED = [
     ({"kind": "bit_flip", "size": 12.0}, "size = 12 of kind = bit_flip: needs encoder.quantized"),
     ({"kind": "scale", "size": 1e3}, "size = 1000 of kind = scale: must be -100 … 100"),
     ({"kind": "dropped", "size": 0.0}, "size = 0 of kind = dropped: must be 1e-06 … 1"),
+    ({"kind": "frozn"}, r"faults\.0\.kind = 'frozn': must be 'frozen', 'offset', "),
     ({"kind": "late", "size": 0.0}, "size = 0 of kind = late: must be 1 … 10"),
     (
         {"kind": "late", "size": 9.0, "start_s": 0.01},
@@ -281,7 +282,7 @@ def test_two_faults_that_exclude_each_other_are_refused():
     fault = {"kind": "frozen", "start_s": 0.05, "duration_s": 0.05}
     with_faults(fault, fault | {"start_s": 0.1})
     with pytest.raises(
-        ParameterError, match=r"faults\[2\]: is at the same place and time as faults"
+        ParameterError, match=r"faults\.1: is at the same place and time as faults\.0"
     ):
         with_faults(fault, fault | {"start_s": 0.09})
 
