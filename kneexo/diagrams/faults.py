@@ -110,7 +110,7 @@ class LoopFaults:
             self._builder.Connect(self._sum(f"faults_of_{name}", ports), target)
 
     def finish(self, ports: Mapping[str, Any]) -> Any:
-        """Connect triggers to the output ports of all signals; return the port `active_faults`.
+        """Connect triggers to the output ports of all signals; return the port ``active_faults``.
 
         The port has the number of active faults. Without faults the result is None.
         """

@@ -22,7 +22,7 @@ class Part(NamedTuple):
     make: Callable[..., Any]
     """Function that returns a new system; compiled runs do not call it.
 
-    The makers of plant and wearer take ``fault_names``, see `kneexo.systems._leaf.NamedLeaf`.
+    The makers of plant and wearer take ``fault_names``: the Context parameters that faults change.
     """
     values: Callable[[], dict[str, float]]
     """Function that returns a dictionary from the name of a Context parameter to its value.
