@@ -381,7 +381,7 @@ def test_each_wrong_value_is_reported_on_its_line(file: File) -> None:
         name, value = line.split("#")[0].split(":")
         path[name.count("  ") :] = [name.strip()]
         if value.strip() and path[-1] != "kind":
-            wrong = [*lines[:n], f"{name}: [{{}}]", *lines[n + 1 :]]
+            wrong = [*lines[:n], f"{name}: [[]]", *lines[n + 1 :]]
             message = file.fault("\n".join(wrong))
             assert message.startswith(f"scenario.yaml:{n + 1}: {'.'.join(path)}")
 

@@ -424,7 +424,7 @@ def test_a_link_carries_the_values(browser, single, tmp_path):
 
 def test_the_address_follows_the_values_and_undo_and_reload_restore_them(browser, single):
     page = _Page(browser, single)
-    gear = f"document.getElementById('q-{GEAR}-value').value"
+    gear = f"document.getElementById('q-{GEAR}-value')?.value"  # none while a page loads
 
     def arrive(value, step):
         browser.wait_for(f"{gear} === '{value}' && history.state?.step === {step}")
