@@ -283,7 +283,7 @@ def _measure(settings: SinestreamSettings, work: tuple[float, Scenario]) -> comp
     cycles = settings.transient_cycles + settings.measured_cycles
     at = {"reference.frequency_hz": frequency, "simulation.duration_s": cycles / frequency}
     signals = ("knee_reference", "knee_angle")
-    run = simulate(changed(scenario, at), signals=signals)
+    run = simulate(changed(scenario.undisturbed(), at), signals=signals)
     measured = run.time_s >= settings.transient_cycles / frequency
     measured[-1] = False  # the last sample repeats the phase of the first one
     time = run.time_s[measured]

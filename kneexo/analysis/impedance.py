@@ -430,7 +430,8 @@ def measure_impedance(
 
 def _record(scenario: Scenario, reference: SineReference, duration_s: float) -> Run:
     """Return a run with ``torque`` in N·m, ``angle`` of the leg in rad and motor ``speed``."""
-    scenario = changed(scenario, {"reference": reference, "simulation.duration_s": duration_s})
+    values = {"reference": reference, "simulation.duration_s": duration_s}
+    scenario = changed(scenario.undisturbed(), values)
     model = compile_scenario(scenario)
     parameters, state, inputs = scenario_run(scenario, model)
     names = (_TORQUE, "wearer_motion", "motor_speed")

@@ -197,11 +197,10 @@ def estimate_sine(
     while True:
         run = simulate(
             changed(
-                scenario,
+                scenario.undisturbed(),
                 {
                     "reference.ramp_s": ramp,
                     "simulation.duration_s": ramp + cycles / frequency,
-                    "push": None,
                 },
             ),
             signals=("knee_reference", "knee_angle", "motor_speed"),

@@ -328,9 +328,11 @@ def _fault_notices(scenario: Scenario, run: Run) -> Iterator[str]:
         yield "no fault was active, because no signal passed its threshold; change above or below"
         return
     first, last = run.time_s[samples[[0, -1]]]
+    count = len(scenario.faults)
+    faults = "1 fault" if count == 1 else f"{count} faults"
     yield (
-        f"{len(scenario.faults)} faults: at most {active.max():.0f} at once, the first from "
-        f"{first:.4g} s, the last until {last:.4g} s; margins are those without faults"
+        f"{faults}: at most {active.max():.0f} at once, the first from {first:.4g} s, the last "
+        f"until {last:.4g} s; margins are those without faults"
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from pydrake.systems.framework import Diagram, DiagramBuilder, System
@@ -22,7 +22,7 @@ from kneexo.diagrams.controller import (
     make_controller,
 )
 from kneexo.diagrams.faults import LoopFaults, fault_values
-from kneexo.diagrams.part import Part, connect, state_names
+from kneexo.diagrams.part import NO_FAULTS, Part, connect, state_names
 from kneexo.diagrams.plant import make_plant, scenario_plant_parts, start_arguments
 from kneexo.diagrams.signals import (
     CONTROLLER_SIGNALS,
@@ -106,11 +106,7 @@ def make_closed_loop(
     names = chosen_signals(scenario, signals)
     builder = DiagramBuilder()
     faults = LoopFaults(builder, scenario)
-    of_plant, of_wearer = faults.names_inside("plant"), faults.names_inside("")
-    plant = builder.AddNamedSystem(
-        "plant",
-        make_plant(scenario.plant, **start_arguments(scenario), fault_names=of_plant),
-    )
+    plant = builder.AddNamedSystem("plant", plant_of(scenario, faults.names_inside("plant")))
     encoder = add_encoder(builder, scenario, plant.GetOutputPort("encoder_angle"))
     if external_reference:
         source = builder.AddNamedSystem("knee_reference", PassThrough(4))
@@ -127,7 +123,7 @@ def make_closed_loop(
         plant,
         source.get_output_port(),
         external_moment=external_moment,
-        fault_names=of_wearer,
+        fault_names=faults.names_inside(""),
     )
     controller = builder.AddNamedSystem("controller", make_controller(scenario, law))
     ports = {name: plant.GetOutputPort(name) for name in SIGNALS if plant.HasOutputPort(name)} | {
@@ -302,9 +298,12 @@ def _continuous_parts(scenario: Scenario) -> Iterator[tuple[str, Part]]:
     yield from (("", part) for part in wearer_parts(scenario))
 
 
-def plant_of(scenario: Scenario) -> Diagram:
-    """Build the plant of a scenario, with the initial state that the scenario defines."""
-    return make_plant(scenario.plant, **start_arguments(scenario))
+def plant_of(scenario: Scenario, fault_names: Mapping[str, tuple[str, ...]] = NO_FAULTS) -> Diagram:
+    """Build the plant of a scenario, with the initial state that the scenario defines.
+
+    `make_plant` describes ``fault_names``.
+    """
+    return make_plant(scenario.plant, **start_arguments(scenario), fault_names=fault_names)
 
 
 def add_encoder(builder: Any, scenario: Scenario, angle: Any) -> Any:

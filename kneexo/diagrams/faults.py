@@ -10,7 +10,7 @@ from pydrake.systems.primitives import Adder
 from kneexo import systems
 from kneexo.diagrams.part import Part
 from kneexo.diagrams.plant import scenario_plant_parts
-from kneexo.diagrams.signals import SIGNALS
+from kneexo.diagrams.signals import NEEDED_SETTINGS, SIGNALS
 from kneexo.diagrams.wearer import wearer_parts
 from kneexo.errors import ParameterError, close_names, question
 from kneexo.parameters import FaultParameters, Scenario
@@ -20,38 +20,30 @@ from kneexo.systems import fault as fault_system
 
 _CHANGING = ("plant", "wearer", "load_cell")  # parts of a scenario whose numbers can change
 
-Offsets = dict[str, dict[str, float]]
+Changes = dict[str, dict[str, float]]
 """For each system, by its path, the Context parameters that a fault changes and their changes."""
 
 
-def fault_names(scenario: Scenario) -> dict[str, tuple[str, ...]]:
-    """Return the Context parameters that faults change, by the path of their system.
-
-    Raises `ParameterError` as `require_faults` does.
-    """
-    names: dict[str, dict[str, None]] = {}
-    for number, _ in _numbered(scenario, on_signals=False):
-        for path, offsets in _offsets(scenario, number).items():
-            names.setdefault(path, {}).update(dict.fromkeys(offsets))
-    return {path: tuple(found) for path, found in names.items()}
-
-
 def fault_structure(scenario: Scenario) -> tuple[Any, ...]:
-    """Return what decides the form of the equations of a scenario's faults, as plain data."""
-    kinds = ((fault.place, fault.kind, fault.signal) for fault in scenario.faults)
-    return (*kinds, *fault_names(scenario).items()) if scenario.faults else ()
+    """Return what decides the form of the equations of a scenario's faults, as plain data.
+
+    Raises `ParameterError` for a fault that cannot be in this scenario, or changes nothing.
+    """
+    kinds = ((fault.place, fault.kind, _trigger(fault)) for fault in scenario.faults)
+    return (*kinds, *_names(_changes(scenario)).items())
 
 
 def fault_values(scenario: Scenario) -> Iterator[tuple[str, dict[str, float]]]:
     """Yield name and Context parameters of each system of a fault, as `loop_values` does.
 
-    Raises `ParameterError` for a fault that cannot be in this scenario.
+    Raises `ParameterError` as `fault_structure` does.
     """
-    for number, fault in _numbered(scenario, on_signals=True):
-        options = _reading(scenario, fault)
-        yield _name(number), fault_system.context_values(fault, *options.values())
-    for number, fault in _numbered(scenario, on_signals=False):
-        for path, offsets in _padded(scenario, number):
+    changes = _changes(scenario)
+    for number, fault in enumerate(scenario.faults):
+        if fault.place in FAULTY_SIGNALS:
+            values = fault_system.context_values(fault, **_reading(scenario, fault))
+            yield f"fault_{number}", values
+        for path, offsets in changes.get(number, {}).items():
             yield _name(number, path), fault_system.offset_values(fault, offsets)
 
 
@@ -60,14 +52,13 @@ class LoopFaults:
 
     def __init__(self, builder: Any, scenario: Scenario) -> None:
         self._builder, self._scenario = builder, scenario
-        self._systems: dict[int, Any] = {}  # of each fault, for its output `active`
+        self._systems: dict[int, Any] = {}  # a system of each fault, for its output ``active``
         self._triggered: list[tuple[FaultParameters, Any]] = []
-        self.names = fault_names(scenario)
-        """The Context parameters that faults change, by the path of their system."""
+        self._changes = _changes(scenario)
 
     def on_signal(self, place: str, port: Any) -> Any:
         """Add the faults of the signal ``place``, an output port; return the port behind them."""
-        for number, fault in _numbered(self._scenario, on_signals=True):
+        for number, fault in enumerate(self._scenario.faults):
             if fault.place != place:
                 continue
             system = systems.FaultySignal(
@@ -77,33 +68,37 @@ class LoopFaults:
                 trigger=_trigger(fault),
                 **_reading(self._scenario, fault),
             )
-            self._add(number, fault, _name(number), system)
+            self._add(number, fault, f"fault_{number}", system)
             self._builder.Connect(port, system.GetInputPort("signal"))
             port = system.GetOutputPort("signal")
         return port
 
     def names_inside(self, folder: str) -> dict[str, tuple[str, ...]]:
-        """Return `names` of the systems in the subsystem ``folder``, by the name of the system."""
-        return {
-            name: names
-            for path, names in self.names.items()
-            for inside, _, name in [path.rpartition("/")]
-            if inside == folder
-        }
+        """Return the Context parameters that faults change, by the name of their system.
+
+        The systems are those inside the subsystem ``folder``, or those of the loop itself for "".
+        """
+        inside = {}
+        for path, names in _names(self._changes).items():
+            parent, _, name = path.rpartition("/")
+            if parent == folder:
+                inside[name] = names
+        return inside
 
     def on_parameters(self, plant: Any) -> None:
         """Add the faults of numbers, and connect them to their systems."""
-        sources: dict[str, list[Any]] = {path: [] for path in self.names}
-        for number, fault in _numbered(self._scenario, on_signals=False):
-            for path, offsets in _padded(self._scenario, number):
+        sources: dict[str, list[Any]] = {}
+        for number, changes in self._changes.items():
+            fault = self._scenario.faults[number]
+            for path, offsets in changes.items():
                 system = systems.ParameterFault(
                     fault, offsets, self._scenario.controller.sample_time_s, _trigger(fault)
                 )
                 self._add(number, fault, _name(number, path), system)
-                sources[path].append(system.GetOutputPort("offsets"))
+                sources.setdefault(path, []).append(system.GetOutputPort("offsets"))
         for path, ports in sources.items():
-            folder, _, name = path.rpartition("/")
-            if folder:
+            parent, _, name = path.rpartition("/")
+            if parent:
                 target = plant.GetInputPort(f"{name}_fault")
             else:
                 target = self._builder.GetSubsystemByName(name).GetInputPort("fault")
@@ -112,10 +107,17 @@ class LoopFaults:
     def finish(self, ports: Mapping[str, Any]) -> Any:
         """Connect triggers to the output ports of all signals; return the port ``active_faults``.
 
-        The port has the number of active faults. Without faults the result is None.
+        The port has the number of active faults. Without faults the result is None. Raises
+        `ParameterError` if the loop lacks the signal of a trigger.
         """
         for fault, system in self._triggered:
-            self._builder.Connect(ports[_signal_of(fault)[0]], system.GetInputPort("trigger"))
+            signal, _ = _signal_of(fault)
+            if signal not in ports:
+                needed = NEEDED_SETTINGS.get(signal, "another controller")
+                raise ParameterError(
+                    f"faults: signal {fault.signal!r} is not in this scenario; needs {needed}"
+                )
+            self._builder.Connect(ports[signal], system.GetInputPort("trigger"))
         active = [system.GetOutputPort("active") for system in self._systems.values()]
         return self._sum("active_faults", active) if active else None
 
@@ -133,24 +135,9 @@ class LoopFaults:
         return adder.get_output_port()
 
 
-def require_faults(scenario: Scenario) -> None:
-    """Raise `ParameterError` for a fault that cannot be in this scenario, or has no effect."""
-    for _ in fault_values(scenario):
-        pass
-
-
-def _numbered(scenario: Scenario, *, on_signals: bool) -> Iterator[tuple[int, FaultParameters]]:
-    """Yield the faults of signals, or of numbers, with their places in the list."""
-    for number, fault in enumerate(scenario.faults):
-        if (fault.place in FAULTY_SIGNALS) == on_signals:
-            if fault.signal is not None:
-                _signal_of(fault)
-            yield number, fault
-
-
-def _name(number: int, path: str = "") -> str:
-    """Return the name of the system of a fault; a fault of a number has one for each ``path``."""
-    return f"fault_{number}_{path.rpartition('/')[2]}" if path else f"fault_{number}"
+def _name(number: int, path: str) -> str:
+    """Return the name of a system of the fault of a number; the fault has one for each ``path``."""
+    return f"fault_{number}_{path.rpartition('/')[2]}"
 
 
 def _reading(scenario: Scenario, fault: FaultParameters) -> dict[str, float]:
@@ -185,8 +172,34 @@ def _parts(scenario: Scenario) -> Iterator[tuple[str, Part]]:
         yield part.name, part
 
 
-def _offsets(scenario: Scenario, number: int) -> Offsets:
-    """Return the changes of all Context parameters that the fault ``number`` of a number makes."""
+def _changes(scenario: Scenario) -> dict[int, Changes]:
+    """Return the changes that each fault of a number makes, by its place in the list.
+
+    All faults of one system have the same names, so that their changes can be added. A change is
+    zero where only other faults change the parameter.
+    """
+    found = {
+        number: _changes_of(scenario, number)
+        for number, fault in enumerate(scenario.faults)
+        if fault.place not in FAULTY_SIGNALS
+    }
+    names: dict[str, dict[str, float]] = {}
+    for changes in found.values():
+        for path, offsets in changes.items():
+            names.setdefault(path, {}).update(dict.fromkeys(offsets, 0.0))
+    return {
+        number: {path: names[path] | offsets for path, offsets in changes.items()}
+        for number, changes in found.items()
+    }
+
+
+def _names(changes: dict[int, Changes]) -> dict[str, tuple[str, ...]]:
+    """Return the names of the changed Context parameters, by the path of their system."""
+    return {path: tuple(offsets) for of in changes.values() for path, offsets in of.items()}
+
+
+def _changes_of(scenario: Scenario, number: int) -> Changes:
+    """Return the Context parameters that the fault ``number`` changes, with their changes."""
     fault = scenario.faults[number]
     subject = f"faults.{number}: place = {fault.place}"
     value = value_at(scenario, fault.place)
@@ -203,24 +216,16 @@ def _offsets(scenario: Scenario, number: int) -> Offsets:
         message = str(error).removeprefix("Scenario: ")
         raise ParameterError(f"faults.{number}: {message}") from None
     healthy = {path: part.values() for path, part in _parts(scenario)}
-    offsets: Offsets = {}
+    found: Changes = {}
     for path, part in _parts(other):
         for name, faulty in part.values().items():
             if (change := faulty - healthy[path][name]) != 0.0:
-                offsets.setdefault(path, {})[name] = change
-    if not offsets:
+                found.setdefault(path, {})[name] = change
+    if not found:
         raise ParameterError(
             f"{subject}: has no effect with size = {fault.size:g}; the value is {value:g} without "
             f"the fault"
         )
-    if any("[" in name for names in offsets.values() for name in names):
+    if any("[" in name for names in found.values() for name in names):
         raise ParameterError(f"{subject}: changes the linkage, which a fault cannot")
-    return offsets
-
-
-def _padded(scenario: Scenario, number: int) -> Iterator[tuple[str, dict[str, float]]]:
-    """Yield path and changes of a fault of a number, zero for what only other faults change."""
-    offsets = _offsets(scenario, number)
-    for path, names in fault_names(scenario).items():
-        if path in offsets:
-            yield path, {name: offsets[path].get(name, 0.0) for name in names}
+    return found

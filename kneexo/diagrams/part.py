@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 
 from kneexo.systems import StateVariable
 
-_NO_FAULTS: Mapping[str, tuple[str, ...]] = MappingProxyType({})
+NO_FAULTS: Mapping[str, tuple[str, ...]] = MappingProxyType({})
+"""No Context parameters that faults change, of no systems."""
 
 
 class Part(NamedTuple):
@@ -50,7 +51,7 @@ def state_names(part: Part, path: str) -> list[str]:
 
 
 def add_parts(
-    builder: Any, parts: Iterable[Part], fault_names: Mapping[str, tuple[str, ...]] = _NO_FAULTS
+    builder: Any, parts: Iterable[Part], fault_names: Mapping[str, tuple[str, ...]] = NO_FAULTS
 ) -> dict[str, Any]:
     """Add the systems of ``parts`` to a DiagramBuilder; return a dictionary from name to system.
 

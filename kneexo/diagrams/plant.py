@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from functools import lru_cache
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from kneexo import linkage, systems
-from kneexo.diagrams.part import Part, add_parts, connect
+from kneexo.diagrams.part import NO_FAULTS, Part, add_parts, connect
 from kneexo.diagrams.signals import FULL_ORDER_OUTPUTS, PLANT_OUTPUTS
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
@@ -46,7 +45,7 @@ def make_plant(
     initial_knee_angle_rad: float = _START_RAD,
     initial_offset_m: float = 0.0,
     rod_polynomial: RodPolynomialParameters = RodPolynomialParameters(),
-    fault_names: Mapping[str, tuple[str, ...]] = MappingProxyType({}),
+    fault_names: Mapping[str, tuple[str, ...]] = NO_FAULTS,
 ) -> Diagram:
     """Build the plant, motor → cylinder → knee with load, as a purely continuous diagram.
 

@@ -16,7 +16,7 @@ import numpy as np
 from kneexo.compiler import CSource, InputTable, input_table
 from kneexo.diagrams.closed_loop import plant_start
 from kneexo.diagrams.wearer import moment_of, moment_spline
-from kneexo.errors import KneexoError
+from kneexo.errors import KneexoError, ParameterError
 from kneexo.export.web_code import (
     REFERENCES,
     TORQUE_MODES,
@@ -108,10 +108,12 @@ def web_model(scenario: Scenario) -> dict[str, Any]:
         Whether the loop has a wearer, and the biological moment as a piecewise polynomial or None.
         A loop with a wearer has the input of `IntervalReference`, followed by the moment.
 
-    Raises `ParameterError` for a law that is called as Python and for a mode of the plant that the
-    steps of a module cannot follow. Raises the errors of `make_closed_loop`. Raises
+    Raises `ParameterError` for a law that is called as Python, for faults, and for a mode of the
+    plant that the steps of a module cannot follow. Raises the errors of `make_closed_loop`. Raises
     `CompilationError` if a module must be compiled and Zig is not installed.
     """
+    if scenario.faults:
+        raise ParameterError("faults: a page cannot show them yet; leave them out")
     push = scenario.push or PushParameters()
     scenario = completed(scenario.changed({"push": None}))  # the page pushes between two samples
     require_slow_modes(scenario)

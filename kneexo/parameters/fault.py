@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Literal
 
 from pydantic import model_validator
@@ -19,23 +18,24 @@ Kind = Literal[
 """Kinds of faults: of a signal, and ``value`` of a number."""
 
 
-@dataclass(frozen=True)
-class FaultySignal:
-    """A signal of the closed loop that can be faulty, and the unit of a fault's size."""
+FAULTY_SIGNALS = {"encoder": math.pi / 180.0, "load_cell": 1.0, "command": RPM}
+"""The signals that can be faulty, each with the SI units of one unit of a fault's size.
 
-    unit: str
-    factor: float
-    """SI units of one ``unit``."""
+The encoder's reading has sizes in deg, the load cell's in N, and the speed command in rpm.
+"""
 
 
-FAULTY_SIGNALS = {
-    "encoder": FaultySignal("deg", math.pi / 180.0),
-    "load_cell": FaultySignal("N", 1.0),
-    "command": FaultySignal("rpm", RPM),
+LATEST = 10
+"""Largest number of samples by which a signal can be late."""
+
+_SIZES = {
+    "scale": (-100.0, 100.0),
+    "noise": (0.0, math.inf),
+    "dropped": (1e-6, 1.0),
+    "late": (1.0, LATEST),
+    "bit_flip": (0.0, 15.0),
 }
-"""The signals that can be faulty: encoder reading, reading of the load cell, speed command."""
-
-_BY_PLACE = "assumption: none"
+"""Least and largest size of a fault, by kind."""
 
 
 class FaultParameters(Parameters):
@@ -56,8 +56,8 @@ class FaultParameters(Parameters):
         "frozen: the last reading stays; offset, drift (size a second), noise (standard "
         "deviation): the size adds to the signal; scale: the size multiplies it; dropped: the size "
         "is the share of samples that repeat the last reading; late: the size is a number of "
-        "samples; bit_flip: the size is the number of "
-        "the flipped bit of the encoder count; value: the number at the path becomes the size",
+        "samples; bit_flip: the size is the number of the flipped bit of the encoder count; value: "
+        "the number at the path becomes the size",
     )
     size: float = quantity(
         0.0,
@@ -89,7 +89,7 @@ class FaultParameters(Parameters):
     def si_size(self) -> float:
         """Size in the unit of the signal, or of the number at the path."""
         if self.kind in ("offset", "drift", "noise"):
-            return self.size * FAULTY_SIGNALS[self.place].factor
+            return self.size * FAULTY_SIGNALS[self.place]
         return self.size
 
     @property
@@ -114,7 +114,7 @@ class FaultParameters(Parameters):
             raise ValueError(f"kind = bit_flip at place = {self.place}: must be at the encoder")
         low, high = _SIZES.get(self.kind, (-math.inf, math.inf))
         whole = self.kind not in ("late", "bit_flip") or self.size == round(self.size)
-        if not (low <= self.size <= high and math.isfinite(self.size) and whole):
+        if not (low <= self.size <= high and whole):
             what = "" if whole else "a whole number, "
             raise ValueError(
                 f"size = {self.size:g} of kind = {self.kind}: must be {what}{low:g} … {high:g}"
@@ -126,16 +126,3 @@ class FaultParameters(Parameters):
         if self.above is not None and self.below is not None:
             raise ValueError("above and below: must be one of both")
         return self
-
-
-LATEST = 10
-"""Largest number of samples by which a signal can be late."""
-
-_SIZES = {
-    "scale": (-100.0, 100.0),
-    "noise": (0.0, math.inf),
-    "dropped": (1e-6, 1.0),
-    "late": (1.0, LATEST),
-    "bit_flip": (0.0, 15.0),
-}
-"""Least and largest size of a fault, by kind."""

@@ -213,6 +213,10 @@ class Scenario(Parameters):
             raise ParameterError(text) from None
         return self.model_copy(update={"controller": controller})
 
+    def undisturbed(self) -> Scenario:
+        """Return the scenario for the measurement of a response: nobody pushes, nothing fails."""
+        return self.model_copy(update={"push": None, "faults": ()})
+
     def without_quantizers(self) -> Scenario:
         """Return the scenario for linear analysis, in which no part rounds.
 
@@ -222,12 +226,11 @@ class Scenario(Parameters):
         encoder = self.encoder.model_copy(update={"quantized": False})
         cell = self.load_cell.model_copy(update={"quantized": False, "noise_n": 0.0, "seed": None})
         bus = NoBus(latency_samples=self.bus.latency_samples)
-        update: dict[str, Any] = {"encoder": encoder, "load_cell": cell, "bus": bus, "push": None}
-        update["faults"] = ()
+        update: dict[str, Any] = {"encoder": encoder, "load_cell": cell, "bus": bus}
         if isinstance(self.wearer, LegParameters):
             cuff = self.wearer.cuff.model_copy(update={"slip_torque_n_m": None})
             update["wearer"] = self.wearer.model_copy(update={"cuff": cuff})
-        return self.model_copy(update=update)
+        return self.undisturbed().model_copy(update=update)
 
     @property
     def duration_s(self) -> float:

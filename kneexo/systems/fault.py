@@ -124,11 +124,11 @@ class FaultySignal(_Fault):
 
     Discrete states, updated every ``sample_time_s``: the clock of the fault, the last healthy
     value, three states of a generator for the kinds noise and dropped, and the last samples for the
-    kind late. Context parameters by
-    name: ``start_s`` (t_s), ``duration_s`` (T_f), ``lead_s`` (t_lead), ``size``, ``resolution``
-    (q), ``threshold``, ``direction`` and the seeds. A fault begins at a sample. The trigger is
-    positive if direction · (trigger − threshold) > 0. ``Simulator.Initialize()`` sets the generator
-    to the seeds. Source: an assumption, Lee et al. 2020 have no faults.
+    kind late. Context parameters by name: ``start_s`` (t_s), ``duration_s`` (T_f), ``lead_s``
+    (t_lead), ``size``, ``resolution`` (q), ``threshold``, ``direction`` and the seeds. A fault
+    begins at a sample. The trigger is positive if direction · (trigger − threshold) > 0.
+    ``Simulator.Initialize()`` sets the generator to the seeds. Source: an assumption, Lee et al.
+    2020 have no faults.
 
     Parameters
     ----------
@@ -157,7 +157,11 @@ class FaultySignal(_Fault):
         self._kind = parameters.kind
         self._random = parameters.kind in _RANDOM
         self._signal = self.DeclareVectorInputPort("signal", size)
-        others = len(AS_183) if self._random else LATEST if self._kind == "late" else 0
+        others = 0
+        if self._random:
+            others = len(AS_183)
+        elif self._kind == "late":
+            others = LATEST
         self._declare_clock(sample_time_s, trigger, 1 + others)
         if self._random:
             self._declare_initialization(self._initialize)

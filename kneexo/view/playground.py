@@ -123,10 +123,6 @@ def playground_page(scenarios: Sequence[Scenario], names: Sequence[str]) -> str:
         raise ParameterError(
             f"{len(scenarios)} scenarios: a page has at least 1 and at most {MOST_SCENARIOS}"
         )
-    if any(scenario.faults for scenario in scenarios):
-        raise ParameterError(
-            "faults: a page cannot show them yet; leave them out (--set faults=[])"
-        )
     data = playground_data(scenarios, names)
     styles = (*STAGE_STYLES, "playground.css")
     scripts = (*STAGE_SCRIPTS, *_SCRIPTS)

@@ -6,18 +6,19 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from kneexo.analysis import track
+from kneexo.analysis import estimate_sine, sinestream, track
+from kneexo.analysis.frequency_response import SinestreamSettings
 from kneexo.diagrams import make_closed_loop
-from kneexo.diagrams.faults import fault_names, require_faults
+from kneexo.diagrams.faults import fault_structure
 from kneexo.errors import ParameterError
 from kneexo.export.firmware import export_firmware
 from kneexo.export.fmu import export_fmu
 from kneexo.export.target import make_target
+from kneexo.export.web import web_model
 from kneexo.parameters import KneeLoadParameters, Scenario
 from kneexo.parameters.scenario_file import dump_scenario, load_scenario
 from kneexo.simulation import simulate
 from kneexo.simulation.compiled import scenario_values, simulate_together
-from kneexo.view.playground import playground_page
 
 T = 0.002
 STILL = {"kind": "step", "start_deg": 40.0, "end_deg": 40.0}
@@ -171,7 +172,7 @@ def test_several_faults_add_up_and_two_of_one_system_share_its_port():
         {"kind": "noise", "size": 0.1, "start_s": 0.15},
     ]
     scenario = with_faults(*faults)
-    assert fault_names(scenario) == {"plant/motor": ("lag_s", "leakage_m3_per_s_pa")}
+    assert fault_structure(scenario)[3:] == (("plant/motor", ("lag_s", "leakage_m3_per_s_pa")),)
     active = simulate(scenario)["active_faults"]
     assert [active[n] for n in (20, 40, 60, 90)] == [0.0, 1.0, 2.0, 3.0]
 
@@ -274,7 +275,7 @@ def test_a_wrong_fault_is_one_line(values, message):
     if "." in fault["place"]:
         fault["kind"] = "value"
     with pytest.raises(ParameterError, match=message) as error:
-        require_faults(with_faults(fault))
+        fault_structure(with_faults(fault))
     assert "\n" not in str(error.value)
 
 
@@ -297,9 +298,7 @@ def test_the_plant_alone_has_no_faults():
 def test_the_verdict_says_when_faults_were_active():
     fault = {"place": LAG, "kind": "value", "size": 0.05, "start_s": 0.05, "duration_s": 0.05}
     (line,) = [n for n in track(with_faults(fault)).verdict.notices if "faults" in n]
-    assert line.startswith(
-        "1 faults: at most 1 at once, the first from 0.052 s, the last until 0.1"
-    )
+    assert line.startswith("1 fault: at most 1 at once, the first from 0.052 s, the last until 0.1")
     never = fault | {"signal": "knee_angle_rad", "above": 3.0}
     (line,) = [n for n in track(with_faults(never)).verdict.notices if "fault" in n]
     assert line.startswith("no fault was active, because no signal passed its threshold")
@@ -307,7 +306,31 @@ def test_the_verdict_says_when_faults_were_active():
 
 def test_a_page_refuses_faults():
     with pytest.raises(ParameterError, match="faults: a page cannot show them yet"):
-        playground_page([with_faults({"start_s": 0.1})], ["a"])
+        web_model(with_faults({"start_s": 0.1}))
+
+
+@pytest.mark.parametrize(
+    ("signal", "needed"),
+    [("wearer_angle_rad", "wearer.kind = leg"), ("cap_pressure_pa", "plant.full_order = true")],
+)
+@pytest.mark.parametrize("engine", ["compiled", "drake"])
+def test_a_trigger_by_a_signal_that_the_loop_lacks_is_refused(signal, needed, engine):
+    scenario = with_faults({"start_s": 0.1, "signal": signal, "above": 0.0}).with_engine(engine)
+    with pytest.raises(ParameterError, match=f"signal '{signal}' is not in .* needs {needed}$"):
+        simulate(scenario)
+
+
+@pytest.mark.slow
+def test_frequency_responses_leave_push_and_faults_out():
+    """The frozen encoder would stop the knee, and the push move it."""
+    sine = {"kind": "sine", "frequency_hz": 2.0, "amplitude_deg": 1.0}
+    base = Scenario(reference=sine, plant={"load": "knee"}, simulation={"duration_s": 1.0})
+    push = {"torque_n_m": 60.0, "start_s": 0.5, "duration_s": 0.1}
+    disturbed = base.changed({"push": push, "faults": [{"start_s": 0.4}]})
+    assert estimate_sine(disturbed) == estimate_sine(base)
+    settings = SinestreamSettings(frequencies_hz=(2.0, 3.0, 4.0))
+    measured = [sinestream(s, settings, trials=[{}]).response for s in (disturbed, base)]
+    np.testing.assert_array_equal(*measured)
 
 
 def test_faults_of_a_file_are_those_of_python(tmp_path):

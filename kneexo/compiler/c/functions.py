@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from itertools import compress
 
 from ..equations.equations import Update
-from ..equations.gradients import TIME
 from .interface import signal_names
 from .plan import Plan
 from .printer import CPrinter, section_comment
@@ -178,8 +177,7 @@ class Functions:
         self._name_faster_nodes()
         rates = [(f"rate[{i}]", node) for i, node in enumerate(plan.equations.derivatives)]
         zero = plan.equations.graph.zero
-        columns = [[c for c in gradient if c != TIME] for gradient in plan.gradients]
-        self.elimination = Elimination(columns, len(RODAS.nodes), plan.real)
+        self.elimination = Elimination(plan.gradients, len(RODAS.nodes), plan.real)
         partials = [
             (f"jacobian[{place}]", plan.gradients[row].get(column, zero))
             for place, (row, column) in enumerate(self.elimination.entries)
@@ -187,7 +185,7 @@ class Functions:
         arguments = ", real *rate, real *jacobian"
         if plan.depends_on_time:
             arguments += ", real *by_time"
-            partials += [(f"by_time[{i}]", g.get(TIME, zero)) for i, g in enumerate(plan.gradients)]
+            partials += [(f"by_time[{i}]", node) for i, node in enumerate(plan.by_time)]
         self.of_an_instant += [
             Function("rate_at", ", real *rate", self._block(rates, calls)),
             Function("linear_at", arguments, self._block([*rates, *partials])),

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from ..equations.equations import Equations
-from ..equations.gradients import TIME
 from ..run_data import Array, State
 from .interface import Field
 from .printer import FLOAT, Precision
@@ -45,6 +44,8 @@ class Plan:
     """Dictionary from a node of the diagram's derivatives to its faster node; see `fast_rates`."""
     gradients: tuple[Mapping[int, int], ...] = ()
     """For the Rosenbrock method the gradient of each derivative; see `equations.gradients`."""
+    by_time: tuple[int, ...] = ()
+    """For the Rosenbrock method the node of each derivative's partial derivative by the time."""
 
     @property
     def integrator(self) -> str:
@@ -53,8 +54,8 @@ class Plan:
 
     @property
     def depends_on_time(self) -> bool:
-        """Whether a gradient of the Rosenbrock method has a derivative by the time."""
-        return any(TIME in gradient for gradient in self.gradients)
+        """Whether a partial derivative by the time is not always zero."""
+        return any(node != self.equations.graph.zero for node in self.by_time)
 
     @cached_property
     def needs_time(self) -> bool:
@@ -71,7 +72,7 @@ class Plan:
     def step_nodes(self) -> list[int]:
         """Nodes of the graph whose values one step computes."""
         partials = [node for gradient in self.gradients for node in gradient.values()]
-        return [*step_nodes(self.equations, self.output_nodes), *partials]
+        return [*step_nodes(self.equations, self.output_nodes), *partials, *self.by_time]
 
 
 def step_nodes(equations: Equations, output_nodes: tuple[int, ...]) -> list[int]:

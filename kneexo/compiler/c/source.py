@@ -24,7 +24,7 @@ from pydrake.systems.framework import Context
 
 from ..diagram_equations import DiagramEquations
 from ..equations.equations import Equations
-from ..equations.gradients import gradients
+from ..equations.gradients import gradients, time_derivatives
 from ..errors import CompilationError, shown
 from ..root import ROOT, tool
 from ..run_data import Array, State
@@ -194,8 +194,10 @@ class CSource:
         rates = [faster[node] for node in self.equations.derivatives]
         equations = replace(self.equations, graph=graph, derivatives=rates)
         partials: list[dict[int, int]] = []
+        by_time: list[int] = []
         if self.integrator == "rosenbrock":
-            partials = gradients(graph, rates, by_time=True)
+            partials = gradients(graph, rates)
+            by_time = time_derivatives(graph, rates, {graph.source("time"): graph.one})
         nodes = {port: equations.outputs[port] for port in self.output_ports}
         output_nodes = tuple(node for port_nodes in nodes.values() for node in port_nodes)
         inputs = self.interface.members(equations.inputs)
@@ -236,6 +238,7 @@ class CSource:
             sums=compensated_sums(equations, real),
             faster=faster,
             gradients=tuple(partials),
+            by_time=tuple(by_time),
         )
 
     @cached_property

@@ -7,16 +7,13 @@ from collections.abc import Iterable, Mapping
 from .graph import SOURCES, Graph
 from .operations import OPERATIONS
 
-TIME = -1
-"""Key of the partial derivative by the time in a gradient that `gradients` returns."""
 
-
-def gradients(graph: Graph, roots: Iterable[int], *, by_time: bool = False) -> list[dict[int, int]]:
-    """Return the gradient of each root by the continuous states, and by the time with ``by_time``.
+def gradients(graph: Graph, roots: Iterable[int]) -> list[dict[int, int]]:
+    """Return the gradient of each root by the continuous states.
 
     A gradient is a dictionary from the index of a state to the node of the partial derivative by
-    this state. The partial derivative by the time has the key `TIME`. Derivatives that are zero are
-    left out. At a corner (`Role.CORNER`) the node gives the derivative on one side of the corner.
+    this state. Derivatives that are zero are left out. At a corner (`Role.CORNER`) the node gives
+    the derivative on one side of the corner.
     """
     roots = list(roots)
     of_node: dict[int, dict[int, int]] = {}
@@ -24,8 +21,6 @@ def gradients(graph: Graph, roots: Iterable[int], *, by_time: bool = False) -> l
         kind, *index = graph.nodes[node]
         if kind == "state":
             of_node[node] = {int(index[0]): graph.one}
-        elif kind == "time" and by_time:
-            of_node[node] = {TIME: graph.one}
         elif kind in SOURCES:
             of_node[node] = {}
         else:
@@ -56,11 +51,12 @@ def _gradient(graph: Graph, node: int, gradient_of: dict[int, dict[int, int]]) -
 
 
 def time_derivatives(graph: Graph, roots: Iterable[int], rates: Mapping[int, int]) -> list[int]:
-    """Return, for each root, the node of its total derivative by the time.
+    """Return, for each root, the node of its derivative by the time.
 
     ``rates`` is a dictionary from the node of each source that changes with the time, such as a
-    state, to the node of its time derivative. At a corner (`Role.CORNER`) the node gives the
-    derivative on one side of the corner.
+    state, to the node of its time derivative. Sources that are not in it count as constant, so the
+    time alone with the rate 1 gives the partial derivative by the time. At a corner (`Role.CORNER`)
+    the node gives the derivative on one side of the corner.
     """
     roots = list(roots)
     of_node: dict[int, int] = dict(rates)
