@@ -182,11 +182,12 @@ def voluntary_stability(
 
 
 def voluntary_margin_n_m(centre: Points, leg: WalkingLegParameters) -> Array:
-    """Return how much moment of the hip is left, for centres of rotation of a straight knee.
+    """Return the smaller spare moment of the hip: extension at heel contact, flexion at push-off.
 
-    The result (…) in N·m is positive in Radcliffe's zone of voluntary stability. There the hip is
-    strong enough to keep the knee straight at heel contact, and to start its flexion at push-off.
-    ``centre`` (…) is in m, x backwards and y up from the knee's origin, above the ground.
+    ``centre`` (…) are places of the centre of rotation of a straight knee in m, from the knee's
+    origin, x backwards and y up. They must be above the ground. The result (…) in N·m is positive
+    in Radcliffe's zone of voluntary stability. There the hip is strong enough to keep the knee
+    straight at heel contact, and to start knee flexion at push-off.
     """
     heel, ball = contacts(leg)
     return np.minimum(

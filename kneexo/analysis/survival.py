@@ -1,9 +1,10 @@
 """Critical durations: how long a fault may last before the knee moves too far.
 
-This is the time in which a detector and its reaction must end a fault, the fault-tolerant time
-interval. A permanent fault and a shorter one give the same run until the shorter one ends. So the
-time at which the permanent fault exceeds the bound limits the critical duration from above, and a
-bisection between zero and this limit finds it. Two runs confirm the result, one on each side.
+A detector and its reaction must end the fault within this time, the fault-tolerant time interval. A
+permanent fault and a shorter one give the same run until the shorter one ends. So the critical
+duration is shorter than the time from the start of the fault until the permanent fault exceeds the
+bound, or until its run fails. A bisection between zero and this limit finds it. The bisection
+assumes that a longer fault moves the knee farther.
 """
 
 from __future__ import annotations
@@ -27,20 +28,23 @@ from kneexo.sweeps.parallel import parallel_map
 
 @dataclass(frozen=True, repr=False)
 class FaultCase(Result):
-    """Effect of one fault that begins at one time, measured from the run without the fault."""
+    """Effect of one fault that begins at ``start_s``, or later by a signal.
+
+    The deviations are differences from the run without the fault.
+    """
 
     name: str
-    """Place and kind of the fault."""
+    """Place, kind and size of the fault."""
     start_s: float
     largest_deviation_deg: float
     """Largest deviation of the knee with the permanent fault; inf if the run fails."""
     critical_duration_s: float
-    """Longest duration for which a run stays within the bound; inf if the fault may be permanent.
+    """Longest duration for which a run stays within the bound.
 
-    It is 0 if one sample is too long.
+    It is inf if the permanent fault stays within the bound, and 0 if one sample is too long.
     """
     failing_duration_s: float
-    """Duration, one sample longer, for which a run exceeds the bound; nan for a permanent one."""
+    """Critical duration plus one sample; nan if the critical duration is inf."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -80,8 +84,8 @@ class FaultSurvival(Result):
         """Plot the critical duration of each fault over its start; return the axes."""
         caption = (
             "Longest duration of a fault with which the knee stays within "
-            f"{self.bound_deg:g}° of the run without the fault. A missing mark is a fault that may "
-            "be permanent."
+            f"{self.bound_deg:g}° of the run without the fault. There is no mark where the "
+            "permanent fault stays within this bound."
         )
         ax = axes_or_new(ax, caption=caption)
         for (name, cases), colour in zip(_by_name(self.cases), _colours(), strict=False):
@@ -111,7 +115,7 @@ def fault_survival(
     bound_deg: float = TOLERATED_DEVIATION_DEG,
     workers: int | None = 1,
 ) -> FaultSurvival:
-    """Return the longest duration of each fault, at each time, that the loop survives.
+    """Return, for each fault and start, the longest duration that the loop survives.
 
     The loop survives if the knee stays within ``bound_deg`` of the run without the fault, until the
     end of the run. A run that fails does not survive.
@@ -128,7 +132,7 @@ def fault_survival(
     Parameters
     ----------
     scenario
-        The scenario, whose own faults are part of both runs.
+        The scenario. Its own faults are in all runs.
     faults
         Faults whose start and duration are replaced.
     starts_s
@@ -178,8 +182,7 @@ def _case(
 
     period = scenario.controller.sample_time_s
     permanent = deviation_deg(None)
-    size = "" if fault.kind == "frozen" else f" {fault.size:g}"
-    name, largest = f"{fault.place} {fault.kind}{size}", float(np.max(permanent))
+    name, largest = _name(fault), float(np.max(permanent))
     if largest <= bound_deg:
         return FaultCase(name, fault.start_s, largest, math.inf, math.nan)
     fails = healthy.size - round(fault.start_s / period)
@@ -193,6 +196,19 @@ def _case(
         else:
             fails = middle
     return FaultCase(name, fault.start_s, largest, survives * period, fails * period)
+
+
+def _name(fault: FaultParameters) -> str:
+    """Return place, kind, size, seed and trigger of a fault, as far as it has them."""
+    parts = [fault.place, fault.kind]
+    if fault.kind != "frozen":
+        parts.append(f"{fault.size:g}")
+    if fault.seed:
+        parts.append(f"seed {fault.seed}")
+    for sign, threshold in ((">", fault.above), ("<", fault.below)):
+        if threshold is not None:
+            parts.append(f"if {fault.signal} {sign} {threshold:g}")
+    return " ".join(parts)
 
 
 def _faulty(scenario: Scenario, fault: FaultParameters, samples: int | None) -> Scenario:

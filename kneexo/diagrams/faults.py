@@ -25,7 +25,7 @@ Changes = dict[str, dict[str, float]]
 
 
 def fault_structure(scenario: Scenario) -> tuple[Any, ...]:
-    """Return what decides the form of the equations of a scenario's faults, as plain data.
+    """Return plain data that are equal if the equations of two scenarios' faults have one form.
 
     Raises `ParameterError` for a fault that cannot be in this scenario, or changes nothing.
     """
@@ -86,7 +86,7 @@ class LoopFaults:
         return inside
 
     def on_parameters(self, plant: Any) -> None:
-        """Add the faults of numbers, and connect them to their systems."""
+        """Add the faults of parameters, and connect them to their systems."""
         sources: dict[str, list[Any]] = {}
         for number, changes in self._changes.items():
             fault = self._scenario.faults[number]
@@ -105,10 +105,11 @@ class LoopFaults:
             self._builder.Connect(self._sum(f"faults_of_{name}", ports), target)
 
     def finish(self, ports: Mapping[str, Any]) -> Any:
-        """Connect triggers to the output ports of all signals; return the port ``active_faults``.
+        """Connect each trigger to its signal, and return the output port of ``active_faults``.
 
-        The port has the number of active faults. Without faults the result is None. Raises
-        `ParameterError` if the loop lacks the signal of a trigger.
+        ``ports`` has the output ports of all signals. The port has the number of active faults.
+        Without faults the result is None. Raises `ParameterError` if the loop lacks the signal of a
+        trigger.
         """
         for fault, system in self._triggered:
             signal, _ = _signal_of(fault)
@@ -136,7 +137,7 @@ class LoopFaults:
 
 
 def _name(number: int, path: str) -> str:
-    """Return the name of a system of the fault of a number; the fault has one for each ``path``."""
+    """Return the name of a system of a parameter's fault, which has one for each ``path``."""
     return f"fault_{number}_{path.rpartition('/')[2]}"
 
 
@@ -173,10 +174,10 @@ def _parts(scenario: Scenario) -> Iterator[tuple[str, Part]]:
 
 
 def _changes(scenario: Scenario) -> dict[int, Changes]:
-    """Return the changes that each fault of a number makes, by its place in the list.
+    """Return the changes that each fault of a parameter makes, by its index in the list.
 
-    All faults of one system have the same names, so that their changes can be added. A change is
-    zero where only other faults change the parameter.
+    All faults of one system have the same names, so that their changes can be added. A name that
+    only other faults change has the change 0.
     """
     found = {
         number: _changes_of(scenario, number)

@@ -41,9 +41,10 @@ _SIZES = {
 class FaultParameters(Parameters):
     """A fault: a place, a kind, a size, and a trigger.
 
-    The ``place`` is one of `FAULTY_SIGNALS`, or the dotted path of a number of the scenario. The
-    fault begins at ``start_s``, or later, when a signal of the loop passes a threshold. It ends
-    after ``duration_s``, or never.
+    The ``place`` is one of `FAULTY_SIGNALS`, or the dotted path of a parameter of the scenario. The
+    fault begins at ``start_s``. With ``signal`` it begins at the first sample from ``start_s`` on
+    at which the signal is above or below the threshold. It begins once, and ends after
+    ``duration_s``.
     """
 
     place: str = choice(
@@ -53,16 +54,16 @@ class FaultParameters(Parameters):
     )
     kind: Kind = choice(
         "frozen",
-        "frozen: the last reading stays; offset, drift (size a second), noise (standard "
-        "deviation): the size adds to the signal; scale: the size multiplies it; dropped: the size "
-        "is the share of samples that repeat the last reading; late: the size is a number of "
-        "samples; bit_flip: the size is the number of the flipped bit of the encoder count; value: "
-        "the number at the path becomes the size",
+        "frozen: the last value stays; offset: plus the size; drift: plus the size each second; "
+        "scale: times the size; noise: plus random numbers of this standard deviation; dropped: "
+        "this share of samples repeats the value before; late: by this number of samples; "
+        "bit_flip: of the bit with this number in the encoder count; value: the parameter at the "
+        "path has this value",
     )
     size: float = quantity(
         0.0,
         "by place",
-        "assumption: none; in deg, N or rpm, or in the unit of the path",
+        "assumption: none; in the unit that the kind and the place have",
         ge=-1e12,
         le=1e12,
     )
@@ -73,7 +74,7 @@ class FaultParameters(Parameters):
         None, "s", "assumption: for ever, if left out", ge=1e-3, le=1e5
     )
     signal: str | None = choice(
-        None, "left out: none; a column of signals.csv whose threshold triggers the fault"
+        None, "left out: none; a column of signals.csv that is compared with above or below"
     )
     above: float | None = quantity(
         None, "by signal", "given by the user: upper threshold, if any", ge=-1e12, le=1e12
@@ -87,14 +88,14 @@ class FaultParameters(Parameters):
 
     @property
     def si_size(self) -> float:
-        """Size in the unit of the signal, or of the number at the path."""
+        """Size in SI units. Factors, shares, counts and values of parameters stay as they are."""
         if self.kind in ("offset", "drift", "noise"):
             return self.size * FAULTY_SIGNALS[self.place]
         return self.size
 
     @property
     def end_s(self) -> float:
-        """Time in s at which a fault ends that begins at ``start_s``."""
+        """End in s of a fault that begins at ``start_s``; inf without ``duration_s``."""
         return math.inf if self.duration_s is None else self.start_s + self.duration_s
 
     @property
@@ -119,10 +120,13 @@ class FaultParameters(Parameters):
             raise ValueError(
                 f"size = {self.size:g} of kind = {self.kind}: must be {what}{low:g} … {high:g}"
             )
-        if self.kind in ("offset", "drift", "noise") and self.size == 0.0:
-            raise ValueError(f"size = 0 of kind = {self.kind}: has no effect, must not be 0")
+        neutral = {"offset": 0.0, "drift": 0.0, "noise": 0.0, "scale": 1.0}.get(self.kind)
+        if self.size == neutral:
+            raise ValueError(
+                f"size = {neutral:g} of kind = {self.kind}: has no effect, must not be {neutral:g}"
+            )
         if (self.signal is None) != (self.above is None and self.below is None):
             raise ValueError("signal: must have above or below, and a threshold must have a signal")
         if self.above is not None and self.below is not None:
-            raise ValueError("above and below: must be one of both")
+            raise ValueError("above, below: must be one of both, not both")
         return self

@@ -20,7 +20,7 @@ FOREVER_S = 1e9
 _CLOCK = ("start_s", "duration_s", "lead_s", "threshold", "direction")
 _RANDOM = ("noise", "dropped")
 _SAME_S = 1e-9
-"""Difference in s up to which a sample is at the start or at the end of a fault."""
+"""Two times that differ by less, in s, are equal."""
 
 
 def context_values(
@@ -33,10 +33,10 @@ def context_values(
     parameters
         The fault.
     lead_s
-        Time in s by which the clock begins early. It is the sample time for a signal that is read
-        at samples, because a reader sees the state before an update.
+        Time in s by which the clock starts before ``start_s``. A reader at a sample sees the state
+        before the update, so a reading needs one sample time. The command needs 0.
     resolution
-        Value of a count of the signal, for the kind bit_flip.
+        Size of one count in the unit of the signal, for the kind bit_flip.
     """
     above = parameters.above is not None
     size = 2.0**parameters.size if parameters.kind == "bit_flip" else parameters.si_size
@@ -107,8 +107,8 @@ class FaultySignal(_Fault):
     drift     u + s t
     scale     s u
     noise     u + s n_k, with n_k of `unit_noise`
-    dropped   in a share s of all samples the value of the sample before, else u
-    late      the value of s samples before
+    dropped   the output before in a random share s of the samples, else u
+    late      u of s samples ago
     bit_flip  u ± 2^s q, the bit s of the count u/q is flipped
     ========  ====================================================================
 
@@ -122,13 +122,13 @@ class FaultySignal(_Fault):
     signal           n     any   u with the fault
     ===============  ====  ====  ====================================================
 
-    Discrete states, updated every ``sample_time_s``: the clock of the fault, the last healthy
-    value, three states of a generator for the kinds noise and dropped, and the last samples for the
-    kind late. Context parameters by name: ``start_s`` (t_s), ``duration_s`` (T_f), ``lead_s``
-    (t_lead), ``size``, ``resolution`` (q), ``threshold``, ``direction`` and the seeds. A fault
-    begins at a sample. The trigger is positive if direction · (trigger − threshold) > 0.
-    ``Simulator.Initialize()`` sets the generator to the seeds. Source: an assumption, Lee et al.
-    2020 have no faults.
+    Discrete states, updated every ``sample_time_s``: the clock of the fault; u_h, or the last
+    output for the kind dropped; three states of a generator for the kinds noise and dropped; and
+    the last samples for the kind late. ``Simulator.Initialize()`` sets the generator to the seeds.
+    Context parameters by name: ``start_s`` (t_s), ``duration_s`` (T_f), ``lead_s`` (t_lead),
+    ``size`` (s in SI units, 2^s for bit_flip), ``resolution`` (q), ``threshold``, ``direction`` and
+    the seeds. The trigger is positive if direction · (trigger − threshold) > 0. Source: an
+    assumption. Lee et al. 2020 do not model faults.
 
     Parameters
     ----------
@@ -239,14 +239,16 @@ class ParameterFault(_Fault):
 
     The discrete state is the clock of the fault. Context parameters by name: ``start_s``,
     ``duration_s``, ``lead_s``, ``threshold``, ``direction``, and ``offset_0``, ``offset_1``, … in
-    the order of ``offsets``. Source: an assumption, Lee et al. 2020 have no faults.
+    the order of ``offsets``. Source: an assumption. Lee et al. 2020 do not
+    model faults.
 
     Parameters
     ----------
     parameters
         The fault.
     offsets
-        Names of the changed Context parameters of the other system, and their changes.
+        Names of the changed Context parameters of the other system, and their changes, faulty minus
+        healthy value.
     sample_time_s
         Time between two samples in s.
     trigger

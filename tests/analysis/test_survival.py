@@ -67,6 +67,18 @@ def test_a_fault_that_moves_the_knee_little_may_be_permanent():
     assert str(result).splitlines()[1] == "command offset 1: may be permanent"
 
 
+@pytest.mark.slow
+def test_faults_that_differ_by_seed_or_trigger_have_lines_of_their_own():
+    noise = {"kind": "noise", "size": 0.1}
+    when = {"signal": "knee_angle_rad", "above": 0.5}
+    faults = [FaultParameters(**noise), FaultParameters(**noise, seed=1, **when)]
+    lines = str(fault_survival(RAMP, faults, [0.6])).splitlines()
+    assert [line.partition(":")[0] for line in lines[1:]] == [
+        "encoder noise 0.1",
+        "encoder noise 0.1 seed 1 if knee_angle_rad > 0.5",
+    ]
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -252,6 +252,7 @@ REFUSED = [
     ),
     ({"kind": "bit_flip", "size": 12.0}, "size = 12 of kind = bit_flip: needs encoder.quantized"),
     ({"kind": "scale", "size": 1e3}, "size = 1000 of kind = scale: must be -100 … 100"),
+    ({"kind": "scale", "size": 1.0}, "size = 1 of kind = scale: has no effect, must not be 1"),
     ({"kind": "dropped", "size": 0.0}, "size = 0 of kind = dropped: must be 1e-06 … 1"),
     ({"kind": "frozn"}, r"faults\.0\.kind = 'frozn': must be 'frozen', 'offset', "),
     ({"kind": "late", "size": 0.0}, "size = 0 of kind = late: must be 1 … 10"),

@@ -1,4 +1,4 @@
-"""The Rosenbrock method of exported C, which takes long steps where the equations are stiff.
+"""The Rosenbrock method of exported C. It takes long steps where the equations are stiff.
 
 A step of the length h leads from the state x at the time t to x + Σ m_i u_i. Let f be dx/dt, J the
 Jacobian ∂f/∂x and f_t = ∂f/∂t, both at the start of the step. The stages u_i follow from systems of
@@ -7,10 +7,10 @@ II, Eq. IV.7.25):
 
     (1/(γ h) I - J) u_i = f(t + α_i h, x + Σ_j a_ij u_j) + Σ_j c_ij/h u_j + γ_i h f_t,  j < i.
 
-The matrix is factorized without exchanges of rows, as in the Kinetic PreProcessor (Sandu et al.
-1997, Atmos. Environ. 31). So the places of its nonzero elements are known when the code is printed,
-and the code computes with these elements alone. A pivot that is zero or small makes the error
-estimate large, so the step is repeated with a shorter one, in which 1/(γ h) dominates.
+The matrix is factorized without row exchanges, as in the Kinetic PreProcessor (Sandu et al. 1997,
+Atmos. Environ. 31). So the places of its nonzero elements are known when the code is printed, and
+the code skips all others. A pivot that is zero or small makes the error estimate large or not
+finite. Then the step is repeated with a shorter one, in which 1/(γ h) dominates.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from ..errors import CompilationError
 from .printer import Precision, literal
 
 MOST_SUBSTEPS = 1000
-"""Largest number of substeps in a call, with those that miss the tolerance."""
+"""Largest number of substeps in a call, rejected ones included."""
 
 TOLERANCES = {"double": 1e-7, "float": 1e-5}
 """Default tolerance by precision.

@@ -24,8 +24,9 @@ does not depend on time, g' is zero and the order is four.
 
 A straight line for g in place of the parabola gives a method of order two. The last term above is
 the difference between the two ends, and is the error estimate. A step that misses the tolerance is
-repeated with the Jacobian at its start. If this does not help, the step is halved, or the steps
-become driven as explained below. Short steps get past corners of the derivatives (a clip, a valve).
+repeated with the Jacobian at its start. If this does not help, the steps become driven where dx/dt
+depends on the time, as explained below. Otherwise, and if a driven step fails, the step is halved.
+Short steps get past corners of the derivatives (a clip, a valve).
 If a tick requires eight steps or more, each step must meet a tenth of the tolerance, because the
 errors add up. Every sixteenth such step tries the Jacobian at its start even if the step meets the
 tolerance. An old Jacobian can be good enough for small steps only, and the steps would then stay
@@ -37,32 +38,35 @@ of order five, which evaluate dx/dt alone. Such steps are the rule where valves 
 friction changes its sign. They neither choose Jacobians nor fill tables. Their error estimate is
 close to their error where a derivative has a corner, so they must be ten times as accurate.
 
-Where dx/dt depends on the time itself, as through a reference or an input table, a straight line
-for g is poor even with the Jacobian at the start, and the error estimate is far too large. The
-steps are then driven. A driven step also uses the slope of g at its start,
+Where dx/dt depends on the time itself, as through a reference or an input table, g is curved even
+with the Jacobian at the start. A straight line for g is then poor. So the error estimate is much
+larger than the error, and the step fails. From there on the steps are driven. A driven step also
+uses the slope of g at its start,
 
     g' = d²x/dt² - A dx/dt,  d²x/dt² = ∂f/∂t + J f,
 
 where f is dx/dt and J is its Jacobian by x. The compiler derives d²x/dt² from the equations. So g'
-contains the functions of time, and also the error of an old A. Let g_a be g at the middle minus g
-at the start minus h/2 g', and g_b be g at the end minus g at the start minus h g'. The states are
+contains the slope of the functions of time, and it corrects an old A. In driven steps g_a and g_b
+have another meaning. Let g_a be g at the middle minus g at the start minus h/2 g', and g_b be g at
+the end minus g at the start minus h g'. The states are
 
     middle          x + h/2 phi_1(z/2) dx/dt + (h/2)^2 phi_2(z/2) g',
     predicted end   x + h phi_1 dx/dt + h^2 phi_2 g' + 12 h phi_3 g_a,
     end             x + h phi_1 dx/dt + h^2 phi_2 g' + 8 h phi_3 g_a + e,
     e               h (2.8 phi_3 - 0.6 phi_2) (g_b - 4 g_a).
 
-With the factor 12 phi_4 - 2 phi_3 in e, g would be the cubic through its three values and its
-slope. This factor is 1/6 + z/60, up to the third power of z. The factor above is
-1/6 + z/60 - z^2/600, and needs no phi_4.
+If e had the factor 12 phi_4 - 2 phi_3, g would be the cubic through its three values and its slope.
+That factor is 1/6 + z/60 with an error of the order z^3. The factor 2.8 phi_3 - 0.6 phi_2 is
+1/6 + z/60 - z^2/600 with an error of this order, and needs no phi_4.
 
 The order of driven steps is four with any A. Let g'' be the second derivative of g. The middle
 lacks the term (h/2)^3 phi_3(z/2) g'', about h^3/48 g''. The predicted end has about h^3/12 g'' too
-much, because it contains 12 g_a in the place of 8 g_a. The end has g_a with the factor 4/6 h and
-g_b with the factor h/6 at z = 0, so the two errors cancel. The term e contains the third
-derivative of g, and is the error estimate. In a step of a whole tick, an oscillation with a period
-of about a tick can vanish from e. So a driven step lasts half a tick or less. The steps are driven
-until a parabola without g' would pass easily.
+much, because it contains 12 h phi_3 g_a in the place of 8 h phi_3 g_a. The end has g_a with the
+factor 4/6 h and g_b with the factor h/6 at z = 0, so the two errors cancel. The term e is about
+h^4/72 times the third derivative of g, and is the error estimate. In a step of a whole tick, an
+oscillation with a period of about a tick can vanish from e. So a driven step lasts half a tick or
+less. Driven steps end when the estimate of a step without g' would be at most 5 % of what it may
+be.
 
 A lane is one of the runs that the code makes side by side. Each lane has its own step, Jacobians
 and tables, so a run has the same bits in a lane and alone. A lane that has reached the end of the

@@ -148,10 +148,11 @@ def plot_stance(result: MechanismResult) -> Figure:
     leg = WalkingLegParameters()
     figure, ax = plt.subplots(figsize=(6.4, 6.8), layout="constrained")
     figure.set_label(
-        "A straight leg whose knee is the device, from the side. The centre of rotation must be in "
-        f"the shaded zone, so that at most {leg.hip_extension_n_m:g} N·m of hip extension keep the "
-        f"knee straight at heel contact, and at most {leg.hip_flexion_n_m:g} N·m of hip flexion "
-        "start flexion at push-off (Radcliffe). Dashed lines go from the contacts to the hip."
+        "Side view of a straight leg, whose knee is the device. In the shaded zone (Radcliffe) the "
+        f"hip is strong enough: {leg.hip_extension_n_m:g} N·m of extension keep the knee straight "
+        f"at heel contact, and {leg.hip_flexion_n_m:g} N·m of flexion start knee flexion at "
+        "push-off. Dashed lines go from heel and ball of the foot to the hip. Marks are the centres "
+        "of rotation."
     )
     x, y = np.meshgrid(np.linspace(-0.2, 0.2, 201), np.linspace(-0.4, leg.thigh_m, 201))
     margin = voluntary_margin_n_m(x + 1j * y, leg)

@@ -30,7 +30,7 @@ typedef {{ real.name }} {{ name }}_real_t;
 #define {{ NAME }}_NOT_STARTED 8U /* {{ name }}_init has not succeeded yet */
 #define {{ NAME }}_BAD_PARAMETER 16U /* a parameter or a start value is not finite */
 {% if method %}
-#define {{ NAME }}_TOO_MANY_SUBSTEPS 64U /* {{ most_substeps }} substeps do not meet the tolerance */
+#define {{ NAME }}_TOO_MANY_SUBSTEPS 64U /* {{ most_substeps }} substeps do not reach the end of the sample time */
 {% endif %}
 {% if checks_steps %}
 #define {{ NAME }}_UNSTABLE 32U /* a mode is too fast for the steps of the Runge-Kutta method */
