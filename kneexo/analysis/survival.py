@@ -22,7 +22,7 @@ from kneexo.parameters import FaultParameters, Scenario
 from kneexo.parameters.criteria import TOLERATED_DEVIATION_DEG
 from kneexo.plotting import SERIES, axes_or_new
 from kneexo.result import Array, Result, data_frame
-from kneexo.simulation import needs_runs, simulate
+from kneexo.simulation import Run, needs_runs, simulate
 from kneexo.sweeps.parallel import parallel_map
 
 
@@ -41,10 +41,11 @@ class FaultCase(Result):
     critical_duration_s: float
     """Longest duration for which a run stays within the bound.
 
-    It is inf if the permanent fault stays within the bound, and 0 if one sample is too long.
+    It is inf if the permanent fault stays within the bound, 0 if one sample is too long, and nan if
+    no signal starts the fault.
     """
     failing_duration_s: float
-    """Critical duration plus one sample; nan if the critical duration is inf."""
+    """Critical duration plus one sample; nan if the critical duration is inf or nan."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -57,16 +58,18 @@ class FaultSurvival(Result):
     @property
     def worst(self) -> FaultCase:
         """The case with the shortest critical duration."""
-        return min(self.cases, key=lambda case: case.critical_duration_s)
+        return _worst(self.cases)
 
     def __str__(self) -> str:
         """Return a line for each fault, with its shortest critical duration."""
         lines = []
         for name, cases in _by_name(self.cases):
-            case = min(cases, key=lambda c: c.critical_duration_s)
+            case = _worst(cases)
             text = f"at most {1e3 * case.critical_duration_s:g} ms, at {case.start_s:g} s"
             if math.isinf(case.critical_duration_s):
                 text = "may be permanent"
+            elif math.isnan(case.critical_duration_s):
+                text = "never active"
             lines.append(f"{name}: {text}")
         return "\n".join([f"Within {self.bound_deg:g}° of the run without the fault:", *lines])
 
@@ -85,7 +88,7 @@ class FaultSurvival(Result):
         caption = (
             "Longest duration of a fault with which the knee stays within "
             f"{self.bound_deg:g}° of the run without the fault. There is no mark where the "
-            "permanent fault stays within this bound."
+            "permanent fault stays within this bound, or no signal starts the fault."
         )
         ax = axes_or_new(ax, caption=caption)
         for (name, cases), colour in zip(_by_name(self.cases), _colours(), strict=False):
@@ -100,6 +103,15 @@ class FaultSurvival(Result):
 def _by_name(cases: Sequence[FaultCase]) -> Iterator[tuple[str, list[FaultCase]]]:
     for name in dict.fromkeys(case.name for case in cases):
         yield name, [case for case in cases if case.name == name]
+
+
+def _worst(cases: Sequence[FaultCase]) -> FaultCase:
+    """Return the case with the shortest critical duration; one without a number comes last."""
+
+    def duration(case: FaultCase) -> tuple[bool, float]:
+        return math.isnan(case.critical_duration_s), case.critical_duration_s
+
+    return min(cases, key=duration)
 
 
 def _colours() -> Iterator[str]:
@@ -154,7 +166,7 @@ def fault_survival(
         raise ParameterError("faults, starts_s: must have at least one fault and one start")
     if not bound_deg > 0.0:
         raise ParameterError(f"bound_deg = {bound_deg:g} deg: must be > 0")
-    healthy = simulate(scenario, signals=("knee_angle",))["knee_angle_rad"]
+    healthy = simulate(scenario, signals=_signals(scenario))
     items = [
         fault.changed({"start_s": float(start_s), "duration_s": None})
         for fault in faults
@@ -167,35 +179,47 @@ def fault_survival(
 
 
 @needs_runs
-def _case(
-    scenario: Scenario, healthy: Array, bound_deg: float, fault: FaultParameters
-) -> FaultCase:
+def _case(scenario: Scenario, healthy: Run, bound_deg: float, fault: FaultParameters) -> FaultCase:
     """Return the effect of a permanent fault, and its critical duration by bisection."""
 
-    def deviation_deg(samples: int | None) -> Array:
-        """Return the deviation of the knee if the fault lasts a number of samples, or for ever."""
+    def run_with(samples: int | None) -> Run | None:
+        """Return the run if the fault lasts a number of samples, or for ever; None if it fails."""
+        faulty = _faulty(scenario, fault, samples)
         try:
-            run = simulate(_faulty(scenario, fault, samples), signals=("knee_angle",))
+            return simulate(faulty, signals=_signals(faulty))
         except SimulationError:
+            return None
+
+    def deviation_deg(run: Run | None) -> Array:
+        """Return the deviation of the knee; inf for a run that fails."""
+        if run is None:
             return np.array([math.inf])
-        return np.degrees(np.abs(run["knee_angle_rad"] - healthy))
+        return np.degrees(np.abs(run["knee_angle_rad"] - healthy["knee_angle_rad"]))
 
     period = scenario.controller.sample_time_s
-    permanent = deviation_deg(None)
-    name, largest = _name(fault), float(np.max(permanent))
+    permanent = run_with(None)
+    deviation = deviation_deg(permanent)
+    name, largest = _name(fault), float(np.max(deviation))
     if largest <= bound_deg:
-        return FaultCase(name, fault.start_s, largest, math.inf, math.nan)
-    fails = healthy.size - round(fault.start_s / period)
-    if permanent.size > 1:
-        fails = int(np.argmax(permanent > bound_deg)) - round(fault.start_s / period)
+        others = healthy["active_faults"] if scenario.faults else 0.0
+        active = permanent is not None and np.any(permanent["active_faults"] > others)
+        critical_s = math.inf if active else math.nan
+        return FaultCase(name, fault.start_s, largest, critical_s, math.nan)
+    fails = healthy.time_s.size - round(fault.start_s / period)
+    if permanent is not None:
+        fails = int(np.argmax(deviation > bound_deg)) - round(fault.start_s / period)
     survives = 0
     while fails - survives > 1:
         middle = (survives + fails) // 2
-        if np.max(deviation_deg(middle)) <= bound_deg:
+        if np.max(deviation_deg(run_with(middle))) <= bound_deg:
             survives = middle
         else:
             fails = middle
     return FaultCase(name, fault.start_s, largest, survives * period, fails * period)
+
+
+def _signals(scenario: Scenario) -> tuple[str, ...]:
+    return ("knee_angle", "active_faults") if scenario.faults else ("knee_angle",)
 
 
 def _name(fault: FaultParameters) -> str:

@@ -174,7 +174,7 @@ def make_closed_loop(
         push = systems.Push(scenario.push, scenario.controller.sample_time_s)
         connect(builder, builder.AddNamedSystem("push", push), "knee_torque", plant, "knee_torque")
     faults.on_parameters(plant)
-    ports["active_faults"] = faults.finish(ports)
+    ports["active_faults"] = faults.finish(ports, available)
     given = scenario.push is not None or "wearer_motion" in wearer
     for name in ("disturbance_force", "knee_torque"):
         if plant.HasInputPort(name) and not (name == "knee_torque" and given):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from pydrake.systems.primitives import Adder
@@ -53,7 +53,7 @@ class LoopFaults:
     def __init__(self, builder: Any, scenario: Scenario) -> None:
         self._builder, self._scenario = builder, scenario
         self._systems: dict[int, Any] = {}  # a system of each fault, for its output ``active``
-        self._triggered: list[tuple[FaultParameters, Any]] = []
+        self._triggered: list[tuple[int, FaultParameters, Any]] = []
         self._changes = _changes(scenario)
 
     def on_signal(self, place: str, port: Any) -> Any:
@@ -104,19 +104,20 @@ class LoopFaults:
                 target = self._builder.GetSubsystemByName(name).GetInputPort("fault")
             self._builder.Connect(self._sum(f"faults_of_{name}", ports), target)
 
-    def finish(self, ports: Mapping[str, Any]) -> Any:
+    def finish(self, ports: Mapping[str, Any], available: Sequence[str]) -> Any:
         """Connect each trigger to its signal, and return the output port of ``active_faults``.
 
         ``ports`` has the output ports of all signals. The port has the number of active faults.
         Without faults the result is None. Raises `ParameterError` if the loop lacks the signal of a
         trigger.
         """
-        for fault, system in self._triggered:
+        for number, fault, system in self._triggered:
             signal, _ = _signal_of(fault)
-            if signal not in ports:
+            if signal not in available:
                 needed = NEEDED_SETTINGS.get(signal, "another controller")
                 raise ParameterError(
-                    f"faults: signal {fault.signal!r} is not in this scenario; needs {needed}"
+                    f"faults.{number}: signal {fault.signal!r} is not in this scenario; needs "
+                    f"{needed}"
                 )
             self._builder.Connect(ports[signal], system.GetInputPort("trigger"))
         active = [system.GetOutputPort("active") for system in self._systems.values()]
@@ -126,7 +127,7 @@ class LoopFaults:
         self._builder.AddNamedSystem(name, system)
         self._systems.setdefault(number, system)
         if fault.signal is not None:
-            self._triggered.append((fault, system))
+            self._triggered.append((number, fault, system))
 
     def _sum(self, name: str, ports: list[Any]) -> Any:
         """Add a sum of output ports of equal size; return its output port."""
@@ -150,10 +151,11 @@ def _reading(scenario: Scenario, fault: FaultParameters) -> dict[str, float]:
 
 def _signal_of(fault: FaultParameters) -> tuple[str, int]:
     """Return the signal that triggers a fault, and the index of its column."""
-    for signal, columns in SIGNALS.items():
-        if fault.signal in columns and signal != "active_faults":
-            return signal, columns.index(fault.signal)
-    known = [column for columns in SIGNALS.values() for column in columns]
+    signals = {signal: names for signal, names in SIGNALS.items() if signal != "active_faults"}
+    for signal, names in signals.items():
+        if fault.signal in names:
+            return signal, names.index(fault.signal)
+    known = [column for names in signals.values() for column in names]
     advice = question(close_names(str(fault.signal), known)) or "; must be a column of signals.csv"
     raise ParameterError(f"faults: signal {fault.signal!r} is unknown{advice}")
 
@@ -209,6 +211,8 @@ def _changes_of(scenario: Scenario, number: int) -> Changes:
             f"{subject}: is unknown; must be {', '.join(FAULTY_SIGNALS)}, or the path of a number "
             f"of {', '.join(_CHANGING)} that the scenario has"
         )
+    if fault.place.startswith("plant.linkage."):
+        raise ParameterError(f"{subject}: is of the linkage, which cannot change during a run")
     if not isinstance(value, float):
         raise ParameterError(f"{subject}: is no number that can change during a run")
     try:
@@ -227,6 +231,4 @@ def _changes_of(scenario: Scenario, number: int) -> Changes:
             f"{subject}: has no effect with size = {fault.size:g}; the value is {value:g} without "
             f"the fault"
         )
-    if any("[" in name for names in found.values() for name in names):
-        raise ParameterError(f"{subject}: changes the linkage, which a fault cannot")
     return found

@@ -113,7 +113,9 @@ def web_model(scenario: Scenario) -> dict[str, Any]:
     `CompilationError` if a module must be compiled and Zig is not installed.
     """
     if scenario.faults:
-        raise ParameterError("faults: a page cannot show them yet; leave them out")
+        raise ParameterError(
+            "faults: a page cannot show them yet; leave them out (--set faults=[])"
+        )
     push = scenario.push or PushParameters()
     scenario = completed(scenario.changed({"push": None}))  # the page pushes between two samples
     require_slow_modes(scenario)

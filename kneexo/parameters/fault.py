@@ -29,6 +29,7 @@ LATEST = 10
 """Largest number of samples by which a signal can be late."""
 
 _SIZES = {
+    "frozen": (0.0, 0.0),
     "scale": (-100.0, 100.0),
     "noise": (0.0, math.inf),
     "dropped": (1e-6, 1.0),
@@ -71,7 +72,7 @@ class FaultParameters(Parameters):
         10.0, "s", "assumption: after the transient of the start", ge=0, le=1e5
     )
     duration_s: float | None = quantity(
-        None, "s", "assumption: for ever, if left out", ge=1e-3, le=1e5
+        None, "s", "assumption: for ever, if left out", ge=1e-5, le=1e5
     )
     signal: str | None = choice(
         None, "left out: none; a column of signals.csv that is compared with above or below"

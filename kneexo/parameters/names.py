@@ -144,6 +144,8 @@ def advice(model: type[BaseModel], path: Path, here: Models = ()) -> str:
     if known:
         if need := _need(known, path, here):
             return f"; needs {need}"
+        if path[0] == "faults":
+            return "; give the whole list, such as faults=[{place: encoder, start_s: 5}]"
         if known[0].path == path:  # in one key of a mapping
             return f"; nest the names: {': {'.join(path)}: …{'}' * (len(path) - 1)}"
         return f"; {'.'.join(known[0].path)} is a single value"

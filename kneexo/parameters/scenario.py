@@ -335,17 +335,25 @@ class Scenario(Parameters):
     def _faults_fit(self) -> Scenario:
         for number, fault in enumerate(self.faults):
             subject = f"faults.{number}"
-            if fault.start_s >= self.duration_s:
+            sample_time_s = self.controller.sample_time_s
+            last_s = self.duration_s - sample_time_s
+            if fault.start_s > last_s:
                 raise ValueError(
-                    f"{subject}: start_s = {fault.start_s:g} s: must be < {self.duration_s:g} s, "
-                    f"the end of the run; reduce start_s, or extend simulation.duration_s"
+                    f"{subject}: start_s = {fault.start_s:g} s: must be <= {last_s:g} s, the last "
+                    f"sample before the end of the run; reduce start_s, or extend "
+                    f"simulation.duration_s"
+                )
+            if fault.duration_s is not None and fault.duration_s < sample_time_s:
+                raise ValueError(
+                    f"{subject}: duration_s = {fault.duration_s:g} s: must be >= "
+                    f"{sample_time_s:g} s, because a fault begins and ends at samples"
                 )
             if fault.place == "load_cell" and not self.has_load_cell:
                 raise ValueError(
                     f"{subject}: place = load_cell: needs wearer.kind = leg or controller.kind = "
                     f"torque"
                 )
-            first_s = fault.size * self.controller.sample_time_s
+            first_s = fault.size * sample_time_s
             if fault.kind == "late" and fault.start_s < first_s:
                 raise ValueError(
                     f"{subject}: start_s = {fault.start_s:g} s: must be >= {first_s:g} s, because "

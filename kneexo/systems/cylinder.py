@@ -144,6 +144,6 @@ class Cylinder(NamedLeaf):
             raise SimulationError(
                 f"t = {context.get_time():.6g} s: {self.get_name()}: rod_extension = "
                 f"{self._state(context)[0]:.6g} m left the stroke 0 … "
-                f"{self.parameters(context).stroke_m:g} m; reduce the motion, the load, the push "
-                f"or the step"
+                f"{self.parameters(context).stroke_m:g} m; reduce the motion, the load, the push, "
+                f"the fault or the step"
             )

@@ -19,8 +19,8 @@ FOREVER_S = 1e9
 
 _CLOCK = ("start_s", "duration_s", "lead_s", "threshold", "direction")
 _RANDOM = ("noise", "dropped")
-_SAME_S = 1e-9
-"""Two times that differ by less, in s, are equal."""
+_SAME = 0.01
+"""Part of a sample by which a time may be early, because times are rounded in single precision."""
 
 
 def context_values(
@@ -56,10 +56,11 @@ def context_values(
 
 
 class _Fault(NamedLeaf):
-    """Clock of a fault: the time since it began, plus one sample; zero before.
+    """Clock of a fault: the number of samples since it began, which counts as 1; zero before.
 
-    c_{k+1} = c_k + T if c_k > 0, T if t_k + t_lead ≥ t_s and the trigger is positive, else 0.
-    The fault is active while 0 < c and c − T < T_f.
+    c_{k+1} = c_k + 1 if c_k > 0, 1 if t_k + t_lead ≥ t_s and the trigger is positive, else 0.
+    The fault is active while 0 < c and (c − 1) T < T_f. Whole numbers are exact in single
+    precision.
     """
 
     _trigger: Any = None
@@ -77,18 +78,17 @@ class _Fault(NamedLeaf):
 
     def _active(self, context: Any) -> Any:
         clock = discrete_state(context)[0]
-        rest = self.parameters(context).duration_s - (clock - self._sample_time) - _SAME_S
+        rest = self.parameters(context).duration_s - (clock - 1.0 + _SAME) * self._sample_time
         return where_positive(clock, where_positive(rest, 1.0, 0.0), 0.0)
 
     def _next_clock(self, context: Any) -> Any:
         p, clock = self.parameters(context), discrete_state(context)[0]
-        begun = where_positive(
-            context.get_time() + p.lead_s - p.start_s + _SAME_S, self._sample_time, 0.0
-        )
+        since = context.get_time() + p.lead_s - p.start_s + _SAME * self._sample_time
+        begun = where_positive(since, 1.0, 0.0)
         if self._trigger is not None:
             distance = p.direction * (self._trigger.Eval(context)[self._column] - p.threshold)
             begun = where_positive(distance, begun, 0.0)
-        return where_positive(clock, clock + self._sample_time, begun)
+        return where_positive(clock, clock + 1.0, begun)
 
     def _update(self, context: Any) -> list[Any]:
         return [self._next_clock(context)]
@@ -185,7 +185,7 @@ class FaultySignal(_Fault):
         if self._kind == "offset":
             return value + p.size
         if self._kind == "drift":
-            return value + p.size * (clock - self._sample_time)
+            return value + p.size * (clock - 1.0) * self._sample_time
         if self._kind == "scale":
             return p.size * value
         if self._kind == "noise":

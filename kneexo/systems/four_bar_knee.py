@@ -168,7 +168,7 @@ class FourBarKnee(NamedLeaf):
                 f"t = {context.get_time():.6g} s: {self.get_name()}: knee_angle {angle} deg left "
                 f"the range of motion "
                 f"{math.degrees(p.flexion_min_rad):g} … {math.degrees(p.flexion_max_rad):g} "
-                f"deg; reduce the motion, the load, the push or the step"
+                f"deg; reduce the motion, the load, the push, the fault or the step"
             )
 
 

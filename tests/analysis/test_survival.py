@@ -61,10 +61,22 @@ def test_lines_and_plot_have_the_shortest_duration_of_each_fault(survival):
 @pytest.mark.slow
 def test_a_fault_that_moves_the_knee_little_may_be_permanent():
     small = FaultParameters(place="command", kind="offset", size=1.0)
+    never = DEAD.changed({"signal": "knee_angle_rad", "above": 10.0})
+    result = fault_survival(RAMP, [never, small], [0.6])
+    assert math.isnan(result.cases[0].critical_duration_s)
+    assert math.isinf(result.worst.critical_duration_s)
+    assert str(result).splitlines()[1].endswith("> 10: never active")
     result = fault_survival(RAMP, [small], [0.6])
     assert math.isinf(result.worst.critical_duration_s)
     assert math.isnan(result.worst.failing_duration_s)
     assert str(result).splitlines()[1] == "command offset 1: may be permanent"
+
+
+@pytest.mark.slow
+def test_a_controller_of_short_samples_has_a_critical_duration_too():
+    quick = RAMP.changed({"controller.sample_time_s": 5e-4})
+    (case,) = fault_survival(quick, [DEAD], [0.6], bound_deg=2.0).cases
+    assert case.critical_duration_s == pytest.approx(0.2, abs=0.03)
 
 
 @pytest.mark.slow
@@ -84,7 +96,7 @@ def test_faults_that_differ_by_seed_or_trigger_have_lines_of_their_own():
     [
         (([], [1.0]), "must have at least one fault and one start"),
         (([DEAD], []), "must have at least one fault and one start"),
-        (([DEAD], [2.0]), r"start_s = 2 s: must be < 2 s, the end of the run"),
+        (([DEAD], [2.0]), r"start_s = 2 s: must be <= 1.998 s, the last sample"),
     ],
 )
 def test_wrong_arguments_are_one_line(arguments, message):

@@ -1,5 +1,6 @@
 """Loops with faults: consequences derived by hand, both engines, batches, and refusals."""
 
+import importlib
 import math
 
 import numpy as np
@@ -239,7 +240,9 @@ def test_a_fault_has_the_same_bits_in_a_batch():
 
 PHI = BASE.plant.linkage.phi_rad
 REFUSED = [
-    ({"start_s": 0.2}, r"faults\.0: start_s = 0.2 s: must be < 0.2 s, the end of the run"),
+    ({"start_s": 0.199}, r"faults\.0: start_s = 0.199 s: must be <= 0.198 s, the last sample"),
+    ({"duration_s": 1e-3}, r"faults\.0: duration_s = 0.001 s: must be >= 0.002 s, because a fault"),
+    ({"size": 5.0}, "size = 5 of kind = frozen: must be 0"),
     ({"place": "load_cell"}, r"faults\.0: place = load_cell: needs wearer.kind = leg or"),
     ({"place": "plant.pump.lag"}, r"faults\.0: place = plant.pump.lag: is unknown; must be"),
     ({"place": "encoder.phase_rad"}, "is unknown; must be encoder, load_cell, command, or the"),
@@ -248,7 +251,7 @@ REFUSED = [
     ({"place": LAG, "size": 0.01}, "has no effect with size = 0.01; the value is 0.01 without"),
     (
         {"place": "plant.linkage.phi_rad", "size": PHI + 1e-3},
-        "changes the linkage, which a fault cannot",
+        "is of the linkage, which cannot change during a run",
     ),
     ({"kind": "bit_flip", "size": 12.0}, "size = 12 of kind = bit_flip: needs encoder.quantized"),
     ({"kind": "scale", "size": 1e3}, "size = 1000 of kind = scale: must be -100 … 100"),
@@ -289,6 +292,20 @@ def test_two_faults_that_exclude_each_other_are_refused():
         with_faults(fault, fault | {"start_s": 0.09})
 
 
+def test_a_number_of_a_list_has_no_path():
+    with pytest.raises(ParameterError, match=r"faults\.0\.size: unknown name; give the whole list"):
+        BASE.changed({"faults.0.size": 1.0})
+
+
+@pytest.mark.slow
+def test_single_precision_switches_faults_at_the_same_samples(tmp_path):
+    fault = {"place": "command", "kind": "offset", "size": 50.0, "start_s": 0.5, "duration_s": 0.5}
+    scenario = with_faults(fault, base=BASE.changed({"simulation.duration_s": 2.0}))
+    measured = export_firmware(scenario, tmp_path / "c", "loop", precision="float")
+    assert measured.replay.difference["active_faults"] == 0.0
+    assert measured.replay.largest["active_faults"] == 1.0
+
+
 def test_the_plant_alone_has_no_faults():
     scenario = with_faults({"kind": "frozen", "start_s": 0.1})
     with pytest.raises(ParameterError, match="faults: the plant alone contains no faults"):
@@ -312,13 +329,38 @@ def test_a_page_refuses_faults():
 
 @pytest.mark.parametrize(
     ("signal", "needed"),
-    [("wearer_angle_rad", "wearer.kind = leg"), ("cap_pressure_pa", "plant.full_order = true")],
+    [
+        ("wearer_angle_rad", "wearer.kind = leg"),
+        ("cap_pressure_pa", "plant.full_order = true"),
+        ("desired_torque_n_m", "controller.kind = torque"),
+    ],
 )
 @pytest.mark.parametrize("engine", ["compiled", "drake"])
 def test_a_trigger_by_a_signal_that_the_loop_lacks_is_refused(signal, needed, engine):
     scenario = with_faults({"start_s": 0.1, "signal": signal, "above": 0.0}).with_engine(engine)
-    with pytest.raises(ParameterError, match=f"signal '{signal}' is not in .* needs {needed}$"):
+    with pytest.raises(
+        ParameterError, match=rf"faults\.0: signal '{signal}' is not in .* needs {needed}$"
+    ):
         simulate(scenario)
+
+
+@pytest.mark.parametrize("name", ["size", "wearer"])
+def test_studies_of_hardware_and_wearer_leave_push_and_faults_out(name, monkeypatch):
+    module = importlib.import_module(f"kneexo.studies.{name}.study")
+
+    class SeenError(Exception):
+        """The scenario that the study passes on."""
+
+    def seen(scenario, *_):
+        raise SeenError(scenario)
+
+    monkeypatch.setattr(module, {"size": "_sizing", "wearer": "designs"}[name], seen)
+    preset = {"size": "bench", "wearer": "wearer"}[name]
+    scenario = Scenario.preset(preset).changed({"faults": [{"start_s": 1.0}]})
+    with pytest.raises(SeenError) as caught:
+        getattr(module, f"{name}_study")(scenario)
+    assert caught.value.args == (scenario.undisturbed(),)
+    assert caught.value.args[0].faults == ()
 
 
 @pytest.mark.slow

@@ -547,3 +547,11 @@ def test_a_table_takes_the_drift_from_a_pid_in_float():
     computed_rpm, looked_up_rpm = differences
     assert looked_up_rpm <= 1.0
     assert computed_rpm > 10.0  # what the table is for
+
+
+def test_a_controller_has_no_states_for_the_rosenbrock_method():
+    files = [
+        make_firmware(Scenario(), integrator=name, vectors_s=0.01)[0].files()
+        for name in ("rk4", "rosenbrock")
+    ]
+    assert files[0] == files[1]

@@ -79,7 +79,8 @@ def test_a_held_command_repeats_those_of_samples_before(kind, expected):
     """A command is held between two samples, and changes together with the state of the fault."""
     builder = DiagramBuilder()
     steps = builder.AddNamedSystem("steps", SampledSteps())
-    parameters = fault(kind, 1.0, start_s=2 * T, duration_s=2 * T)
+    size = 0.0 if kind == "frozen" else 1.0
+    parameters = fault(kind, size, start_s=2 * T, duration_s=2 * T)
     system = builder.AddNamedSystem("fault", FaultySignal(parameters, T))
     builder.Connect(steps.get_output_port(), system.GetInputPort("signal"))
     builder.ExportOutput(system.GetOutputPort("signal"), "signal")

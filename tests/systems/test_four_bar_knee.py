@@ -211,8 +211,8 @@ def test_leaving_the_range_of_motion_raises_with_time_and_signal(end, limit):
     assert message.startswith(f"t = {first:.6g} s: ")
     assert "knee: knee_angle = " in message
     assert message.endswith(
-        " deg left the range of motion 0 … 90 deg; reduce the motion, the load, the push or the "
-        "step"
+        " deg left the range of motion 0 … 90 deg; reduce the motion, the load, the push, the "
+        "fault or the step"
     )
     angle = float(message.split("knee_angle = ")[1].split(" deg")[0])
     # One step of 10 ms at 85 mm/s is 0.85 mm, at most 1.4 deg.

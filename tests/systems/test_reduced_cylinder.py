@@ -199,7 +199,8 @@ def test_leaving_the_stroke_raises_with_time_and_signal(start, flow):
     assert name == "cylinder"
     assert rest.startswith("rod_extension = ")
     assert rest.endswith(
-        " m left the stroke 0 … 0.15 m; reduce the motion, the load, the push or the step"
+        " m left the stroke 0 … 0.15 m; reduce the motion, the load, the push, the fault or the "
+        "step"
     )
     # 0.5 mm at 40 mm/s take 12.5 ms; the mode adds up to 40 mm/s / 2807 rad/s = 14 µm.
     assert float(time.removeprefix("t = ").removesuffix(" s")) == pytest.approx(0.0125, abs=1e-3)

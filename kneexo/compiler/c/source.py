@@ -232,7 +232,7 @@ class CSource:
                 self.state,
                 self.tick_s,
                 self.step_s,
-                self.integrator,
+                self.integrator if equations.states else "rk4",
             ),
             tables=tuple(tables),
             sums=compensated_sums(equations, real),

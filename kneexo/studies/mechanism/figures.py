@@ -151,8 +151,8 @@ def plot_stance(result: MechanismResult) -> Figure:
         "Side view of a straight leg, whose knee is the device. In the shaded zone (Radcliffe) the "
         f"hip is strong enough: {leg.hip_extension_n_m:g} N·m of extension keep the knee straight "
         f"at heel contact, and {leg.hip_flexion_n_m:g} N·m of flexion start knee flexion at "
-        "push-off. Dashed lines go from heel and ball of the foot to the hip. Marks are the centres "
-        "of rotation."
+        "push-off. Dashed lines go from heel and ball of the foot to the hip. Marks are the "
+        "centres of rotation."
     )
     x, y = np.meshgrid(np.linspace(-0.2, 0.2, 201), np.linspace(-0.4, leg.thigh_m, 201))
     margin = voluntary_margin_n_m(x + 1j * y, leg)

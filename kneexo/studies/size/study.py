@@ -150,6 +150,7 @@ def size_study(
         The reference is not a sine that moves, the controller is not a sliding mode with an
         observer, the motor has no limits, or no gains let the knee walk.
     """
+    scenario = scenario.undisturbed()
     require_sine(scenario)
     if scenario.controller.kind != "smc" or scenario.estimator.kind != "observer":
         raise ParameterError(

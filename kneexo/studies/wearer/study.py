@@ -432,6 +432,7 @@ def wearer_study(
             f"wearer.kind = {scenario.wearer.kind}, controller.kind = {scenario.controller.kind}: "
             f"must be leg and torque; add wearer: leg, controller: torque"
         )
+    scenario = scenario.undisturbed()
     by_design = designs(scenario, settings)
     cases = list(_cases(by_design, settings))
     with open_sweep(**options) as sweep:
