@@ -348,6 +348,7 @@ class _Browser:
     def __init__(self, profile):
         options = ["--headless=new", "--no-sandbox", "--disable-dev-shm-usage"]
         options += [
+            "--disable-features=BackForwardCache",  # a page that is left ends with its frames
             "--enable-unsafe-swiftshader",
             "--remote-debugging-pipe",
             f"--user-data-dir={profile}",
@@ -446,7 +447,9 @@ class _Browser:
         """Wait until an expression in the page is true."""
         end = time.monotonic() + timeout_s
         while not self.evaluate(condition):
-            assert time.monotonic() < end, f"never true: {condition}; {self.console}"
+            if time.monotonic() >= end:
+                shown = self.evaluate("[location.href, document.body?.innerText?.slice(0, 500)]")
+                pytest.fail(f"never true: {condition}; {self.console}; {shown}")
             time.sleep(0.05)
 
     def require_health(self):

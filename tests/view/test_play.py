@@ -88,18 +88,24 @@ NOTEBOOKS = {
 }
 
 
-@contextmanager
-def frame_in(browser):
-    """The calls of the browser reach the frame of the page, which has a process of its own.
+def frames(browser):
+    """The identifiers of the frames that have processes of their own."""
+    targets = browser.call("Target.getTargets")["targetInfos"]
+    return [target["targetId"] for target in targets if target["type"] == "iframe"]
 
-    The frame of the page before may still be there.
-    """
-    frames = []
-    while len(frames) != 1:
-        targets = browser.call("Target.getTargets")["targetInfos"]
-        frames = [target["targetId"] for target in targets if target["type"] == "iframe"]
+
+@contextmanager
+def frame_in(browser, file, **size):
+    """Open a page; the calls of the browser reach its frame, which has a process of its own."""
+    browser.load(url="about:blank")
+    while frames(browser):  # of the page before
+        pass
+    browser.open(file, **size)
+    while not (found := frames(browser)):
+        pass
+    (frame,) = found
     outer = browser._session
-    attached = browser.call("Target.attachToTarget", targetId=frames[0], flatten=True)
+    attached = browser.call("Target.attachToTarget", targetId=frame, flatten=True)
     browser._session = attached["sessionId"]
     try:
         for domain in ("Runtime", "Log", "Network"):
@@ -121,9 +127,8 @@ def test_the_page_runs_in_the_cell_of_a_notebook(notebook, cell, browser, tmp_pa
     policy = NOTEBOOKS[notebook]
     meta = f'<meta http-equiv="Content-Security-Policy" content="{policy}">' if policy else ""
     outer.write_text(f"<!doctype html>{meta}{cell}", encoding="utf-8")
-    browser.open(outer, width=1000, height=950)
     numbers = "document.querySelector('#numbers')?.innerText"
-    with frame_in(browser):
+    with frame_in(browser, outer, width=1000, height=950):
         browser.wait_for(rf"/Largest error\s+[\d.]+\s+deg\s+follows/i.test({numbers})", 60.0)
         shown = browser.evaluate(numbers)
     (error_deg,) = re.findall(r"(?i)largest error\s+([\d.]+)", shown)
@@ -139,13 +144,12 @@ def test_a_frame_shows_a_curve_and_a_slider_at_once(width, height, cell, browser
     style = "<style>body { margin: 0; } iframe { display: block; }</style>"
     frame = cell.replace('height="900"', f'height="{height}"')
     outer.write_text(f"<!doctype html>{style}{frame}", encoding="utf-8")
-    browser.open(outer, width=width, height=height)
-    ready = "document.body.classList.contains('framed') && Page.results[0].fresh"
+    ready = "document.body?.classList.contains('framed') && Page.results[0].fresh"
     boxes = """["#plots .plot:not([hidden]) canvas", "#panel input[type=range]"].map((name) => {
       const box = [...document.querySelectorAll(name)].find((one) => one.checkVisibility())
         .getBoundingClientRect();
       return [box.top, box.bottom]; })"""
-    with frame_in(browser):
+    with frame_in(browser, outer, width=width, height=height):
         browser.wait_for(ready, 60.0)
         places = browser.evaluate(boxes)
         assert browser.evaluate("document.getElementById('undo').checkVisibility()") is False

@@ -445,7 +445,9 @@ def test_the_address_follows_the_values_and_undo_and_reload_restore_them(browser
     browser.load("Page.reload")
     arrive(4.5, 2)
     assert not page.evaluate("document.getElementById('undo').disabled")
-    page.evaluate("history.go(-2)")
+    entries = browser.call("Page.getNavigationHistory")
+    first = entries["entries"][entries["currentIndex"] - 2]  # as a user holds the Back button
+    browser.call("Page.navigateToHistoryEntry", entryId=first["id"])
     browser.wait_for(f"{gear} === '6' && location.hash === ''")
     assert page.evaluate("document.getElementById('undo').disabled")
     assert page.evaluate("Page.state.setups[0].values") == {}

@@ -96,10 +96,10 @@ def test_zero_torque_and_impedance_stand_beside_each_other(browser, page_file, t
     opened(browser, page_file, 390, 844, phone=True)
     browser.evaluate("document.getElementById('compare').click()")
     wait(browser, 1)
-    names = browser.evaluate(
-        "[...document.querySelectorAll('.stage-leg .name')].map((e) => e.textContent)"
-    )
-    assert names == ["A: zero torque", "B: impedance"]
+    names = "[...document.querySelectorAll('.stage-leg .name')].map((e) => e.textContent).join()"
+    browser.wait_for(
+        f"{names} === 'A: zero torque,B: impedance'"
+    )  # the stage rests before it draws
     for index in (0, 1):
         check_cards(browser, index, run_of(browser, index, tmp_path))
     assert browser.evaluate("document.querySelector('.stage-legend .wearer').checkVisibility()")
