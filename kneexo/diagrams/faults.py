@@ -12,7 +12,7 @@ from kneexo.diagrams.part import Part
 from kneexo.diagrams.plant import scenario_plant_parts
 from kneexo.diagrams.signals import NEEDED_SETTINGS, SIGNALS
 from kneexo.diagrams.wearer import wearer_parts
-from kneexo.errors import ParameterError, close_names, question
+from kneexo.errors import ParameterError, close_names, question, shown
 from kneexo.parameters import FaultParameters, Scenario
 from kneexo.parameters.fault import FAULTY_SIGNALS
 from kneexo.parameters.paths import changed, has_path, value_at
@@ -204,16 +204,16 @@ def _names(changes: dict[int, Changes]) -> dict[str, tuple[str, ...]]:
 def _changes_of(scenario: Scenario, number: int) -> Changes:
     """Return the Context parameters that the fault ``number`` changes, with their changes."""
     fault = scenario.faults[number]
-    subject = f"faults.{number}: place = {fault.place}"
+    subject = f"faults.{number}: place = {shown(fault.place)}"
     value = value_at(scenario, fault.place)
-    if fault.place.partition(".")[0] not in _CHANGING or not has_path(scenario, fault.place):
+    if fault.place.partition(".")[0] not in _CHANGING:
         raise ParameterError(
             f"{subject}: is unknown; must be {', '.join(FAULTY_SIGNALS)}, or the path of a number "
             f"of {', '.join(_CHANGING)} that the scenario has"
         )
     if fault.place.startswith("plant.linkage."):
         raise ParameterError(f"{subject}: is of the linkage, which cannot change during a run")
-    if not isinstance(value, float):
+    if has_path(scenario, fault.place) and not isinstance(value, float):
         raise ParameterError(f"{subject}: is no number that can change during a run")
     try:
         other = changed(scenario, {"faults": (), fault.place: fault.size})

@@ -244,7 +244,7 @@ REFUSED = [
     ({"duration_s": 1e-3}, r"faults\.0: duration_s = 0.001 s: must be >= 0.002 s, because a fault"),
     ({"size": 5.0}, "size = 5 of kind = frozen: must be 0"),
     ({"place": "load_cell"}, r"faults\.0: place = load_cell: needs wearer.kind = leg or"),
-    ({"place": "plant.pump.lag"}, r"faults\.0: place = plant.pump.lag: is unknown; must be"),
+    ({"place": "plant.pump.lag"}, r"faults\.0: plant.pump.lag: unknown name; did you mean"),
     ({"place": "encoder.phase_rad"}, "is unknown; must be encoder, load_cell, command, or the"),
     ({"place": "plant.ideal_motor"}, "is no number that can change during a run"),
     ({"place": LAG, "size": 50.0}, r"faults\.0: .*lag_s = 50 s is out of range"),
