@@ -26,9 +26,9 @@ from kneexo.diagrams.part import NO_FAULTS, Part, connect, state_names
 from kneexo.diagrams.plant import make_plant, scenario_plant_parts, start_arguments
 from kneexo.diagrams.signals import (
     CONTROLLER_SIGNALS,
-    FULL_ORDER_OUTPUTS,
     LAW_OUTPUTS,
     NEEDED_SETTINGS,
+    OPTIONAL_OUTPUTS,
     SIGNALS,
     WEARER_OUTPUTS,
 )
@@ -72,8 +72,8 @@ def make_closed_loop(
     - ``signals`` and ``log``: a `Multiplexer` and a `VectorLogSink`, which logs the columns
       ``columns(signals)`` at the control period. Both are absent for ``signals=()``.
 
-    Inputs: ``disturbance_force``, and ``knee_torque`` if the plant has a load and the scenario has
-    neither wearer nor push. An unconnected input is zero.
+    Inputs: ``disturbance_force``, ``knee_torque`` if the plant has a load and the scenario has
+    neither wearer nor push, and ``bypass`` if the plant has a bypass. An unconnected input is zero.
     Outputs: each of `available_signals`. Drake logs the state before an update, so that the logged
     command at t was held until t. The paper's ideal case (Fig. 9) is
     `kneexo.studies.paper.IDEAL_SMC`.
@@ -176,7 +176,7 @@ def make_closed_loop(
     faults.on_parameters(plant)
     ports["active_faults"] = faults.finish(ports, available)
     given = scenario.push is not None or "wearer_motion" in wearer
-    for name in ("disturbance_force", "knee_torque"):
+    for name in ("disturbance_force", "knee_torque", "bypass"):
         if plant.HasInputPort(name) and not (name == "knee_torque" and given):
             builder.ExportInput(plant.GetInputPort(name), name)
     for name in available:
@@ -208,8 +208,9 @@ def available_signals(scenario: Scenario) -> tuple[str, ...]:
         missing.add("desired_torque" if scenario.controller.kind == "smc" else "sliding_variable")
     if scenario.bus.kind != "cia402":
         missing.add("target_velocity")
-    if scenario.plant.full_order is None:
-        missing |= set(FULL_ORDER_OUTPUTS)
+    for option, (_, outputs_of_option) in OPTIONAL_OUTPUTS.items():
+        if getattr(scenario.plant, option) is None:
+            missing |= set(outputs_of_option)
     if scenario.wearer.kind == "none":
         missing |= set(WEARER_OUTPUTS)
     if scenario.has_load_cell:

@@ -12,7 +12,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from kneexo import linkage, systems
 from kneexo.diagrams.part import NO_FAULTS, Part, add_parts, connect
-from kneexo.diagrams.signals import FULL_ORDER_OUTPUTS, PLANT_OUTPUTS
+from kneexo.diagrams.signals import OPTIONAL_OUTPUTS, PLANT_OUTPUTS
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
     KneeLoadParameters,
@@ -26,6 +26,7 @@ from kneexo.rod_inverse import RodInverse, fit_rod_inverse, rounded_rod_extensio
 from kneexo.rod_polynomial import controller_polynomial
 from kneexo.systems import (
     bldc_pump,
+    bypass_valve,
     four_bar_knee,
     full_cylinder,
     knee_load,
@@ -50,10 +51,12 @@ def make_plant(
     """Build the plant, motor → cylinder → knee with load, as a purely continuous diagram.
 
     Subsystems: ``motor`` (`BldcPump`), ``cylinder`` (`ReducedCylinder`, or `FullCylinder` with
-    ``full_order``), ``knee`` (`FourBarKnee`) and, unless the load is none, ``load`` (`KneeLoad`).
+    ``full_order``), ``knee`` (`FourBarKnee`), unless the load is none, ``load`` (`KneeLoad`) and,
+    with a bypass, ``bypass`` (`BypassValve`).
     Inputs: ``motor_speed_command`` (rad/s), ``disturbance_force`` (N, on the rod, positive opposes
-    extension) and, with a load, ``knee_torque`` (N·m, positive flexes). An unconnected force or
-    torque is zero. Outputs: `PLANT_OUTPUTS`, in full order also `FULL_ORDER_OUTPUTS`.
+    extension), with a load ``knee_torque`` (N·m, positive flexes) and with a bypass ``bypass`` (its
+    opening, 0 to 1). All but the command are zero if unconnected. Outputs: `PLANT_OUTPUTS`, and the
+    `OPTIONAL_OUTPUTS` of the parts that the plant has.
 
     The plant starts at rest with zero motor speed, and the pressures hold load and spring. In full
     order the lower of the two chamber pressures equals the pressure of the reservoir.
@@ -104,11 +107,16 @@ def make_plant(
             builder.ExportInput(load.GetInputPort(name), name)
     else:
         builder.ExportInput(cylinder.GetInputPort("load_force"), "disturbance_force")
+    if "bypass" in systems_by_name:
+        bypass = systems_by_name["bypass"]
+        builder.ExportInput(bypass.GetInputPort("bypass"), "bypass")
+        connect(builder, bypass, "bypass_opening", cylinder, "bypass_opening")
     for system in (knee, cylinder, motor):
         for name in PLANT_OUTPUTS[system.get_name()]:
             builder.ExportOutput(system.GetOutputPort(name), name)
-    for name in FULL_ORDER_OUTPUTS if parameters.full_order is not None else ():
-        builder.ExportOutput(cylinder.GetOutputPort(name), name)
+    for option, (part, names) in OPTIONAL_OUTPUTS.items():
+        for name in names if getattr(parameters, option) is not None else ():
+            builder.ExportOutput(systems_by_name[part].GetOutputPort(name), name)
     for name in fault_names:
         builder.ExportInput(systems_by_name[name].GetInputPort("fault"), f"{name}_fault")
     plant = builder.Build()
@@ -142,6 +150,7 @@ def plant_parts(
     stroke, and `LinkageError` when the linkage cannot be assembled.
     """
     cylinder, full_order, load = parameters.cylinder, parameters.full_order, parameters.load
+    bypass = parameters.bypass
     rod_map = _rod_map(parameters, rod_polynomial)
     external_leakage = parameters.pump.external_leakage_m3_per_s_pa
 
@@ -158,13 +167,13 @@ def plant_parts(
         if full_order is None:
             return systems.ReducedCylinder(cylinder, extension, *pressures, **fault)
         return systems.FullCylinder(
-            cylinder, full_order, extension, tuple(pressures), external_leakage, **fault
+            cylinder, full_order, extension, tuple(pressures), external_leakage, bypass, **fault
         )
 
     def cylinder_values() -> dict[str, float]:
         if full_order is None:
             return reduced_cylinder.context_values(cylinder)
-        return full_cylinder.context_values(cylinder, full_order, external_leakage)
+        return full_cylinder.context_values(cylinder, full_order, external_leakage, bypass)
 
     def knee_values() -> dict[str, float]:
         fit = fit_rod_inverse(parameters.linkage, rod_map)
@@ -199,6 +208,15 @@ def plant_parts(
                 "load",
                 lambda **fault: systems.KneeLoad(load, **fault),
                 lambda: knee_load.context_values(load),
+            )
+        )
+    if bypass is not None:
+        parts.append(
+            Part(
+                "bypass",
+                lambda **fault: systems.BypassValve(bypass, **fault),
+                lambda: bypass_valve.context_values(bypass),
+                bypass_valve.STATE_VARIABLES,
             )
         )
     return parts

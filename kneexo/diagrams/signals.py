@@ -47,6 +47,7 @@ SIGNALS = {
     "chamber_pressures": ("cap_pressure_pa", "rod_side_pressure_pa"),
     "makeup_flow": ("cap_makeup_flow_m3_s", "rod_side_makeup_flow_m3_s"),
     "relief_flow": ("cap_relief_flow_m3_s", "rod_side_relief_flow_m3_s"),
+    "bypass_opening": ("bypass_opening",),
     "measured_force": ("measured_force_n", "measured_force_age_s"),
     "wearer_motion": ("wearer_angle_rad", "wearer_rate_rad_s"),
     "interaction_torque": ("interaction_torque_n_m",),
@@ -67,8 +68,14 @@ PLANT_OUTPUTS = {
 The plant's ports have the same names.
 """
 
-FULL_ORDER_OUTPUTS = ("chamber_pressures", "makeup_flow", "relief_flow")
-"""Names of further output ports of a plant of full order, which its ``cylinder`` provides."""
+OPTIONAL_OUTPUTS = {
+    "full_order": ("cylinder", ("chamber_pressures", "makeup_flow", "relief_flow")),
+    "bypass": ("bypass", ("bypass_opening",)),
+}
+"""For each part of `PlantParameters` that can be left out: subsystem, and its further outputs.
+
+The plant exports these output ports too if it has the part.
+"""
 
 WEARER_OUTPUTS = {
     "measured_force": "load_cell",
@@ -84,7 +91,11 @@ NEEDED_SETTINGS = {
     "measured_force": "wearer.kind = leg or controller.kind = torque",
     "biological_moment": "wearer.moment",
     "desired_torque": "controller.kind = torque",
-    **dict.fromkeys(FULL_ORDER_OUTPUTS, "plant.full_order = true"),
+    **{
+        name: f"plant.{option} = true"
+        for option, (_, names) in OPTIONAL_OUTPUTS.items()
+        for name in names
+    },
     "target_velocity": "bus.kind = cia402",
     "active_faults": "faults",
 }

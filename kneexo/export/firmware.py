@@ -38,7 +38,7 @@ from kneexo.result import Array
 from kneexo.rod_polynomial import completed
 from kneexo.simulation.compiled import compile_scenario, scenario_run
 
-OUTSIDE = ("disturbance_force", "knee_torque")
+OUTSIDE = ("disturbance_force", "knee_torque", "bypass")
 """Names of the input ports that no part of the closed loop drives. The test vectors have zero."""
 
 VECTORS_S = 2.0

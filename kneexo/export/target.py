@@ -35,6 +35,7 @@ _FIELDS = {
     "rod_state": ("rod_extension_m", "rod_velocity_m_s", "rod_acceleration_m_s2"),
     "disturbance_force": ("disturbance_force_n",),
     "knee_torque": ("knee_torque_n_m",),
+    "bypass": ("bypass_command",),
 }
 
 

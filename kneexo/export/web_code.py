@@ -184,8 +184,8 @@ def require_slow_modes(scenario: Scenario) -> None:
     The oil of the reduced order resonates at √(4β_e Ā²/(V_t m)) (Eq. 15, 16), where m is the least
     mass that moves with the rod in the range of motion. In the full order, friction F with the band
     v_0 decays at F/(v_0 m), and an empty chamber, of the volume V_d, fills through its make-up
-    valve C at β_e C/V_d. The damping b_c of a cuff makes a mode of b_c/(m r²), largest at the least
-    moment arm r.
+    valve and a bypass that never closes, both C, at β_e C/V_d. The damping b_c of a cuff makes a
+    mode of b_c/(m r²), largest at the least moment arm r.
     """
     order = "reduced" if scenario.plant.full_order is None else "full"
     for name, unit, rate, angle, power in _modes(scenario):
@@ -219,7 +219,10 @@ def _modes(scenario: Scenario) -> Iterator[tuple[str, str, float, float, int]]:
         friction = full.coulomb_friction_n + full.stribeck_friction_n
         rate = friction / full.friction_band_m_s / mass_kg
         yield "plant.full_order.friction_band_m_s", "m/s", rate, _STABLE, 1
-        rate = cylinder.bulk_modulus_pa * full.makeup_conductance_m3_per_s_pa / full.dead_volume_m3
+        conductance = full.makeup_conductance_m3_per_s_pa
+        if plant.bypass is not None:  # nothing on a page opens it further
+            conductance += plant.bypass.minimum_opening * plant.bypass.conductance_m3_per_s_pa
+        rate = cylinder.bulk_modulus_pa * conductance / full.dead_volume_m3
         yield "plant.full_order.dead_volume_m3", "m³", rate, _STABLE, 1
     if isinstance(leg := scenario.wearer, LegParameters):
         knee = plant.knee

@@ -238,6 +238,33 @@ class FullCylinderParameters(Parameters):
     )
 
 
+class BypassParameters(Parameters):
+    """Solenoid valve that opens both chambers to the reservoir.
+
+    The valve is closed while nobody commands an opening. A fault of kind value makes a valve that
+    is stuck: ``minimum_opening`` = 1 is stuck open, ``conductance_m3_per_s_pa`` = 0 is stuck shut.
+    """
+
+    conductance_m3_per_s_pa: float = quantity(
+        5e-10,
+        "m³/(s·Pa)",
+        "assumption: of the open valve, for each chamber; 0.2 MPa at the 100 cm³/s that a knee "
+        "walking at 0.5 Hz displaces; 0 blocks the valve",
+        ge=0,
+        le=1e-6,
+    )
+    time_constant_s: float = quantity(
+        0.02,
+        "s",
+        "assumption: of the opening; solenoid poppets switch in some 50 ms",
+        ge=1e-4,
+        le=1,
+    )
+    minimum_opening: float = quantity(
+        0.0, "1", "assumption: the valve closes tightly; 1 is stuck open", ge=0, le=1
+    )
+
+
 class KneeParameters(Parameters):
     """Range of motion of the knee. There are no end stops, so a run that leaves the range fails."""
 
@@ -374,6 +401,21 @@ class PlantParameters(Parameters):
         "Eq. 14 with its valves; left out, the cylinder is the reduced order of Eq. 15",
         words={True: {}, False: None},
     )
+    bypass: BypassParameters | None = choice(
+        None,
+        "assumption: valve that opens both chambers to the reservoir; needs plant.full_order; left "
+        "out, there is no such valve",
+        words={True: {}, False: None},
+    )
+
+    @model_validator(mode="after")
+    def _bypass_has_chambers(self) -> PlantParameters:
+        if self.bypass is not None and self.full_order is None:
+            raise ValueError(
+                "bypass: must be left out of the reduced order, which has no chambers that the "
+                "valve could open to the reservoir; add full_order: true"
+            )
+        return self
 
     @property
     def knee_inertia_kg_m2(self) -> float | None:

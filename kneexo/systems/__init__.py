@@ -7,6 +7,7 @@ in Drake. The encoder is Drake's own `RotaryEncoders`.
 """
 
 from kneexo.systems.bldc_pump import BldcPump, BldcPump_
+from kneexo.systems.bypass_valve import BypassValve, BypassValve_
 from kneexo.systems.cuff import Cuff, Cuff_
 from kneexo.systems.drive import Cia402Drive, Cia402Drive_
 from kneexo.systems.encoder_count import EncoderCount, EncoderCount_
@@ -60,6 +61,8 @@ __all__ = [
     "BackwardDifference_",
     "BldcPump",
     "BldcPump_",
+    "BypassValve",
+    "BypassValve_",
     "Cia402Drive",
     "Cia402Drive_",
     "Cuff",

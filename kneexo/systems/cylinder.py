@@ -97,7 +97,7 @@ class Cylinder(NamedLeaf):
         """Return the force of the rod on its load in N, positive when the rod pushes."""
         raise NotImplementedError
 
-    def _pressure_rates(self, p: Any, state: list[Any], flow: Any) -> dict[str, Any]:
+    def _pressure_rates(self, context: Any, p: Any, state: list[Any]) -> dict[str, Any]:
         """Return a dictionary from pressure name to its rate in Pa/s, in the order of the state."""
         raise NotImplementedError
 
@@ -126,7 +126,7 @@ class Cylinder(NamedLeaf):
         """
         p, state = self._numbers(context)
         _, v, acceleration = self._motion(context, p, state)
-        rates = self._pressure_rates(p, state, self._flow.Eval(context)[0])
+        rates = self._pressure_rates(context, p, state)
         require_finite(self, context, rod_acceleration=acceleration, **rates)
         scaled = (rate / PA_PER_MPA for rate in rates.values())
         fill(derivatives.get_mutable_vector(), (v, acceleration, *scaled))

@@ -17,6 +17,7 @@ from kneexo.errors import ParameterError
 from kneexo.parameters import (
     AIR_EXPONENT,
     ATMOSPHERE_PA,
+    BypassParameters,
     CylinderParameters,
     FullCylinderParameters,
 )
@@ -101,13 +102,17 @@ def context_values(
     parameters: CylinderParameters,
     full_order: FullCylinderParameters,
     pump_external_leakage_m3_per_s_pa: float,
+    bypass: BypassParameters | None = None,
 ) -> dict[str, float]:
     """Return a dictionary {name: value} of the Context parameters of `FullCylinder`."""
-    return {
+    values = {
         **cylinder_values(parameters, "cap_area_m2", "rod_side_area_m2"),
         "pump_external_leakage_m3_per_s_pa": pump_external_leakage_m3_per_s_pa,
         **vars(full_order),
     }
+    if bypass is not None:
+        values["bypass_conductance_m3_per_s_pa"] = bypass.conductance_m3_per_s_pa
+    return values
 
 
 STATE_VARIABLES = cylinder_states("cap_pressure_pa", "rod_side_pressure_pa")
@@ -121,6 +126,10 @@ class FullCylinder(Cylinder):
     V_2/β_e dP_2/dt = A_2 v − Q_2 + C_im' P_L − C_em2' (P_2 − P_r) + Q_m2 − Q_r2,
     m dv/dt = P_1 A_1 − P_2 A_2 − F_f(v) − B v − K x − F_L,
     V_1 = V_d + A_1 x, V_2 = V_d + A_2 (stroke − x), P_L = P_1 − P_2.
+
+    With a bypass, its flows s K_b (P_1 − P_r) and s K_b (P_2 − P_r) leave the chambers for the
+    reservoir, where s is the opening. Both areas displace different volumes. So a valve that only
+    joined the chambers would lock the difference of the areas, or leave P (A_1 − A_2) at relief.
 
     Eq. 12 gives Q_1, Q_2 = Q_L ∓ C_em/2 ((P_1 − P_r) + (P_2 − P_r)), because the external leakage
     of the pump returns to the reservoir. Q_m flows from the reservoir into the line with the lower
@@ -137,6 +146,7 @@ class FullCylinder(Cylinder):
     load_flow          1     m³/s         Q_L, positive drives the rod out
     load_force         1     N            F_L, positive opposes extension; 0 if unconnected
     moving_mass        2     kg, kg/m     M(x) and dM/dx in place of m; m if unconnected
+    bypass_opening     1     1            s, from 0 to 1; only with ``bypass``
     **output port**
     rod_extension      1     m            x, grows as the rod leaves the cylinder
     rod_velocity       1     m/s          v
@@ -152,7 +162,8 @@ class FullCylinder(Cylinder):
     Context parameters by name:
     ``cap_area_m2`` and ``rod_side_area_m2``; all names of `ReducedCylinder` except ``mean_area_m2``
     and ``total_volume_m3``; all names of `FullCylinderParameters`; and
-    ``pump_external_leakage_m3_per_s_pa``, C_em of the pump. ``leakage_m3_per_s_pa`` is C_im'.
+    ``pump_external_leakage_m3_per_s_pa``, C_em of the pump. ``leakage_m3_per_s_pa`` is C_im'. With
+    ``bypass``, ``bypass_conductance_m3_per_s_pa`` is K_b.
 
     Source: Lee et al. 2020, Eq. 12, 14 with the signs of Eq. 14 corrected; valves, air and friction
     are assumptions. At V_1 = V_2, with equal external leakages and closed valves, dP_L/dt is Eq. 15
@@ -168,6 +179,8 @@ class FullCylinder(Cylinder):
         P_1 and P_2 at the start in Pa. None: pressures that hold the spring and no load.
     pump_external_leakage_m3_per_s_pa
         C_em of the pump in m³/(s·Pa).
+    bypass
+        Numbers of the bypass valve. None: there is none.
 
     Raises
     ------
@@ -184,9 +197,10 @@ class FullCylinder(Cylinder):
         initial_extension_m: float | None = None,
         initial_pressures_pa: tuple[float, ...] | None = None,
         pump_external_leakage_m3_per_s_pa: float = 0.0,
+        bypass: BypassParameters | None = None,
     ) -> None:
         self._declare_parameters(
-            context_values(parameters, full_order, pump_external_leakage_m3_per_s_pa)
+            context_values(parameters, full_order, pump_external_leakage_m3_per_s_pa, bypass)
         )
         extension = start_extension(parameters, initial_extension_m)
         if initial_pressures_pa is None:
@@ -201,6 +215,9 @@ class FullCylinder(Cylinder):
                 f"initial_pressures_pa = {initial_pressures_pa} Pa: must be finite"
             )
         self._declare_rod(extension, initial_pressures_pa)
+        self._opening = None
+        if bypass is not None:
+            self._opening = self.DeclareVectorInputPort("bypass_opening", 1)
         state, declare = self.xc_ticket(), self._declare_output
         declare("chamber_pressures", 2, lambda c: self._state(c)[2:], state)
         declare("makeup_flow", 2, lambda c: self._valve_flows(*self._numbers(c))[0], state)
@@ -247,8 +264,9 @@ class FullCylinder(Cylinder):
         ]
         return makeup, relief
 
-    def _pressure_rates(self, p: Any, state: list[Any], flow: Any) -> dict[str, Any]:
+    def _pressure_rates(self, context: Any, p: Any, state: list[Any]) -> dict[str, Any]:
         x, v, cap, rod_side = state
+        flow = self._flow.Eval(context)[0]
         (makeup_1, makeup_2), (relief_1, relief_2) = self._valve_flows(p, state)
         above_1, above_2 = cap - p.reservoir_pressure_pa, rod_side - p.reservoir_pressure_pa
         pump_loss = 0.5 * p.pump_external_leakage_m3_per_s_pa * (above_1 + above_2)
@@ -257,6 +275,10 @@ class FullCylinder(Cylinder):
         into_1 += makeup_1 - relief_1 - p.cap_external_leakage_m3_per_s_pa * above_1
         into_2 = p.rod_side_area_m2 * v - (flow + pump_loss) + internal_leakage
         into_2 += makeup_2 - relief_2 - p.rod_side_external_leakage_m3_per_s_pa * above_2
+        if self._opening is not None:
+            bypass = self._opening.Eval(context)[0] * p.bypass_conductance_m3_per_s_pa
+            into_1 -= bypass * above_1
+            into_2 -= bypass * above_2
         volume_1 = p.dead_volume_m3 + p.cap_area_m2 * x
         volume_2 = p.dead_volume_m3 + p.rod_side_area_m2 * (p.stroke_m - x)
         return {

@@ -113,10 +113,10 @@ class ReducedCylinder(Cylinder):
             stiffness=p.stiffness_n_per_m,
         )
 
-    def _pressure_rates(self, p: Any, state: list[Any], flow: Any) -> dict[str, Any]:
+    def _pressure_rates(self, context: Any, p: Any, state: list[Any]) -> dict[str, Any]:
         _, v, pressure = state
         rate = pressure_rate(
-            flow,
+            self._flow.Eval(context)[0],
             v,
             pressure,
             bulk_modulus=p.bulk_modulus_pa,

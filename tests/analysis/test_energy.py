@@ -125,6 +125,7 @@ def test_a_part_lies_in_the_run(start, end):
     ("values", "message"),
     [
         ({"plant.full_order": None}, "plant.full_order: is left out; must be given"),
+        ({"plant.bypass": True}, "plant.bypass: must be left out"),
         ({"plant.full_order.entrained_air": 0.01}, "entrained_air = 0.01: must be 0"),
         ({"simulation.integrator": "radau3"}, "integrator = radau3: must be exact_hold or rk4"),
     ],

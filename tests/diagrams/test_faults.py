@@ -111,6 +111,12 @@ PLANTS = [
     ("plant.cylinder.bulk_modulus_pa", 4e8, {}),
     ("plant.full_order.entrained_air", 0.05, {"plant.full_order": True}),
     ("plant.full_order.relief_conductance_m3_per_s_pa", 0.0, {"plant.full_order": True}),
+    ("plant.bypass.minimum_opening", 0.1, {"plant.full_order": True, "plant.bypass": True}),
+    (
+        "plant.bypass.conductance_m3_per_s_pa",
+        0.0,
+        {"plant.full_order": True, "plant.bypass": {"minimum_opening": 0.1}},
+    ),
     ("plant.load.knee_torque_n_m", 12.0, {"plant.load": "knee"}),
 ]
 

@@ -10,11 +10,13 @@ from pydrake.systems.primitives import ConstantVectorSource, Linearize, LogVecto
 
 from kneexo.analysis import linearize_loop, sinestream, track
 from kneexo.analysis.frequency_response import SinestreamSettings
-from kneexo.diagrams import PLANT_OUTPUTS, make_plant
-from kneexo.diagrams.signals import FULL_ORDER_OUTPUTS
+from kneexo.diagrams import PLANT_OUTPUTS, make_closed_loop, make_plant
+from kneexo.diagrams.signals import OPTIONAL_OUTPUTS
+from kneexo.errors import ParameterError
 from kneexo.parameters import (
     RPM,
     BldcPumpParameters,
+    BypassParameters,
     CylinderParameters,
     FullCylinderParameters,
     KneeLoadParameters,
@@ -24,6 +26,7 @@ from kneexo.parameters import (
     SlidingModeParameters,
 )
 from kneexo.parameters.scenario_file import dump_scenario, load_scenario
+from kneexo.simulation import simulate
 
 # Lee et al. 2020, Tables 2 and 3: bore 20 mm, rod 10 mm, 0.8 cm³/rev behind a gear of 6:1.
 AREA_1, AREA_2 = math.pi / 4.0 * 0.020**2, math.pi / 4.0 * (0.020**2 - 0.010**2)
@@ -92,7 +95,7 @@ def test_full_order_drops_into_the_same_plant():
     )
     assert inputs[0] == inputs[1]
     assert outputs[0] == {name for names in PLANT_OUTPUTS.values() for name in names}
-    assert outputs[1] - outputs[0] == set(FULL_ORDER_OUTPUTS)
+    assert outputs[1] - outputs[0] == set(OPTIONAL_OUTPUTS["full_order"][1])
     for plant in plants:
         assert {s.get_name() for s in plant.GetSystems()} == {"motor", "cylinder", "knee"}
     assert [p.CreateDefaultContext().num_continuous_states() for p in plants] == [4, 5]
@@ -355,3 +358,66 @@ def test_loaded_chamber_sets_the_bandwidth(force, friction, frequencies, expecte
     # 0.2177 Hz; in the last, 0.2185 Hz without the pump's leakage, which slows both directions
     # against friction, and the loaded chamber must change over at each reversal.
     assert response.bandwidth_hz == pytest.approx(expected, abs=0.003)
+
+
+# --------------------------------------------------------------------------------- bypass
+
+
+def test_the_reduced_order_refuses_a_bypass_and_names_the_remedy(tmp_path):
+    with pytest.raises(ParameterError, match=r"bypass: must be left out .*; add full_order: true"):
+        PlantParameters(bypass=BypassParameters())
+    file = tmp_path / "bypass.yaml"
+    file.write_text(
+        "plant: {full_order: true, bypass: {time_constant_s: 0.05}}\n", encoding="utf-8"
+    )
+    plant = load_scenario(file).plant
+    assert plant.bypass == BypassParameters(time_constant_s=0.05)
+    file.write_text("plant: {full_order: true, bypass: true}\n", encoding="utf-8")
+    assert load_scenario(file).plant.bypass == BypassParameters()
+
+
+def test_a_load_falls_through_an_open_bypass_at_a_known_speed(fixed_step):
+    """V = (P_r (A_1 − A_2) − F_L) K/(A_1² + A_2²), without leakage and make-up."""
+    plant = make_plant(
+        parameters(60.0, makeup_conductance_m3_per_s_pa=0.0).changed(
+            {"bypass": BypassParameters(time_constant_s=1e-3)}
+        ),
+        initial_knee_angle_rad=math.radians(40.0),
+    )
+    simulator = fixed_step(plant, "radau3", 1e-3)
+    context = simulator.get_mutable_context()
+    plant.GetInputPort("motor_speed_command").FixValue(context, [0.0])
+    plant.GetInputPort("bypass").FixValue(context, [1.0])
+    simulator.AdvanceTo(0.04)
+    expected = (SWITCHING_N - 60.0) * 5e-10 / (AREA_1**2 + AREA_2**2)
+    assert by_name(plant, "bypass_opening", context) == pytest.approx(1.0, abs=1e-9)
+    assert by_name(plant, "rod_velocity", context) == pytest.approx(expected, rel=1e-3)
+    assert expected == pytest.approx(-0.1436, abs=1e-3)
+
+
+def test_the_command_of_a_bypass_is_an_input_of_the_loop():
+    loop = make_closed_loop(Scenario(plant={"full_order": True, "bypass": True}), signals=())
+    assert loop.HasInputPort("bypass")
+    assert loop.HasOutputPort("bypass_opening")
+    assert not make_closed_loop(Scenario(plant={"full_order": True}), signals=()).HasInputPort(
+        "bypass"
+    )
+
+
+@pytest.mark.slow
+def test_a_wearer_who_walks_on_feels_a_tenth_of_the_torque_through_an_open_bypass():
+    """The motor stops after the first of two strides at 0.2 Hz; the leg walks on."""
+    walking = Scenario.preset("wearer").changed(
+        {"reference": {"kind": "gait", "frequency_hz": 0.2, "cycles": 2}, "plant.bypass": True}
+    )
+    dead = {"place": "command", "kind": "scale", "size": 0.0, "start_s": 5.0}
+    opened = {"place": "plant.bypass.minimum_opening", "kind": "value", "size": 1, "start_s": 5.0}
+    torques = {}
+    for name, faults in (("zero speed", [dead]), ("bypass", [dead, opened])):
+        run = simulate(walking.changed({"faults": faults}))
+        torque = run["interaction_torque_n_m"][run.time_s >= 5.0]
+        torques[name] = -torque.min(), torque.max()
+    # The relief valves hold 82 and 113 N·m on the rod, and friction of the seals and weight add.
+    assert torques["zero speed"] == pytest.approx((87.6, 119.5), rel=0.02)
+    # The seals alone take 40 N, at arms of up to 107 mm 4.3 N·m.
+    assert max(torques["bypass"]) < 0.1 * max(torques["zero speed"])

@@ -5,7 +5,7 @@ import pytest
 from kneexo.diagrams import make_closed_loop, make_controller, make_plant
 from kneexo.diagrams.signals import (
     CONTROLLER_SIGNALS,
-    FULL_ORDER_OUTPUTS,
+    OPTIONAL_OUTPUTS,
     PLANT_OUTPUTS,
     SIGNALS,
     columns,
@@ -13,7 +13,7 @@ from kneexo.diagrams.signals import (
 from kneexo.parameters import Scenario
 
 UNITS = ("rad", "rad_s", "rad_s2", "rad_s3", "m", "m_s", "m_s2", "m_s3", "m3_s", "pa", "n", "n_m")
-UNITS = (*UNITS, "w", "units", "s", "faults")
+UNITS = (*UNITS, "w", "units", "s", "faults", "opening")
 
 
 def ports(diagram):
@@ -46,7 +46,8 @@ def test_each_signal_has_a_column_for_each_element_of_its_port(order):
     assert sizes
     logged = {name: len(SIGNALS[name]) for name in sizes if name in SIGNALS}
     assert logged == {name: sizes[name] for name in logged}
-    assert (set(FULL_ORDER_OUTPUTS) <= set(sizes)) == (order == "full")
+    _, further = OPTIONAL_OUTPUTS["full_order"]
+    assert (set(further) <= set(sizes)) == (order == "full")
 
 
 def test_signals_of_the_controller_are_its_ports():

@@ -6,7 +6,7 @@ from pydrake.autodiffutils import AutoDiffXd
 from pydrake.systems.analysis import Simulator
 
 from kneexo.errors import ParameterError, SimulationError
-from kneexo.parameters import CylinderParameters, FullCylinderParameters
+from kneexo.parameters import BypassParameters, CylinderParameters, FullCylinderParameters
 from kneexo.systems import FullCylinder, ReducedCylinder
 from kneexo.systems.full_cylinder import (
     effective_bulk_modulus,
@@ -355,6 +355,80 @@ def test_friction_opposes_motion_and_falls_from_breakaway_to_coulomb():
     assert friction(1e-3) == pytest.approx(20.0 + 15.0 * math.exp(-0.01), rel=1e-8)
     assert friction(1.0) == 20.0
     assert friction(-0.01) == -friction(0.01)
+
+
+# --------------------------------------------------------------------------------- bypass
+
+BYPASS = BypassParameters(conductance_m3_per_s_pa=5e-10)
+IDLE_BYPASSED = (CylinderParameters(damping_n_s_per_m=0.0, mass_kg=1000.0), IDLE)
+
+
+def bypassed(opening, bypass=BYPASS, pressures=(2.0e6, 0.9e6), parts=IDLE_BYPASSED):
+    system = FullCylinder(*parts, 0.06, pressures, bypass=bypass)
+    context = at(system)
+    system.GetInputPort("bypass_opening").FixValue(context, opening)
+    return system, context
+
+
+def test_a_bypass_adds_one_input_and_one_parameter(leaf):
+    structure = leaf.structure(FullCylinder(bypass=BYPASS))
+    plain = leaf.structure(FullCylinder())
+    assert structure.inputs == plain.inputs | {"bypass_opening": 1}
+    assert structure.outputs == plain.outputs
+    assert structure.feedthrough == plain.feedthrough
+    names = FullCylinder(bypass=BYPASS).parameter_names
+    assert names == (*FullCylinder().parameter_names, "bypass_conductance_m3_per_s_pa")
+
+
+def test_conversions_with_a_bypass_agree_and_keep_arguments_and_changes(leaf):
+    system = FullCylinder(CYLINDER, FULL, 0.06, (0.4e6, 0.7e6), PUMP_LEAKAGE, BYPASS)
+    probe = leaf.Probe(system, INPUTS | {"bypass_opening": [(0.1, 0.9)]}, STATE)
+    probe.check_contract(bypass_conductance_m3_per_s_pa=2e-10)
+
+
+def test_an_open_bypass_empties_both_chambers_into_the_reservoir():
+    """The heavy rod stands, so P − P_r decays with the time constant V/(β K)."""
+    system, context = bypassed(1.0)
+    simulator = Simulator(system, context)
+    simulator.get_mutable_integrator().set_target_accuracy(1e-8)
+    elapsed = 4e-5
+    simulator.AdvanceTo(elapsed)
+    pressures = system.GetOutputPort("chamber_pressures").Eval(simulator.get_context())
+    volumes = np.array([5e-6 + AREA_1 * 0.06, 5e-6 + AREA_2 * 0.09])
+    decay = np.exp(-elapsed / (volumes / (1.72e9 * 5e-10)))
+    # The rod, at 0.5 m/s² for 40 µs, displaces 1e-5 of the flow of the valve.
+    np.testing.assert_allclose(pressures - 0.2e6, [1.8e6, 0.7e6] * decay, rtol=1e-3)
+    assert decay.max() < 0.4
+
+
+def test_a_rod_that_moves_feels_a_damper_through_an_open_bypass():
+    """A_1 v = −K (P_1 − P_r) and A_2 v = K (P_2 − P_r): the pressures stay, F = −(A_1² + A_2²)v/K.
+
+    A valve that only joined the chambers would let the oil of (A_1 − A_2) v nowhere. The rod that
+    retracts would meet the relief pressure on this difference of areas, 275 N.
+    """
+    velocity, reservoir = -0.1, 0.2e6
+    cap, rod_side = reservoir - AREA_1 * velocity / 5e-10, reservoir + AREA_2 * velocity / 5e-10
+    system, context = bypassed(1.0)
+    context.SetContinuousState([0.06, velocity, 1e-6 * cap, 1e-6 * rod_side])
+    rates = system.EvalTimeDerivatives(context).CopyToVector()
+    # A flow of 3e-5 m³/s would change a pressure by 2e9 Pa/s.
+    np.testing.assert_allclose(rates[2:], 0.0, atol=1e-8)
+    force = system.GetOutputPort("rod_force").Eval(context)[0]
+    held = reservoir * (AREA_1 - AREA_2)
+    assert force - held == pytest.approx((AREA_1**2 + AREA_2**2) * 0.1 / 5e-10, rel=1e-9)
+    relief = FullCylinderParameters().relief_pressure_pa
+    assert relief * (AREA_1 - AREA_2) == pytest.approx(274.9, abs=0.05)
+    assert force < 50.0
+
+
+def test_a_closed_bypass_and_one_that_is_stuck_shut_change_nothing():
+    blocked = BypassParameters(conductance_m3_per_s_pa=0.0)
+    parts = (CYLINDER, FULL)
+    expected = rates(FullCylinder(*parts, 0.06, (2.0e6, 0.9e6)))
+    for opened, valve in ((0.0, BYPASS), (1.0, blocked)):
+        system, context = bypassed(opened, valve, parts=parts)
+        assert list(system.EvalTimeDerivatives(context).CopyToVector()) == list(expected)
 
 
 # ------------------------------------------------------------------------------ bad input

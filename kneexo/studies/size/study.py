@@ -384,8 +384,9 @@ def _variations(
     friction = {"coulomb_friction_n": settings.seal_friction_n}
     # Valves and friction this stiff need an implicit integrator, whatever the engine.
     implicit = {"simulation.integrator": "radau3", "simulation.step_s": _IMPLICIT_STEP_S}
+    reduced = {"plant.full_order": None, "plant.bypass": None}
     variations: dict[str, Any] = {
-        "reduced order (Eq. 15)": {"plant.full_order": None},
+        "reduced order (Eq. 15)": reduced,
         "full order (Eq. 14), valves grown with the flow": {
             "plant.full_order": full_order,
             **implicit,
@@ -398,5 +399,5 @@ def _variations(
     if inertia := _shank_inertia(design):
         (value,) = inertia.values()
         name = f"reduced order, inertia of the shank {value:.3g} kg·m² in place of the mass"
-        variations[name] = {"plant.full_order": None, **inertia}
+        variations[name] = {**reduced, **inertia}
     return {name: changed(design, values) for name, values in variations.items()}

@@ -381,7 +381,7 @@ def _trace(run: Run, period_s: float) -> dict[str, list[float]]:
 
 def margins(postures_deg: tuple[float, ...], scenario: Scenario) -> dict[str, float]:
     """Return margins and stiffnesses of a design: the fields of `MarginRow` except ``design``."""
-    reduced = changed(scenario, {"plant.full_order": None})
+    reduced = changed(scenario, {"plant.full_order": None, "plant.bypass": None})
     with suppress(LinearizationError):
         loops = coupled_stability(reduced, knee_angles_deg=postures_deg)
         springs = stiffness_interval(reduced)
