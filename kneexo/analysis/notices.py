@@ -61,6 +61,7 @@ def omissions(scenario: Scenario) -> tuple[str, ...]:
         "air in the oil": full is not None and full.entrained_air == 0.0,
         "leakage": leakage == 0.0,
         "lag and limits of the motor": plant.ideal_motor,
+        "torque of the motor": plant.motor is None,
         "error of the polynomial": plant.rod_map == "polynomial",
         "counts of the encoder": not scenario.encoder.quantized,
         "estimation of the rod's state": scenario.estimator.kind == "exact",

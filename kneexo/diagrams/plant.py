@@ -183,8 +183,10 @@ def plant_parts(
     parts = [
         Part(
             "motor",
-            lambda **fault: systems.BldcPump(parameters.pump, parameters.ideal_motor, **fault),
-            lambda: bldc_pump.context_values(parameters.pump),
+            lambda **fault: systems.BldcPump(
+                parameters.pump, parameters.ideal_motor, parameters.motor, **fault
+            ),
+            lambda: bldc_pump.context_values(parameters.pump, parameters.motor),
             bldc_pump.state_variables(parameters.ideal_motor),
         ),
         Part(

@@ -48,6 +48,8 @@ SIGNALS = {
     "makeup_flow": ("cap_makeup_flow_m3_s", "rod_side_makeup_flow_m3_s"),
     "relief_flow": ("cap_relief_flow_m3_s", "rod_side_relief_flow_m3_s"),
     "bypass_opening": ("bypass_opening",),
+    "motor_current": ("motor_current_a",),
+    "motor_voltage": ("motor_voltage_v",),
     "measured_force": ("measured_force_n", "measured_force_age_s"),
     "wearer_motion": ("wearer_angle_rad", "wearer_rate_rad_s"),
     "interaction_torque": ("interaction_torque_n_m",),
@@ -71,6 +73,7 @@ The plant's ports have the same names.
 OPTIONAL_OUTPUTS = {
     "full_order": ("cylinder", ("chamber_pressures", "makeup_flow", "relief_flow")),
     "bypass": ("bypass", ("bypass_opening",)),
+    "motor": ("motor", ("motor_current", "motor_voltage")),
 }
 """For each part of `PlantParameters` that can be left out: subsystem, and its further outputs.
 

@@ -90,6 +90,58 @@ class BldcPumpParameters(Parameters):
         return self.internal_leakage_m3_per_s_pa + 0.5 * self.external_leakage_m3_per_s_pa
 
 
+class MotorParameters(Parameters):
+    """Torque, current and supply of the BLDC motor.
+
+    The numbers are those of a brushless motor of the paper's supply and power, 24 V and 200 W
+    (Table 3), rounded. The paper names the maker, but neither the motor nor its numbers.
+    """
+
+    inertia_kg_m2: float = quantity(
+        2e-5,
+        "kg·m²",
+        "assumption: rotor of a 200 W motor, gear and pump included",
+        ge=1e-8,
+        le=0.1,
+    )
+    torque_constant_n_m_per_a: float = quantity(
+        0.04,
+        "N·m/A",
+        "assumption: 5730 rpm without load at 24 V, above the 5000 rpm of Tables 2 and 3; also the "
+        "constant of the induced voltage in V·s/rad",
+        ge=1e-4,
+        le=10,
+    )
+    resistance_ohm: float = quantity(
+        0.15, "Ω", "assumption: between two phases, warm, with the leads", ge=1e-4, le=100
+    )
+    coulomb_torque_n_m: float = quantity(
+        0.01,
+        "N·m",
+        "assumption: friction of motor, gear and pump; 10 or more locks the shaft",
+        ge=0,
+        le=1000,
+    )
+    viscous_torque_n_m_s_per_rad: float = quantity(
+        1e-5, "N·m·s/rad", "assumption: 0.005 N·m of iron and churning at 5000 rpm", ge=0, le=1
+    )
+    friction_band_rad_s: float = quantity(
+        10.0,
+        "rad/s",
+        "assumption: 2 % of 5000 rpm rounds the reversal of friction",
+        ge=1e-3,
+        le=1e3,
+    )
+    supply_voltage_v: float = quantity(24.0, "V", "Table 3: input voltage", ge=0, le=1000)
+    current_limit_a: float = quantity(
+        15.0,
+        "A",
+        "assumption: 0.6 N·m, 1.5 times the torque of 200 W at 5000 rpm; 0 is a dead motor",
+        ge=0,
+        le=1000,
+    )
+
+
 _THICKEST_ROD = 0.98  # diameter relative to the bore; the annular area, then 4 %, is a divisor
 
 
@@ -396,6 +448,12 @@ class PlantParameters(Parameters):
     ideal_motor: bool = choice(
         False, "Eq. 17: pump speed equals the command, without lag, acceleration or speed limit"
     )
+    motor: MotorParameters | None = choice(
+        None,
+        "assumption: torque, current and supply of the motor; left out, the torque of the motor is "
+        "not limited",
+        words={True: {}, False: None},
+    )
     full_order: FullCylinderParameters | None = choice(
         None,
         "Eq. 14 with its valves; left out, the cylinder is the reduced order of Eq. 15",
@@ -415,6 +473,12 @@ class PlantParameters(Parameters):
                 "bypass: must be left out of the reduced order, which has no chambers that the "
                 "valve could open to the reservoir; add full_order: true"
             )
+        return self
+
+    @model_validator(mode="after")
+    def _ideal_motor_has_no_torque(self) -> PlantParameters:
+        if self.ideal_motor and self.motor is not None:
+            raise ValueError("motor: must be left out with ideal_motor = true; set it to false")
         return self
 
     @property

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+import pydrake.math as drake_math
 from pydrake.systems.framework import BasicVector_
 
-from kneexo.parameters import BldcPumpParameters
+from kneexo.parameters import BldcPumpParameters, MotorParameters
 from kneexo.systems._leaf import (
     NamedLeaf,
     clip,
@@ -31,6 +32,28 @@ def motor_acceleration(
     return clip((limited - speed) / lag, -acceleration_limit, acceleration_limit)
 
 
+def shaft_loss(speed: Any, p: Any) -> Any:
+    """Return the torque in N·m that friction takes from the shaft, T_c tanh(ω/ω_0) + b ω.
+
+    ``p`` has the numbers of `MotorParameters`.
+    """
+    coulomb = p.coulomb_torque_n_m * drake_math.tanh(speed / p.friction_band_rad_s)
+    return coulomb + p.viscous_torque_n_m_s_per_rad * speed
+
+
+def limited_current(torque: Any, speed: Any, p: Any) -> Any:
+    """Return the current in A that comes closest to a ``torque`` in N·m at the shaft.
+
+    i = T/k_t, within |k_t ω + R i| ≤ U, and then within ±i_max. If the induced voltage exceeds the
+    supply, the drive brakes with at most i_max. ``p`` has the numbers of `MotorParameters`.
+    """
+    induced = p.torque_constant_n_m_per_a * speed
+    low = (-p.supply_voltage_v - induced) / p.resistance_ohm
+    high = (p.supply_voltage_v - induced) / p.resistance_ohm
+    supplied = clip(torque / p.torque_constant_n_m_per_a, low, high)
+    return clip(supplied, -p.current_limit_a, p.current_limit_a)
+
+
 def load_flow(speed: Any, pressure: Any, displacement: Any, gear_ratio: Any, leakage: Any) -> Any:
     """Return the load flow Q_L = D_m ω/gear − C P_L in m³/s (Eq. 13).
 
@@ -39,9 +62,11 @@ def load_flow(speed: Any, pressure: Any, displacement: Any, gear_ratio: Any, lea
     return displacement * speed / gear_ratio - leakage * pressure
 
 
-def context_values(parameters: BldcPumpParameters) -> dict[str, float]:
+def context_values(
+    parameters: BldcPumpParameters, motor: MotorParameters | None = None
+) -> dict[str, float]:
     """Return a dictionary {name: value} of the Context parameters of `BldcPump`."""
-    return values_of(
+    values = values_of(
         parameters,
         "speed_limit_rad_s",
         "lag_s",
@@ -50,6 +75,7 @@ def context_values(parameters: BldcPumpParameters) -> dict[str, float]:
         "displacement_m3_per_rad",
         "leakage_m3_per_s_pa",
     )
+    return values if motor is None else values | vars(motor)
 
 
 def state_variables(ideal: bool = False) -> tuple[StateVariable, ...]:
@@ -60,8 +86,14 @@ def state_variables(ideal: bool = False) -> tuple[StateVariable, ...]:
 class BldcPump(NamedLeaf):
     """Speed-controlled BLDC motor with gear and axial-piston pump.
 
-    dω_m/dt = clip((clip(ω_cmd, ±ω_max) − ω_m)/τ_m, ±α_max),
+    dω_m/dt = α_d = clip((clip(ω_cmd, ±ω_max) − ω_m)/τ_m, ±α_max),
     Q_L = D_m ω_m/gear − (C_im + C_em/2) P_L.
+
+    With ``motor`` the drive asks for the torque that makes α_d, and gets what current and supply
+    allow: J dω_m/dt = k_t i − T_l, with T_l = D_m P_L/gear + T_c tanh(ω_m/ω_0) + b ω_m and
+    i = `limited_current` of J α_d + T_l. Within the limits dω_m/dt is α_d. A dead motor, with
+    i_max = 0, is no brake: the oil can drive it. One lost phase of three leaves a third of the mean
+    torque, and so of i_max. Its ripple is left out.
 
     ===================  ====  =======  ==============================================
     input port           size  unit
@@ -74,20 +106,37 @@ class BldcPump(NamedLeaf):
     shaft_torque         1     N·m      motor side, D_m P_L/gear (lossless pump)
     shaft_power          1     W        torque times motor speed
     hydraulic_power      1     W        Q_L P_L, after leakage
+    motor_current        1     A        i; only with ``motor``
+    motor_voltage        1     V        k_t ω_m + R i; only with ``motor``
     ===================  ====  =======  ==============================================
 
     The state is the motor speed in krad/s, a number of order one. If ``ideal`` is True, there is no
     state, and the speed equals the unlimited command, as in Eq. 17. Context parameters by name:
     ``speed_limit_rad_s, lag_s, acceleration_limit_rad_s2, gear_ratio, displacement_m3_per_rad,
-    leakage_m3_per_s_pa`` (C_im + C_em/2). Raises `SimulationError` when the acceleration is not
-    finite. Source: Lee et al. 2020, Eq. 12, 13; lag and acceleration limit are assumptions.
+    leakage_m3_per_s_pa`` (C_im + C_em/2), and with ``motor`` all names of `MotorParameters`. Raises
+    `SimulationError` when the acceleration is not finite. Source: Lee et al. 2020, Eq. 12, 13; lag,
+    acceleration limit and ``motor`` are assumptions.
+
+    Parameters
+    ----------
+    parameters
+        Numbers of the drive, the gear and the pump.
+    ideal
+        True: the speed equals the command, and there is no state.
+    motor
+        Numbers of torque, current and supply. None: the torque is not limited. An ideal motor has
+        none.
     """
 
     def __init__(
-        self, parameters: BldcPumpParameters = BldcPumpParameters(), ideal: bool = False
+        self,
+        parameters: BldcPumpParameters = BldcPumpParameters(),
+        ideal: bool = False,
+        motor: MotorParameters | None = None,
     ) -> None:
-        self._declare_parameters(context_values(parameters))
+        self._declare_parameters(context_values(parameters, motor))
         self._ideal = ideal
+        self._limited = motor is not None
         self._command = self.DeclareVectorInputPort("motor_speed_command", 1)
         self._pressure = self.DeclareVectorInputPort("load_pressure", 1)
         if not ideal:
@@ -100,6 +149,10 @@ class BldcPump(NamedLeaf):
         declare("shaft_torque", 1, lambda c: [self._torque(c)], self._pressure)
         declare("shaft_power", 1, lambda c: [self._torque(c) * self._speed(c)], *both)
         declare("hydraulic_power", 1, self._hydraulic_power, *both)
+        if self._limited:
+            sources = (self._command, *both)
+            declare("motor_current", 1, lambda c: [self._current(c)], *sources)
+            declare("motor_voltage", 1, self._voltage, *sources)
 
     def _speed(self, context: Any) -> Any:
         if self._ideal:
@@ -120,6 +173,38 @@ class BldcPump(NamedLeaf):
         p = self.parameters(context)
         return p.displacement_m3_per_rad * self._pressure.Eval(context)[0] / p.gear_ratio
 
+    def _demanded_acceleration(self, context: Any) -> Any:
+        """Return the acceleration in rad/s² that the speed loop of the drive asks for."""
+        p = self.parameters(context)
+        return motor_acceleration(
+            self._command.Eval(context)[0],
+            self._speed(context),
+            p.lag_s,
+            p.speed_limit_rad_s,
+            p.acceleration_limit_rad_s2,
+        )
+
+    def _opposing_torque(self, context: Any) -> Any:
+        return self._torque(context) + shaft_loss(self._speed(context), self.parameters(context))
+
+    def _current(self, context: Any) -> Any:
+        p = self.parameters(context)
+        torque = p.inertia_kg_m2 * self._demanded_acceleration(context)
+        torque += self._opposing_torque(context)
+        return limited_current(torque, self._speed(context), p)
+
+    def _voltage(self, context: Any) -> list[Any]:
+        p = self.parameters(context)
+        induced = p.torque_constant_n_m_per_a * self._speed(context)
+        return [induced + p.resistance_ohm * self._current(context)]
+
+    def _acceleration(self, context: Any) -> Any:
+        if not self._limited:
+            return self._demanded_acceleration(context)
+        p = self.parameters(context)
+        torque = p.torque_constant_n_m_per_a * self._current(context)
+        return (torque - self._opposing_torque(context)) / p.inertia_kg_m2
+
     def _hydraulic_power(self, context: Any) -> list[Any]:
         return [self._flow(context) * self._pressure.Eval(context)[0]]
 
@@ -127,14 +212,7 @@ class BldcPump(NamedLeaf):
         """Set the acceleration of the motor. Raises `SimulationError` if it is not finite."""
         if self._ideal:
             return
-        p = self.parameters(context)
-        acceleration = motor_acceleration(
-            self._command.Eval(context)[0],
-            self._speed(context),
-            p.lag_s,
-            p.speed_limit_rad_s,
-            p.acceleration_limit_rad_s2,
-        )
+        acceleration = self._acceleration(context)
         require_finite(self, context, motor_acceleration=acceleration)
         derivatives.get_mutable_vector().SetAtIndex(0, 1.0 / RAD_S_PER_KRAD_S * acceleration)
 

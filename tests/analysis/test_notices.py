@@ -129,13 +129,19 @@ BENCH, LEG = Scenario.preset("bench"), Scenario.preset("leg")
 
 def test_the_default_model_leaves_out_load_full_order_and_bus():
     assert model_lines(Scenario(), ()) == [
-        "Left out: load on the knee, full order of the cylinder (valves, friction, air), bus."
+        "Left out: load on the knee, full order of the cylinder (valves, friction, air), "
+        "torque of the motor,\n  bus."
     ]
     assert omissions(BENCH) == (
         "torque of the wearer",
         "full order of the cylinder (valves, friction, air)",
+        "torque of the motor",
     )
-    assert omissions(LEG) == ("torque of the wearer", "air in the oil")
+    assert omissions(LEG) == (
+        "torque of the wearer",
+        "air in the oil",
+        "torque of the motor",
+    )
 
 
 @pytest.mark.parametrize(
@@ -179,7 +185,7 @@ def test_each_idealization_is_an_omission(values, omission):
     ],
 )
 def test_a_whole_model_leaves_out_nothing_that_can_be_computed(values):
-    scenario = changed(LEG, values)
+    scenario = changed(LEG, values | {"plant.motor": True})
     assert model_lines(scenario, ()) == ["Left out: nothing that kneexo can compute."]
 
 

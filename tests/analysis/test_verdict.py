@@ -380,6 +380,7 @@ def test_print_of_a_run_shows_verdict_then_what_is_left_out_and_notices():
         "Nothing saturates",
         "Stable at 40°",
         "Left out",
+        "  bus.",
         *2 * ["Note"],
     ]
     assert lines[3].startswith("Left out: load on the knee, full order")

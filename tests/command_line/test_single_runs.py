@@ -251,7 +251,7 @@ def test_linearize_begins_with_stability_margins_and_bandwidths(capsys, tmp_path
     lines = list(loop_lines(linearize_loop(heavy, knee_angle_deg=40.0)))
     assert len(lines) == 3
     assert printed[:3] == lines
-    assert printed[3] == "Left out: torque of the wearer, air in the oil."
+    assert printed[3] == "Left out: torque of the wearer, air in the oil, torque of the motor."
     assert printed[4].startswith("Note: plant.cylinder.mass_kg = 3.2 kg is outside")
     assert len(printed) <= 20
     document = json.loads((tmp_path / "linearization.json").read_text())

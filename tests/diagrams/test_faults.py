@@ -117,6 +117,9 @@ PLANTS = [
         0.0,
         {"plant.full_order": True, "plant.bypass": {"minimum_opening": 0.1}},
     ),
+    ("plant.motor.current_limit_a", 0.6, {"plant.motor": True}),
+    ("plant.motor.supply_voltage_v", 2.0, {"plant.motor": True}),
+    ("plant.motor.coulomb_torque_n_m", 1.0, {"plant.motor": True}),
     ("plant.load.knee_torque_n_m", 12.0, {"plant.load": "knee"}),
 ]
 

@@ -27,7 +27,7 @@ from kneexo.parameters.quantity import Parameters
 from kneexo.studies.catalogue import STUDIES
 
 PYDANTIC = re.compile(
-    r"Input|instance of|dictionary|discriminator|Unable|extract|tag|pydantic|valid |Extra|\[type"
+    r"Input|instance of|dictionary|discriminator|Unable|extract|\btag|pydantic|valid |Extra|\[type"
 )
 """Words that only pydantic uses."""
 

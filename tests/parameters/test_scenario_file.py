@@ -559,8 +559,11 @@ def instances_of(model: type[Parameters]) -> st.SearchStrategy[Parameters]:
             law, leg = drawn["controller"], drawn.get("wearer", NoWearer())
             if law.kind == "torque" and getattr(leg, "moment", None) is None:
                 drawn["controller"] = law.model_copy(update={"mode": "impedance"})
-        if model is PlantParameters and drawn["full_order"] is None:
-            del drawn["bypass"]
+        if model is PlantParameters:
+            if drawn["full_order"] is None:
+                del drawn["bypass"]
+            if drawn["ideal_motor"]:
+                del drawn["motor"]
         if model is LoadCellParameters and drawn["seed"] is None:
             del drawn["noise_n"]
         if model is SineReference and drawn["ramp_s"] < 1e-3:
