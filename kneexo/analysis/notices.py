@@ -62,6 +62,7 @@ def omissions(scenario: Scenario) -> tuple[str, ...]:
         "leakage": leakage == 0.0,
         "lag and limits of the motor": plant.ideal_motor,
         "torque of the motor": plant.motor is None,
+        "heat of the motor": plant.motor is not None and plant.thermal is None,
         "error of the polynomial": plant.rod_map == "polynomial",
         "counts of the encoder": not scenario.encoder.quantized,
         "estimation of the rod's state": scenario.estimator.kind == "exact",

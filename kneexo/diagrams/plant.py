@@ -31,6 +31,7 @@ from kneexo.systems import (
     full_cylinder,
     knee_load,
     knee_reference,
+    motor_temperature,
     reduced_cylinder,
 )
 from kneexo.systems.four_bar_knee import knee_kinematics
@@ -51,8 +52,9 @@ def make_plant(
     """Build the plant, motor → cylinder → knee with load, as a purely continuous diagram.
 
     Subsystems: ``motor`` (`BldcPump`), ``cylinder`` (`ReducedCylinder`, or `FullCylinder` with
-    ``full_order``), ``knee`` (`FourBarKnee`), unless the load is none, ``load`` (`KneeLoad`) and,
-    with a bypass, ``bypass`` (`BypassValve`).
+    ``full_order``), ``knee`` (`FourBarKnee`), unless the load is none, ``load`` (`KneeLoad`), with
+    temperatures of the motor, ``temperature`` (`MotorTemperature`) and, with a bypass, ``bypass``
+    (`BypassValve`).
     Inputs: ``motor_speed_command`` (rad/s), ``disturbance_force`` (N, on the rod, positive opposes
     extension), with a load ``knee_torque`` (N·m, positive flexes) and with a bypass ``bypass`` (its
     opening, 0 to 1). All but the command are zero if unconnected. Outputs: `PLANT_OUTPUTS`, and the
@@ -107,6 +109,10 @@ def make_plant(
             builder.ExportInput(load.GetInputPort(name), name)
     else:
         builder.ExportInput(cylinder.GetInputPort("load_force"), "disturbance_force")
+    if "temperature" in systems_by_name:
+        temperature = systems_by_name["temperature"]
+        connect(builder, motor, "winding_loss", temperature, "winding_loss")
+        connect(builder, temperature, "motor_temperatures", motor, "motor_temperatures")
     if "bypass" in systems_by_name:
         bypass = systems_by_name["bypass"]
         builder.ExportInput(bypass.GetInputPort("bypass"), "bypass")
@@ -150,7 +156,7 @@ def plant_parts(
     stroke, and `LinkageError` when the linkage cannot be assembled.
     """
     cylinder, full_order, load = parameters.cylinder, parameters.full_order, parameters.load
-    bypass = parameters.bypass
+    bypass, thermal = parameters.bypass, parameters.thermal
     rod_map = _rod_map(parameters, rod_polynomial)
     external_leakage = parameters.pump.external_leakage_m3_per_s_pa
 
@@ -184,9 +190,9 @@ def plant_parts(
         Part(
             "motor",
             lambda **fault: systems.BldcPump(
-                parameters.pump, parameters.ideal_motor, parameters.motor, **fault
+                parameters.pump, parameters.ideal_motor, parameters.motor, thermal, **fault
             ),
-            lambda: bldc_pump.context_values(parameters.pump, parameters.motor),
+            lambda: bldc_pump.context_values(parameters.pump, parameters.motor, thermal),
             bldc_pump.state_variables(parameters.ideal_motor),
         ),
         Part(
@@ -210,6 +216,16 @@ def plant_parts(
                 "load",
                 lambda **fault: systems.KneeLoad(load, **fault),
                 lambda: knee_load.context_values(load),
+            )
+        )
+    if thermal is not None:
+        parts.append(
+            Part(
+                "temperature",
+                lambda **fault: systems.MotorTemperature(thermal, **fault),
+                lambda: motor_temperature.context_values(thermal),
+                motor_temperature.STATE_VARIABLES,
+                lambda: (thermal.start_degc, thermal.start_degc),
             )
         )
     if bypass is not None:

@@ -50,6 +50,7 @@ SIGNALS = {
     "bypass_opening": ("bypass_opening",),
     "motor_current": ("motor_current_a",),
     "motor_voltage": ("motor_voltage_v",),
+    "motor_temperatures": ("winding_temperature_degc", "case_temperature_degc"),
     "measured_force": ("measured_force_n", "measured_force_age_s"),
     "wearer_motion": ("wearer_angle_rad", "wearer_rate_rad_s"),
     "interaction_torque": ("interaction_torque_n_m",),
@@ -74,6 +75,7 @@ OPTIONAL_OUTPUTS = {
     "full_order": ("cylinder", ("chamber_pressures", "makeup_flow", "relief_flow")),
     "bypass": ("bypass", ("bypass_opening",)),
     "motor": ("motor", ("motor_current", "motor_voltage")),
+    "thermal": ("temperature", ("motor_temperatures",)),
 }
 """For each part of `PlantParameters` that can be left out: subsystem, and its further outputs.
 

@@ -54,6 +54,7 @@ from kneexo.parameters.plant import (
     NoLoad,
     PlantParameters,
     RodPolynomialParameters,
+    ThermalParameters,
 )
 from kneexo.parameters.push import PushParameters
 from kneexo.parameters.reference import (
@@ -157,6 +158,7 @@ __all__ = [
     "SlidingModeParameters",
     "StepReference",
     "StrapParameters",
+    "ThermalParameters",
     "TorqueParameters",
     "Uncertainty",
     "UncertaintySet",

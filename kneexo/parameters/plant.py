@@ -113,7 +113,7 @@ class MotorParameters(Parameters):
         le=10,
     )
     resistance_ohm: float = quantity(
-        0.15, "Ω", "assumption: between two phases, warm, with the leads", ge=1e-4, le=100
+        0.15, "Ω", "assumption: between two phases at 25 °C, with the leads", ge=1e-4, le=100
     )
     coulomb_torque_n_m: float = quantity(
         0.01,
@@ -140,6 +140,58 @@ class MotorParameters(Parameters):
         ge=0,
         le=1000,
     )
+
+
+WINDING_REFERENCE_DEGC = 25.0
+"""Temperature in °C at which ``plant.motor.resistance_ohm`` holds."""
+
+
+class ThermalParameters(Parameters):
+    """Temperatures of winding and case of the motor, and the current limit of a hot winding."""
+
+    winding_capacity_j_per_k: float = quantity(
+        20.0,
+        "J/K",
+        "assumption: 50 g of copper; with the resistance to the case, a time constant of 20 s",
+        ge=1e-3,
+        le=1e5,
+    )
+    case_capacity_j_per_k: float = quantity(
+        400.0,
+        "J/K",
+        "assumption: 0.9 kg of steel; with the resistance to the air, a time constant of 20 min",
+        ge=1e-2,
+        le=1e6,
+    )
+    winding_to_case_k_per_w: float = quantity(
+        1.0, "K/W", "assumption: usual in brushless motors of 200 W", ge=1e-3, le=1e3
+    )
+    case_to_air_k_per_w: float = quantity(
+        3.0, "K/W", "assumption: still air, no heat sink", ge=1e-3, le=1e3
+    )
+    air_degc: float = quantity(25.0, "°C", "assumption: room", ge=-40, le=100)
+    start_degc: float = quantity(
+        25.0, "°C", "assumption: the motor is cold at the start", ge=-40, le=200
+    )
+    copper_per_k: float = quantity(
+        0.0039, "1/K", "assumption: the rise of the resistance of copper at 25 °C", ge=0, le=0.01
+    )
+    derating_min_degc: float = quantity(
+        120.0,
+        "°C",
+        "assumption: temperature of the winding from which the drive lowers the current limit",
+        ge=0,
+        le=500,
+    )
+    derating_max_degc: float = quantity(
+        150.0,
+        "°C",
+        "assumption: the drive allows no current; just below the 155 °C of insulation class F",
+        ge=0,
+        le=500,
+    )
+
+    _ordered = ordered_limits(strict=True)
 
 
 _THICKEST_ROD = 0.98  # diameter relative to the bore; the annular area, then 4 %, is a divisor
@@ -454,6 +506,12 @@ class PlantParameters(Parameters):
         "not limited",
         words={True: {}, False: None},
     )
+    thermal: ThermalParameters | None = choice(
+        None,
+        "assumption: temperatures of the motor, with a lower current limit when hot; needs "
+        "plant.motor; left out, the motor stays cold",
+        words={True: {}, False: None},
+    )
     full_order: FullCylinderParameters | None = choice(
         None,
         "Eq. 14 with its valves; left out, the cylinder is the reduced order of Eq. 15",
@@ -476,9 +534,13 @@ class PlantParameters(Parameters):
         return self
 
     @model_validator(mode="after")
-    def _ideal_motor_has_no_torque(self) -> PlantParameters:
+    def _motor_has_its_parts(self) -> PlantParameters:
         if self.ideal_motor and self.motor is not None:
             raise ValueError("motor: must be left out with ideal_motor = true; set it to false")
+        if self.thermal is not None and self.motor is None:
+            raise ValueError(
+                "thermal: must be left out without motor, whose current heats it; add motor: true"
+            )
         return self
 
     @property

@@ -42,6 +42,7 @@ from kneexo.systems.knee_reference import (
     make_knee_reference,
 )
 from kneexo.systems.load_cell import LoadCell, LoadCell_
+from kneexo.systems.motor_temperature import MotorTemperature, MotorTemperature_
 from kneexo.systems.pid_controller import PidController, PidController_
 from kneexo.systems.push import Push, Push_
 from kneexo.systems.reduced_cylinder import ReducedCylinder, ReducedCylinder_
@@ -91,6 +92,8 @@ __all__ = [
     "LinearLaw_",
     "LoadCell",
     "LoadCell_",
+    "MotorTemperature",
+    "MotorTemperature_",
     "ParameterFault",
     "ParameterFault_",
     "PidController",

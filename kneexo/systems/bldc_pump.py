@@ -7,7 +7,8 @@ from typing import Any
 import pydrake.math as drake_math
 from pydrake.systems.framework import BasicVector_
 
-from kneexo.parameters import BldcPumpParameters, MotorParameters
+from kneexo.parameters import BldcPumpParameters, MotorParameters, ThermalParameters
+from kneexo.parameters.plant import WINDING_REFERENCE_DEGC
 from kneexo.systems._leaf import (
     NamedLeaf,
     clip,
@@ -15,6 +16,7 @@ from kneexo.systems._leaf import (
     require_finite,
     values_of,
 )
+from kneexo.systems.full_cylinder import share_open
 from kneexo.systems.state_variable import StateVariable
 
 RAD_S_PER_KRAD_S = 1e3
@@ -41,17 +43,35 @@ def shaft_loss(speed: Any, p: Any) -> Any:
     return coulomb + p.viscous_torque_n_m_s_per_rad * speed
 
 
-def limited_current(torque: Any, speed: Any, p: Any) -> Any:
+def limited_current(
+    torque: Any, speed: Any, *, torque_constant: Any, resistance: Any, supply: Any, limit: Any
+) -> Any:
     """Return the current in A that comes closest to a ``torque`` in N·m at the shaft.
 
     i = T/k_t, within |k_t ω + R i| ≤ U, and then within ±i_max. If the induced voltage exceeds the
-    supply, the drive brakes with at most i_max. ``p`` has the numbers of `MotorParameters`.
+    ``supply`` U, the drive brakes with at most the ``limit`` i_max.
     """
-    induced = p.torque_constant_n_m_per_a * speed
-    low = (-p.supply_voltage_v - induced) / p.resistance_ohm
-    high = (p.supply_voltage_v - induced) / p.resistance_ohm
-    supplied = clip(torque / p.torque_constant_n_m_per_a, low, high)
-    return clip(supplied, -p.current_limit_a, p.current_limit_a)
+    induced = torque_constant * speed
+    low, high = (-supply - induced) / resistance, (supply - induced) / resistance
+    return clip(clip(torque / torque_constant, low, high), -limit, limit)
+
+
+def warm_resistance(temperature: Any, p: Any) -> Any:
+    """Return the resistance of a winding at a ``temperature`` in °C, R (1 + α (T_w − 25 °C)).
+
+    ``p`` has the numbers of `MotorParameters` and `ThermalParameters`.
+    """
+    return p.resistance_ohm * (1.0 + p.copper_per_k * (temperature - WINDING_REFERENCE_DEGC))
+
+
+def derating(temperature: Any, p: Any) -> Any:
+    """Return the share of the current limit that a winding at a ``temperature`` in °C may have.
+
+    The share falls from exactly 1 at ``derating_min_degc`` to exactly 0 at ``derating_max_degc``.
+    ``p`` has the numbers of `ThermalParameters`.
+    """
+    middle = 0.5 * (p.derating_min_degc + p.derating_max_degc)
+    return share_open(middle - temperature, 0.5 * (p.derating_max_degc - p.derating_min_degc))
 
 
 def load_flow(speed: Any, pressure: Any, displacement: Any, gear_ratio: Any, leakage: Any) -> Any:
@@ -63,7 +83,9 @@ def load_flow(speed: Any, pressure: Any, displacement: Any, gear_ratio: Any, lea
 
 
 def context_values(
-    parameters: BldcPumpParameters, motor: MotorParameters | None = None
+    parameters: BldcPumpParameters,
+    motor: MotorParameters | None = None,
+    thermal: ThermalParameters | None = None,
 ) -> dict[str, float]:
     """Return a dictionary {name: value} of the Context parameters of `BldcPump`."""
     values = values_of(
@@ -75,7 +97,11 @@ def context_values(
         "displacement_m3_per_rad",
         "leakage_m3_per_s_pa",
     )
-    return values if motor is None else values | vars(motor)
+    if motor is not None:
+        values |= vars(motor)
+    if thermal is not None:
+        values |= values_of(thermal, "copper_per_k", "derating_min_degc", "derating_max_degc")
+    return values
 
 
 def state_variables(ideal: bool = False) -> tuple[StateVariable, ...]:
@@ -93,13 +119,15 @@ class BldcPump(NamedLeaf):
     allow: J dω_m/dt = k_t i − T_l, with T_l = D_m P_L/gear + T_c tanh(ω_m/ω_0) + b ω_m and
     i = `limited_current` of J α_d + T_l. Within the limits dω_m/dt is α_d. A dead motor, with
     i_max = 0, is no brake: the oil can drive it. One lost phase of three leaves a third of the mean
-    torque, and so of i_max. Its ripple is left out.
+    torque, and so of i_max. Its ripple is left out. With ``thermal`` the resistance R is that of
+    `warm_resistance`, and `derating` lowers i_max.
 
     ===================  ====  =======  ==============================================
     input port           size  unit
     ===================  ====  =======  ==============================================
     motor_speed_command  1     rad/s    motor side of the gear
     load_pressure        1     Pa       P_L = P_1 − P_2
+    motor_temperatures   2     °C       T_w of the winding, T_c; only with ``thermal``
     **output port**
     motor_speed          1     rad/s    motor side; positive drives the rod out
     load_flow            1     m³/s     Q_L
@@ -108,14 +136,16 @@ class BldcPump(NamedLeaf):
     hydraulic_power      1     W        Q_L P_L, after leakage
     motor_current        1     A        i; only with ``motor``
     motor_voltage        1     V        k_t ω_m + R i; only with ``motor``
+    winding_loss         1     W        R i²; only with ``thermal``
     ===================  ====  =======  ==============================================
 
     The state is the motor speed in krad/s, a number of order one. If ``ideal`` is True, there is no
     state, and the speed equals the unlimited command, as in Eq. 17. Context parameters by name:
     ``speed_limit_rad_s, lag_s, acceleration_limit_rad_s2, gear_ratio, displacement_m3_per_rad,
-    leakage_m3_per_s_pa`` (C_im + C_em/2), and with ``motor`` all names of `MotorParameters`. Raises
-    `SimulationError` when the acceleration is not finite. Source: Lee et al. 2020, Eq. 12, 13; lag,
-    acceleration limit and ``motor`` are assumptions.
+    leakage_m3_per_s_pa`` (C_im + C_em/2), with ``motor`` all names of `MotorParameters`, and with
+    ``thermal`` the last three of `ThermalParameters`. Raises `SimulationError` when the
+    acceleration is not finite. Source: Lee et al. 2020, Eq. 12, 13; lag, acceleration limit,
+    ``motor`` and ``thermal`` are assumptions.
 
     Parameters
     ----------
@@ -126,6 +156,8 @@ class BldcPump(NamedLeaf):
     motor
         Numbers of torque, current and supply. None: the torque is not limited. An ideal motor has
         none.
+    thermal
+        Numbers of the hot winding. None: the winding stays at the temperature of ``motor``.
     """
 
     def __init__(
@@ -133,10 +165,12 @@ class BldcPump(NamedLeaf):
         parameters: BldcPumpParameters = BldcPumpParameters(),
         ideal: bool = False,
         motor: MotorParameters | None = None,
+        thermal: ThermalParameters | None = None,
     ) -> None:
-        self._declare_parameters(context_values(parameters, motor))
+        self._declare_parameters(context_values(parameters, motor, thermal))
         self._ideal = ideal
         self._limited = motor is not None
+        self._temperatures = None
         self._command = self.DeclareVectorInputPort("motor_speed_command", 1)
         self._pressure = self.DeclareVectorInputPort("load_pressure", 1)
         if not ideal:
@@ -150,7 +184,11 @@ class BldcPump(NamedLeaf):
         declare("shaft_power", 1, lambda c: [self._torque(c) * self._speed(c)], *both)
         declare("hydraulic_power", 1, self._hydraulic_power, *both)
         if self._limited:
-            sources = (self._command, *both)
+            sources = [self._command, *both]
+            if thermal is not None:
+                self._temperatures = self.DeclareVectorInputPort("motor_temperatures", 2)
+                sources.append(self._temperatures)
+                declare("winding_loss", 1, self._loss, *sources)
             declare("motor_current", 1, lambda c: [self._current(c)], *sources)
             declare("motor_voltage", 1, self._voltage, *sources)
 
@@ -187,16 +225,35 @@ class BldcPump(NamedLeaf):
     def _opposing_torque(self, context: Any) -> Any:
         return self._torque(context) + shaft_loss(self._speed(context), self.parameters(context))
 
+    def _winding(self, context: Any) -> tuple[Any, Any]:
+        """Return the resistance in Ω and the current limit in A of the winding as warm as it is."""
+        p = self.parameters(context)
+        if self._temperatures is None:
+            return p.resistance_ohm, p.current_limit_a
+        temperature = self._temperatures.Eval(context)[0]
+        return warm_resistance(temperature, p), derating(temperature, p) * p.current_limit_a
+
     def _current(self, context: Any) -> Any:
         p = self.parameters(context)
         torque = p.inertia_kg_m2 * self._demanded_acceleration(context)
         torque += self._opposing_torque(context)
-        return limited_current(torque, self._speed(context), p)
+        resistance, limit = self._winding(context)
+        return limited_current(
+            torque,
+            self._speed(context),
+            torque_constant=p.torque_constant_n_m_per_a,
+            resistance=resistance,
+            supply=p.supply_voltage_v,
+            limit=limit,
+        )
 
     def _voltage(self, context: Any) -> list[Any]:
-        p = self.parameters(context)
-        induced = p.torque_constant_n_m_per_a * self._speed(context)
-        return [induced + p.resistance_ohm * self._current(context)]
+        induced = self.parameters(context).torque_constant_n_m_per_a * self._speed(context)
+        return [induced + self._winding(context)[0] * self._current(context)]
+
+    def _loss(self, context: Any) -> list[Any]:
+        current = self._current(context)
+        return [self._winding(context)[0] * current * current]
 
     def _acceleration(self, context: Any) -> Any:
         if not self._limited:

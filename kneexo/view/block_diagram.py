@@ -43,6 +43,7 @@ _SLOTS = {
     "encoder": (0, 2), "load_cell": (1, 2), "can_bus": (2, 2),
     "knee": (0, 3), "cylinder": (1, 3), "motor": (2, 3),
     "load": (0, 4), "cuff": (1, 4), "moment": (2, 4), "bypass": (0, 5), "wearer": (1, 5),
+    "temperature": (2, 5),
 }  # fmt: skip
 """Column and row of each block; blocks without an entry follow below these."""
 _PARTS_OF = {"phase_sum": "encoder", "encoder_phase": "encoder", "limit": "law", "hold": "law"}
@@ -217,6 +218,7 @@ def _words(scenario: Scenario) -> dict[str, str]:
         "knee": "polynomial" if plant.rod_map == "polynomial" else "four-bar linkage",
         "load": "weight, torques",
         "bypass": "opens to the reservoir",
+        "temperature": "winding and case",
         "load_cell": "on the rod",
         "cuff": "straps and flesh",
         "wearer": "leg of the wearer",

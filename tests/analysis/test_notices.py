@@ -152,6 +152,7 @@ def test_the_default_model_leaves_out_load_full_order_and_bus():
         ({"plant.full_order.coulomb_friction_n": 0.0}, "friction of the seals"),
         ({"plant.pump.internal_leakage_m3_per_s_pa": 0.0}, "leakage"),
         ({"plant.ideal_motor": True}, "lag and limits of the motor"),
+        ({"plant.motor": True}, "heat of the motor"),
         ({"plant.rod_map": "polynomial"}, "error of the polynomial"),
         ({"encoder.quantized": False}, "counts of the encoder"),
         ({"estimator": {"kind": "exact"}}, "estimation of the rod's state"),
@@ -185,7 +186,7 @@ def test_each_idealization_is_an_omission(values, omission):
     ],
 )
 def test_a_whole_model_leaves_out_nothing_that_can_be_computed(values):
-    scenario = changed(LEG, values | {"plant.motor": True})
+    scenario = changed(LEG, values | {"plant.motor": True, "plant.thermal": True})
     assert model_lines(scenario, ()) == ["Left out: nothing that kneexo can compute."]
 
 

@@ -13,7 +13,7 @@ from kneexo.diagrams.signals import (
 from kneexo.parameters import Scenario
 
 UNITS = ("rad", "rad_s", "rad_s2", "rad_s3", "m", "m_s", "m_s2", "m_s3", "m3_s", "pa", "n", "n_m")
-UNITS = (*UNITS, "w", "units", "s", "faults", "opening", "a", "v")
+UNITS = (*UNITS, "w", "units", "s", "faults", "opening", "a", "v", "degc")
 
 
 def ports(diagram):

@@ -36,6 +36,7 @@ from kneexo.parameters import (
     SineReference,
     SlidingModeParameters,
     StepReference,
+    ThermalParameters,
     TorqueParameters,
     scenario_file,
 )
@@ -482,6 +483,7 @@ def test_each_of_many_texts_is_a_scenario_or_one_line(file: File, text: str) -> 
 ORDERED = {
     KneeParameters: ("flexion_min_deg", "flexion_max_deg"),
     SlidingModeParameters: ("mass_min_kg", "mass_max_kg"),
+    ThermalParameters: ("derating_min_degc", "derating_max_degc"),
 }
 
 
@@ -563,7 +565,9 @@ def instances_of(model: type[Parameters]) -> st.SearchStrategy[Parameters]:
             if drawn["full_order"] is None:
                 del drawn["bypass"]
             if drawn["ideal_motor"]:
-                del drawn["motor"]
+                drawn["motor"] = None
+            if drawn["motor"] is None:
+                del drawn["thermal"]
         if model is LoadCellParameters and drawn["seed"] is None:
             del drawn["noise_n"]
         if model is SineReference and drawn["ramp_s"] < 1e-3:
