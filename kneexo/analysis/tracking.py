@@ -18,6 +18,7 @@ from kneexo.analysis.reductions import all_metrics, reduce_signals, tracking_red
 from kneexo.analysis.signals import period_s, to_rpm
 from kneexo.analysis.verdict import Verdict, verdict_of
 from kneexo.diagrams import available_signals
+from kneexo.diagrams.signals import PROTECTION_OUTPUTS
 from kneexo.parameters import Scenario
 from kneexo.parameters.scenario_file import as_scenario
 from kneexo.plotting import BLUE, GOLD, PURPLE, RED, TEAL, axes_or_new
@@ -402,6 +403,7 @@ def _legend_above(ax: Axes) -> None:
 def _verdict_signals(scenario: Scenario) -> tuple[str, ...]:
     """Return names of additional signals that the verdict on a run of ``scenario`` requires."""
     names = [*INTERACTION_SIGNALS, "biological_moment", "chamber_pressures", "active_faults"]
+    names += PROTECTION_OUTPUTS
     if scenario.controller.kind == "torque":
         names += TORQUE_SIGNALS
     available = available_signals(scenario)

@@ -28,6 +28,7 @@ from kneexo.errors import KneexoError
 from kneexo.linkage import pose
 from kneexo.parameters import Scenario
 from kneexo.parameters.plant import LOWEST_PRESSURE_PA
+from kneexo.parameters.safety_states import DETECTORS, REASONS, STATES
 from kneexo.result import Result
 from kneexo.simulation import Run
 from kneexo.systems.knee_reference import run_middle_deg, run_range_deg
@@ -241,6 +242,7 @@ def verdict_of(scenario: Scenario, run: Run, *, step: tuple[bool, str] | None) -
         *notices(scenario),
         *_pressure_notices(scenario, run),
         *_fault_notices(scenario, run),
+        *_protection_notices(scenario, run),
     )
     saturation = _saturation_line(limits)
     return Verdict(
@@ -334,6 +336,22 @@ def _fault_notices(scenario: Scenario, run: Run) -> Iterator[str]:
         f"{faults}: at most {active.max():.0f} at once, the first from {first:.4g} s, the last "
         f"until {last:.4g} s; margins are those without faults"
     )
+
+
+def _protection_notices(scenario: Scenario, run: Run) -> Iterator[str]:
+    """Yield a line that says when and why the protection stopped the motor, if it did."""
+    if scenario.protection is None or not run["safety_reason"].any():
+        return
+    first = int(np.argmax(run["safety_reason"] > 0.0))
+    reason = REASONS[int(run["safety_reason"][first])]
+    text = f"protection acted at {run.time_s[first - 1]:.4g} s: {reason}"
+    if detector := DETECTORS.get(reason):
+        # The residual changes a counter, the counter the state, and the record shows it after that.
+        column = columns(["residuals"])[list(DETECTORS).index(reason)]
+        size = run[column][max(first - 2, 0)] / detector.factor
+        limit = getattr(scenario.protection, detector.field)
+        text += f" was {size:.4g}, above {limit:g} {detector.unit}"
+    yield f"{text}; the run ends in the state {list(STATES)[int(run['safety_state'][-1])]}"
 
 
 def _pressure_notices(scenario: Scenario, run: Run) -> Iterator[str]:

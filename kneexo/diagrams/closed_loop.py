@@ -24,11 +24,13 @@ from kneexo.diagrams.controller import (
 from kneexo.diagrams.faults import LoopFaults, fault_values
 from kneexo.diagrams.part import NO_FAULTS, Part, connect, state_names
 from kneexo.diagrams.plant import make_plant, scenario_plant_parts, start_arguments
+from kneexo.diagrams.protection import OPERATOR_INPUTS
 from kneexo.diagrams.signals import (
     CONTROLLER_SIGNALS,
     LAW_OUTPUTS,
     NEEDED_SETTINGS,
     OPTIONAL_OUTPUTS,
+    PROTECTION_OUTPUTS,
     SIGNALS,
     WEARER_OUTPUTS,
 )
@@ -73,7 +75,9 @@ def make_closed_loop(
       ``columns(signals)`` at the control period. Both are absent for ``signals=()``.
 
     Inputs: ``disturbance_force``, ``knee_torque`` if the plant has a load and the scenario has
-    neither wearer nor push, and ``bypass`` if the plant has a bypass. An unconnected input is zero.
+    neither wearer nor push, and ``bypass`` if the plant has a bypass and the scenario no
+    protection. With protection, also ``emergency_stop`` and ``reset``. An unconnected input is
+    zero.
     Outputs: each of `available_signals`. Drake logs the state before an update, so that the logged
     command at t was held until t. The paper's ideal case (Fig. 9) is
     `kneexo.studies.paper.IDEAL_SMC`.
@@ -135,8 +139,8 @@ def make_closed_loop(
         ports["measured_force"] = faults.on_signal("load_cell", ports["measured_force"])
     for index in range(controller.num_input_ports()):
         port = controller.get_input_port(index)
-        if port.get_name() == LAW_COMMAND:
-            builder.ExportInput(port, LAW_COMMAND)
+        if port.get_name() in (LAW_COMMAND, *OPERATOR_INPUTS):
+            builder.ExportInput(port, port.get_name())
             continue
         signal = ports.get(port.get_name()) or plant.GetOutputPort(port.get_name())
         builder.Connect(signal, port)
@@ -175,9 +179,14 @@ def make_closed_loop(
         connect(builder, builder.AddNamedSystem("push", push), "knee_torque", plant, "knee_torque")
     faults.on_parameters(plant)
     ports["active_faults"] = faults.finish(ports, available)
-    given = scenario.push is not None or "wearer_motion" in wearer
+    connected = set()
+    if scenario.push is not None or "wearer_motion" in wearer:
+        connected.add("knee_torque")
+    if plant.HasInputPort("bypass") and controller.HasOutputPort("bypass"):
+        connect(builder, controller, "bypass", plant, "bypass")
+        connected.add("bypass")
     for name in ("disturbance_force", "knee_torque", "bypass"):
-        if plant.HasInputPort(name) and not (name == "knee_torque" and given):
+        if plant.HasInputPort(name) and name not in connected:
             builder.ExportInput(plant.GetInputPort(name), name)
     for name in available:
         builder.ExportOutput(ports[name], name)
@@ -219,6 +228,8 @@ def available_signals(scenario: Scenario) -> tuple[str, ...]:
         missing.add("biological_moment")
     if not scenario.faults:
         missing.add("active_faults")
+    if scenario.protection is None:
+        missing |= set(PROTECTION_OUTPUTS)
     return tuple(name for name in SIGNALS if name not in missing)
 
 

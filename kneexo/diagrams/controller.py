@@ -19,6 +19,7 @@ from kneexo.diagrams.law import (
     users_law,
 )
 from kneexo.diagrams.part import Part, add_parts
+from kneexo.diagrams.protection import connect_protection, protection_parts
 from kneexo.diagrams.signals import CONTROLLER_SIGNALS, SIGNALS
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
@@ -50,6 +51,9 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
     rod_state            3     m, m/s, m/s²          only with the estimator ``exact``
     measured_force       2     N, s                  reading of the load cell, age; torque only
     biological_moment    1     N·m                   only with torque in the mode ``assist``
+    motor_speed          1     rad/s                 as the drive reports it; only with protection
+    emergency_stop       1     1                     1 stops the motor; only with protection
+    reset                1     1                     its rise resets a stop; only with protection
     **output port**
     motor_speed_command  1     rad/s                 motor side, held for a sample
     ===================  ====  ====================  ==============================================
@@ -58,7 +62,10 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
     There is also an ``estimator`` if the law has the input ``estimated_state`` and the estimator is
     not ``exact``. More outputs: ``measured_knee_angle``, ``measured_rod_extension`` and
     ``rod_reference``. An estimator adds ``estimated_state``, the sliding-mode law adds
-    ``sliding_variable``, and the torque controller adds ``desired_torque``.
+    ``sliding_variable``, and the torque controller adds ``desired_torque``. Protection adds the
+    subsystems ``detectors`` (`FaultDetectors`), which gets the reading of the encoder before
+    ``coordinates``, and ``supervisor`` (`SafetySupervisor`), through which the command passes. Its
+    outputs are ``residuals``, ``safety_state``, ``safety_reason`` and ``bypass``.
 
     The ports of a law of the user decide what the law is connected to: see `LawParameters`. A law
     that reads ``encoder_reading``, and nothing that kneexo computes from this reading, is the only
@@ -98,6 +105,10 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
             "rod_reference": rod_reference.get_output_port(),
         }
         reference, reading = rod_reference.get_input_port(), coordinates.get_input_port()
+        if "detectors" in subsystems:  # they replace implausible readings
+            sources["encoder_reading"] = subsystems["detectors"].GetOutputPort("encoder_reading")
+            builder.Connect(sources["encoder_reading"], reading)
+            reading = subsystems["detectors"].GetInputPort("encoder_reading")
         inputs["knee_reference"] = builder.ExportInput(reference, "knee_reference")
         inputs["encoder_reading"] = builder.ExportInput(reading, "encoder_reading")
         outputs |= {
@@ -119,6 +130,8 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
             builder.ConnectInput(inputs[input_name], port)
         else:
             inputs[input_name] = builder.ExportInput(port, input_name)
+    if "supervisor" in subsystems:
+        outputs |= connect_protection(builder, subsystems, sources, inputs, command)
     for name in SIGNALS:
         if name in CONTROLLER_SIGNALS and name not in outputs and law.HasOutputPort(name):
             outputs[name] = law.GetOutputPort(name)
@@ -179,7 +192,8 @@ def _parts(scenario: Scenario, replacement: System | None = None) -> list[Part]:
         )
     if isinstance(law, LawParameters):
         inputs = {*law_inputs(scenario)}
-        if "encoder_reading" in inputs and inputs <= _RAW_INPUTS:
+        raw = "encoder_reading" in inputs and inputs <= _RAW_INPUTS
+        if raw and scenario.protection is None:
             return [_law_part(scenario, law, replacement)]
     parts = [
         Part(
@@ -224,6 +238,8 @@ def _parts(scenario: Scenario, replacement: System | None = None) -> list[Part]:
         )
     if estimates:
         parts += _estimator_parts(scenario)
+    if scenario.protection is not None:
+        parts += protection_parts(scenario, scenario.protection)
     return parts
 
 

@@ -67,8 +67,8 @@ def maker_arguments(scenario: Scenario) -> dict[str, Any]:
 def known_to_controller(scenario: Scenario) -> Scenario:
     """Return a scenario that contains only what the controller knows of ``scenario``.
 
-    A controller knows the nominal plant (which becomes the plant), polynomial, encoder, estimator
-    and its own parameters. All other values of the result are defaults.
+    A controller knows the nominal plant (which becomes the plant), polynomial, encoder, estimator,
+    protection and its own parameters. All other values of the result are defaults.
     """
     return Scenario(
         plant=scenario.believed_plant,
@@ -76,6 +76,7 @@ def known_to_controller(scenario: Scenario) -> Scenario:
         encoder=scenario.encoder,
         estimator=scenario.estimator,
         controller=scenario.controller,
+        protection=scenario.protection,
     )
 
 

@@ -58,6 +58,16 @@ SIGNALS = {
     "cuff_slip": ("cuff_slip_rad",),
     "biological_moment": ("biological_moment_n_m",),
     "active_faults": ("active_faults",),
+    "residuals": (
+        "range_residual_rad",
+        "rate_residual_rad_s",
+        "flow_residual_m",
+        "load_cell_residual_n",
+        "speed_residual_rad_s",
+        "following_residual_rad",
+    ),
+    "safety_state": ("safety_state",),
+    "safety_reason": ("safety_reason",),
 }
 """For each signal of the closed loop, the names of its columns, which end with the unit."""
 
@@ -82,6 +92,9 @@ OPTIONAL_OUTPUTS = {
 The plant exports these output ports too if it has the part.
 """
 
+PROTECTION_OUTPUTS = ("residuals", "safety_state", "safety_reason")
+"""Names of the output ports that a controller with protection has."""
+
 WEARER_OUTPUTS = {
     "measured_force": "load_cell",
     "wearer_motion": "wearer",
@@ -103,6 +116,7 @@ NEEDED_SETTINGS = {
     },
     "target_velocity": "bus.kind = cia402",
     "active_faults": "faults",
+    **dict.fromkeys(PROTECTION_OUTPUTS, "protection"),
 }
 """The setting of a scenario that a signal needs, by the name of the signal."""
 
@@ -111,7 +125,7 @@ LAW_OUTPUTS = ("sliding_variable", "desired_torque")
 
 CONTROLLER_SIGNALS = frozenset(
     ("measured_knee_angle", "measured_rod_extension", "rod_reference", "estimated_state")
-).union(LAW_OUTPUTS)
+).union(LAW_OUTPUTS, PROTECTION_OUTPUTS)
 """Names of the `SIGNALS` that are output ports of the controller."""
 
 

@@ -23,6 +23,7 @@ from kneexo.compiler import (
     write_c,
     write_sil,
 )
+from kneexo.diagrams.protection import OPERATOR_INPUTS
 from kneexo.diagrams.wearer import moment_of
 from kneexo.errors import ParameterError
 from kneexo.export.target import (
@@ -38,7 +39,7 @@ from kneexo.result import Array
 from kneexo.rod_polynomial import completed
 from kneexo.simulation.compiled import compile_scenario, scenario_run
 
-OUTSIDE = ("disturbance_force", "knee_torque", "bypass")
+OUTSIDE = ("disturbance_force", "knee_torque", "bypass", *OPERATOR_INPUTS)
 """Names of the input ports that no part of the closed loop drives. The test vectors have zero."""
 
 VECTORS_S = 2.0

@@ -6,15 +6,14 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
 from pydrake.systems.framework import DiagramBuilder, System
 from pydrake.systems.primitives import Gain
 
-from kneexo import linkage
 from kneexo.compiler import Interface, read_diagram, rk4_step_s
 from kneexo.diagrams.closed_loop import add_encoder, available_signals, make_closed_loop, plant_of
 from kneexo.diagrams.controller import make_controller
 from kneexo.diagrams.law import why_python
+from kneexo.diagrams.protection import reading_range_rad
 from kneexo.diagrams.signals import SIGNALS
 from kneexo.errors import ParameterError
 from kneexo.parameters import SampledReference, Scenario, SimulationParameters
@@ -36,6 +35,8 @@ _FIELDS = {
     "disturbance_force": ("disturbance_force_n",),
     "knee_torque": ("knee_torque_n_m",),
     "bypass": ("bypass_command",),
+    "emergency_stop": ("emergency_stop",),
+    "reset": ("reset",),
 }
 
 
@@ -58,7 +59,8 @@ def make_target(scenario: Scenario, what: str, *, counts: bool = False) -> Targe
 
     ``controller``
         `make_controller`. Inputs: encoder reading and knee reference, and with torque control the
-        reading of the load cell. Output: motor speed command.
+        reading of the load cell. Output: motor speed command. Protection adds the inputs motor
+        speed, emergency stop and reset, and the outputs residuals, state, reason and bypass.
         With ``counts``, the reading of a quantized encoder is replaced by its count, a whole
         number.
     ``plant``
@@ -113,6 +115,9 @@ def _controller(scenario: Scenario, counts: bool) -> Target:
         )
     controller = make_controller(scenario)
     inputs = [controller.get_input_port(i).get_name() for i in range(controller.num_input_ports())]
+    outputs = ["motor_speed_command"]
+    if scenario.protection is not None:
+        outputs += ["residuals", "safety_state", "safety_reason", "bypass"]
     ranges = {}
     if "knee_reference" in inputs:
         ranges[_FIELDS["knee_reference"][0]] = reference_range_rad(scenario)
@@ -127,13 +132,13 @@ def _controller(scenario: Scenario, counts: bool) -> Target:
         for name in other_inputs:
             builder.ExportInput(controller.GetInputPort(name), name)
         inputs = [ENCODER_COUNT, *other_inputs]
-        command = controller.GetOutputPort("motor_speed_command")
-        builder.ExportOutput(command, "motor_speed_command")
+        for name in outputs:
+            builder.ExportOutput(controller.GetOutputPort(name), name)
         diagram = builder.Build()
         ranges[ENCODER_COUNT] = count_range(scenario)
     integers = frozenset(name for name in inputs if name == ENCODER_COUNT)
     interface = Interface(_fields_of(diagram), integers, ranges)
-    return Target("controller", diagram, tuple(inputs), ("motor_speed_command",), interface, None)
+    return Target("controller", diagram, tuple(inputs), tuple(outputs), interface, None)
 
 
 def _fields_of(diagram: System) -> dict[str, tuple[str, ...]]:
@@ -148,17 +153,12 @@ def _fields_of(diagram: System) -> dict[str, tuple[str, ...]]:
 def count_range(scenario: Scenario) -> tuple[float, float]:
     """Return the lowest and highest encoder count that the controller accepts.
 
-    The knee angle can exceed the range of motion by the allowed overshoot. The range of counts
-    follows from θ_4 (Eq. 3–7), less the phase of the encoder, at these knee angles. One count and
-    the mounting error extend the range at each end.
+    With protection the range is two turns wider, because the detectors judge the count.
     """
-    encoder, plant = scenario.encoder, scenario.believed_plant
-    knee = plant.knee
-    low, high = knee.flexion_min_deg - knee.overshoot_deg, knee.flexion_max_deg + knee.overshoot_deg
-    angles = linkage.encoder_angle(plant.linkage, np.radians(np.linspace(low, high, 181)))
-    counts = (angles - encoder.phase_rad) / encoder.resolution_rad
-    slack = 1.0 + abs(encoder.mounting_error_rad) / encoder.resolution_rad
-    return float(counts.min() - slack), float(counts.max() + slack)
+    resolution = scenario.encoder.resolution_rad
+    low, high = (reading / resolution for reading in reading_range_rad(scenario))
+    more = 0 if scenario.protection is None else scenario.encoder.counts_per_revolution
+    return low - more, high + more
 
 
 def reference_range_rad(scenario: Scenario) -> tuple[float, float]:

@@ -116,6 +116,10 @@ def web_model(scenario: Scenario) -> dict[str, Any]:
         raise ParameterError(
             "faults: a page cannot show them yet; leave them out (--set faults=[])"
         )
+    if scenario.protection is not None:
+        raise ParameterError(
+            "protection: a page cannot show it yet; leave it out (--set protection=null)"
+        )
     push = scenario.push or PushParameters()
     scenario = completed(scenario.changed({"push": None}))  # the page pushes between two samples
     require_slow_modes(scenario)

@@ -56,6 +56,7 @@ from kneexo.parameters.plant import (
     RodPolynomialParameters,
     ThermalParameters,
 )
+from kneexo.parameters.protection import ProtectionParameters
 from kneexo.parameters.push import PushParameters
 from kneexo.parameters.reference import (
     CsvReference,
@@ -147,6 +148,7 @@ __all__ = [
     "ObserverParameters",
     "PidParameters",
     "PlantParameters",
+    "ProtectionParameters",
     "PushParameters",
     "RampReference",
     "Reference",

@@ -22,8 +22,9 @@ from kneexo.parameters.control import (
 from kneexo.parameters.fault import FaultParameters
 from kneexo.parameters.fields import Words
 from kneexo.parameters.names import searched_for_names
-from kneexo.parameters.plant import PlantParameters, RodPolynomialParameters
+from kneexo.parameters.plant import RPM, PlantParameters, RodPolynomialParameters
 from kneexo.parameters.presets import with_preset
+from kneexo.parameters.protection import ProtectionParameters
 from kneexo.parameters.push import PushParameters
 from kneexo.parameters.quantity import Parameters, choice, quantity
 from kneexo.parameters.reference import (
@@ -125,6 +126,9 @@ class Scenario(Parameters):
     wearer: Wearer = NoWearer()
     push: PushParameters | None = choice(None, "left out: nobody pushes the leg")
     faults: tuple[FaultParameters, ...] = choice((), "left out: nothing fails")
+    protection: ProtectionParameters | None = choice(
+        None, "left out: no detectors, and nothing stops the motor"
+    )
     initial_offset_m: float = quantity(
         0.0, "m", "rod position minus reference at the start (Fig. 9: 89 mm off)", ge=-0.15, le=0.15
     )
@@ -214,14 +218,18 @@ class Scenario(Parameters):
         return self.model_copy(update={"controller": controller})
 
     def undisturbed(self) -> Scenario:
-        """Return the scenario for the measurement of a response: nobody pushes, nothing fails."""
-        return self.model_copy(update={"push": None, "faults": ()})
+        """Return the scenario for the measurement of a response.
+
+        Nobody pushes, nothing fails, and no protection stops the motor.
+        """
+        return self.model_copy(update={"push": None, "faults": (), "protection": None})
 
     def without_quantizers(self) -> Scenario:
         """Return the scenario for linear analysis, in which no part rounds.
 
         Encoder, load cell and bus do not round, the load cell has no noise, the cuff does not slip,
-        nobody pushes the leg, and nothing fails. The latency of the bus remains.
+        nobody pushes the leg, nothing fails, and no protection acts. The latency of the bus
+        remains.
         """
         encoder = self.encoder.model_copy(update={"quantized": False})
         cell = self.load_cell.model_copy(update={"quantized": False, "noise_n": 0.0, "seed": None})
@@ -373,6 +381,45 @@ class Scenario(Parameters):
                         f"{subject}: is at the same place and time as faults.{other_number}; must "
                         f"begin after its end; set duration_s of both, or remove one"
                     )
+        return self
+
+    @model_validator(mode="after")
+    def _protection_fits(self) -> Scenario:
+        protection = self.protection
+        if protection is None:
+            return self
+        if self.controller.kind == "smc" and self.controller.continuous:
+            raise ValueError("protection: needs controller.continuous = false")
+        if protection.safe_state == "bypass" and self.plant.bypass is None:
+            raise ValueError(
+                "protection.safe_state = bypass: the plant has no bypass; must be zero_speed; or "
+                "add plant: {full_order: true, bypass: true}"
+            )
+        count_deg = math.degrees(self.encoder.resolution_rad)
+        sample_time_s, cell = self.controller.sample_time_s, self.load_cell
+        rpm = self.bus.velocity_unit_rad_s / RPM
+        knee = self.plant.knee
+        travel_mm = 1e3 * self.plant.cylinder.stroke_m * count_deg
+        travel_mm /= knee.flexion_max_deg - knee.flexion_min_deg
+        least = {
+            "range_deg": (count_deg, "deg", "one count of the encoder"),
+            "rate_deg_s": (count_deg / sample_time_s, "deg/s", "one count of the encoder a sample"),
+            "flow_mm": (travel_mm, "mm", "the mean travel of the rod in one count of the encoder"),
+            "following_deg": (count_deg, "deg", "one count of the encoder"),
+            "speed_rpm": (rpm, "rpm", "one velocity unit of the bus"),
+            "load_cell_n": (3.0 * cell.noise_n, "N", "three standard deviations of the load cell"),
+        }
+        for name, (value, unit, what) in least.items():
+            if getattr(protection, name) <= value:
+                raise ValueError(
+                    f"protection.{name} = {getattr(protection, name):g} {unit}: must be > "
+                    f"{value:.4g} {unit}, {what}"
+                )
+        if self.has_load_cell and protection.load_cell_n >= cell.range_n:
+            raise ValueError(
+                f"protection.load_cell_n = {protection.load_cell_n:g} N: must be < "
+                f"load_cell.range_n = {cell.range_n:g} N, beyond which the load cell does not read"
+            )
         return self
 
     @model_validator(mode="after")

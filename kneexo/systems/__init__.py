@@ -13,6 +13,7 @@ from kneexo.systems.drive import Cia402Drive, Cia402Drive_
 from kneexo.systems.encoder_count import EncoderCount, EncoderCount_
 from kneexo.systems.energy_meter import EnergyMeter, EnergyMeter_
 from kneexo.systems.fault import FaultySignal, FaultySignal_, ParameterFault, ParameterFault_
+from kneexo.systems.fault_detectors import FaultDetectors, FaultDetectors_
 from kneexo.systems.four_bar_knee import FourBarKnee, FourBarKnee_
 from kneexo.systems.full_cylinder import FullCylinder, FullCylinder_
 from kneexo.systems.function_law import (
@@ -46,6 +47,7 @@ from kneexo.systems.motor_temperature import MotorTemperature, MotorTemperature_
 from kneexo.systems.pid_controller import PidController, PidController_
 from kneexo.systems.push import Push, Push_
 from kneexo.systems.reduced_cylinder import ReducedCylinder, ReducedCylinder_
+from kneexo.systems.safety_supervisor import SafetySupervisor, SafetySupervisor_
 from kneexo.systems.sliding_mode_controller import SlidingModeController, SlidingModeController_
 from kneexo.systems.state_estimator import (
     BackwardDifference,
@@ -72,6 +74,8 @@ __all__ = [
     "EncoderCount_",
     "EnergyMeter",
     "EnergyMeter_",
+    "FaultDetectors",
+    "FaultDetectors_",
     "FaultySignal",
     "FaultySignal_",
     "FourBarKnee",
@@ -106,6 +110,8 @@ __all__ = [
     "ReducedCylinder_",
     "RodReference",
     "RodReference_",
+    "SafetySupervisor",
+    "SafetySupervisor_",
     "SineKneeReference",
     "SineKneeReference_",
     "SlidingModeController",

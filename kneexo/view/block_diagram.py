@@ -220,6 +220,8 @@ def _words(scenario: Scenario) -> dict[str, str]:
         "bypass": "opens to the reservoir",
         "temperature": "winding and case",
         "load_cell": "on the rod",
+        "detectors": "of faults",
+        "supervisor": "stops the motor",
         "cuff": "straps and flesh",
         "wearer": "leg of the wearer",
         "moment": "of the muscles",

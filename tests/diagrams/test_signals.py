@@ -13,7 +13,7 @@ from kneexo.diagrams.signals import (
 from kneexo.parameters import Scenario
 
 UNITS = ("rad", "rad_s", "rad_s2", "rad_s3", "m", "m_s", "m_s2", "m_s3", "m3_s", "pa", "n", "n_m")
-UNITS = (*UNITS, "w", "units", "s", "faults", "opening", "a", "v", "degc")
+UNITS = (*UNITS, "w", "units", "s", "faults", "opening", "a", "v", "degc", "state", "reason")
 
 
 def ports(diagram):
@@ -51,7 +51,7 @@ def test_each_signal_has_a_column_for_each_element_of_its_port(order):
 
 
 def test_signals_of_the_controller_are_its_ports():
-    names = set(ports(make_controller(Scenario())))
+    names = set(ports(make_controller(Scenario(protection={}))))
     assert names | set(ports(make_controller(Scenario(controller="torque")))) >= CONTROLLER_SIGNALS
 
 

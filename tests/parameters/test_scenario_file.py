@@ -540,6 +540,7 @@ def instances_of(model: type[Parameters]) -> st.SearchStrategy[Parameters]:
     if model is Scenario:  # a moment must cover the run
         fields["wearer"] = st.just(NoWearer()) | instances_of(LegParameters)
         fields["faults"] = st.just(())  # whose times and places depend on all others
+        fields["protection"] = st.just(None)  # whose thresholds depend on the encoder
     if model is LegParameters:
         fields["loss_modulus_n_m_per_rad"] = st.just(0.0)
         fields["effort"] = st.just(1.0)

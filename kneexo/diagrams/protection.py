@@ -1,0 +1,98 @@
+"""Adds fault detectors and safety supervisor to the controller of a scenario."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from kneexo import linkage, systems
+from kneexo.diagrams.law import port_sizes
+from kneexo.diagrams.part import Part
+from kneexo.parameters import LinkageParameters, ProtectionParameters, Scenario
+from kneexo.systems import fault_detectors, safety_supervisor
+
+OPERATOR_INPUTS = ("emergency_stop", "reset")
+"""Names of the inputs of a controller with protection that come from an operator."""
+
+
+def protection_parts(scenario: Scenario, protection: ProtectionParameters) -> Iterator[Part]:
+    """Yield fault detectors and safety supervisor."""
+    believed, sample_time_s = scenario.believed_plant, scenario.controller.sample_time_s
+    span = reading_range_rad(scenario)
+    follows, has_load_cell = scenario.controller.kind != "torque", scenario.has_load_cell
+    yield Part(
+        "detectors",
+        lambda: systems.FaultDetectors(
+            protection, believed, span, sample_time_s, follows, has_load_cell
+        ),
+        lambda: fault_detectors.context_values(protection, believed, span, sample_time_s),
+    )
+    yield Part(
+        "supervisor",
+        lambda: systems.SafetySupervisor(protection, sample_time_s),
+        lambda: safety_supervisor.context_values(protection),
+    )
+
+
+def connect_protection(
+    builder: Any,
+    subsystems: Mapping[str, Any],
+    sources: Mapping[str, Any],
+    inputs: dict[str, Any],
+    command: Any,
+) -> dict[str, Any]:
+    """Connect detectors and supervisor; return their output ports by name.
+
+    ``sources`` are ports inside the controller, ``inputs`` are the exported inputs so far, to which
+    more are added, and ``command`` is the port of the law's command.
+    """
+    detectors, supervisor = subsystems["detectors"], subsystems["supervisor"]
+    sources = {
+        **sources,
+        "motor_speed_command": supervisor.GetOutputPort("motor_speed_command"),
+        "detected": detectors.GetOutputPort("detected"),
+    }
+    builder.Connect(command, supervisor.GetInputPort("motor_speed_command"))
+    for system, connected in ((detectors, "encoder_reading"), (supervisor, "motor_speed_command")):
+        for name in port_sizes(system, inputs=True):
+            port = system.GetInputPort(name)
+            if name == connected:
+                continue
+            if name in sources:
+                builder.Connect(sources[name], port)
+            elif name in inputs:
+                builder.ConnectInput(inputs[name], port)
+            else:
+                inputs[name] = builder.ExportInput(port, name)
+    return {
+        "motor_speed_command": sources["motor_speed_command"],
+        "residuals": detectors.GetOutputPort("residuals"),
+        **{
+            name: supervisor.GetOutputPort(name)
+            for name in ("safety_state", "safety_reason", "bypass")
+        },
+    }
+
+
+def reading_range_rad(scenario: Scenario) -> tuple[float, float]:
+    """Return the least and largest reading of the encoder in rad that the controller accepts.
+
+    The knee angle can exceed the range of motion by the allowed overshoot. θ_4 at both ends (Eq.
+    3–7), less the phase of the encoder, gives the readings. One count and the mounting error extend
+    the range at each end.
+    """
+    encoder, plant = scenario.encoder, scenario.believed_plant
+    knee = plant.knee
+    ends_deg = knee.flexion_min_deg - knee.overshoot_deg, knee.flexion_max_deg + knee.overshoot_deg
+    angles = _encoder_angles(plant.linkage, ends_deg)  # one-to-one, so the ends are enough
+    phase = encoder.phase_rad if encoder.quantized else 0.0
+    slack = encoder.resolution_rad + abs(encoder.mounting_error_rad)
+    return min(angles) - phase - slack, max(angles) - phase + slack
+
+
+@lru_cache(maxsize=64)
+def _encoder_angles(link: LinkageParameters, angles_deg: tuple[float, float]) -> tuple[float, ...]:
+    return tuple(linkage.encoder_angle(link, np.radians(angles_deg)).tolist())

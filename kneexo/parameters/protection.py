@@ -1,0 +1,62 @@
+"""Parameters of the protection: thresholds of the fault detectors, and reaction to a fault."""
+
+from __future__ import annotations
+
+from kneexo.parameters.quantity import Parameters, choice, quantity
+from kneexo.parameters.safety_states import SafeState
+
+
+class ProtectionParameters(Parameters):
+    """Detectors of faults beside the controller, and the supervisor that stops the motor.
+
+    Each detector compares a residual with a threshold. It has detected a fault when the residual
+    has been above the threshold for ``trip_s`` longer than below it.
+    """
+
+    range_deg: float = quantity(
+        1.0, "deg", "assumption: encoder angle beyond the range of motion", ge=0.01, le=360
+    )
+    rate_deg_s: float = quantity(
+        250.0, "deg/s", "assumption: change of the encoder angle", ge=1, le=1e6
+    )
+    flow_mm: float = quantity(
+        4.0, "mm", "assumption: rod travel minus travel by the motor speed", ge=1e-3, le=1e4
+    )
+    flow_s: float = quantity(
+        0.2, "s", "assumption: time constant within which both travels are compared", ge=0.01, le=60
+    )
+    load_cell_n: float = quantity(
+        1500.0, "N", "assumption: above the force of the relief valves", ge=1, le=1e6
+    )
+    speed_rpm: float = quantity(
+        800.0, "rpm", "assumption: low-passed command minus motor speed", ge=0.1, le=1e6
+    )
+    speed_s: float = quantity(0.1, "s", "assumption: time constant of its low-pass", ge=0.01, le=60)
+    following_deg: float = quantity(
+        3.0, "deg", "assumption: reference minus measured knee angle", ge=0.01, le=360
+    )
+    trip_s: float = quantity(
+        0.010, "s", "assumption: five samples, so that single outliers stop nothing", ge=0, le=10
+    )
+    healthy_s: float = quantity(
+        0.1, "s", "assumption: time without a fault that ends the start", ge=0, le=60
+    )
+    overdue_s: float = quantity(
+        1.0, "s", "assumption: longest start, and longest stop of the motor", ge=0.01, le=60
+    )
+    stop_rad_s2: float = quantity(
+        2e3,
+        "rad/s²",
+        "assumption: rate at which the speed command falls; the slowest motor of the uncertainty "
+        "set follows it",
+        ge=1,
+        le=1e7,
+    )
+    standstill_rpm: float = quantity(
+        30.0, "rpm", "assumption: motor speed that counts as standstill", ge=0.1, le=1e4
+    )
+    safe_state: SafeState = choice(
+        "zero_speed",
+        "zero_speed: the oil holds the knee; bypass: a valve joins the chambers, and the knee is "
+        "free",
+    )

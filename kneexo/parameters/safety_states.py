@@ -1,0 +1,110 @@
+"""The safety state machine as a table: detectors, states, events and transitions.
+
+`kneexo.systems.SafetySupervisor` makes the equations from this table, so the simulation, exported C
+and FMUs have the same machine. A test compares the table with ``docs/scenario_files.md``.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Literal, NamedTuple
+
+from kneexo.parameters.plant import RPM
+
+SafeState = Literal["zero_speed", "bypass"]
+"""Where a stop ends: the motor stands and the oil holds the knee, or the bypass is open."""
+
+
+class Detector(NamedTuple):
+    """A detector: the event that it causes, and the field and unit of its threshold."""
+
+    event: str
+    field: str
+    """Name of the threshold in `ProtectionParameters`."""
+    unit: str
+    factor: float
+    """Number of SI units in a unit of the threshold."""
+
+
+_DEG, _MM = math.pi / 180.0, 1e-3
+
+DETECTORS = {
+    "range": Detector("implausible", "range_deg", "deg", _DEG),
+    "rate": Detector("implausible", "rate_deg_s", "deg/s", _DEG),
+    "flow": Detector("implausible", "flow_mm", "mm", _MM),
+    "load_cell": Detector("implausible", "load_cell_n", "N", 1.0),
+    "speed": Detector("disobeyed", "speed_rpm", "rpm", RPM),
+    "following": Detector("away", "following_deg", "deg", _DEG),
+}
+"""The detectors of `FaultDetectors`, in order."""
+
+EMERGENCY_STOP = len(DETECTORS) + 1
+"""Number of the emergency stop among the reasons. The reasons 1, 2, … are the `DETECTORS`."""
+NOT_HEALTHY = EMERGENCY_STOP + 1
+"""Number of the reason that the loop did not become healthy in time after its start."""
+REASONS = ("none", *DETECTORS, "emergency stop", "start")
+"""Names of the reasons by their number."""
+
+STATES = {
+    "starting": "the law acts; following and speed are not watched yet",
+    "operating": "the law acts",
+    "stopping": "the speed command falls to zero with a rate limit",
+    "stopped": "the speed command is zero, and the oil holds the knee",
+    "released": "the speed command is zero, and the bypass is open",
+}
+"""The states by their number, with what the supervisor does in them."""
+
+LAW_ACTS = ("starting", "operating")
+"""The states in which the command of the law passes. Only these can be left with a new reason."""
+
+EVENTS = {
+    "emergency": "the input `emergency_stop` is 1",
+    "implausible": "range, rate, flow or load_cell has detected a fault",
+    "disobeyed": "speed has detected a fault: the motor does not obey",
+    "away": "following has detected a fault",
+    "standstill": "the speed command is zero and the motor speed is small",
+    "healthy": "no detector has detected a fault for `healthy_s`",
+    "overdue": "the state has lasted `overdue_s`",
+    "reset": "the input `reset` rises from 0 to 1",
+}
+"""The events in order of priority: the first event with a transition decides."""
+
+
+class Transition(NamedTuple):
+    """A transition between two `STATES`, for one or for all (None) safe states."""
+
+    state: str
+    event: str
+    next_state: str
+    safe_state: SafeState | None = None
+
+
+TRANSITIONS = (
+    Transition("starting", "emergency", "stopping"),
+    Transition("starting", "implausible", "stopping"),
+    Transition("starting", "healthy", "operating"),
+    Transition("starting", "overdue", "stopping"),
+    Transition("operating", "emergency", "stopping"),
+    Transition("operating", "implausible", "stopping"),
+    Transition("operating", "disobeyed", "stopping", "zero_speed"),
+    Transition("operating", "disobeyed", "released", "bypass"),
+    Transition("operating", "away", "stopping"),
+    Transition("stopping", "disobeyed", "released", "bypass"),
+    Transition("stopping", "standstill", "stopped", "zero_speed"),
+    Transition("stopping", "standstill", "released", "bypass"),
+    Transition("stopping", "overdue", "stopped", "zero_speed"),
+    Transition("stopping", "overdue", "released", "bypass"),
+    Transition("stopped", "emergency", "stopped"),
+    Transition("stopped", "implausible", "stopped"),
+    Transition("stopped", "reset", "starting"),
+    Transition("released", "emergency", "released"),
+    Transition("released", "implausible", "released"),
+    Transition("released", "reset", "starting"),
+)
+"""All transitions. A transition to the same state keeps events of lower priority from acting."""
+
+
+def transitions(safe_state: SafeState) -> tuple[Transition, ...]:
+    """Return the transitions with a safe state, in order of the priority of their events."""
+    present = (row for row in TRANSITIONS if row.safe_state in (None, safe_state))
+    return tuple(sorted(present, key=lambda row: list(EVENTS).index(row.event)))

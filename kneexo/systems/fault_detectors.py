@@ -1,0 +1,204 @@
+"""Detectors of faults: residuals of encoder, motor and load cell, compared with thresholds."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pydrake.math as drake_math
+
+from kneexo.parameters import PlantParameters, ProtectionParameters
+from kneexo.parameters.safety_states import DETECTORS
+from kneexo.systems._leaf import NamedLeaf, clip, discrete_state, leaf_template, where_positive
+from kneexo.systems.drive import nearest_integer
+
+_TURN = 2.0 * math.pi
+
+
+def context_values(
+    parameters: ProtectionParameters,
+    plant: PlantParameters,
+    reading_range_rad: tuple[float, float],
+    sample_time_s: float,
+) -> dict[str, float]:
+    """Return a dictionary {name: value} of the Context parameters of `FaultDetectors`."""
+    area = plant.cylinder.mean_area_m2
+    leakage = plant.pump.leakage_m3_per_s_pa + plant.cylinder.leakage_m3_per_s_pa
+    low, high = reading_range_rad
+    return {
+        **{
+            f"{name}_threshold": detector.factor * getattr(parameters, detector.field)
+            for name, detector in DETECTORS.items()
+        },
+        "flow_s": parameters.flow_s,
+        "speed_s": parameters.speed_s,
+        "trip_samples": float(max(1, round(parameters.trip_s / sample_time_s))),
+        "reading_min_rad": low,
+        "reading_max_rad": high,
+        "travel_m_per_rad": plant.pump.displacement_m3_per_rad / (plant.pump.gear_ratio * area),
+        "leakage_m_per_s_n": leakage / (area * area),
+    }
+
+
+class FaultDetectors(NamedLeaf):
+    """Compares six residuals of the controller's signals with thresholds.
+
+    With the reading y of the encoder, the last plausible reading y⁻, the measured rod extension x,
+    the motor speed ω, the command u, the rod force F, and the time constants T_f and T_s,
+
+    =========  =====  ============================================================
+    detector   unit   residual
+    =========  =====  ============================================================
+    range      rad    y beyond its least or largest value
+    rate       rad/s  |y − y⁻|/T, less whole turns
+    flow       m      |r|, r ← (1 − T/T_f) r + x_k − x_{k−1} − T (c_ω ω − c_F F)
+    load_cell  N      |F|
+    speed      rad/s  |s|, s ← s + T (u − ω − s)/T_s
+    following  rad    |θ_ref − θ|
+    =========  =====  ============================================================
+
+    r is the travel on which encoder and motor disagree within T_f, with c_ω = D_m/(gear Ā) and the
+    leakage c_F = C/Ā². Without load cell F is absent, and leakage is part of r. A counter of each
+    residual goes up by one in a sample above the threshold, else down by one, within 0 … n, as the
+    counters of AUTOSAR do. A detector has detected a fault while its counter is n, so fewer than n
+    outliers stop nothing. A residual that is not a number is above the threshold.
+
+    Readings with range or rate above the threshold are implausible. The controller gets y⁻ in their
+    place, so that an outlier does not reach the law, and the linkage can always be closed.
+
+    ===================  ====  =============  ====================================================
+    input port           size  unit
+    ===================  ====  =============  ====================================================
+    encoder_reading      1     rad            y
+    rod_extension        1     m              x, computed from the plausible reading
+    motor_speed          1     rad/s          ω as the drive reports it
+    motor_speed_command  1     rad/s          u
+    knee_angle           1     rad            θ, only if ``follows``
+    knee_reference       4     rad, rad/s, …  θ_ref and derivatives, only if ``follows``
+    measured_force       2     N, s           F and its age, only if ``measures_force``
+    **output port**
+    encoder_reading      1     rad            y, or y⁻ for an implausible y
+    residuals            6     see above      in the order of `DETECTORS`
+    detected             6     1              1 for a detector that has detected a fault, else 0
+    ===================  ====  =============  ====================================================
+
+    Discrete states, updated every ``sample_time_s``: 1 after the first sample, y⁻, x, r, s and the
+    counters. Context parameters by name: the thresholds ``range_threshold``, …, ``flow_s``
+    (T_f), ``speed_s`` (T_s), ``trip_samples`` (n), ``reading_min_rad``, ``reading_max_rad``,
+    ``travel_m_per_rad`` (c_ω) and ``leakage_m_per_s_n`` (c_F). Source: an assumption. Lee et al.
+    2020 have no detectors.
+
+    Parameters
+    ----------
+    parameters
+        Thresholds and time constants.
+    plant
+        The plant that the controller assumes: pump and areas.
+    reading_range_rad
+        Least and largest reading of the encoder within the range of motion, in rad.
+    sample_time_s
+        Time T between two samples in s.
+    follows
+        False: the controller does not follow the reference, and the residual ``following`` is zero.
+    measures_force
+        False: there is no load cell, and the residual ``load_cell`` is zero.
+    """
+
+    def __init__(
+        self,
+        parameters: ProtectionParameters = ProtectionParameters(),
+        plant: PlantParameters = PlantParameters(),
+        reading_range_rad: tuple[float, float] = (-math.pi, math.pi),
+        sample_time_s: float = 0.002,
+        follows: bool = True,
+        measures_force: bool = False,
+    ) -> None:
+        self._declare_parameters(
+            context_values(parameters, plant, reading_range_rad, sample_time_s)
+        )
+        self._sample_time, self._follows = sample_time_s, follows
+        self._measures_force = measures_force
+        self._reading = self.DeclareVectorInputPort("encoder_reading", 1)
+        self._extension = self.DeclareVectorInputPort("rod_extension", 1)
+        self._speed = self.DeclareVectorInputPort("motor_speed", 1)
+        self._command = self.DeclareVectorInputPort("motor_speed_command", 1)
+        others = []
+        if follows:
+            self._angle = self.DeclareVectorInputPort("knee_angle", 1)
+            self._reference = self.DeclareVectorInputPort("knee_reference", 4)
+            others += [self._angle, self._reference]
+        if measures_force:
+            self._force = self.DeclareVectorInputPort("measured_force", 2)
+            others.append(self._force)
+        self._declare_update(sample_time_s, 5 + len(DETECTORS), self._update)
+        declare, state = self._declare_output, self.xd_ticket()
+        self._plausible = declare(
+            "encoder_reading", 1, lambda c: [self._plausible_reading(c)], self._reading, state
+        )
+        self._residuals = declare(
+            "residuals", 6, self._calc_residuals, self._reading, state, *others
+        )
+        declare("detected", 6, self._detected, state)
+
+    def _encoder_residuals(self, context: Any) -> tuple[Any, Any]:
+        """Return the residuals range and rate."""
+        p, reading = self.parameters(context), self._reading.Eval(context)[0]
+        started, last, *_ = discrete_state(context)
+        middle = 0.5 * (p.reading_min_rad + p.reading_max_rad)
+        distance = drake_math.abs(_within_half_a_turn(reading - middle))
+        beyond = distance - 0.5 * (p.reading_max_rad - p.reading_min_rad)
+        rate = drake_math.abs(_within_half_a_turn(reading - last)) / self._sample_time
+        return where_positive(-beyond, 0.0, beyond), where_positive(started, rate, 0.0)
+
+    def _plausible_reading(self, context: Any) -> Any:
+        p, reading = self.parameters(context), self._reading.Eval(context)[0]
+        started, last, *_ = discrete_state(context)
+        limited = clip(reading, p.reading_min_rad, p.reading_max_rad)
+        substitute = where_positive(started, last, limited)
+        beyond, rate = self._encoder_residuals(context)
+        kept = where_positive(p.rate_threshold - rate, reading, substitute)
+        return where_positive(p.range_threshold - beyond, kept, substitute)
+
+    def _calc_residuals(self, context: Any) -> list[Any]:
+        _, _, _, travel, speed, *_ = discrete_state(context)
+        force = self._force.Eval(context)[0] if self._measures_force else 0.0
+        following = 0.0
+        if self._follows:
+            following = self._reference.Eval(context)[0] - self._angle.Eval(context)[0]
+        others = (travel, force, speed, following)
+        return [*self._encoder_residuals(context), *(drake_math.abs(value) for value in others)]
+
+    def _detected(self, context: Any) -> list[Any]:
+        n = self.parameters(context).trip_samples
+        counts = discrete_state(context)[-len(DETECTORS) :]
+        return [where_positive(count - n + 0.5, 1.0, 0.0) for count in counts]
+
+    def _update(self, context: Any) -> list[Any]:
+        p, dt = self.parameters(context), self._sample_time
+        started, _, before, travel, slip, *counts = discrete_state(context)
+        extension, speed = self._extension.Eval(context)[0], self._speed.Eval(context)[0]
+        by_motor = p.travel_m_per_rad * speed
+        if self._measures_force:
+            by_motor = by_motor - p.leakage_m_per_s_n * self._force.Eval(context)[0]
+        moved = where_positive(started, extension - before, 0.0)
+        travel = travel - dt / p.flow_s * travel + moved - dt * by_motor
+        slip = slip + dt / p.speed_s * (self._command.Eval(context)[0] - speed - slip)
+        thresholds = p[: len(DETECTORS)]
+        residuals = self._residuals.Eval(context)
+        steps = [
+            where_positive(threshold - residual, -1.0, 1.0)
+            for threshold, residual in zip(thresholds, residuals, strict=True)
+        ]
+        counts = [
+            clip(c + step, 0.0, p.trip_samples) for c, step in zip(counts, steps, strict=True)
+        ]
+        return [1.0, self._plausible.Eval(context)[0], extension, travel, slip, *counts]
+
+
+def _within_half_a_turn(angle: Any) -> Any:
+    """Return an angle in rad less whole turns, within ±π."""
+    return angle - _TURN * nearest_integer(angle / _TURN)
+
+
+FaultDetectors_ = leaf_template(FaultDetectors)
+"""Template of `FaultDetectors` classes by scalar type of Drake."""

@@ -1,0 +1,147 @@
+"""Supervisor that stops the motor after a fault, by the table of the safety state machine."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pydrake.math as drake_math
+
+from kneexo.parameters import ProtectionParameters
+from kneexo.parameters.plant import RPM
+from kneexo.parameters.safety_states import (
+    DETECTORS,
+    EMERGENCY_STOP,
+    LAW_ACTS,
+    NOT_HEALTHY,
+    STATES,
+    transitions,
+)
+from kneexo.systems._leaf import (
+    NamedLeaf,
+    clip,
+    discrete_state,
+    leaf_template,
+    value_or_zero,
+    where_positive,
+)
+
+_NUMBERS = {state: float(number) for number, state in enumerate(STATES)}
+
+
+def context_values(parameters: ProtectionParameters) -> dict[str, float]:
+    """Return a dictionary {name: value} of the Context parameters of `SafetySupervisor`."""
+    return {
+        "healthy_s": parameters.healthy_s,
+        "overdue_s": parameters.overdue_s,
+        "stop_rad_s2": parameters.stop_rad_s2,
+        "standstill_rad_s": parameters.standstill_rpm * RPM,
+    }
+
+
+class SafetySupervisor(NamedLeaf):
+    """State machine between law and drive: passes the command of the law, or stops the motor.
+
+    `kneexo.parameters.safety_states` has the table of states, events and transitions. A stop keeps
+    its first reason until a reset.
+
+    ===================  ====  =====  ===========================================================
+    input port           size  unit
+    ===================  ====  =====  ===========================================================
+    motor_speed_command  1     rad/s  of the law
+    motor_speed          1     rad/s  as the drive reports it
+    detected             6     1      of `FaultDetectors`
+    emergency_stop       1     1      1: stop, 0: none; 0 if unconnected
+    reset                1     1      its rise from 0 to 1 is the reset; 0 if unconnected
+    **output port**
+    motor_speed_command  1     rad/s  for the drive
+    safety_state         1     1      number of the state in `STATES`, from 0
+    safety_reason        1     1      number of the reason in `REASONS`; 0 without a stop
+    bypass               1     1      1: the bypass is to be open, else 0
+    ===================  ====  =====  ===========================================================
+
+    Discrete states, updated every ``sample_time_s``: state, reason, own command, number of samples
+    in this state, number of samples without a detected fault, and the input ``reset`` before.
+    Context parameters by name: ``healthy_s``, ``overdue_s``, ``stop_rad_s2`` and
+    ``standstill_rad_s``. Source: an assumption. Lee et al. 2020 have no supervisor.
+    """
+
+    def __init__(
+        self,
+        parameters: ProtectionParameters = ProtectionParameters(),
+        sample_time_s: float = 0.002,
+    ) -> None:
+        self._declare_parameters(context_values(parameters))
+        self._sample_time = sample_time_s
+        self._transitions = transitions(parameters.safe_state)
+        self._law = self.DeclareVectorInputPort("motor_speed_command", 1)
+        self._speed = self.DeclareVectorInputPort("motor_speed", 1)
+        self._detected = self.DeclareVectorInputPort("detected", len(DETECTORS))
+        self._emergency = self.DeclareVectorInputPort("emergency_stop", 1)
+        self._reset = self.DeclareVectorInputPort("reset", 1)
+        self._declare_update(sample_time_s, 6, self._update)
+        declare, state = self._declare_output, self.xd_ticket()
+        self._command = declare(
+            "motor_speed_command", 1, lambda c: [self._calc_command(c)], self._law, state
+        )
+        declare("safety_state", 1, lambda c: discrete_state(c)[:1], state)
+        declare("safety_reason", 1, lambda c: discrete_state(c)[1:2], state)
+        declare("bypass", 1, lambda c: [_is(discrete_state(c)[0], "released")], state)
+
+    def _calc_command(self, context: Any) -> Any:
+        state, _, own, *_ = discrete_state(context)
+        return where_positive(_is(state, *LAW_ACTS), self._law.Eval(context)[0], own)
+
+    def _update(self, context: Any) -> list[Any]:
+        p, dt = self.parameters(context), self._sample_time
+        state, reason, own, samples, clear, reset_before = discrete_state(context)
+        detected = self._detected.Eval(context)
+        emergency, reset = (
+            value_or_zero(self._emergency, context),
+            value_or_zero(self._reset, context),
+        )
+        fault = 0.0
+        for value in detected:
+            fault = where_positive(value, 1.0, fault)
+        clear, samples = where_positive(fault, 0.0, clear + 1.0), samples + 1.0
+        speed = drake_math.abs(self._speed.Eval(context)[0])
+        # Half a sample keeps rounded times from deciding.
+        events = {
+            "emergency": emergency - 0.5,
+            "standstill": where_positive(drake_math.abs(own), 0.0, p.standstill_rad_s - speed),
+            "healthy": (clear + 0.5) * dt - p.healthy_s,
+            "overdue": (samples + 0.5) * dt - p.overdue_s,
+            "reset": where_positive(reset_before - 0.5, 0.0, reset - 0.5),
+        }
+        for detector, value in zip(DETECTORS.values(), detected, strict=True):
+            events[detector.event] = where_positive(value, 1.0, events.get(detector.event, 0.0))
+        following = state
+        for row in reversed(self._transitions):  # the first row decides, so it comes last
+            taken = where_positive(_is(state, row.state), events[row.event], 0.0)
+            following = where_positive(taken, _NUMBERS[row.next_state], following)
+        cause: Any = float(NOT_HEALTHY)
+        for number, value in reversed(list(enumerate(detected, 1))):
+            cause = where_positive(value, float(number), cause)
+        cause = where_positive(events["emergency"], float(EMERGENCY_STOP), cause)
+        cause = where_positive(_is(state, *LAW_ACTS), cause, reason)
+        command = self._command.Eval(context)[0]
+        step = p.stop_rad_s2 * dt
+        return [
+            following,
+            where_positive(_is(following, *LAW_ACTS), 0.0, cause),
+            where_positive(_is(following, "stopping"), command - clip(command, -step, step), 0.0),
+            where_positive(drake_math.abs(following - state), 0.0, samples),
+            clear,
+            reset,
+        ]
+
+
+def _is(state: Any, *names: str) -> Any:
+    """Return 1 if the number ``state`` is that of one of the states ``names``, else 0."""
+    result: Any = 0.0
+    for name in names:
+        result = where_positive(0.5 - drake_math.abs(state - _NUMBERS[name]), 1.0, result)
+    return result
+
+
+SafetySupervisor_ = leaf_template(SafetySupervisor)
+"""Template of `SafetySupervisor` classes by scalar type of Drake."""

@@ -1,0 +1,206 @@
+"""Loops with protection: what a fault does, both engines, laws of users, exports, the verdict."""
+
+import math
+
+import numpy as np
+import pytest
+
+from kneexo.analysis import track
+from kneexo.diagrams import make_controller
+from kneexo.diagrams.law import port_sizes
+from kneexo.diagrams.protection import reading_range_rad
+from kneexo.errors import ParameterError
+from kneexo.export.firmware import export_firmware, export_sil
+from kneexo.export.fmu import export_fmu
+from kneexo.export.target import count_range, make_target
+from kneexo.export.web import web_model
+from kneexo.linkage import pose
+from kneexo.parameters import Scenario
+from kneexo.parameters.safety_states import REASONS, STATES
+from kneexo.simulation import simulate
+from kneexo.simulation.compiled import scenario_values, simulate_together
+
+T = 0.002
+BASE = Scenario(protection={}, simulation={"duration_s": 0.3})
+
+
+def with_faults(*faults, base=BASE):
+    return base.changed({"faults": faults})
+
+
+def end(run):
+    return list(STATES)[int(run["safety_state"][-1])], REASONS[int(run["safety_reason"][-1])]
+
+
+def test_protection_leaves_a_healthy_run_as_it_is():
+    plain = simulate(BASE.changed({"protection": None}))
+    run = simulate(BASE)
+    assert end(run) == ("operating", "none")
+    # The equations are evaluated in another order.
+    np.testing.assert_allclose(run["knee_angle_rad"], plain["knee_angle_rad"], rtol=0, atol=1e-12)
+
+
+def test_without_protection_the_controller_is_as_before():
+    controller = make_controller(BASE.changed({"protection": None}))
+    assert not controller.HasSubsystemNamed("supervisor")
+    assert list(port_sizes(controller, inputs=True)) == ["knee_reference", "encoder_reading"]
+    names = scenario_values(BASE.changed({"protection": None}))
+    assert not [name for name in names if "detectors" in name or "supervisor" in name]
+
+
+DEAD = {"place": "command", "kind": "scale", "size": 0.0}
+FAULTS = [
+    ({"kind": "offset", "size": 2.0}, "rate"),
+    ({"kind": "offset", "size": -160.0}, "range"),
+    ({"kind": "bit_flip", "size": 6.0}, "rate"),
+    (DEAD, "speed"),
+    ({"kind": "drift", "size": 20.0}, "following"),
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("fault", "reason"), FAULTS)
+@pytest.mark.parametrize("preset", ["paper", "leg"])
+def test_a_fault_is_detected_and_the_motor_stands(fault, reason, preset):
+    base = Scenario.preset(preset).changed({"protection": {}, "simulation.duration_s": 4.0})
+    run = simulate(with_faults({"start_s": 3.0} | fault, base=base))
+    assert end(run) == ("stopped", reason)
+    assert np.all(run["safety_reason"][: int(3.0 / T) + 1] == 0.0)
+    assert abs(run["motor_speed_rad_s"][-1]) < 1.0
+
+
+@pytest.mark.slow
+def test_outliers_and_a_wrap_do_nothing():
+    """Four wrong samples do not reach the law, and a whole turn is no jump."""
+    healthy = simulate(BASE)
+    faults = [{"kind": "offset", "size": 5.0, "start_s": 0.2, "duration_s": 4 * T}]
+    run = simulate(with_faults(*faults))
+    assert end(run) == ("operating", "none")
+    # For four samples the law sees the reading before. The reference moves slowly.
+    moved = np.abs(run["knee_angle_rad"] - healthy["knee_angle_rad"]).max()
+    assert math.degrees(moved) < 0.1
+    turned = simulate(with_faults({"kind": "offset", "size": 360.0, "start_s": 0.2}))
+    assert end(turned) == ("operating", "none")
+    np.testing.assert_allclose(
+        turned["knee_angle_rad"], healthy["knee_angle_rad"], rtol=0, atol=1e-9
+    )
+
+
+@pytest.mark.slow
+def test_a_reading_at_which_the_linkage_cannot_close_does_not_end_the_run():
+    fault = {"kind": "offset", "size": 150.0, "start_s": 0.2}
+    run = simulate(with_faults(fault))
+    assert end(run)[1] == "range"
+    assert np.isfinite(run["motor_speed_command_rad_s"]).all()
+
+
+@pytest.mark.slow
+def test_drake_and_the_compiled_engine_switch_at_the_same_samples():
+    base = BASE.changed({"plant.load": "knee"})
+    wrong = {"place": "command", "kind": "offset", "size": 2000.0}
+    for fault in ({"kind": "offset", "size": 2.0}, wrong):
+        scenario = with_faults({"start_s": 0.12} | fault, base=base)
+        compiled = simulate(scenario)
+        drake = simulate(scenario.with_engine("drake").with_steps(2e-4))
+        for name in ("safety_state", "safety_reason"):
+            np.testing.assert_array_equal(compiled[name], drake[name])
+        assert compiled["safety_reason"].any()
+        difference = compiled["flow_residual_m"] - drake["flow_residual_m"]
+        assert np.abs(difference).max() < 1e-6
+
+
+@pytest.mark.slow
+def test_runs_that_differ_in_thresholds_share_a_batch():
+    fault = {"kind": "offset", "size": 2.0, "start_s": 0.2}
+    scenarios = [
+        with_faults(fault).changed({"protection.rate_deg_s": rate}) for rate in (250.0, 2000.0)
+    ]
+    runs = simulate_together(scenarios)
+    assert [end(run)[1] for run in runs] == ["rate", "none"]
+    np.testing.assert_array_equal(
+        runs[0]["knee_angle_rad"], simulate(scenarios[0])["knee_angle_rad"]
+    )
+
+
+@pytest.mark.slow
+def test_laws_of_users_are_protected():
+    raw = BASE.with_law(lambda encoder_reading, knee_reference: 100.0 + 0.0 * encoder_reading)
+    base = raw.changed({"protection.following_deg": 1.0, "protection.overdue_s": 0.2})
+    assert end(simulate(base))[1] == "following"
+
+    def python_law(rod_extension, rod_reference):
+        return 1.3e5 * float(np.ravel(rod_reference[0] - rod_extension)[0])
+
+    run = simulate(BASE.with_law(python_law))
+    assert end(run) == ("operating", "none")
+
+
+def test_the_torque_controller_follows_no_reference():
+    system = make_controller(Scenario.preset("wearer").changed({"protection": {}}))
+    detectors = system.GetSubsystemByName("detectors")
+    assert not detectors.HasInputPort("knee_angle")
+    assert detectors.HasInputPort("measured_force")
+    assert not make_controller(BASE).GetSubsystemByName("detectors").HasInputPort("measured_force")
+
+
+def test_the_range_of_readings_is_that_of_the_linkage():
+    base = BASE.changed({"encoder.mounting_error_rad": 0.01, "encoder.phase_rad": 0.3})
+    low, high = reading_range_rad(base)
+    angles = pose(base.plant.linkage, np.radians(np.linspace(-0.5, 90.5, 500))).theta_4 - 0.3
+    slack = 0.01 + base.encoder.resolution_rad
+    assert low == pytest.approx(angles.min() - slack, abs=1e-9)
+    assert high == pytest.approx(angles.max() + slack, abs=1e-9)
+
+
+# ---------------------------------------------------------------------------------- exports
+
+
+def test_ports_of_the_exported_controller():
+    target = make_target(BASE, "controller", counts=True)
+    assert set(target.inputs) == {
+        "encoder_count", "knee_reference", "motor_speed", "emergency_stop", "reset"
+    }  # fmt: skip
+    assert target.outputs == (
+        "motor_speed_command", "residuals", "safety_state", "safety_reason", "bypass"
+    )  # fmt: skip
+    turn = BASE.encoder.counts_per_revolution
+    plain = count_range(BASE.changed({"protection": None}))
+    assert count_range(BASE) == (plain[0] - turn, plain[1] + turn)
+
+
+@pytest.mark.slow
+def test_exports_have_the_protection(tmp_path):
+    scenario = with_faults({"kind": "offset", "size": 2.0, "start_s": 0.2})
+    for what, precision in (("controller", "double"), ("controller", "float"), ("loop", "double")):
+        folder = tmp_path / what / precision
+        replay = export_firmware(scenario, folder, what, precision=precision).replay
+        assert replay.passed
+        assert replay.largest["safety_reason"] == REASONS.index("rate")
+        assert replay.difference["safety_state"] == 0.0
+    assert {"safety_state", "flow_residual_m"} <= set(
+        export_fmu(scenario, tmp_path, "loop").outputs
+    )
+    assert export_sil(BASE, tmp_path / "sil").replay.passed
+
+
+def test_a_page_refuses_protection():
+    with pytest.raises(ParameterError, match="protection: a page cannot show it yet"):
+        web_model(BASE)
+
+
+# ---------------------------------------------------------------------------------- verdict
+
+
+def test_the_verdict_says_when_and_why_the_protection_acted():
+    result = track(with_faults({"kind": "offset", "size": 2.0, "start_s": 0.2}))
+    (line,) = [notice for notice in result.verdict.notices if "protection" in notice]
+    assert line.startswith("protection acted at 0.21 s: rate was ")
+    assert line.endswith("above 250 deg/s; the run ends in the state stopped")
+    size = float(line.split("was ")[1].split(",")[0])
+    assert size == pytest.approx(2.0 / T, rel=0.1)
+    assert not [notice for notice in track(BASE).verdict.notices if "protection" in notice]
+
+
+def test_responses_are_measured_without_protection():
+    assert BASE.undisturbed().protection is None
+    assert BASE.without_quantizers().protection is None
