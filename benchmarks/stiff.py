@@ -1,4 +1,6 @@
-"""The Rosenbrock method of exported C beside RK4 at its largest stable step, on stiff presets.
+"""The Rosenbrock method beside RK4 at its largest stable step and the exact hold, on stiff presets.
+
+The rows are those of exported C, and then those of the compiled engine.
 
 ``python benchmarks/stiff.py`` runs the closed loops of the presets without quantizers, which would
 make a count of the encoder of the smallest error. The largest step of RK4 is the longest of
@@ -19,16 +21,30 @@ from exported_speed import shortest_times
 
 from kneexo.export.firmware import loop_inputs
 from kneexo.parameters import Scenario
+from kneexo.parameters.paths import changed
 from kneexo.parameters.presets import with_preset
+from kneexo.simulation import simulate_compiled
 
 OUTPUTS = ("rod_extension", "load_pressure")
 TOLERANCES = (1e-5, 1e-6, 1e-7)
+COMPILED = (("exact_hold", 1e-8), *(("rosenbrock", tolerance) for tolerance in TOLERANCES))
 REQUIRED = 5.0
 """Smallest speed-up of preset leg by the coarsest tolerance that meets `ERROR`."""
 ERROR = 1e-6
 """Largest error of the rod in strokes."""
 STEPS = range(20, 80, 2)
 """Numbers of steps of RK4 in 2 ms that are tried."""
+
+
+def compiled(scenario, ticks, integrator, tolerance):
+    """Outputs (ticks, outputs) of a run by machine code, at the ends of the ticks."""
+    run = simulate_compiled(
+        changed(scenario, {"simulation.duration_s": ticks * scenario.controller.sample_time_s}),
+        signals=OUTPUTS,
+        integrator=integrator,
+        tolerance=tolerance,
+    )
+    return np.column_stack([run["rod_extension_m"], run["load_pressure_pa"]])[-ticks:]
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -57,10 +73,13 @@ def main(arguments: list[str] | None = None) -> int:
         for tolerance in TOLERANCES:
             stiff = sourced(integrator="rosenbrock", tolerance=tolerance)[1]
             programs[f"rosenbrock, {tolerance:g}"] = Replay(stiff)
-        runs = [partial(program, inputs) for program in programs.values()]
-        times_s = shortest_times(runs, options.turns)
+        runs = {name: partial(program, inputs) for name, program in programs.items()}
+        for integrator, tolerance in COMPILED:
+            run = partial(compiled, scenario, ticks, integrator, tolerance)
+            runs[f"compiled: {integrator}, {tolerance:g}"] = run
+        times_s = shortest_times(list(runs.values()), options.turns)
         met = []
-        for name, run, time_s in zip(programs, runs, times_s, strict=True):
+        for (name, run), time_s in zip(runs.items(), times_s, strict=True):
             error = np.abs(run() - exact).max(axis=0)
             error /= scenario.plant.cylinder.stroke_m, np.abs(exact[:, 1]).max()
             ratio = times_s[0] / time_s

@@ -274,7 +274,9 @@ def test_the_rosenbrock_method_keeps_its_tolerance_on_stiff_presets(load, capsys
     load("stiff").main(["--duration", "1", "--turns", "1"])
     _, *rows = (line.split(" | ") for line in capsys.readouterr().out.splitlines())
     errors = {(row[0], row[1]): float(row[4]) for row in rows}
-    assert len(errors) == 8
+    assert len(errors) == 16
     for preset in ("leg", "wearer"):
         assert errors[preset, "rosenbrock, 1e-07"] <= 1e-6
         assert errors[preset, "rosenbrock, 1e-07"] < errors[preset, "rosenbrock, 1e-05"]
+        compiled = errors[preset, "compiled: rosenbrock, 1e-07"]
+        assert compiled == pytest.approx(errors[preset, "rosenbrock, 1e-07"], rel=0.01)

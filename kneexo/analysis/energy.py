@@ -123,8 +123,8 @@ def _metered_cylinder(scenario: Scenario) -> FullCylinderParameters:
         )
     if not settings.compiled:
         raise ParameterError(
-            f"simulation.integrator = {settings.integrator}: must be exact_hold or rk4 for an "
-            f"energy balance"
+            f"simulation.integrator = {settings.integrator}: must be exact_hold, rk4 or rosenbrock "
+            f"for an energy balance"
         )
     if runs_as_python(scenario):
         raise ParameterError("controller: runs as Python; must compile for an energy balance")

@@ -111,7 +111,6 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
     from .native.runner import (
         ROUGH_STEP_S as ROUGH_STEP_S,
         STEP_S as STEP_S,
-        TOLERANCE as TOLERANCE,
     )
     from .reductions import REDUCTIONS as REDUCTIONS, Reduction as Reduction
     from .run_data import Array as Array, InputTable as InputTable, State as State
@@ -154,7 +153,7 @@ else:
         ),
         "native.cache": (*("cache_directory", "cache_entries", "cache_size_limit", "clear_cache"),),
         "native.cores": ("available_cores",),
-        "native.runner": ("ROUGH_STEP_S", "STEP_S", "TOLERANCE"),
+        "native.runner": ("ROUGH_STEP_S", "STEP_S"),
         "reductions": ("REDUCTIONS", "Reduction"),
         "run_data": ("Array", "InputTable", "State"),
         "trajectories": ("input_table", "stack_tables"),

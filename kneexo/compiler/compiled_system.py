@@ -12,7 +12,7 @@ from pydrake.systems.framework import BasicVector, LeafSystem, ValueProducer
 
 from .model_base import ModelBase, not_finite
 from .native.arguments import OUTPUT_NOT_FINITE
-from .native.runner import STEP_S, TOLERANCE, Runner, element_name
+from .native.runner import STEP_S, Runner, element_name
 from .run_data import Array, InputTable, State
 
 
@@ -61,7 +61,7 @@ class CompiledSystem(LeafSystem):
         *,
         integrator: str = "exact_hold",
         step_s: float = STEP_S,
-        tolerance: float = TOLERANCE,
+        tolerance: float | None = None,
         tick_s: float | None = None,
     ) -> None:
         if tick_s is None and not model.sample_times_s:

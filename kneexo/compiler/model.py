@@ -144,6 +144,8 @@ class CompiledModel(ModelBase):
             ``exact_hold`` is an exponential integrator whose error control uses ``tolerance``.
             ``rk4`` and ``runge_kutta3`` are Runge-Kutta integrators with steps of at most
             ``step_s``. ``runge_kutta3`` is the method of Drake's integrator with this name.
+            ``rosenbrock`` is the method of exported C for stiff equations, with the same
+            ``tolerance`` and the same substeps.
         inputs
             Open inputs as piecewise polynomials of time; zero by default.
 

@@ -10,10 +10,17 @@ import numpy as np
 from .equations.contexts import set_state
 from .equations.tree import Node
 from .errors import ParameterError, SimulationError, StiffnessError, UnstableStepError
-from .native.arguments import NOT_FINITE, OK, OUTPUT_NOT_FINITE, TOO_ROUGH
+from .native.arguments import (
+    NOT_FINITE,
+    OK,
+    OUTPUT_NOT_FINITE,
+    TOO_MANY_SUBSTEPS,
+    TOO_ROUGH,
+)
 from .native.machine_code import MachineCode
 from .native.runner import Runner, address, output_elements
 from .native.stability import UnstableStep
+from .rosenbrock import MOST_SUBSTEPS
 from .run_data import Array, InputTable, State
 
 ContextAt = Callable[[Array], tuple[Node, Any]]
@@ -161,17 +168,23 @@ class ModelBase:
     ) -> SimulationError:
         """Return the error of a failed run for `fault`, which handles unstable steps before."""
         status, _, index = outcome
-        if status in (NOT_FINITE, OUTPUT_NOT_FINITE):
-            finite = np.isfinite(np.concatenate((state.continuous, state.discrete)))
-            if finite.all():
-                return not_finite(time_s, output_elements(self.outputs)[index][0])
+        finite = np.isfinite(np.concatenate((state.continuous, state.discrete)))
+        if status in (NOT_FINITE, OUTPUT_NOT_FINITE, TOO_MANY_SUBSTEPS) and not finite.all():
             # If a state is not finite too, the state is the cause.
             names = (*self.state_names, *self.discrete_names)
             return not_finite(time_s, names[int(np.argmin(finite))])
+        if status == OUTPUT_NOT_FINITE:
+            return not_finite(time_s, output_elements(self.outputs)[index][0])
         if status == TOO_ROUGH:
             return StiffnessError(
                 f"t = {time_s:.6g} s: the integrator exact_hold cannot hold its tolerance (the "
                 f"derivatives jump too often); use rk4"
+            )
+        if status == TOO_MANY_SUBSTEPS:
+            return SimulationError(
+                f"t = {time_s:.6g} s: {self.state_names[index]} changes too fast for the "
+                f"integrator rosenbrock, whose {MOST_SUBSTEPS} substeps do not reach the end of "
+                f"the tick; check the parameters, or use exact_hold"
             )
         path = self.layout.limits[index]
         if self._context_at is not None:

@@ -49,6 +49,9 @@ DEFAULT_DURATION_S = 30.0
 """Duration of a run in s if neither the scenario nor a sampled reference has one: Fig. 12."""
 
 
+_LEAST_TOLERANCE_OF_ROSENBROCK = 1e-12  # below, rounding errors would miss the tolerance
+
+
 class SimulationParameters(Parameters):
     """Settings of a simulation. ``integrator`` selects the compiled engine or Drake's Simulator."""
 
@@ -61,14 +64,24 @@ class SimulationParameters(Parameters):
         le=1e5,
     )
     integrator: Literal[
-        "exact_hold", "rk4", "radau3", "radau1", "runge_kutta3", "implicit_euler"
+        "exact_hold",
+        "rk4",
+        "rosenbrock",
+        "radau3",
+        "radau1",
+        "runge_kutta3",
+        "implicit_euler",
     ] = choice(
         "exact_hold",
-        "exact_hold and rk4 are those of the compiled engine, the others Drake's; implicit or "
-        "exponential, because the hydraulic mode lies at 447 Hz",
+        "exact_hold, rk4 and rosenbrock are those of the compiled engine, the others Drake's; "
+        "implicit or exponential, because the hydraulic mode lies at 447 Hz",
     )
     step_s: float = quantity(
-        0.002, "s", "the control period; exact_hold controls its error instead", ge=1e-7, le=1
+        0.002,
+        "s",
+        "the control period; exact_hold and rosenbrock control their error instead",
+        ge=1e-7,
+        le=1,
     )
     error_controlled: bool = choice(
         False, "True: Drake's integrator controls its error, and step_s is the largest step"
@@ -76,21 +89,34 @@ class SimulationParameters(Parameters):
     accuracy: float = quantity(
         1e-4, "1", "accuracy of Drake's error-controlled integrators", ge=1e-12, le=0.1
     )
-    tolerance: float = quantity(
-        1e-8,
+    tolerance: float | None = quantity(
+        None,
         "1",
-        "accuracy of exact_hold: local error of each state, relative to one plus the state",
+        "accuracy of exact_hold and rosenbrock: local error of the states, relative to one plus "
+        "the state; left out: 1e-8 for exact_hold, and 1e-7 for rosenbrock, as in exported C",
         ge=1e-14,
         le=0.01,
     )
 
+    @model_validator(mode="after")
+    def _above_rounding(self) -> SimulationParameters:
+        least = _LEAST_TOLERANCE_OF_ROSENBROCK
+        if self.integrator == "rosenbrock" and self.tolerance and self.tolerance < least:
+            raise ValueError(
+                f"tolerance = {self.tolerance:g} must be at least {least:g} for rosenbrock"
+            )
+        return self
+
     @property
     def compiled(self) -> bool:
         """True if the compiled engine runs the simulation, False if Drake's Simulator runs it."""
-        return self.integrator in ("exact_hold", "rk4")
+        return self.integrator in ("exact_hold", "rk4", "rosenbrock")
 
     def with_drake(self) -> SimulationParameters:
-        """Return the settings for Drake's Simulator, where radau3 replaces exact_hold and rk4."""
+        """Return the settings for Drake's Simulator.
+
+        There radau3 replaces an integrator of the compiled engine.
+        """
         return self.model_copy(update={"integrator": "radau3"}) if self.compiled else self
 
 

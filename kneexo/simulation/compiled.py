@@ -23,7 +23,6 @@ import numpy as np
 
 from kneexo.compiler import (
     STEP_S,
-    TOLERANCE,
     CompiledModel,
     InputTable,
     Reduction,
@@ -359,7 +358,7 @@ def simulate_compiled(
     signals: Sequence[str] | None = None,
     integrator: str = "exact_hold",
     step_s: float = STEP_S,
-    tolerance: float = TOLERANCE,
+    tolerance: float | None = None,
 ) -> Run:
     """Run the closed loop of ``scenario`` as machine code.
 
@@ -393,7 +392,7 @@ def simulate_together(
     signals: Sequence[str] | None = None,
     integrator: str = "exact_hold",
     step_s: float = STEP_S,
-    tolerance: float = TOLERANCE,
+    tolerance: float | None = None,
     *,
     reductions: Sequence[Sequence[Reduction]] = (),
 ) -> list[Run | KneexoError]:

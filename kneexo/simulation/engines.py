@@ -98,7 +98,8 @@ def _too_large(request: RunRequest) -> ParameterError | None:
             f"most {LARGEST_RUN_BYTES / 2**30:g} GiB; reduce duration_s or log fewer signals"
         )
     steps = duration_s / settings.step_s
-    if settings.integrator != "exact_hold" and steps > MOST_STEPS:
+    controlled = settings.integrator in ("exact_hold", "rosenbrock")
+    if not controlled and steps > MOST_STEPS:
         return ParameterError(
             f"{duration} at step_s = {settings.step_s:g} s: takes {steps:.3g} steps, must be at "
             f"most {MOST_STEPS:g}"

@@ -127,7 +127,10 @@ def test_a_part_lies_in_the_run(start, end):
         ({"plant.full_order": None}, "plant.full_order: is left out; must be given"),
         ({"plant.bypass": True}, "plant.bypass: must be left out"),
         ({"plant.full_order.entrained_air": 0.01}, "entrained_air = 0.01: must be 0"),
-        ({"simulation.integrator": "radau3"}, "integrator = radau3: must be exact_hold or rk4"),
+        (
+            {"simulation.integrator": "radau3"},
+            "integrator = radau3: must be exact_hold, rk4 or rosenbrock",
+        ),
     ],
 )
 def test_a_run_without_balance_is_refused_in_one_line(values, message):

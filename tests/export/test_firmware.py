@@ -555,3 +555,20 @@ def test_a_controller_has_no_states_for_the_rosenbrock_method():
         for name in ("rk4", "rosenbrock")
     ]
     assert files[0] == files[1]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", ["leg", "wearer"])
+def test_a_loop_in_c_takes_the_substeps_of_simulate(exported, preset):
+    """By the Rosenbrock method with one tolerance; other substeps would differ by 1e-7."""
+    steps = {"integrator": "rosenbrock", "tolerance": 1e-6, "duration_s": 1.0}
+    scenario = Scenario.model_validate(with_preset(preset, {"simulation": steps}))
+    options = {"integrator": "rosenbrock", "tolerance": 1e-6}
+    outputs = ("rod_extension", "load_pressure")
+    source, vectors = make_firmware(scenario, "loop", outputs=outputs, **options)
+    replayed = exported.Replay(source)(vectors.inputs)
+    run = simulate(scenario, signals=outputs)
+    for column, name in enumerate(("rod_extension_m", "load_pressure_pa")):
+        expected = run[name][-len(replayed) :]
+        atol = 1e-11 * np.abs(expected).max()
+        np.testing.assert_allclose(replayed[:, column], expected, rtol=0, atol=atol)

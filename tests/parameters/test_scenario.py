@@ -69,6 +69,14 @@ def test_a_run_ends_with_the_samples_of_its_reference(reference, duration_s) -> 
     assert longer.with_duration() == longer
 
 
+def test_rounding_limits_the_tolerance_of_the_rosenbrock_method():
+    settings = {"simulation.integrator": "rosenbrock"}
+    assert changed(Scenario(), settings | {"simulation.tolerance": 1e-12}).simulation.compiled
+    assert changed(Scenario(), {"simulation.tolerance": 1e-13}).simulation.tolerance == 1e-13
+    with pytest.raises(ParameterError, match=r"tolerance = 1e-13 must be at least 1e-12 for rosen"):
+        changed(Scenario(), settings | {"simulation.tolerance": 1e-13})
+
+
 def test_a_change_keeps_the_duration_open(tmp_path) -> None:
     scenario = Scenario(simulation=SimulationParameters(integrator="rk4"))
     copy = changed(scenario, {"reference": TEN_SECONDS, "simulation.step_s": 1e-3})

@@ -12,6 +12,7 @@ from kneexo.parameters import (
     SimulationParameters,
     SineReference,
 )
+from kneexo.parameters.paths import changed
 from kneexo.simulation import simulate_compiled
 from kneexo.simulation.engines import simulate
 
@@ -126,6 +127,30 @@ def test_tolerance_of_the_exact_hold_rules_its_error():
         errors.append(np.max(np.abs(run["motor_speed_rad_s"] - fine["motor_speed_rad_s"])))
     assert errors[1] < 0.2 * errors[0]
     assert errors[2] < 0.2 * errors[1]
+
+
+@pytest.mark.parametrize(
+    ("preset", "duration_s"),
+    [
+        ("leg", 0.2),
+        pytest.param("leg", 10.0, marks=pytest.mark.slow),
+        pytest.param("wearer", 10.0, marks=pytest.mark.slow),
+    ],
+)
+def test_the_rosenbrock_method_keeps_its_tolerance_on_stiff_plants(preset, duration_s):
+    """With valves, friction and a cuff, against the exact hold at a small tolerance."""
+    scenario = Scenario.preset(preset).without_quantizers()
+    scenario = changed(scenario, {"simulation.duration_s": duration_s})
+    exact = simulate_compiled(scenario, signals=("rod_extension",), tolerance=1e-11)
+    errors_m = []
+    for tolerance in (1e-5, 1e-7, 1e-9):
+        steps = {"simulation.integrator": "rosenbrock", "simulation.tolerance": tolerance}
+        run = simulate(changed(scenario, steps), signals=("rod_extension",))
+        assert run.settings.integrator == "rosenbrock"
+        errors_m.append(np.abs(run["rod_extension_m"] - exact["rod_extension_m"]).max())
+    assert errors_m[0] < 1e-5
+    assert errors_m[1] < min(1e-7, 0.3 * errors_m[0])
+    assert errors_m[2] < min(1e-9, 0.3 * errors_m[1])
 
 
 @pytest.mark.slow

@@ -15,6 +15,7 @@ from pydrake.systems.framework import System
 from ..diagram_equations import read_diagram
 from ..errors import CompilationError, OutputError, shown
 from ..files import require_empty, write_folder
+from ..rosenbrock import MOST_SUBSTEPS
 from ..run_data import Array
 from .build import (
     REQUIRED_FLAGS,
@@ -29,7 +30,6 @@ from .checks import distinct_names, require_type
 from .interface import INT32, Field, Interface, require_model_name
 from .manifest import FILE as MANIFEST, exported_name, manifest
 from .printer import literal
-from .rosenbrock import MOST_SUBSTEPS
 from .source import CSource, source_of
 from .template import rendered
 from .traceability import FILE as TRACEABILITY, Trace

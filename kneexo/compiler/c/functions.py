@@ -9,10 +9,11 @@ from dataclasses import dataclass, replace
 from itertools import compress
 
 from ..equations.equations import Update
+from ..rosenbrock import RODAS, Elimination
 from .interface import signal_names
 from .plan import Plan
 from .printer import CPrinter, section_comment
-from .rosenbrock import RODAS, Elimination
+from .rosenbrock import factorization, solution
 from .template import words
 
 _MOST_TERMS = 2000
@@ -54,6 +55,8 @@ class Functions:
         ``constants_of``: computes the values that depend on parameters alone.
     elimination
         Solver of the linear equations of the Rosenbrock method, or None for RK4.
+    factorization, solution
+        Statements of ``elimination``; none for RK4.
     is_large
         Whether RK4 calls a function for the derivatives, ``rate_at``. The Rosenbrock method always
         does, and calls ``linear_at`` for the derivatives and their gradients.
@@ -107,6 +110,7 @@ class Functions:
         terms = sum(len(equations.graph.arguments(node)) for node in nodes)
         self.is_large = terms > _MOST_TERMS
         self.elimination: Elimination | None = None
+        self.factorization, self.solution = list[str](), list[str]()
         if plan.integrator == "rosenbrock":
             self._add_rosenbrock()
             self.tick_values = self.rates = Function("integrate", "", [])
@@ -177,7 +181,9 @@ class Functions:
         self._name_faster_nodes()
         rates = [(f"rate[{i}]", node) for i, node in enumerate(plan.equations.derivatives)]
         zero = plan.equations.graph.zero
-        self.elimination = Elimination(plan.gradients, len(RODAS.nodes), plan.real)
+        self.elimination = Elimination(plan.gradients, len(RODAS.nodes))
+        self.factorization = factorization(self.elimination, plan.real)
+        self.solution = solution(self.elimination, plan.real)
         partials = [
             (f"jacobian[{place}]", plan.gradients[row].get(column, zero))
             for place, (row, column) in enumerate(self.elimination.entries)

@@ -1,208 +1,46 @@
-"""The Rosenbrock method of exported C. It takes long steps where the equations are stiff.
-
-A step of the length h leads from the state x at the time t to x + Σ m_i u_i. Let f be dx/dt, J the
-Jacobian ∂f/∂x and f_t = ∂f/∂t, both at the start of the step. The stages u_i follow from systems of
-linear equations with one matrix (Hairer and Wanner 1996, Solving Ordinary Differential Equations
-II, Eq. IV.7.25):
-
-    (1/(γ h) I - J) u_i = f(t + α_i h, x + Σ_j a_ij u_j) + Σ_j c_ij/h u_j + γ_i h f_t,  j < i.
-
-The matrix is factorized without row exchanges, as in the Kinetic PreProcessor (Sandu et al. 1997,
-Atmos. Environ. 31). So the places of its nonzero elements are known when the code is printed, and
-the code skips all others. A pivot that is zero or small makes the error estimate large or not
-finite. Then the step is repeated with a shorter one, in which 1/(γ h) dominates.
-"""
+"""The C statements of the elimination that the Rosenbrock method requires."""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-
-from ..errors import CompilationError
+from ..rosenbrock import Elimination, Operation
 from .printer import Precision, literal
 
-MOST_SUBSTEPS = 1000
-"""Largest number of substeps in a call, rejected ones included."""
 
-TOLERANCES = {"double": 1e-7, "float": 1e-5}
-"""Default tolerance by precision.
+def factorization(elimination: Elimination, real: Precision) -> list[str]:
+    """Return C statements that factorize the matrix d I - J.
 
-The sum over all states of error estimate / (1 + \\|state\\|) of a substep is at most the tolerance.
-"""
-
-TOLERANCE_RANGES = {"double": (1e-12, 1e-2), "float": (1e-6, 1e-2)}
-"""Smallest and largest tolerance by precision; below, rounding errors would miss the tolerance."""
-
-_MOST_OPERATIONS = 20_000  # of the elimination: a compiler takes seconds for more
-
-
-@dataclass(frozen=True)
-class RosenbrockMethod:
-    """The coefficients of a Rosenbrock method, in the notation of this module."""
-
-    gamma: float
-    nodes: tuple[float, ...]
-    """α_i of each stage."""
-    time_factors: tuple[float, ...]
-    """γ_i of each stage."""
-    state_factors: tuple[tuple[float, ...], ...]
-    """a_ij, a row for each stage."""
-    rate_factors: tuple[tuple[float, ...], ...]
-    """c_ij, a row for each stage."""
-    weights: tuple[float, ...]
-    """m_i of each stage."""
-    error_weights: tuple[float, ...]
-    """Factors of the stages in the error estimate, the difference from an embedded method."""
-
-
-_ROW_5 = (1.221224509226641, 6.019134481288629, 12.53708332932087, -0.6878860361058950)
-
-RODAS = RosenbrockMethod(
-    gamma=0.25,
-    nodes=(0.0, 0.386, 0.21, 0.63, 1.0, 1.0),
-    time_factors=(0.25, -0.1043, 0.1035, -0.0362, 0.0, 0.0),
-    state_factors=(
-        (),
-        (1.544,),
-        (0.9466785280815826, 0.2557011698983284),
-        (3.314825187068521, 2.896124015972201, 0.9986419139977817),
-        _ROW_5,
-        (*_ROW_5, 1.0),
-    ),
-    rate_factors=(
-        (),
-        (-5.6688,),
-        (-2.430093356833875, -0.2063599157091915),
-        (-0.1073529058151375, -9.594562251023355, -20.47028614809616),
-        (7.496443313967647, -10.24680431464352, -33.99990352819905, 11.70890893206160),
-        (
-            8.083246795921522,
-            -7.981132988064893,
-            -31.52159432874371,
-            16.31930543123136,
-            -6.058818238834054,
-        ),
-    ),
-    weights=(*_ROW_5, 1.0, 1.0),
-    error_weights=(0.0, 0.0, 0.0, 0.0, 0.0, 1.0),
-)
-"""RODAS of Hairer and Wanner (1996), order 4 with an embedded method of order 3.
-
-Both methods are L-stable and stiffly accurate. The coefficients are those of their program RODAS.
-"""
-
-
-class Elimination:
-    """C statements that factorize the matrix d I - J, and that solve systems with its factors.
-
-    Attributes
-    ----------
-    entries
-        Places (row, column) of the elements of J on the diagonal and of those that are not always
-        zero, in the order of the C array ``jacobian``.
-    size
-        Number of elements of the factors, in the C array ``a``: the elements of ``entries``, then
-        those that the elimination adds.
-    factorize, solve
-        The statements. ``factorize`` reads ``jacobian`` and d, and writes ``a``. ``solve`` reads
-        ``a``, and replaces the right side ``b`` by the solution.
-    operations
-        Dictionary from an operator to its number of executions in one factorization and ``solves``
-        solutions.
-
-    Raises
-    ------
-    CompilationError
-        The elimination of a matrix with so many elements takes too many operations.
+    The statements read the array ``jacobian``, in the order of `Elimination.entries`, and the
+    variable ``diagonal``, which is d. They write the elements of the factors to the array ``a``.
+    ``real`` is the floating-point type of the code.
     """
+    lines = []
+    for place, (row, column) in enumerate(elimination.entries):
+        start = "diagonal - " if row == column else "-"
+        lines.append(f"    real a{place} = {start}jacobian[{place}];")
+    for place in range(len(elimination.entries), elimination.size):
+        lines.append(f"    real a{place} = {literal(0.0, real)};")
+    for step in elimination.factorization:
+        lines.append(_statement(f"a{step.target}", step, f"a{step.factor}", f"a{step.other}", real))
+    return [*lines, *(f"    a[{place}] = a{place};" for place in range(elimination.size))]
 
-    def __init__(self, rows: Sequence[Iterable[int]], solves: int, real: Precision) -> None:
-        """Print the statements.
 
-        Parameters
-        ----------
-        rows
-            For each row of J the columns whose elements are not always zero.
-        solves
-            Number of systems that a factorization serves.
-        real
-            Floating-point type of the code.
-        """
-        self._real = real
-        self.entries = [
-            (row, column) for row, columns in enumerate(rows) for column in sorted({row, *columns})
-        ]
-        self._at = {entry: place for place, entry in enumerate(self.entries)}
-        self.operations: Counter[str] = Counter()
-        order, lines = self._eliminated(len(rows))
-        self.size = len(self._at)
-        self.factorize = [*self._start(), *lines]
-        self.factorize += [f"    a[{place}] = a{place};" for place in range(self.size)]
-        self.solve = self._solution(order, solves)
-        if sum(self.operations.values()) > _MOST_OPERATIONS:
-            raise CompilationError(
-                f"integrator = 'rosenbrock': {len(rows)} states that depend on each other take "
-                f"{sum(self.operations.values())} operations in a substep; must be at most "
-                f"{_MOST_OPERATIONS}; choose rk4"
-            )
+def solution(elimination: Elimination, real: Precision) -> list[str]:
+    """Return C statements that replace the right side ``b`` of a system by the solution.
 
-    def _place(self, row: int, column: int) -> int:
-        """Return the place of an element in ``a``; a new element gets the next place."""
-        return self._at.setdefault((row, column), len(self._at))
+    The statements read the array ``a`` of `factorization`.
+    """
+    size = max(row for row, _ in elimination.entries) + 1
+    lines = [f"    real b{row} = b[{row}];" for row in range(size)]
+    for step in elimination.substitution:
+        factor = f"a[{step.factor}]"
+        lines.append(_statement(f"b{step.target}", step, factor, f"b{step.other}", real))
+    return [*lines, *(f"    b[{row}] = b{row};" for row in range(size))]
 
-    def _start(self) -> list[str]:
-        """Return statements that define a variable for each element of the matrix d I - J."""
-        lines = []
-        for (row, column), place in self._at.items():
-            value = f"-jacobian[{place}]"
-            if row == column:
-                value = f"diagonal - jacobian[{place}]"
-            elif place >= len(self.entries):
-                value = literal(0.0, self._real)
-            lines.append(f"    real a{place} = {value};")
-        return lines
 
-    def _eliminated(self, size: int) -> tuple[list[int], list[str]]:
-        """Return the order of the pivots, and statements that eliminate one after the other.
-
-        The next pivot is that of the diagonal which adds the fewest products (Markowitz 1957).
-        """
-        left, order, lines = set(range(size)), list[int](), list[str]()
-        one = literal(1.0, self._real)
-        while left:
-            below = {k: [i for i in left if i != k and (i, k) in self._at] for k in left}
-            right = {k: [j for j in left if j != k and (k, j) in self._at] for k in left}
-            pivot = min(left, key=lambda k: (len(below[k]) * len(right[k]), k))
-            left.remove(pivot)
-            order.append(pivot)
-            inverse = self._place(pivot, pivot)
-            lines.append(f"    a{inverse} = {one} / a{inverse};")
-            for row in sorted(below[pivot]):
-                factor = self._place(row, pivot)
-                lines.append(f"    a{factor} *= a{inverse};")
-                for column in sorted(right[pivot]):
-                    changed, known = self._place(row, column), self._place(pivot, column)
-                    lines.append(f"    a{changed} -= a{factor} * a{known};")
-                self.operations["*"] += 1 + len(right[pivot])
-                self.operations["+"] += len(right[pivot])
-            self.operations["/"] += 1
-        return order, lines
-
-    def _solution(self, order: Sequence[int], solves: int) -> list[str]:
-        """Return statements that solve a system, by pivots in their order and then backwards."""
-        lines = [f"    real b{row} = b[{row}];" for row in range(len(order))]
-        rank = {row: number for number, row in enumerate(order)}
-        for column in order:
-            for row in order[rank[column] + 1 :]:
-                if (row, column) in self._at:
-                    lines.append(f"    b{row} -= a[{self._at[row, column]}] * b{column};")
-        for row in reversed(order):
-            for column in order[rank[row] + 1 :]:
-                if (row, column) in self._at:
-                    lines.append(f"    b{row} -= a[{self._at[row, column]}] * b{column};")
-            lines.append(f"    b{row} *= a[{self._at[row, row]}];")
-        products = len(self._at)
-        self.operations["*"] += solves * products
-        self.operations["+"] += solves * (products - len(order))
-        return [*lines, *(f"    b[{row}] = b{row};" for row in range(len(order)))]
+def _statement(target: str, step: Operation, factor: str, other: str, real: Precision) -> str:
+    """Return the C statement of an operation, whose numbers have these texts."""
+    if step.factor is None:
+        return f"    {target} = {literal(1.0, real)} / {target};"
+    if step.other is None:
+        return f"    {target} *= {factor};"
+    return f"    {target} -= {factor} * {other};"

@@ -27,6 +27,7 @@ from ..equations.equations import Equations
 from ..equations.gradients import gradients, time_derivatives
 from ..errors import CompilationError, shown
 from ..root import ROOT, tool
+from ..rosenbrock import CONTROL, MOST_SUBSTEPS, RODAS, TOLERANCE_RANGES, TOLERANCES
 from ..run_data import Array, State
 from .checks import distinct_names, require_type
 from .functions import Functions
@@ -35,7 +36,6 @@ from .manifest import checksums, manifest_in_c
 from .plan import Plan, compensated_sums, step_nodes
 from .printer import PRECISIONS, literal, plain_line
 from .rates import fast_rates
-from .rosenbrock import MOST_SUBSTEPS, RODAS, TOLERANCE_RANGES, TOLERANCES
 from .schedule import schedule_of
 from .tables import Table, tables_of
 from .template import rendered
@@ -299,6 +299,7 @@ class CSource:
             "sums": len(self.plan.sums),
             "checks_steps": self.checks_steps and self.rk4_steps > 0,
             "method": RODAS if self.plan.integrator == "rosenbrock" else None,
+            "control": CONTROL,
             "most_substeps": MOST_SUBSTEPS,
             "stability": STABILITY,
             "smallest_change": 1e-9 if self.precision == "double" else 1e-4,

@@ -33,8 +33,8 @@ def recorded_vectors(diagram: System, source: CSource, inputs: Array) -> Vectors
     """Run the compiled diagram with the inputs of each step; return inputs and recorded outputs.
 
     Inputs are constant over a step. Outputs are recorded just before the updates of the next step.
-    The integrator is RK4 with the step size of ``source``. For the Rosenbrock method, which only C
-    code has, it is the exact hold with a hundredth of the tolerance of ``source``.
+    The integrator is RK4 with the step size of ``source``. For the Rosenbrock method it is another
+    method, the exact hold with a hundredth of the tolerance of ``source``.
 
     Parameters
     ----------

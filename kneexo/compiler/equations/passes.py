@@ -125,6 +125,11 @@ class Program:
 
         The rates of the open inputs count as further elements of the inputs.
         """
+        self.by_time = self._by_time()
+        """Nodes of the partial derivatives of dx/dt by the time; none if all are always zero.
+
+        The open inputs count as functions of time, whose rates are further elements of the inputs.
+        """
         self.initial_discrete = equations.initial_discrete
         self.groups = self._groups()
         self.instant = [node for group in self.groups for _, node in group.targets]
@@ -133,6 +138,14 @@ class Program:
         self.memos = self._memos()
         self.deciding = deciding_nodes(graph, graph.reachable(self._roots()))
         """Nodes whose last bit can change a comparison or rounding; they keep Drake's last bits."""
+
+    @property
+    def jacobian_rows(self) -> list[dict[int, int]]:
+        """The Jacobian row by row, as dictionaries from column to node without zeros."""
+        rows: list[dict[int, int]] = [{} for _ in range(self.size)]
+        for at, node in self.jacobian:
+            rows[at % self.size][at // self.size] = node
+        return rows
 
     @property
     def layout(self) -> Layout:
@@ -159,14 +172,24 @@ class Program:
         equations, graph = self.equations, self.graph
         if not any(graph.depends[node] & {"time", "input"} for node in equations.derivatives):
             return []
-        count = sum(equations.inputs.values())
-        rates = {graph.source("time"): graph.one}
+        rates = self._rates_of_sources()
         for i, node in enumerate(equations.derivatives):
             rates[graph.source("state", i)] = node
-        for i in range(count):
-            rates[graph.source("input", i)] = graph.source("input", count + i)
         second = time_derivatives(graph, equations.derivatives, rates)
         return regrouped(graph, [*equations.derivatives, *second])
+
+    def _by_time(self) -> list[int]:
+        graph, derivatives = self.graph, self.equations.derivatives
+        nodes = time_derivatives(graph, derivatives, self._rates_of_sources())
+        return regrouped(graph, nodes) if any(node != graph.zero for node in nodes) else []
+
+    def _rates_of_sources(self) -> dict[int, int]:
+        """Return the rates of time and open inputs for `time_derivatives`."""
+        graph, count = self.graph, sum(self.equations.inputs.values())
+        rates = {graph.source("time"): graph.one}
+        for i in range(count):
+            rates[graph.source("input", i)] = graph.source("input", count + i)
+        return rates
 
     def _groups(self) -> list[Group]:
         """Return one group for all margins, one for each update, and one for each output port."""
@@ -194,7 +217,7 @@ class Program:
 
     def _roots(self) -> list[int]:
         elements = [node for _, node in self.jacobian]
-        rates = [*self.derivatives, *self.second_derivatives]
+        rates = [*self.derivatives, *self.second_derivatives, *self.by_time]
         return [*rates, *self.initial_discrete, *self.instant, *elements]
 
     def _hoisted(self) -> dict[int, int]:

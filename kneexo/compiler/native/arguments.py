@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-INTEGRATORS = ("exact_hold", "rk4", "runge_kutta3")
+INTEGRATORS = ("exact_hold", "rk4", "runge_kutta3", "rosenbrock")
 """Names of the time integrators that every compiled model offers."""
 
-OK, NOT_FINITE, OUTSIDE, TOO_ROUGH, OUTPUT_NOT_FINITE = range(5)
+OK, NOT_FINITE, OUTSIDE, TOO_ROUGH, OUTPUT_NOT_FINITE, TOO_MANY_SUBSTEPS = range(6)
 """Outcomes of a run.
 
 `OK`: the run reached its end. `NOT_FINITE`: a state is not finite. `OUTSIDE`: the margin of a leaf
 system, its distance from a limit, is below zero. `TOO_ROUGH`: the integrator ``exact_hold`` cannot
-hold its tolerance. `OUTPUT_NOT_FINITE`: a recorded output is not finite.
+hold its tolerance. `OUTPUT_NOT_FINITE`: a recorded output is not finite. `TOO_MANY_SUBSTEPS`: the
+substeps of the integrator ``rosenbrock`` do not reach the end of a tick.
 """
 
 MEMO_LINES = 4096
@@ -45,11 +46,13 @@ Each argument has eight bytes: a number, or the address of an array.
 - ``columns`` (checked_count,): indices among the elements of all outputs: first ``column_count``
   indices of recorded elements, then the indices of elements that are reduced alone
 - ``record`` (lanes, column_count, ``rows``): memory for the records
-- ``step`` in s and ``tolerance`` of the integrator; ``memory`` and ``shared`` of the exact hold
+- ``step`` in s and ``tolerance`` of the integrator; ``memory`` and ``shared`` of the exact hold;
+  the integrator ``rosenbrock`` has the length of each lane's next substep in ``shared``
 - ``tags``, ``values``: look-up tables for functions of one whole number; ``tags`` has the whole
   number of each row, ``values`` the values of the functions
 - ``status`` (lanes, 3): the call writes the outcome, the tick at which the run failed, and the
-  index of the limit that was passed or of the output element that is not finite
+  index of the limit that was passed, of the output element that is not finite, or of the state that
+  changes too fast
 - ``snapshots`` (snapshot_count,): ticks whose states, after the events, are written to
   ``snapshot_x`` (snapshot_count, states) and ``snapshot_d``; with a single lane only
 - ``reductions``, ``reduction_ends``, ``begins``, ``bounds``, ``reduced``: arrays of `Reducer`;

@@ -390,6 +390,23 @@ def define_jacobian(module: Module, program: Program) -> Function:
     return f
 
 
+def define_linear(
+    module: Module, program: Program, lanes: int, entries: Sequence[tuple[int, int]]
+) -> Function:
+    """Define the emitted function ``linear(t, x, d, u, c, out)``.
+
+    The function writes to ``out``: dx/dt; its partial derivatives by the time, if there are any;
+    and the elements ``entries`` (row, column) of the Jacobian of dx/dt by the states ``x``. ``u``
+    has the open inputs and then their rates. The other arguments are those of `define_derivatives`.
+    """
+    f, storage = _of_state(module, "linear", lanes, "noinline")
+    rows, zero = program.jacobian_rows, program.graph.zero
+    elements = [rows[row].get(column, zero) for row, column in entries]
+    targets = enumerate([*program.derivatives, *program.by_time, *elements])
+    Printer(f, program, storage).emit((("out", i), node) for i, node in targets)
+    return f
+
+
 def define_rates(module: Module, program: Program) -> None:
     """Define the emitted function ``rates(t, x, d, u, c, rates, jacobian)`` for a single lane.
 

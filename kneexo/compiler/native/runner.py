@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..reductions import Reduction
+from ..rosenbrock import TOLERANCE_RANGES, TOLERANCES
 from ..run_data import Array, InputTable, Integers
 from . import exact_hold, jacobian_slots
 from .arguments import BETWEEN, DOUBLES, INPUT, INTEGRATORS, MEMO_LINES, OK, RUN, SUSPECTS
@@ -105,22 +106,31 @@ class Runner:
         record_period_s: float | None = None,
         integrator: str = "exact_hold",
         step_s: float = STEP_S,
-        tolerance: float = TOLERANCE,
+        tolerance: float | None = None,
         reductions: Sequence[Reduction] = (),
     ) -> None:
         """Check the arguments, which `CompiledModel.simulate` explains, and get the machine code.
 
         `CompiledModel.simulate_batch` explains ``reductions``. Raises `ValueError` for an unknown
-        output or integrator, and for a step, a tolerance or a
-        record period that is not finite and positive.
+        output or integrator, for a step or a record period that is not finite and positive, and
+        for a tolerance that the integrator does not allow.
         """
         if integrator not in INTEGRATORS:
             raise ValueError(
                 f"integrator = {integrator!r}: must be one of {', '.join(INTEGRATORS)}"
             )
+        least, most = 0.0, math.inf
+        default = TOLERANCE
+        if integrator == "rosenbrock":
+            (least, most), default = TOLERANCE_RANGES["double"], TOLERANCES["double"]
+        tolerance = default if tolerance is None else tolerance
         for name, value in (("step_s", step_s), ("tolerance", tolerance)):
             if not 0.0 < value < math.inf:
                 raise ValueError(f"{name} = {value}: must be finite and > 0")
+        if not least <= tolerance <= most:
+            raise ValueError(
+                f"tolerance = {tolerance:g}: must be in {least:g} … {most:g} for {integrator}"
+            )
         layout = code.layout
         self.sizes = sizes = dict(layout.outputs)
         """Dictionary from the name of each output port of the model to its number of elements."""
@@ -146,7 +156,8 @@ class Runner:
         self._checked = columns_of((*self.names, *sorted(used.difference(self.names))))
         ports = used.union(self.names)
         self._requested = np.array([name in ports for name in sizes], dtype=np.uint8)
-        steps = 10.0 if integrator == "exact_hold" else max(1.0, self.timing.tick / step_s)
+        controlled = integrator in ("exact_hold", "rosenbrock")
+        steps = 10.0 if controlled else max(1.0, self.timing.tick / step_s)
         self.piece = max(1, int(_FIRST_PIECE / steps))
         """Number of ticks that the first machine-code call of a long run makes."""
         self._run = code.run_function(integrator, lanes)

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from ..equations.passes import Group, Place, Program
+from ..rosenbrock import RODAS, Elimination
 from . import exact_hold, jacobian_slots
 from .arguments import (
     BETWEEN,
@@ -26,6 +27,7 @@ from .arguments import (
     OUTSIDE,
     RUN,
     SUSPECTS,
+    TOO_MANY_SUBSTEPS,
     TOO_ROUGH,
 )
 from .integrators import Tick, advance_rk4, advance_runge_kutta3
@@ -38,10 +40,12 @@ from .printer import (
     define_derivatives,
     define_initialize,
     define_jacobian,
+    define_linear,
     define_rates,
     define_second_derivatives,
 )
 from .reductions import define_reduce
+from .rosenbrock import Rosenbrock
 from .types import BOOL, BYTE, DOUBLE, INT, POINTER, Type
 
 _CHECKS = 4  # independent sums, which the processor can compute at the same time
@@ -200,6 +204,16 @@ class _Model:
         self.set_inputs(time, rates=True)
         make = partial(define_second_derivatives, self.f.module, self.program, self.lanes)
         function = self.f.module.shared("second_derivatives", make)
+        pointers = (array.pointer for array in (x, self.d, self.u, self.c, out))
+        self.f.call(function, self.f.coerce(time, self.type), *pointers)
+
+    def linear(
+        self, entries: Sequence[tuple[int, int]], time: Operand, x: Array, out: Array
+    ) -> None:
+        """Emit a call of the function of `define_linear`, with the inputs at ``time``."""
+        self.set_inputs(time, rates=bool(self.program.by_time))
+        make = partial(define_linear, self.f.module, self.program, self.lanes, entries)
+        function = self.f.module.shared("linear", make)
         pointers = (array.pointer for array in (x, self.d, self.u, self.c, out))
         self.f.call(function, self.f.coerce(time, self.type), *pointers)
 
@@ -366,6 +380,8 @@ class _Run:
         self._present = f.array(1, INT.of(lanes))
         if integrator == "exact_hold" and program.size:
             self._prepare_hold()
+        if integrator == "rosenbrock" and program.size:
+            self._prepare_rosenbrock()
 
     def _prepare_hold(self) -> None:
         f, a, program = self.f, self.arguments, self.program
@@ -377,6 +393,19 @@ class _Run:
         memory, shared = a.array("memory", DOUBLE), a.array("shared", DOUBLE)
         self.hold = exact_hold.ExactHold(
             a["tick"], a["tolerance"], memory, shared, self._choose_jacobian
+        )
+
+    def _prepare_rosenbrock(self) -> None:
+        a, program = self.arguments, self.program
+        elimination = Elimination(program.jacobian_rows, len(RODAS.nodes))
+        self.rosenbrock = Rosenbrock(
+            self.model.type,
+            elimination,
+            partial(self.model.linear, elimination.entries),
+            bool(program.by_time),
+            a["tick"],
+            a["tolerance"],
+            a.array("shared", self.model.type),
         )
 
     def _choose_jacobian(self, tick: Tick, lane: Value, memory: Array, time: Value) -> None:
@@ -520,15 +549,19 @@ class _Run:
             first += len(memo.nodes)
         return memory
 
-    def _fail(self, lanes: Value, code: int, tick: Value, index: int = 0) -> None:
-        """Emit code that ends the runs in ``lanes``, and sets their status (code, tick, index)."""
+    def _fail(self, lanes: Value, code: int, tick: Value, index: Operand = 0) -> None:
+        """Emit code that ends the runs in ``lanes``, and sets their status (code, tick, index).
+
+        ``index``: one number for all lanes, or a value with a number for each lane.
+        """
         f = self.f
         with f.when(f.any_lane(lanes), rare=True):
             for lane in range(self.lanes):
                 with f.when(f.lane(lanes, lane)):
                     self.status[3 * lane] = code
                     self.status[3 * lane + 1] = tick
-                    self.status[3 * lane + 2] = index
+                    status = f.lane(index, lane) if isinstance(index, Value) else index
+                    self.status[3 * lane + 2] = status
             self.alive.set(self.alive.get() & ~lanes)
 
     def _advance(self, now: _Now, end: Value) -> None:
@@ -539,6 +572,11 @@ class _Run:
             with f.when(now.number.equals(a["first"])):
                 self.hold.prepare(tick)
             rough = self.hold.advance(tick)
+        elif self.integrator == "rosenbrock":
+            stuck = self.rosenbrock.advance(tick)
+            with f.when(f.any_lane(stuck.lanes), rare=True):
+                index = self._worst(stuck.errors)
+                self._fail(stuck.lanes, TOO_MANY_SUBSTEPS, now.number, index)
         elif self.integrator == "rk4":
             advance_rk4(tick)
         else:
@@ -550,6 +588,18 @@ class _Run:
         self._fail(now.running & check_sum.get().differs(0.0), NOT_FINITE, now.number + 1)
         if rough is not None:
             self._fail(rough & self.alive.get(), TOO_ROUGH, now.number)
+
+    def _worst(self, errors: Array) -> Value:
+        """Emit the index of the state whose error is nan, or else largest."""
+        f = self.f
+        worst = f.variable(f.constant(0.0, errors.type))
+        index = f.variable(f.constant(0, INT.of(self.lanes)))
+        for i in f.each(self.program.size):
+            error, state = errors[i], f.coerce(f.coerce(i, INT), INT.of(self.lanes))
+            worse = (error > worst.get()) | error.differs(error)
+            worst.set(f.select(worse, error, worst.get()))
+            index.set(f.select(worse, state, index.get()))
+        return index.get()
 
 
 # ------------------------------------------------------------------------ between two ticks

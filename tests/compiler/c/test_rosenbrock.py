@@ -1,4 +1,4 @@
-"""The Rosenbrock method in C: its coefficients, its elimination, and its runs against SciPy."""
+"""The Rosenbrock method in C: the statements of its elimination, and its runs against SciPy."""
 
 import math
 
@@ -10,71 +10,16 @@ from scipy.integrate import solve_ivp
 
 from kneexo.compiler import read_diagram
 from kneexo.compiler.c.printer import DOUBLE
-from kneexo.compiler.c.rosenbrock import MOST_SUBSTEPS, RODAS, Elimination
+from kneexo.compiler.c.rosenbrock import factorization, solution
 from kneexo.compiler.c.source import CSource, source_of
 from kneexo.compiler.c.vectors import recorded_vectors
+from kneexo.compiler.diagram_equations import equations_key
 from kneexo.compiler.equations.equations import Equations
 from kneexo.compiler.errors import CompilationError
+from kneexo.compiler.model import CompiledModel
+from kneexo.compiler.native.machine_code import MachineCode
+from kneexo.compiler.rosenbrock import MOST_SUBSTEPS, Elimination
 from kneexo.compiler.run_data import State
-
-# --------------------------------------------------------------------------- coefficients
-
-
-def lower(rows):
-    """A lower triangular matrix of rows of different length."""
-    matrix = np.zeros((len(rows), len(rows)))
-    for number, row in enumerate(rows):
-        matrix[number, : len(row)] = row
-    return matrix
-
-
-def untransformed():
-    """The matrices alpha and gamma, and the weights of both methods (Hairer and Wanner, IV.7)."""
-    stages = len(RODAS.weights)
-    gamma = np.linalg.inv(np.eye(stages) / RODAS.gamma - lower(RODAS.rate_factors))
-    alpha = lower(RODAS.state_factors) @ gamma
-    weights = np.array(RODAS.weights) @ gamma
-    return alpha, gamma, weights, weights - np.array(RODAS.error_weights) @ gamma
-
-
-def order_conditions(alpha, beta, b):
-    """Pairs of a sum of the coefficients and its value in a method of order 4, by order."""
-    a = alpha.sum(axis=1)
-    c = beta.sum(axis=1)
-    return {
-        1: [(b.sum(), 1.0)],
-        2: [(b @ c, 1 / 2)],
-        3: [(b @ a**2, 1 / 3), (b @ beta @ c, 1 / 6)],
-        4: [
-            (b @ a**3, 1 / 4),
-            (b @ (a * (alpha @ c)), 1 / 8),
-            (b @ beta @ a**2, 1 / 12),
-            (b @ beta @ beta @ c, 1 / 24),
-        ],
-    }
-
-
-def test_rodas_has_order_four_and_its_embedded_method_order_three():
-    alpha, gamma, weights, embedded = untransformed()
-    for order, conditions in order_conditions(alpha, alpha + gamma, weights).items():
-        for value, expected in conditions:
-            assert value == pytest.approx(expected, abs=1e-13), order
-    errors = {
-        order: max(abs(value - expected) for value, expected in conditions)
-        for order, conditions in order_conditions(alpha, alpha + gamma, embedded).items()
-    }
-    assert max(errors[order] for order in (1, 2, 3)) < 1e-13
-    assert errors[4] > 1e-3  # else there would be no error estimate
-
-
-def test_rodas_is_consistent_and_damps_the_fastest_modes_at_once():
-    alpha, gamma, weights, embedded = untransformed()
-    np.testing.assert_allclose(alpha.sum(axis=1), RODAS.nodes, atol=1e-13)
-    np.testing.assert_allclose(gamma.sum(axis=1), RODAS.time_factors, atol=1e-13)
-    for b in (weights, embedded):  # R(inf) = 1 - b^T (alpha + gamma)^-1 1
-        at_infinity = 1.0 - b @ np.linalg.solve(alpha + gamma, np.ones(len(b)))
-        assert at_infinity == pytest.approx(0.0, abs=1e-12)
-
 
 # ---------------------------------------------------------------------------- elimination
 
@@ -85,40 +30,17 @@ def executed(statements, **arrays):
         exec(statement.strip().removeprefix("real ").removesuffix(";"), arrays)
 
 
-@pytest.mark.parametrize("density", [0.1, 0.3, 1.0])
-def test_the_elimination_solves_systems_of_any_pattern(density):
+def test_the_statements_of_the_elimination_solve_a_system():
     random = np.random.default_rng(7)
     size = 9
-    jacobian = random.normal(size=(size, size)) * (random.random((size, size)) < density)
-    rows = [np.flatnonzero(row).tolist() for row in jacobian]
-    elimination = Elimination(rows, 1, DOUBLE)
-    assert {(i, i) for i in range(size)} <= set(elimination.entries)
+    jacobian = random.normal(size=(size, size)) * (random.random((size, size)) < 0.3)
+    elimination = Elimination([np.flatnonzero(row).tolist() for row in jacobian], 1)
     values = [jacobian[entry] for entry in elimination.entries]
     a, b = np.zeros(elimination.size), random.normal(size=size)
     expected = np.linalg.solve(20.0 * np.eye(size) - jacobian, b)
-    executed(elimination.factorize, jacobian=values, diagonal=20.0, a=a)
-    executed(elimination.solve, a=a, b=b)
+    executed(factorization(elimination, DOUBLE), jacobian=values, diagonal=20.0, a=a)
+    executed(solution(elimination, DOUBLE), a=a, b=b)
     np.testing.assert_allclose(b, expected, rtol=1e-13)
-
-
-def test_the_elimination_of_an_arrow_adds_no_element():
-    """The first state depends on all others, and they on it: as first pivot it would fill all."""
-    size = 6
-    elimination = Elimination([range(size)] + [[0]] * (size - 1), 1, DOUBLE)
-    assert elimination.size == len(elimination.entries) == 3 * size - 2
-
-
-def test_operations_of_the_elimination_are_those_of_its_statements():
-    elimination = Elimination([range(3)] * 3, 2, DOUBLE)
-    products = " ".join(elimination.factorize).count("*")
-    products += 2 * " ".join(elimination.solve).count("*")
-    assert elimination.operations["*"] == products
-    assert elimination.operations["/"] == 3
-
-
-def test_many_states_that_depend_on_each_other_are_refused():
-    with pytest.raises(CompilationError, match=r"40 states that depend on each other take .* rk4"):
-        Elimination([range(40)] * 40, 6, DOUBLE)
 
 
 # ----------------------------------------------------------------------------------- runs
@@ -309,3 +231,13 @@ def test_a_diagram_without_continuous_states_has_no_integrator():
 def test_wrong_options_are_refused(options, message):
     with pytest.raises(CompilationError, match=message):
         source_with(van_der_pol, [2.0, 0.0], **options)
+
+
+def test_machine_code_takes_the_same_substeps(built):
+    """Else the difference were near the tolerance of 1e-4. The fast change has rejected ones."""
+    source = source_with(van_der_pol, [2.0, 0.0], 100.0, tolerance=1e-4)
+    model = CompiledModel(MachineCode(equations_key(source.equations), source.equations))
+    options = {"integrator": "rosenbrock", "record_period_s": 100.0, "tolerance": 1e-4}
+    run = model.simulate(np.zeros(0), source.state, 1000.0, **options)
+    replayed = built(source).replay(np.zeros((10, 0)))
+    np.testing.assert_allclose(run["y"][1:], replayed, rtol=1e-8)

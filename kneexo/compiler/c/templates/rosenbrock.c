@@ -10,7 +10,7 @@
  * triangular factors that are not always zero to a, with the inverse of each pivot. */
 static void factorize(const real *jacobian, real diagonal, real *a)
 {
-{% for statement in functions.elimination.factorize %}
+{% for statement in functions.factorization %}
 {{ statement }}
 {% endfor %}
 }
@@ -18,7 +18,7 @@ static void factorize(const real *jacobian, real diagonal, real *a)
 /* Replace the right side b of a system of equations by its solution, with a of factorize. */
 static void solve(const real *a, real *b)
 {
-{% for statement in functions.elimination.solve %}
+{% for statement in functions.solution %}
 {{ statement }}
 {% endfor %}
 }
@@ -47,11 +47,11 @@ static bool integrate(const instant *start, real *x, real *substep)
     at.x = z;
     for (uint16_t count = 0U; count < {{ most_substeps }}U; count++) {
         const real rest = {{ NAME }}_SAMPLE_TIME_S - done;
-        const bool last = *substep >= ({{ 0.9999 | literal(real) }} * rest);
-        const real h = last ? rest : minimum(*substep, {{ 0.5 | literal(real) }} * rest);
+        const bool last = *substep >= ({{ control.whole | literal(real) }} * rest);
+        const real h = last ? rest : minimum(*substep, {{ control.share | literal(real) }} * rest);
         const real per_h = {{ one }} / h;
         real error = {{ zero }};
-        real factor = {{ 5.0 | literal(real) }};
+        real factor = {{ control.most | literal(real) }};
         bool good;
 
         factorize(jacobian, per_h / {{ method.gamma | literal(real) }}, a);
@@ -90,8 +90,8 @@ static bool integrate(const instant *start, real *x, real *substep)
             error += ((difference < {{ zero }}) ? -difference : difference) / scale;
         }
         good = (error <= {{ one }}) && are_finite(z, {{ states }}U);
-        if (!(error <= {{ ((0.9 / 5.0) ** 4) | literal(real) }})) {
-            factor = maximum({{ 0.1 | literal(real) }}, {{ 0.9 | literal(real) }} / sqrt{{ real.suffix }}(sqrt{{ real.suffix }}(error)));
+        if (!(error <= {{ control.easy | literal(real) }})) {
+            factor = maximum({{ control.least | literal(real) }}, {{ control.safety | literal(real) }} / sqrt{{ real.suffix }}(sqrt{{ real.suffix }}(error)));
         }
         if (!moved) { /* a substep from here has failed, so the next one is not longer */
             factor = minimum(factor, {{ one }});
