@@ -247,8 +247,8 @@ NO_PART = "has no value: must be a mapping of names to values, such as {%s: …}
         (
             "simulation:\n  integrator: euler\n",
             "2: simulation.integrator = 'euler': "
-            "must be 'exact_hold', 'rk4', 'radau3', 'radau1', 'runge_kutta3' or 'implicit_euler'; "
-            "did you mean implicit_euler?",
+            "must be 'exact_hold', 'rk4', 'rosenbrock', 'radau3', 'radau1', 'runge_kutta3' or "
+            "'implicit_euler'; did you mean implicit_euler?",
         ),
         (
             "reference:\n  kind: samples\n  angles_deg: [1, 2, 3, 4]\n  times_s:\n"

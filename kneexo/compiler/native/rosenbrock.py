@@ -25,10 +25,10 @@ class Stuck:
     lanes: Value
     """Condition that holds in these lanes."""
     errors: Array
-    """Error estimate of each state, divided by the tolerance of the state.
+    """Largest error estimate of each state in the tick, divided by the tolerance of the state.
 
-    It is that of the last substep that failed from a new state. From the same state the substeps
-    become so short that no estimate is finite.
+    Only the first substep from a state counts. If it fails, the next substeps from there become so
+    short that no estimate is finite.
     """
 
 
@@ -124,7 +124,8 @@ class Rosenbrock:
                 not_finite.set(f.fma(end[i], 0.0, not_finite.get()))
             good = (error.get() <= 1.0) & not_finite.get().equals(0.0)
             for i in f.each(size):
-                errors[i] = f.select(moved.get() & ~good, shares[i], errors[i])
+                larger = (shares[i] > errors[i]) | shares[i].differs(shares[i])
+                errors[i] = f.select(moved.get() & larger, shares[i], errors[i])
             # No comparison holds with nan, so an error of nan makes the substep shorter.
             factor = f.maximum(CONTROL.least, CONTROL.safety / f.sqrt(f.sqrt(error.get())))
             factor = f.select(error.get() <= CONTROL.easy, CONTROL.most, factor)

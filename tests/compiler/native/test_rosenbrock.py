@@ -140,13 +140,19 @@ def test_runs_in_lanes_have_the_bits_of_runs_alone(oscillators):
         np.testing.assert_array_equal(together.final.continuous, alone.final.continuous)
 
 
-def test_the_default_tolerance_is_that_of_exported_c(oscillators):
-    ends = [
+@pytest.mark.parametrize(("integrator", "default"), [("rosenbrock", 1e-7), ("exact_hold", 1e-8)])
+def test_each_integrator_has_its_default_tolerance(oscillators, integrator, default):
+    """That of rosenbrock is the default of exported C."""
+    results = [
         run(oscillators, [2.0, 0.0], 0.5, parameters=[10.0], discrete=[0.0], **options)["y"]
-        for options in ({}, {"tolerance": 1e-7}, {"tolerance": 1e-8})
+        for options in (
+            {"integrator": integrator},
+            {"integrator": integrator, "tolerance": default},
+            {"integrator": integrator, "tolerance": 0.1 * default},
+        )
     ]
-    np.testing.assert_array_equal(ends[0], ends[1])
-    assert not np.array_equal(ends[0], ends[2])
+    np.testing.assert_array_equal(results[0], results[1])
+    assert not np.array_equal(results[0], results[2])
 
 
 @pytest.mark.parametrize("tolerance", [1e-13, 0.1])
