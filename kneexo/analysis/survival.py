@@ -174,13 +174,32 @@ def fault_survival(
     ]
     for item in items:  # an error here, not in a worker
         _faulty(scenario, item, 1)
-    case = partial(_case, scenario, healthy, bound_deg)
+    case = partial(fault_case, scenario, healthy, bound_deg)
     return FaultSurvival(bound_deg, tuple(parallel_map(case, items, workers=workers)))
 
 
 @needs_runs
-def _case(scenario: Scenario, healthy: Run, bound_deg: float, fault: FaultParameters) -> FaultCase:
-    """Return the effect of a permanent fault, and its critical duration by bisection."""
+def fault_case(
+    scenario: Scenario, healthy: Run, bound_deg: float, fault: FaultParameters
+) -> FaultCase:
+    """Return the effect of a permanent fault, and its critical duration by bisection.
+
+    Parameters
+    ----------
+    scenario
+        The scenario. Its own faults are in all runs.
+    healthy
+        The run of the scenario.
+    bound_deg
+        Largest tolerated deviation of the knee in deg.
+    fault
+        The fault. Its duration is replaced.
+
+    Raises
+    ------
+    ParameterError
+        The scenario refuses the fault.
+    """
 
     def run_with(samples: int | None) -> Run | None:
         """Return the run if the fault lasts a number of samples, or for ever; None if it fails."""
@@ -199,7 +218,7 @@ def _case(scenario: Scenario, healthy: Run, bound_deg: float, fault: FaultParame
     period = scenario.controller.sample_time_s
     permanent = run_with(None)
     deviation = deviation_deg(permanent)
-    name, largest = _name(fault), float(np.max(deviation))
+    name, largest = fault_name(fault), float(np.max(deviation))
     if largest <= bound_deg:
         others = healthy["active_faults"] if scenario.faults else 0.0
         active = permanent is not None and np.any(permanent["active_faults"] > others)
@@ -222,11 +241,11 @@ def _signals(scenario: Scenario) -> tuple[str, ...]:
     return ("knee_angle", "active_faults") if scenario.faults else ("knee_angle",)
 
 
-def _name(fault: FaultParameters) -> str:
+def fault_name(fault: FaultParameters) -> str:
     """Return place, kind, size, seed and trigger of a fault, as far as it has them."""
     parts = [fault.place, fault.kind]
     if fault.kind != "frozen":
-        parts.append(f"{fault.size:g}")
+        parts.append(f"{fault.size:g} {fault.size_unit}".rstrip())
     if fault.seed:
         parts.append(f"seed {fault.seed}")
     for sign, threshold in ((">", fault.above), ("<", fault.below)):

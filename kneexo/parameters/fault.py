@@ -24,6 +24,9 @@ FAULTY_SIGNALS = {"encoder": math.pi / 180.0, "load_cell": 1.0, "command": RPM}
 The encoder's reading has sizes in deg, the load cell's in N, and the speed command in rpm.
 """
 
+_UNITS = {"encoder": "deg", "load_cell": "N", "command": "rpm"}
+_AMOUNTS = ("offset", "drift", "noise")
+"""Kinds with a size in the unit of the signal."""
 
 LATEST = 10
 """Largest number of samples by which a signal can be late."""
@@ -90,9 +93,15 @@ class FaultParameters(Parameters):
     @property
     def si_size(self) -> float:
         """Size in SI units. Factors, shares, counts and values of parameters stay as they are."""
-        if self.kind in ("offset", "drift", "noise"):
+        if self.kind in _AMOUNTS:
             return self.size * FAULTY_SIGNALS[self.place]
         return self.size
+
+    @property
+    def size_unit(self) -> str:
+        """Unit of a size that is an amount of the signal, such as deg; otherwise an empty text."""
+        unit = _UNITS.get(self.place, "") if self.kind in _AMOUNTS else ""
+        return f"{unit}/s" if self.kind == "drift" else unit
 
     @property
     def end_s(self) -> float:

@@ -237,6 +237,20 @@ STUDIES = {
             ),
         ),
         Study(
+            "faults",
+            "study faults",
+            "what faults do, and whether the protection acts in time",
+            "Typical faults at several times of the motion, critical durations, detectors, safe "
+            "state, false alarms of healthy knees.",
+            uncertain=True,
+            stages=(
+                Stage("faults", 20.0, repeats=True),
+                Stage("healthy runs", 2.0),
+                Stage(FIGURES, 0.5),
+                Stage(FILES, 2.0),
+            ),
+        ),
+        Study(
             "size",
             "size",
             "find the motor, pump and encoder that a task needs",

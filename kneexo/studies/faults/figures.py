@@ -1,0 +1,125 @@
+"""Figures of a `kneexo.studies.faults.study.FaultsResult`."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import matplotlib.pyplot as plt
+from matplotlib.figure import Figure
+
+from kneexo.plotting import BLUE, GOLD, RED, TEAL, decimal_ticks
+from kneexo.studies.faults.study import FaultsResult
+from kneexo.studies.plots import legend_below
+
+_MARKS = {
+    "harmless": ("o", "0.6"),
+    "in time": ("o", TEAL),
+    "late": ("s", GOLD),
+    "missed": ("X", RED),
+}
+"""Mark and colour of each verdict."""
+
+
+def figures(result: FaultsResult) -> dict[str, Figure]:
+    """Draw the worst case, the margins, and motions with and without protection."""
+    return {
+        "worst_case": plot_worst_case(result),
+        "margins": plot_margins(result),
+        "protection": plot_protection(result),
+    }
+
+
+def plot_worst_case(result: FaultsResult) -> Figure:
+    """Draw the knee over time, without fault, with the fault alone, and with protection."""
+    worst = result.worst
+    figure, ax = plt.subplots(figsize=(7.5, 3.6), layout="constrained")
+    figure.set_label(
+        f"The worst case: {worst.fault} ({worst.cause}) begins at {worst.start_s:g} s. A curve "
+        "ends early if the knee leaves its range of motion."
+    )
+    styles: dict[str, tuple[str, Any]] = {
+        "healthy": ("without the fault", {"color": "0.6", "lw": 3.0}),
+        "alone": ("with the fault", {"color": GOLD}),
+        "protected": ("with the fault and protection", {"color": BLUE, "ls": "--"}),
+    }
+    for name, (label, style) in styles.items():
+        if trace := result.traces.get(name):
+            ax.plot(trace["time_s"], trace["knee_deg"], label=label, **style)
+    ax.axvline(worst.start_s, color=RED, lw=1.0, label="start of the fault")
+    if math.isfinite(worst.safe_after_s):
+        safe_s = worst.start_s + worst.safe_after_s
+        ax.axvline(safe_s, color=TEAL, lw=1.0, ls=":", label="motor safe")
+    ax.set(
+        xlim=(worst.start_s - 1.0, worst.start_s + result.settings.observed_s),
+        xlabel="time (s)",
+        ylabel="knee flexion (deg)",
+    )
+    legend_below(figure, [ax], 3)
+    return figure
+
+
+def plot_margins(result: FaultsResult) -> Figure:
+    """Draw the time to the safe state over the critical duration, with a mark for each case."""
+    figure, ax = plt.subplots(figsize=(6.0, 5.0), layout="constrained")
+    figure.set_label(
+        "Each mark is a fault at one time. Below the line the motor is safe before the knee leaves "
+        "its motion. Faults that may be permanent stand at the right edge, faults that no detector "
+        "finds at the upper edge."
+    )
+    finite = [
+        value
+        for row in result.rows
+        for value in (row.critical_duration_s, row.safe_after_s)
+        if 0.0 < value < math.inf
+    ]
+    low, high = 1e3 * min(finite, default=1e-3) / 2.0, 1e3 * max(finite, default=1.0) * 4.0
+    for verdict, (marker, colour) in _MARKS.items():
+        rows = [row for row in result.rows if row.verdict == verdict]
+        if not rows:
+            continue
+        x, y = (
+            [min(max(1e3 * getattr(row, name), low), high) for row in rows]
+            for name in ("critical_duration_s", "safe_after_s")
+        )
+        ax.plot(x, y, marker, color=colour, ls="", label=f"{verdict} ({len(rows)})", clip_on=False)
+    ax.plot([low, high], [low, high], color="k", lw=0.8)
+    ax.set(
+        xscale="log",
+        yscale="log",
+        xlim=(low, high),
+        ylim=(low, high),
+        xlabel="critical duration without protection (ms)",
+        ylabel="time to the safe state (ms)",
+    )
+    decimal_ticks(ax.xaxis)
+    decimal_ticks(ax.yaxis)
+    legend_below(figure, [ax], 4)
+    return figure
+
+
+def plot_protection(result: FaultsResult) -> Figure:
+    """Draw the motion with protection over that without, with a mark for each case."""
+    figure, ax = plt.subplots(figsize=(6.0, 5.0), layout="constrained")
+    figure.set_label(
+        "Largest motion of the knee by a fault, until the motor is safe, over that without "
+        "protection. Runs that leave the range of motion count until then."
+    )
+    largest = (max(r.alone.deviation_deg, r.protected.deviation_deg) for r in result.rows)
+    high = 1.1 * max(*largest, result.settings.bound_deg)
+    for verdict, (marker, colour) in _MARKS.items():
+        rows = [row for row in result.rows if row.verdict == verdict]
+        if rows:
+            x = [row.alone.deviation_deg for row in rows]
+            y = [row.protected.deviation_deg for row in rows]
+            ax.plot(x, y, marker, color=colour, ls="", label=f"{verdict} ({len(rows)})")
+    ax.axhline(result.settings.bound_deg, color=RED, lw=0.8, label="bound")
+    ax.plot([0.0, high], [0.0, high], color="k", lw=0.8)
+    ax.set(
+        xlim=(0.0, high),
+        ylim=(0.0, high),
+        xlabel="motion without protection (deg)",
+        ylabel="motion with protection (deg)",
+    )
+    legend_below(figure, [ax], 3)
+    return figure

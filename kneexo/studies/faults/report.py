@@ -1,0 +1,99 @@
+"""Markdown report on a `kneexo.studies.faults.study.FaultsResult`."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+from kneexo.studies.faults.study import FaultRow, FaultsResult, urgency
+from kneexo.studies.markdown import number
+from kneexo.studies.template import filled
+
+_HAZARDS = {
+    "flexes": ("knee flexes on its own", "stance: the leg gives way", "fall"),
+    "extends": ("knee extends on its own", "swing: the foot meets the ground early", "stumble"),
+}
+"""Hazard, hazardous situation and harm, by how the knee leaves its motion."""
+
+_VERDICTS = ("missed", "late", "in time", "harmless", "never active")
+"""The verdicts of a row, the worst first."""
+
+
+def report(result: FaultsResult) -> str:
+    """Return the Markdown report on all faults."""
+    groups = [min(rows, key=urgency) for rows in result.by_fault().values()]
+    unfound = [row for row in result.rows if not row.detector]
+    alarms = sum(result.alarms.values())
+    worn = result.scenario.wearer.kind != "none"
+    return filled(
+        "faults/report.md",
+        result=result,
+        settings=result.settings,
+        worst=result.worst,
+        undetected=result.undetected,
+        undetected_torque_n_m=max((row.alone.torque_n_m for row in unfound), default=math.nan),
+        counts=Counter(row.verdict for row in result.rows),
+        alarms=alarms,
+        largest_share=1.0 - 0.05 ** (1.0 / result.healthy_runs),
+        rows=[_line(row) for row in groups if row.verdict != "harmless"],
+        harmless=[_line(row) for row in groups if row.verdict == "harmless"],
+        torque_note=(
+            "The torque is that of the wearer on the device."
+            if worn
+            else "The torque is that of the actuator on the knee."
+        ),
+        hazards=_hazards(result),
+        peak=_peak,
+    )
+
+
+def _line(row: FaultRow) -> dict[str, Any]:
+    """Return the values of a line of the table of faults."""
+    return vars(row) | {
+        "controller": row.controller.upper(),
+        "detector": row.detector or "–",
+        "detected_after_s": _finite(row.detected_after_s),
+        "safe_after_s": _finite(row.safe_after_s),
+        "verdict": row.verdict,
+    }
+
+
+def _peak(path: str) -> Callable[[dict[str, Any]], str]:
+    """Return a cell rule for a value of `Peaks`; a run that ends early has the sign > before."""
+    part, name = path.split(".")
+
+    def text(line: dict[str, Any]) -> str:
+        peaks = line[part]
+        return ("" if peaks.complete else "> ") + number(getattr(peaks, name))
+
+    return text
+
+
+def _finite(value: float) -> float:
+    """Return the value, or nan for inf, because a table shows a dash for nan."""
+    return value if math.isfinite(value) else math.nan
+
+
+def _hazards(result: FaultsResult) -> list[dict[str, str]]:
+    """Return a line of the table of hazards for each cause that is not harmless."""
+    causes: dict[str, list[FaultRow]] = {}
+    for row in result.rows:
+        if row.verdict != "harmless":
+            causes.setdefault(row.cause, []).append(row)
+    lines = []
+    for cause, rows in causes.items():
+        hazard, situation, harm = _HAZARDS["flexes" if min(rows, key=urgency).flexes else "extends"]
+        found = sorted({row.detector for row in rows if row.detector})
+        lines.append(
+            {
+                "cause": cause,
+                "hazard": hazard,
+                "situation": situation,
+                "harm": harm,
+                "detectors": ", ".join(found) or "–",
+                "verdict": min((row.verdict for row in rows), key=_VERDICTS.index),
+            }
+        )
+    return lines

@@ -1,0 +1,430 @@
+"""Effects of faults at several times of a motion, with and without the protection.
+
+The fault-tolerant time of a fault is its critical duration without protection. The protection acts
+in time if the motor is in its safe state before.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import partial
+from itertools import product
+from typing import Any, Literal, Unpack
+
+import numpy as np
+
+from kneexo.analysis.signals import period_s
+from kneexo.analysis.survival import fault_case, fault_name
+from kneexo.diagrams import available_signals
+from kneexo.errors import ParameterError, SimulationError
+from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, UncertaintySet
+from kneexo.parameters.criteria import TOLERATED_DEVIATION_DEG
+from kneexo.parameters.fault import FaultParameters
+from kneexo.parameters.quantity import Parameters, choice, quantity
+from kneexo.parameters.safety_states import REASONS, STATES
+from kneexo.parameters.typical_faults import typical_faults
+from kneexo.parameters.uncertainty import applicable, draw, options_of, realize
+from kneexo.result import Array, Result, data_frame
+from kneexo.simulation import Run, needs_runs, simulate
+from kneexo.sweeps import SweepOptions, open_sweep
+
+
+class FaultsSettings(Parameters):
+    """Settings of ``kneexo study faults``: faults, times, bound, and healthy runs."""
+
+    faults: tuple[FaultParameters, ...] = choice(
+        (), "left out: typical faults with three sizes; start_s and duration_s are replaced"
+    )
+    controllers: tuple[Literal["smc", "pid"], ...] = choice(
+        ("smc", "pid"), "controllers in place of the scenario's, unless it is torque or law"
+    )
+    onsets: int = quantity(
+        4, "1", "assumption: quarters of a period, at which the faults begin", ge=1, le=1000
+    )
+    observed_s: float = quantity(
+        4.0, "s", "assumption: a detector must be quicker by far", ge=0.1, le=1e4
+    )
+    bound_deg: float = quantity(
+        TOLERATED_DEVIATION_DEG, "deg", "assumption: as in fault_survival", gt=0, le=180
+    )
+    samples: int = quantity(
+        200, "1", "assumption: healthy runs that count false alarms", ge=1, le=1_000_000
+    )
+    seed: int = quantity(2020, "1", "assumption: any number", ge=0)
+
+
+@dataclass(frozen=True)
+class Peaks:
+    """Largest values from the start of a fault on."""
+
+    deviation_deg: float
+    """Deviation of the knee from the run without the fault."""
+    torque_n_m: float
+    """Torque of the wearer; without a wearer the torque of the actuator on the knee."""
+    pressure_mpa: float
+    """Pressure of a chamber; in reduced order the magnitude of the load pressure."""
+    complete: bool
+    """False if the run ends early, usually because the knee leaves its range of motion."""
+
+
+@dataclass(frozen=True)
+class FaultRow:
+    """Effect of a permanent fault that begins at ``start_s``."""
+
+    controller: str
+    cause: str
+    fault: str
+    """Place, kind and size."""
+    start_s: float
+    alone: Peaks
+    """Largest values without protection."""
+    flexes: bool
+    """Whether the largest deviation without protection is a flexion."""
+    critical_duration_s: float
+    """Longest duration without protection; see `kneexo.analysis.FaultCase`."""
+    detector: str
+    """Name of the detector that found the fault, or an empty text."""
+    detected_after_s: float
+    safe_after_s: float
+    """Time from the start of the fault to the safe state; inf if it is not reached."""
+    protected: Peaks
+    """Largest values until the safe state is reached."""
+
+    @property
+    def margin_s(self) -> float:
+        """Critical duration minus time to the safe state. The protection is late below zero.
+
+        The margin is inf if the fault may be permanent, or if no signal starts it.
+        """
+        if not math.isfinite(self.critical_duration_s):
+            return math.inf
+        return self.critical_duration_s - self.safe_after_s
+
+    @property
+    def verdict(self) -> str:
+        """One of ``never active``, ``harmless``, ``in time``, ``late`` and ``missed``."""
+        if math.isnan(self.critical_duration_s):
+            return "never active"
+        if self.margin_s >= 0.0:
+            return "in time" if self.detector else "harmless"
+        return "late" if self.detector else "missed"
+
+
+@dataclass(frozen=True, repr=False)
+class FaultsResult(Result):
+    """Rows of all faults, false alarms of healthy runs, and the worst case as curves."""
+
+    scenario: Scenario
+    settings: FaultsSettings
+    rows: tuple[FaultRow, ...]
+    alarms: dict[str, int]
+    """Number of healthy runs that each detector stopped."""
+    healthy_runs: int
+    healthy_hours: float
+    traces: dict[str, dict[str, Array]]
+    """Columns of the runs ``healthy``, ``alone`` and ``protected`` of the `worst` row."""
+
+    @property
+    def worst(self) -> FaultRow:
+        """The row with the least margin, and among these with the shortest critical duration."""
+        return min(self.rows, key=urgency)
+
+    @property
+    def undetected(self) -> FaultRow | None:
+        """The row without detector that moves the knee farthest, or None if all are detected."""
+        rows = [row for row in self.rows if not row.detector]
+        return max(rows, key=lambda row: row.alone.deviation_deg) if rows else None
+
+    def by_fault(self) -> dict[tuple[str, str, str], list[FaultRow]]:
+        """Return the rows of all times, by controller, cause and fault."""
+        groups: dict[tuple[str, str, str], list[FaultRow]] = {}
+        for row in self.rows:
+            groups.setdefault((row.controller, row.cause, row.fault), []).append(row)
+        return groups
+
+    def to_dataframe(self) -> Any:
+        """Return a `pandas.DataFrame` with a line for each row.
+
+        Raises `PackageError` without pandas.
+        """
+        lines = [_flat(row) for row in self.rows]
+        return data_frame({name: [line[name] for line in lines] for name in lines[0]})
+
+    def results(self) -> dict[str, Any]:
+        """Return plain data: all rows, and the false alarms."""
+        return {
+            "rows": [_flat(row) for row in self.rows],
+            "healthy": {
+                "runs": self.healthy_runs,
+                "hours": self.healthy_hours,
+                "false_alarms": self.alarms,
+            },
+        }
+
+
+def _flat(row: FaultRow) -> dict[str, Any]:
+    """Return the values of a row, those of `Peaks` with their names before."""
+    flat: dict[str, Any] = {}
+    for name, value in asdict(row).items():
+        if isinstance(value, dict):
+            flat |= {f"{name}_{key}": number for key, number in value.items()}
+        else:
+            flat[name] = value
+    return flat | {"margin_s": row.margin_s, "verdict": row.verdict}
+
+
+_SIGNALS = (
+    *("knee_reference", "knee_angle", "load_pressure", "rod_force", "moment_arm"),
+    *("interaction_torque", "chamber_pressures", "safety_state", "safety_reason"),
+)
+"""Signals of the runs, as far as the scenario has them."""
+
+_SAFE = list(STATES).index("stopped")
+"""Number of the first safe state. All later states are safe too."""
+
+
+def faults_study(
+    scenario: Scenario = UNCERTAIN_KNEE,
+    settings: FaultsSettings = FaultsSettings(),
+    uncertainty: UncertaintySet = UNCERTAINTY,
+    **options: Unpack[SweepOptions],
+) -> FaultsResult:
+    """Run each fault at several times, for each controller, with and without protection.
+
+    The protection is that of the scenario, or the default one.
+
+    Parameters
+    ----------
+    scenario
+        The scenario without faults of its own.
+    settings
+        Faults, controllers, times, and the number of healthy runs.
+    uncertainty
+        Values that vary in the healthy runs.
+    options
+        Workers, checkpoint and progress: see `kneexo.sweeps.SweepOptions`.
+
+    Raises
+    ------
+    ParameterError
+        The scenario has faults or a push, refuses one of the faults, or is shorter than
+        ``observed_s``. The protection stops a run without a fault.
+    SimulationError
+        The run without faults fails.
+    """
+    if scenario.faults or scenario.push:
+        raise ParameterError("faults, push: must be left out; the study sets the faults")
+    scenario, starts_s = _starts(scenario, settings)
+    faults = typical_faults(scenario)
+    if settings.faults:
+        faults = {"given": settings.faults}
+    given = [(cause, fault) for cause, sizes in faults.items() for fault in sizes]
+    kinds = settings.controllers if scenario.controller.kind in ("smc", "pid") else ()
+    rows: list[FaultRow] = []
+    cases: list[tuple[Scenario, FaultParameters]] = []
+    with open_sweep(**options) as sweep:
+        for loop in [scenario.changed({"controller": kind}) for kind in kinds] or [scenario]:
+            items = [
+                (cause, fault.changed({"start_s": start_s, "duration_s": None}))
+                for (cause, fault), start_s in product(given, starts_s)
+            ]
+            _require_quiet(_with(loop))
+            assess = partial(_assess, loop, settings.bound_deg)
+            assessed = sweep.map(assess, items, "faults", group=_structure)
+            rows += [_row(loop, item, values) for item, values in zip(items, assessed, strict=True)]
+            cases += [(loop, fault) for _, fault in items]
+        kept, _ = applicable(scenario, uncertainty)
+        points = draw(kept, settings.samples, settings.seed)
+        alarm = partial(_alarm, _with(scenario), kept)
+        alarms = sweep.map(alarm, points, "healthy runs", group=options_of)
+    worst = min(range(len(rows)), key=lambda index: urgency(rows[index]))
+    return FaultsResult(
+        scenario=scenario,
+        settings=settings,
+        rows=tuple(rows),
+        alarms=dict(Counter(filter(None, alarms))),
+        healthy_runs=settings.samples,
+        healthy_hours=settings.samples * scenario.duration_s / 3600.0,
+        traces=_traces(*cases[worst]),
+    )
+
+
+def urgency(row: FaultRow) -> tuple[float, float, float]:
+    """Return a key that is less for a worse row: margin, then critical duration, then motion."""
+    return row.margin_s, row.critical_duration_s, -row.alone.deviation_deg
+
+
+def _starts(scenario: Scenario, settings: FaultsSettings) -> tuple[Scenario, list[float]]:
+    """Return the scenario with the duration of its runs, and the times at which faults begin.
+
+    The faults begin in the second period of a sine. With another reference they begin in the last
+    three quarters of the run.
+    """
+    period, shares = period_s(scenario), np.arange(settings.onsets) / settings.onsets
+    if period:
+        starts_s = period * (1.0 + shares)
+        end_s = float(starts_s[-1]) + settings.observed_s
+        return scenario.changed({"simulation.duration_s": end_s}), starts_s.tolist()
+    latest_s = scenario.duration_s - settings.observed_s
+    if latest_s <= 0.0:
+        raise ParameterError(
+            f"observed_s = {settings.observed_s:g} s: must be < {scenario.duration_s:g} s, the "
+            f"duration of the run; reduce observed_s, or extend simulation.duration_s"
+        )
+    return scenario, (latest_s * (0.25 + 0.75 * shares)).tolist()
+
+
+def _require_quiet(scenario: Scenario) -> None:
+    """Raise `ParameterError` if the protection stops the run without a fault."""
+    run = simulate(scenario, signals=("safety_reason",))
+    stopped = np.flatnonzero(run["safety_reason"])
+    if stopped.size:
+        reason = REASONS[int(run["safety_reason"][stopped[0]])]
+        raise ParameterError(
+            f"protection: the detector {reason} stops the run without a fault at t = "
+            f"{run.time_s[stopped[0]]:g} s with controller.kind = {scenario.controller.kind}; must "
+            f"stop nothing; raise its threshold"
+        )
+
+
+def _structure(item: tuple[str, FaultParameters]) -> tuple[str, str]:
+    """Return what decides the equations of a run with a fault."""
+    _, fault = item
+    return fault.place, fault.kind
+
+
+@needs_runs
+def _assess(
+    scenario: Scenario, bound_deg: float, item: tuple[str, FaultParameters]
+) -> dict[str, Any]:
+    """Return the effect of a fault as plain data; runs in a worker process."""
+    _, fault = item
+    alone, protected = _without(scenario), _with(scenario)
+    healthy = simulate(alone, signals=_signals(alone))
+    case = fault_case(alone, healthy, bound_deg, fault)
+    run, complete = _run(alone, fault)
+    deviation = _deviation_deg(run, healthy)
+    found: dict[str, Any] = {
+        "critical_duration_s": case.critical_duration_s,
+        "flexes": bool(deviation[np.argmax(np.abs(deviation))] > 0.0),
+        "detector": "",
+        "detected_after_s": math.inf,
+        "safe_after_s": math.inf,
+        "alone": _peaks(run, healthy, None) | {"complete": complete},
+    }
+    run, complete = _run(protected, fault)
+    after = run.time_s - fault.start_s
+    detected = np.flatnonzero((after >= 0.0) & (run["safety_reason"] > 0.0))
+    safe = np.flatnonzero((after >= 0.0) & (run["safety_state"] >= _SAFE))
+    if detected.size:
+        found["detector"] = REASONS[int(run["safety_reason"][detected[0]])]
+        found["detected_after_s"] = float(after[detected[0]])
+    end = None
+    if safe.size:
+        found["safe_after_s"], end = float(after[safe[0]]), int(safe[0]) + 1
+    found["protected"] = _peaks(run, healthy, end) | {"complete": complete or end is not None}
+    return found
+
+
+def _row(scenario: Scenario, item: tuple[str, FaultParameters], found: dict[str, Any]) -> FaultRow:
+    """Return the row of a fault whose effect is ``found`` by `_assess`."""
+    cause, fault = item
+    found = found | {name: Peaks(**found[name]) for name in ("alone", "protected")}
+    return FaultRow(
+        controller=scenario.controller.kind,
+        cause=cause,
+        fault=fault_name(fault),
+        start_s=fault.start_s,
+        **found,
+    )
+
+
+def _with(scenario: Scenario) -> Scenario:
+    """Return the scenario with its own protection, or with the default protection."""
+    return scenario if scenario.protection else scenario.changed({"protection": {}})
+
+
+def _without(scenario: Scenario) -> Scenario:
+    return scenario.changed({"protection": None})
+
+
+def _signals(scenario: Scenario) -> tuple[str, ...]:
+    available = available_signals(scenario)
+    return tuple(name for name in _SIGNALS if name in available)
+
+
+def _run(scenario: Scenario, fault: FaultParameters) -> tuple[Run, bool]:
+    """Return the run with a fault, and whether it is complete.
+
+    A run that fails is repeated up to the sample before.
+    """
+    faulty = scenario.changed({"faults": (fault,)})
+    try:
+        return simulate(faulty, signals=_signals(faulty)), True
+    except SimulationError as error:
+        if not error.time_s > fault.start_s:
+            raise
+        # The check at the end of a run is stricter than that inside, where a tick is not cut.
+        samples = math.ceil(error.time_s / scenario.controller.sample_time_s) - 2
+    end_s = max(samples * scenario.controller.sample_time_s, fault.start_s)
+    faulty = faulty.changed({"faults": (), "simulation.duration_s": end_s}).changed(
+        {"faults": (fault,)}
+    )
+    return simulate(faulty, signals=_signals(faulty)), False
+
+
+def _deviation_deg(run: Run, healthy: Run) -> Array:
+    """Return the deviation of the knee at each sample of a run, positive in flexion."""
+    angle, other = run["knee_angle_rad"], healthy["knee_angle_rad"]
+    return np.degrees(angle - other[: angle.size])
+
+
+def _peaks(run: Run, healthy: Run, end: int | None) -> dict[str, Any]:
+    """Return the largest values up to the sample ``end``."""
+    return {
+        "deviation_deg": float(np.max(np.abs(_deviation_deg(run, healthy)[:end]))),
+        "torque_n_m": float(np.max(np.abs(_torque(run)[:end]))),
+        "pressure_mpa": 1e-6 * float(np.max(np.abs(_pressure(run)[:end]))),
+    }
+
+
+def _torque(run: Run) -> Array:
+    """Return the torque of the wearer, or without a wearer that of the actuator, in N·m."""
+    if "interaction_torque_n_m" in run.columns:
+        return run["interaction_torque_n_m"]
+    return run["rod_force_n"] * run["moment_arm_m"]
+
+
+def _pressure(run: Run) -> Array:
+    """Return the larger of both chambers' pressures; in reduced order the load pressure, in Pa."""
+    if "cap_pressure_pa" in run.columns:
+        return np.maximum(run["cap_pressure_pa"], run["rod_side_pressure_pa"])
+    return run["load_pressure_pa"]
+
+
+def _traces(scenario: Scenario, fault: FaultParameters) -> dict[str, dict[str, Array]]:
+    """Return time in s, and knee and reference in deg, of three runs."""
+    alone, protected = _without(scenario), _with(scenario)
+    runs = {
+        "healthy": simulate(alone, signals=_signals(alone)),
+        "alone": _run(alone, fault)[0],
+        "protected": _run(protected, fault)[0],
+    }
+    return {
+        name: {
+            "time_s": run.time_s,
+            "knee_deg": np.degrees(run["knee_angle_rad"]),
+            "reference_deg": np.degrees(run["knee_reference_rad"]),
+        }
+        for name, run in runs.items()
+    }
+
+
+@needs_runs
+def _alarm(scenario: Scenario, uncertainty: UncertaintySet, values: Mapping[str, Any]) -> str:
+    """Return the detector that stops a healthy run with uncertain values, or an empty text."""
+    run = simulate(realize(scenario, uncertainty, values), signals=("safety_reason",))
+    return REASONS[int(run["safety_reason"][-1])] if run["safety_reason"][-1] else ""

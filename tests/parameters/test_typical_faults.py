@@ -1,0 +1,37 @@
+"""The typical faults of a scenario."""
+
+import pytest
+
+from kneexo.diagrams.faults import fault_structure
+from kneexo.parameters import Scenario
+from kneexo.parameters.typical_faults import TYPICAL_FAULTS, typical_faults
+
+
+@pytest.mark.parametrize("preset", ["paper", "bench", "leg", "wearer"])
+def test_a_scenario_accepts_each_of_its_typical_faults(preset):
+    scenario = Scenario.preset(preset).changed({"simulation.duration_s": 10.0})
+    faults = typical_faults(scenario)
+    places = {fault.place for sizes in faults.values() for fault in sizes}
+    assert ("load_cell" in places) == scenario.has_load_cell
+    assert ("plant.full_order.relief_pressure_pa" in places) == (preset in ("leg", "wearer"))
+    for sizes in faults.values():
+        for fault in sizes:
+            fault_structure(scenario.changed({"faults": (fault.changed({"start_s": 5.0}),)}))
+
+
+def test_the_sizes_of_a_number_are_factors_of_its_healthy_value():
+    faults = typical_faults(Scenario().changed({"plant.pump.lag_s": 0.02}))
+    assert [fault.size for fault in faults["current limit reduced"]] == [0.04, 0.1, 0.4]
+    assert [fault.si_size for fault in faults["scaling of the drive wrong"]] == pytest.approx(
+        [10.471975512, 52.35987756, 209.4395102]
+    )
+
+
+def test_an_encoder_that_does_not_round_has_no_bits():
+    faults = typical_faults(Scenario(encoder={"quantized": False}))
+    assert "bit of the word disturbed" not in faults
+
+
+def test_each_cause_stands_once():
+    causes = [typical.cause for typical in TYPICAL_FAULTS]
+    assert len(set(causes)) == len(causes)

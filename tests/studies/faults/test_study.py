@@ -1,0 +1,136 @@
+"""The study `faults`: rows against single runs, verdicts, refusals, and the words of the report."""
+
+import math
+
+import numpy as np
+import pytest
+from faults_cases import made_up, row
+
+from kneexo.analysis import fault_survival
+from kneexo.errors import ParameterError
+from kneexo.parameters import UNCERTAIN_KNEE, FaultParameters
+from kneexo.parameters.safety_states import REASONS
+from kneexo.simulation import simulate
+from kneexo.studies.faults import FaultsSettings, faults_study
+from kneexo.studies.faults.report import report
+from kneexo.studies.faults.study import _starts
+
+DEAD = FaultParameters(place="command", kind="scale", size=0.0)
+SWAPPED = FaultParameters(place="command", kind="scale", size=-1.0)
+QUICK = FaultsSettings(
+    faults=(DEAD, SWAPPED), controllers=("smc",), onsets=2, observed_s=2.0, samples=3
+)
+FAST = UNCERTAIN_KNEE.changed({"reference.frequency_hz": 0.2, "reference.amplitude_deg": 15.0})
+
+
+@pytest.fixture(scope="module")
+def result():
+    return faults_study(FAST, QUICK)
+
+
+@pytest.mark.slow
+def test_a_row_is_that_of_single_runs(result):
+    """Without protection, with it, and the critical duration; the swapped phases end the run."""
+    assert [r.start_s for r in result.rows] == [5.0, 7.5, 5.0, 7.5]
+    assert [r.alone.complete for r in result.rows] == [True, True, False, True]
+    scenario = FAST.changed({"simulation.duration_s": 9.5})
+    healthy = np.degrees(simulate(scenario)["knee_angle_rad"])
+    for found, fault in zip(result.rows, (DEAD, DEAD, SWAPPED, SWAPPED), strict=True):
+        faulty = scenario.changed({"faults": (fault.changed({"start_s": found.start_s}),)})
+        (case,) = fault_survival(scenario, [fault], [found.start_s]).cases
+        assert found.critical_duration_s == case.critical_duration_s
+        if found.alone.complete:
+            run = simulate(faulty)
+            deviation = np.degrees(run["knee_angle_rad"]) - healthy
+            assert found.alone.deviation_deg == pytest.approx(np.abs(deviation).max(), rel=1e-12)
+            assert found.flexes == (deviation[np.abs(deviation).argmax()] > 0.0)
+            torque = np.abs(run["rod_force_n"] * run["moment_arm_m"]).max()
+            assert found.alone.torque_n_m == pytest.approx(torque, rel=1e-12)
+            assert found.alone.pressure_mpa == 1e-6 * np.abs(run["load_pressure_pa"]).max()
+        run = simulate(faulty.changed({"protection": {}}))
+        stopped = np.flatnonzero(run["safety_reason"])[0]
+        assert found.detector == REASONS[int(run["safety_reason"][stopped])]
+        assert found.detected_after_s == pytest.approx(run.time_s[stopped] - found.start_s)
+        safe = np.flatnonzero(run["safety_state"] == 3.0)[0]
+        assert found.safe_after_s == pytest.approx(run.time_s[safe] - found.start_s)
+        moved = np.abs(np.degrees(run["knee_angle_rad"]) - healthy)[: safe + 1].max()
+        assert found.protected.deviation_deg == pytest.approx(moved, rel=1e-12)
+
+
+@pytest.mark.slow
+def test_the_curves_are_those_of_the_worst_row(result):
+    worst, traces = result.worst, result.traces
+    assert worst.margin_s == min(r.margin_s for r in result.rows)
+    time_s = traces["alone"]["time_s"]
+    apart = traces["alone"]["knee_deg"] - traces["healthy"]["knee_deg"][: time_s.size]
+    assert np.abs(apart).max() == pytest.approx(worst.alone.deviation_deg, rel=1e-12)
+    assert np.all(apart[time_s <= worst.start_s] == 0.0)
+
+
+@pytest.mark.slow
+def test_healthy_runs_are_counted_and_a_low_threshold_stops_them():
+    nervous = FAST.changed({"protection": {"following_deg": 0.3}})
+    result = faults_study(nervous, QUICK)
+    assert result.healthy_runs == 3
+    assert result.healthy_hours == pytest.approx(3 * 9.5 / 3600.0)
+    assert result.alarms == {"following": 2}
+
+
+def test_faults_begin_in_the_second_period_or_late_in_the_run():
+    scenario, starts_s = _starts(FAST, FaultsSettings())
+    assert (scenario.duration_s, starts_s) == (12.75, [5.0, 6.25, 7.5, 8.75])
+    step = UNCERTAIN_KNEE.changed({"reference": {"kind": "step"}, "simulation.duration_s": 20.0})
+    scenario, starts_s = _starts(step, FaultsSettings())
+    assert (scenario.duration_s, starts_s) == (20.0, [4.0, 7.0, 10.0, 13.0])
+    with pytest.raises(ParameterError, match="observed_s = 20 s: must be < 20 s, the duration"):
+        _starts(step, FaultsSettings(observed_s=20.0))
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"faults": ({"place": "encoder"},)}, "faults, push: must be left out"),
+        ({"push": {"torque_n_m": 1.0}}, "faults, push: must be left out"),
+    ],
+)
+def test_a_scenario_has_no_faults_of_its_own(values, message):
+    with pytest.raises(ParameterError, match=message):
+        faults_study(UNCERTAIN_KNEE.changed(values), QUICK)
+
+
+@pytest.mark.slow
+def test_a_protection_that_stops_the_healthy_run_is_refused():
+    nervous = FAST.changed({"protection": {"following_deg": 0.1}})
+    with pytest.raises(ParameterError, match=r"the detector following stops the run without a fau"):
+        faults_study(nervous, QUICK)
+
+
+VERDICTS = [
+    (math.inf, "", math.inf, "harmless", math.inf),
+    (math.inf, "rate", 0.1, "in time", math.inf),
+    (0.5, "rate", 0.5, "in time", 0.0),
+    (0.5, "rate", 0.502, "late", -0.002),
+    (0.5, "rate", math.inf, "late", -math.inf),
+    (0.5, "", math.inf, "missed", -math.inf),
+    (math.nan, "", math.inf, "never active", math.inf),
+]
+
+
+@pytest.mark.parametrize(("critical_s", "detector", "safe_s", "verdict", "margin_s"), VERDICTS)
+def test_the_verdict_compares_the_safe_state_with_the_critical_duration(
+    critical_s, detector, safe_s, verdict, margin_s
+):
+    found = row("cause", "fault", critical_s, detector, safe_s)
+    assert found.verdict == verdict
+    assert found.margin_s == pytest.approx(margin_s)
+
+
+def test_each_fault_is_told_once_at_its_worst_time(tables):
+    result = made_up()
+    assert result.worst == result.rows[4]
+    assert result.undetected == result.rows[0]
+    faults, harmless, hazards = tables(report(result))
+    column = faults[0].index("may last (s)")
+    assert [line[column] for line in faults[1:]] == ["0.876", "0.321", "0.987"]
+    assert [line[1] for line in harmless[1:]] == ["encoder offset 1 deg"]
+    assert [line[-1] for line in hazards[1:]] == ["in time", "late", "missed"]
