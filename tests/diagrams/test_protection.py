@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kneexo.analysis import track
-from kneexo.diagrams import make_controller
+from kneexo.diagrams import make_closed_loop, make_controller
 from kneexo.diagrams.law import port_sizes
 from kneexo.diagrams.protection import reading_range_rad
 from kneexo.errors import ParameterError
@@ -14,7 +14,7 @@ from kneexo.export.firmware import export_firmware, export_sil
 from kneexo.export.fmu import export_fmu
 from kneexo.export.target import count_range, make_target
 from kneexo.export.web import web_model
-from kneexo.linkage import pose
+from kneexo.linkage import moment_arm, pose
 from kneexo.parameters import Scenario
 from kneexo.parameters.safety_states import REASONS, STATES
 from kneexo.simulation import simulate
@@ -204,3 +204,39 @@ def test_the_verdict_says_when_and_why_the_protection_acted():
 def test_responses_are_measured_without_protection():
     assert BASE.undisturbed().protection is None
     assert BASE.without_quantizers().protection is None
+
+
+def test_the_supervisor_drives_the_bypass_of_the_plant():
+    plant = {"plant.full_order": {}, "plant.bypass": {}}
+    for protection, inputs in ((None, {"bypass"}), ({}, set())):
+        loop = make_closed_loop(Scenario().changed(plant | {"protection": protection}))
+        assert {"bypass"} & set(port_sizes(loop, inputs=True)) == inputs
+
+
+def peaks_of_a_walking_wearer(safe_state):
+    """Largest extending and flexing torque in N·m on a wearer who walks on with a dead motor."""
+    values = {"plant.bypass": {}, "protection": {"safe_state": safe_state}}
+    base = Scenario.preset("wearer").changed(values | {"simulation.duration_s": 14.0})
+    run = simulate(with_faults({"start_s": 4.0} | DEAD, base=base))
+    assert end(run)[0] == {"zero_speed": "stopped", "bypass": "released"}[safe_state]
+    torque = run["interaction_torque_n_m"][run.time_s >= 4.0]
+    return torque.min(), torque.max()
+
+
+@pytest.mark.slow
+def test_a_wearer_who_walks_on_feels_the_relief_valves_or_hardly_anything_with_a_bypass():
+    """At zero speed the torque is that of 3.5 MPa on a chamber's area at the knee's largest arm."""
+    extending, flexing = peaks_of_a_walking_wearer("zero_speed")
+    plant = Scenario.preset("wearer").plant
+    angles = np.radians(np.linspace(0.0, 90.0, 91))
+    arm_m = np.abs(moment_arm(plant.linkage, angles)).max()
+    cylinder, relief_pa = plant.cylinder, plant.full_order.relief_pressure_pa
+    friction_n = plant.full_order.coulomb_friction_n
+    for torque, area_m2 in (
+        (flexing, cylinder.cap_area_m2),
+        (-extending, cylinder.rod_side_area_m2),
+    ):
+        most = (1.1 * relief_pa * area_m2 + friction_n) * arm_m
+        assert 0.5 * most < torque < 1.2 * most
+    extending, flexing = peaks_of_a_walking_wearer("bypass")
+    assert -10.0 < extending < 0.0 < flexing < 20.0
