@@ -82,8 +82,8 @@ def energy_balance(scenario: Scenario) -> EnergyBalance:
     Raises
     ------
     ParameterError
-        The cylinder is in reduced order or has a bypass, the oil contains air, the integrator is
-        one of Drake, or the law runs as Python.
+        The cylinder is in reduced order, has a bypass or end stops, the oil contains air, the
+        integrator is one of Drake, or the law runs as Python.
     KneexoError
         Errors of `kneexo.simulation.simulate`.
     """
@@ -112,10 +112,11 @@ def _metered_cylinder(scenario: Scenario) -> FullCylinderParameters:
     full, settings = scenario.plant.full_order, scenario.simulation
     if full is None:
         raise ParameterError("plant.full_order: is left out; must be given for an energy balance")
-    if scenario.plant.bypass is not None:
-        raise ParameterError(
-            "plant.bypass: must be left out for an energy balance, which lacks the loss of its flow"
-        )
+    for part in ("bypass", "end_stops"):
+        if getattr(scenario.plant, part) is not None:
+            raise ParameterError(
+                f"plant.{part}: must be left out for an energy balance, which lacks its energy"
+            )
     if full.entrained_air > 0.0:
         raise ParameterError(
             f"plant.full_order.entrained_air = {full.entrained_air:g}: must be 0 for an energy "

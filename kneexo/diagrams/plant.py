@@ -34,6 +34,7 @@ from kneexo.systems import (
     motor_temperature,
     reduced_cylinder,
 )
+from kneexo.systems.cylinder import EndStops
 from kneexo.systems.four_bar_knee import knee_kinematics
 from kneexo.systems.full_cylinder import holding_pressures
 from kneexo.systems.knee_load import load_force
@@ -170,16 +171,25 @@ def plant_parts(
 
     def make_cylinder(**fault: Any) -> Any:
         extension, _, *pressures = start()
+        stops = _end_stops(parameters, rod_polynomial)
         if full_order is None:
-            return systems.ReducedCylinder(cylinder, extension, *pressures, **fault)
+            return systems.ReducedCylinder(cylinder, extension, pressures[0], stops, **fault)
         return systems.FullCylinder(
-            cylinder, full_order, extension, tuple(pressures), external_leakage, bypass, **fault
+            cylinder,
+            full_order,
+            extension,
+            tuple(pressures),
+            external_leakage,
+            bypass,
+            stops,
+            **fault,
         )
 
     def cylinder_values() -> dict[str, float]:
+        stops = _end_stops(parameters, rod_polynomial)
         if full_order is None:
-            return reduced_cylinder.context_values(cylinder)
-        return full_cylinder.context_values(cylinder, full_order, external_leakage, bypass)
+            return reduced_cylinder.context_values(cylinder, stops)
+        return full_cylinder.context_values(cylinder, full_order, external_leakage, bypass, stops)
 
     def knee_values() -> dict[str, float]:
         fit = fit_rod_inverse(parameters.linkage, rod_map)
@@ -273,6 +283,29 @@ def _rod_extension(link: LinkageParameters, knee_angle_rad: float) -> float:
     return rounded_rod_extension(link, knee_angle_rad)
 
 
+def _extension_at(
+    parameters: PlantParameters, rod_polynomial: RodPolynomialParameters, knee_angle_rad: float
+) -> float:
+    """Return the rod extension in m at a knee angle."""
+    if parameters.rod_map == "polynomial":
+        return float(linkage.polynomial(rod_polynomial.p_si, knee_angle_rad))
+    return _rod_extension(parameters.linkage, knee_angle_rad)
+
+
+def _end_stops(
+    parameters: PlantParameters, rod_polynomial: RodPolynomialParameters
+) -> EndStops | None:
+    """Return the end stops, at the rod extensions of both ends of the range of motion."""
+    stops, knee = parameters.end_stops, parameters.knee
+    if stops is None:
+        return None
+    low, high = (
+        _extension_at(parameters, rod_polynomial, math.radians(angle))
+        for angle in (knee.flexion_max_deg, knee.flexion_min_deg)
+    )
+    return EndStops(low, high, stops.stiffness_n_per_m, stops.dissipation_s_per_m)
+
+
 def _start_extension_and_force(
     parameters: PlantParameters,
     initial_knee_angle_rad: float,
@@ -287,10 +320,7 @@ def _start_extension_and_force(
             f"outside the range of motion {low:g} … {high:g} deg"
         )
     fit = fit_rod_inverse(parameters.linkage, _rod_map(parameters, rod_polynomial))
-    if parameters.rod_map == "polynomial":
-        extension = linkage.polynomial(rod_polynomial.p_si, initial_knee_angle_rad)
-    else:
-        extension = _rod_extension(parameters.linkage, initial_knee_angle_rad)
+    extension = _extension_at(parameters, rod_polynomial, initial_knee_angle_rad)
     extension += initial_offset_m
     if not 0.0 <= extension <= parameters.cylinder.stroke_m:
         raise ParameterError(

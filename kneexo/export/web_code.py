@@ -185,7 +185,7 @@ def require_slow_modes(scenario: Scenario) -> None:
     mass that moves with the rod in the range of motion. In the full order, friction F with the band
     v_0 decays at F/(v_0 m), and an empty chamber, of the volume V_d, fills through its make-up
     valve and a bypass that never closes, both C, at β_e C/V_d. The damping b_c of a cuff makes a
-    mode of b_c/(m r²), largest at the least moment arm r.
+    mode of b_c/(m r²), largest at the least moment arm r. A rod swings at √(k/m) on an end stop k.
     """
     order = "reduced" if scenario.plant.full_order is None else "full"
     for name, unit, rate, angle, power in _modes(scenario):
@@ -224,6 +224,9 @@ def _modes(scenario: Scenario) -> Iterator[tuple[str, str, float, float, int]]:
             conductance += plant.bypass.minimum_opening * plant.bypass.conductance_m3_per_s_pa
         rate = cylinder.bulk_modulus_pa * conductance / full.dead_volume_m3
         yield "plant.full_order.dead_volume_m3", "m³", rate, _STABLE, 1
+    if plant.end_stops is not None:
+        rate = math.sqrt(plant.end_stops.stiffness_n_per_m / mass_kg)
+        yield "plant.end_stops.stiffness_n_per_m", "N/m", rate, _STABLE, -2
     if isinstance(leg := scenario.wearer, LegParameters):
         knee = plant.knee
         angles = np.radians(np.linspace(knee.flexion_min_deg, knee.flexion_max_deg, 91))

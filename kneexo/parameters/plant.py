@@ -369,8 +369,28 @@ class BypassParameters(Parameters):
     )
 
 
+class EndStopParameters(Parameters):
+    """Stops of the rod at both ends of the knee's range of motion, ``plant.knee``."""
+
+    stiffness_n_per_m: float = quantity(
+        3e7,
+        "N/m",
+        "assumption: 0.1 mm at 3 kN, the relief pressures and 75 N·m of the wearer at full "
+        "extension; a run still ends plant.knee.overshoot_deg beyond a stop",
+        ge=1e3,
+        le=1e10,
+    )
+    dissipation_s_per_m: float = quantity(
+        2.0,
+        "s/m",
+        "assumption: a rod of 1.6 kg at 0.3 m/s rebounds with 0.71 of its speed",
+        ge=0,
+        le=1e3,
+    )
+
+
 class KneeParameters(Parameters):
-    """Range of motion of the knee. There are no end stops, so a run that leaves the range fails."""
+    """Range of motion of the knee. A run that leaves it by more than ``overshoot_deg`` fails."""
 
     flexion_min_deg: float = quantity(0.0, "deg", "Section 2: 0…90°", ge=-2, le=90)
     flexion_max_deg: float = quantity(90.0, "deg", "Section 2: 0…90°", ge=0, le=91)
@@ -521,6 +541,13 @@ class PlantParameters(Parameters):
         None,
         "assumption: valve that opens both chambers to the reservoir; needs plant.full_order; left "
         "out, there is no such valve",
+        words={True: {}, False: None},
+    )
+
+    end_stops: EndStopParameters | None = choice(
+        None,
+        "assumption: stops at both ends of the knee's range of motion; left out, nothing stops the "
+        "rod",
         words={True: {}, False: None},
     )
 

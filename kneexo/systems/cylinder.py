@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import pydrake.math as drake_math
 from pydrake.systems.framework import BasicVector_
@@ -21,6 +21,31 @@ from kneexo.systems.state_variable import StateVariable
 
 PA_PER_MPA = 1e6
 """Number of Pa in a MPa. Pressures are states in MPa and outputs in Pa."""
+
+
+class EndStops(NamedTuple):
+    """Stops of the rod. The names are those of Context parameters of a `Cylinder`."""
+
+    stop_low_m: float
+    """Extension at which the rod meets the stop inside the cylinder."""
+    stop_high_m: float
+    """Extension at which the rod meets the outer stop."""
+    stop_stiffness_n_per_m: float
+    stop_dissipation_s_per_m: float
+
+
+def stop_force(extension: Any, velocity: Any, p: Any) -> Any:
+    """Return the force of both stops on the rod in N, positive where it pushes the rod out.
+
+    F = k δ max(1 + c dδ/dt, 0) at a penetration δ, so a stop never pulls. ``p`` has the numbers of
+    `EndStops`. Source: Hunt and Crossley 1975, with a linear spring.
+    """
+    inside = drake_math.max(p.stop_low_m - extension, 0.0)
+    outside = drake_math.max(extension - p.stop_high_m, 0.0)
+    damped = p.stop_dissipation_s_per_m * velocity
+    inward = inside * drake_math.max(1.0 - damped, 0.0)
+    outward = outside * drake_math.max(1.0 + damped, 0.0)
+    return p.stop_stiffness_n_per_m * (inward - outward)
 
 
 def start_extension(parameters: CylinderParameters, initial_extension_m: float | None) -> float:
@@ -66,7 +91,8 @@ class Cylinder(NamedLeaf):
     """Base of the cylinders of reduced and full order, with common ports: m dv/dt = F_rod − F_L.
 
     If the input ``moving_mass`` is connected, the mass M(x) of the input replaces m. Lagrange's
-    equation of the kinetic energy ½ M v² is then M dv/dt + ½ (dM/dx) v² = F_rod − F_L.
+    equation of the kinetic energy ½ M v² is then M dv/dt + ½ (dM/dx) v² = F_rod − F_L. With
+    `EndStops` F_rod includes `stop_force`.
 
     State: x in m, v in m/s and the pressures in MPa, all of order one. A subclass defines load
     pressure, rod force and pressure rates. Raises `SimulationError` if the rod is outside the
@@ -84,7 +110,7 @@ class Cylinder(NamedLeaf):
         declare("rod_extension", 1, lambda c: self._state(c)[:1], state)
         declare("rod_velocity", 1, lambda c: self._state(c)[1:2], state)
         declare("load_pressure", 1, lambda c: [self._load_pressure(self._state(c))], state)
-        declare("rod_force", 1, lambda c: [self._rod_force(*self._numbers(c))], state)
+        declare("rod_force", 1, lambda c: [self._stopped_force(*self._numbers(c))], state)
         sources = (state, self._force, self._mass)
         declare("rod_state", 3, lambda c: self._motion(c, *self._numbers(c)), *sources)
         self._declare_check(self._require_in_stroke)
@@ -96,6 +122,13 @@ class Cylinder(NamedLeaf):
     def _rod_force(self, p: Any, state: list[Any]) -> Any:
         """Return the force of the rod on its load in N, positive when the rod pushes."""
         raise NotImplementedError
+
+    def _stopped_force(self, p: Any, state: list[Any]) -> Any:
+        """Return the force of rod and stops on the load in N."""
+        force = self._rod_force(p, state)
+        if EndStops._fields[0] in self.parameter_names:
+            force = force + stop_force(state[0], state[1], p)
+        return force
 
     def _pressure_rates(self, context: Any, p: Any, state: list[Any]) -> dict[str, Any]:
         """Return a dictionary from pressure name to its rate in Pa/s, in the order of the state."""
@@ -112,7 +145,7 @@ class Cylinder(NamedLeaf):
 
     def _motion(self, context: Any, p: Any, state: list[Any]) -> list[Any]:
         """Return x, v and the acceleration dv/dt in SI units."""
-        force = self._rod_force(p, state) - value_or_zero(self._force, context)
+        force = self._stopped_force(p, state) - value_or_zero(self._force, context)
         mass = p.mass_kg
         if self._mass.HasValue(context):
             mass, slope = self._mass.Eval(context)

@@ -100,8 +100,7 @@ class FourBarKnee(NamedLeaf):
     LinkageError
         The linkage cannot be assembled (on construction).
     SimulationError
-        The knee is more than ``overshoot_deg`` outside the range of motion at the end of a step,
-        because the model has no end stops.
+        The knee is more than ``overshoot_deg`` outside the range of motion at the end of a step.
     """
 
     def __init__(

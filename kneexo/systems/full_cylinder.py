@@ -22,7 +22,13 @@ from kneexo.parameters import (
     FullCylinderParameters,
 )
 from kneexo.systems._leaf import clip, leaf_template
-from kneexo.systems.cylinder import Cylinder, cylinder_states, cylinder_values, start_extension
+from kneexo.systems.cylinder import (
+    Cylinder,
+    EndStops,
+    cylinder_states,
+    cylinder_values,
+    start_extension,
+)
 
 _LOWEST_ABSOLUTE_PA = 1e3  # the bulk modulus is constant below this pressure
 
@@ -103,6 +109,7 @@ def context_values(
     full_order: FullCylinderParameters,
     pump_external_leakage_m3_per_s_pa: float,
     bypass: BypassParameters | None = None,
+    stops: EndStops | None = None,
 ) -> dict[str, float]:
     """Return a dictionary {name: value} of the Context parameters of `FullCylinder`."""
     values = {
@@ -112,7 +119,7 @@ def context_values(
     }
     if bypass is not None:
         values["bypass_conductance_m3_per_s_pa"] = bypass.conductance_m3_per_s_pa
-    return values
+    return values if stops is None else values | stops._asdict()
 
 
 STATE_VARIABLES = cylinder_states("cap_pressure_pa", "rod_side_pressure_pa")
@@ -163,7 +170,7 @@ class FullCylinder(Cylinder):
     ``cap_area_m2`` and ``rod_side_area_m2``; all names of `ReducedCylinder` except ``mean_area_m2``
     and ``total_volume_m3``; all names of `FullCylinderParameters`; and
     ``pump_external_leakage_m3_per_s_pa``, C_em of the pump. ``leakage_m3_per_s_pa`` is C_im'. With
-    ``bypass``, ``bypass_conductance_m3_per_s_pa`` is K_b.
+    ``bypass``, ``bypass_conductance_m3_per_s_pa`` is K_b. With ``stops``, the names of `EndStops`.
 
     Source: Lee et al. 2020, Eq. 12, 14 with the signs of Eq. 14 corrected; valves, air and friction
     are assumptions. At V_1 = V_2, with equal external leakages and closed valves, dP_L/dt is Eq. 15
@@ -181,6 +188,8 @@ class FullCylinder(Cylinder):
         C_em of the pump in m³/(s·Pa).
     bypass
         Numbers of the bypass valve. None: there is none.
+    stops
+        End stops of the rod. None: nothing stops it.
 
     Raises
     ------
@@ -198,10 +207,10 @@ class FullCylinder(Cylinder):
         initial_pressures_pa: tuple[float, ...] | None = None,
         pump_external_leakage_m3_per_s_pa: float = 0.0,
         bypass: BypassParameters | None = None,
+        stops: EndStops | None = None,
     ) -> None:
-        self._declare_parameters(
-            context_values(parameters, full_order, pump_external_leakage_m3_per_s_pa, bypass)
-        )
+        external = pump_external_leakage_m3_per_s_pa
+        self._declare_parameters(context_values(parameters, full_order, external, bypass, stops))
         extension = start_extension(parameters, initial_extension_m)
         if initial_pressures_pa is None:
             initial_pressures_pa = holding_pressures(

@@ -8,7 +8,13 @@ from typing import Any
 from kneexo.errors import ParameterError
 from kneexo.parameters import CylinderParameters
 from kneexo.systems._leaf import leaf_template
-from kneexo.systems.cylinder import Cylinder, cylinder_states, cylinder_values, start_extension
+from kneexo.systems.cylinder import (
+    Cylinder,
+    EndStops,
+    cylinder_states,
+    cylinder_values,
+    start_extension,
+)
 
 
 def pressure_rate(
@@ -35,9 +41,12 @@ def rod_force(
     return pressure * area - damping * velocity - stiffness * extension
 
 
-def context_values(parameters: CylinderParameters) -> dict[str, float]:
+def context_values(
+    parameters: CylinderParameters, stops: EndStops | None = None
+) -> dict[str, float]:
     """Return a dictionary {name: value} of the Context parameters of `ReducedCylinder`."""
-    return cylinder_values(parameters, "mean_area_m2", "total_volume_m3")
+    values = cylinder_values(parameters, "mean_area_m2", "total_volume_m3")
+    return values if stops is None else values | stops._asdict()
 
 
 STATE_VARIABLES = cylinder_states("load_pressure_pa")
@@ -65,7 +74,7 @@ class ReducedCylinder(Cylinder):
 
     State: x in m, v in m/s, P_L in MPa, all of order one. Context parameters by name:
     ``mean_area_m2, total_volume_m3, bulk_modulus_pa, leakage_m3_per_s_pa, mass_kg,
-    damping_n_s_per_m, stiffness_n_per_m, stroke_m``.
+    damping_n_s_per_m, stiffness_n_per_m, stroke_m``, and with ``stops`` the names of `EndStops`.
 
     Source: Lee et al. 2020, Eq. 15, 16. Eq. 15 is exact at V_1 = V_2, and Eq. 16 neglects the force
     (P_1 + P_2)(A_1 − A_2)/2.
@@ -78,6 +87,8 @@ class ReducedCylinder(Cylinder):
         Rod extension at the start in m. None: half the stroke.
     initial_pressure_pa
         P_L at the start in Pa.
+    stops
+        End stops of the rod. None: nothing stops it.
 
     Raises
     ------
@@ -92,8 +103,9 @@ class ReducedCylinder(Cylinder):
         parameters: CylinderParameters = CylinderParameters(),
         initial_extension_m: float | None = None,
         initial_pressure_pa: float = 0.0,
+        stops: EndStops | None = None,
     ) -> None:
-        self._declare_parameters(context_values(parameters))
+        self._declare_parameters(context_values(parameters, stops))
         extension = start_extension(parameters, initial_extension_m)
         if not math.isfinite(initial_pressure_pa):
             raise ParameterError(f"initial_pressure_pa = {initial_pressure_pa} Pa: must be finite")

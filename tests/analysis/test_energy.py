@@ -126,6 +126,7 @@ def test_a_part_lies_in_the_run(start, end):
     [
         ({"plant.full_order": None}, "plant.full_order: is left out; must be given"),
         ({"plant.bypass": True}, "plant.bypass: must be left out"),
+        ({"plant.end_stops": True}, "plant.end_stops: must be left out"),
         ({"plant.full_order.entrained_air": 0.01}, "entrained_air = 0.01: must be 0"),
         (
             {"simulation.integrator": "radau3"},

@@ -164,6 +164,7 @@ SUFFIXES = {
     "J/K": "_j_per_k",
     "K/W": "_k_per_w",
     "1/K": "_per_k",
+    "s/m": "_s_per_m",
     "Pa": "_pa",
     "rad": "_rad",
     "rpm": "_rpm",

@@ -1,11 +1,29 @@
-"""The base of the cylinders of both orders: start, stroke, what both have in common."""
+"""The base of the cylinders of both orders: start, stroke, end stops, what both have in common."""
 
+import math
+
+import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from kneexo.errors import ParameterError, SimulationError
-from kneexo.parameters import CylinderParameters
+from kneexo.parameters import (
+    CylinderParameters,
+    EndStopParameters,
+    FullCylinderParameters,
+    PlantParameters,
+    Scenario,
+)
+from kneexo.simulation import simulate
+from kneexo.simulation.compiled import scenario_values
 from kneexo.systems import FullCylinder, ReducedCylinder
-from kneexo.systems.cylinder import cylinder_states, cylinder_values, start_extension
+from kneexo.systems.cylinder import (
+    EndStops,
+    cylinder_states,
+    cylinder_values,
+    start_extension,
+    stop_force,
+)
 
 BOTH = pytest.mark.parametrize("cylinder", [ReducedCylinder, FullCylinder])
 
@@ -87,3 +105,130 @@ def test_the_states_are_those_of_the_context(cylinder):
     pressures = ("load_pressure_pa",) if cylinder is ReducedCylinder else ("cap_pa", "rod_side_pa")
     assert context.num_continuous_states() == len(cylinder_states(*pressures))
     assert system.GetOutputPort("rod_extension").Eval(context) == 0.03
+
+
+# ------------------------------------------------------------------------------- end stops
+
+STOPS = EndStops(0.02, 0.12, 2e6, 1.5)
+
+
+def rebound(speed_m_s, stops):
+    """Share of its speed with which a mass of 1.6 kg leaves the outer stop."""
+
+    def rates(_, state):
+        return [state[1], float(stop_force(state[0], state[1], stops)) / 1.6]
+
+    start = [stops.stop_high_m, speed_m_s]
+    end = solve_ivp(rates, (0.0, 5e-3), start, rtol=1e-9, atol=1e-12).y[:, -1]
+    assert end[0] < stops.stop_high_m
+    return -end[1] / speed_m_s
+
+
+@pytest.mark.parametrize(
+    ("extension", "velocity", "force"),
+    [
+        (0.02, -1.0, 0.0),
+        (0.12, 1.0, 0.0),
+        (0.07, 5.0, 0.0),
+        (0.1202, 0.0, -400.0),
+        (0.0199, 0.0, 200.0),
+        (0.1202, 0.2, -400.0 * 1.3),
+        (0.0199, -0.2, 200.0 * 1.3),
+        (0.1202, -1.0, 0.0),  # leaves faster than the stop can follow
+        (0.0199, 1.0, 0.0),
+    ],
+)
+def test_a_stop_pushes_the_rod_back_and_never_pulls(extension, velocity, force):
+    assert stop_force(extension, velocity, STOPS) == pytest.approx(force, rel=1e-9, abs=1e-9)
+
+
+def test_a_stop_without_dissipation_returns_all_speed_and_the_default_a_part():
+    assert rebound(0.3, STOPS._replace(stop_dissipation_s_per_m=0.0)) == pytest.approx(1.0, 1e-6)
+    default = EndStopParameters()
+    stops = EndStops(0.0, 0.1, default.stiffness_n_per_m, default.dissipation_s_per_m)
+    assert rebound(0.3, stops) == pytest.approx(0.712, abs=0.001)
+    assert rebound(1.0, stops) < rebound(0.3, stops)
+
+
+# Air and friction are not zero, and the corners of the valves are far from the states.
+SMOOTH = FullCylinderParameters(
+    entrained_air=0.01, coulomb_friction_n=20.0, stribeck_friction_n=10.0, friction_band_m_s=0.02
+)
+MAKERS = {
+    "reduced": lambda stops: ReducedCylinder(CylinderParameters(), 0.1199, 1e5, stops),
+    "full": lambda stops: FullCylinder(
+        CylinderParameters(), SMOOTH, 0.1199, (3e5, 2e5), stops=stops
+    ),
+}
+STATES = {"reduced": [0.1201, 0.01, 0.1], "full": [0.1201, 0.01, 0.3, 0.2]}
+
+
+@pytest.mark.parametrize("order", MAKERS)
+def test_the_load_cell_and_the_motion_feel_the_stop(order):
+    forces, accelerations = [], []
+    for stops in (None, STOPS):
+        system = MAKERS[order](stops)
+        context = system.CreateDefaultContext()
+        system.GetInputPort("load_flow").FixValue(context, 0.0)
+        context.SetContinuousState(STATES[order])
+        forces.append(system.GetOutputPort("rod_force").Eval(context)[0])
+        accelerations.append(system.GetOutputPort("rod_state").Eval(context)[2])
+    expected = -2e6 * 1e-4 * (1.0 + 1.5 * 0.01)
+    assert forces[1] - forces[0] == pytest.approx(expected, rel=1e-9)
+    assert accelerations[1] - accelerations[0] == pytest.approx(expected / 1.6, rel=1e-9)
+
+
+@pytest.mark.parametrize("order", MAKERS)
+def test_conversions_with_stops_agree_and_keep_arguments_and_changes(leaf, order):
+    inputs = {"load_flow": [(-1e-5, 1e-5)], "load_force": [(-100.0, 100.0)]}
+    pressures = [(1.0, 1.4), (0.4, 0.6)][: len(STATES[order]) - 2]
+    probe = leaf.Probe(MAKERS[order](STOPS), inputs, [(0.135, 0.14), (-0.05, 0.05), *pressures])
+    probe.check_contract(1, stop_stiffness_n_per_m=3e6)
+
+
+def test_the_stops_are_at_the_ends_of_the_range_of_motion():
+    values = scenario_values(Scenario(plant={"end_stops": True}))
+    low, high = (values[f"plant/cylinder.stop_{end}_m"] for end in ("low", "high"))
+    # Table 1: 2.2 mm at 90° and 148.0 mm at 0°, by Eq. 10.
+    assert (low, high) == (pytest.approx(2.2e-3, abs=5e-4), pytest.approx(148.0e-3, abs=5e-4))
+    narrow = {"end_stops": True, "knee": {"flexion_max_deg": 80.0}}
+    assert scenario_values(Scenario(plant=narrow))["plant/cylinder.stop_low_m"] > low
+    assert PlantParameters().end_stops is None
+    assert "plant/cylinder.stop_low_m" not in scenario_values(Scenario())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("torque", "angle_deg"), [(60.0, 90.0), (-60.0, 0.0)])
+def test_a_knee_that_falls_comes_to_rest_on_a_stop(torque, angle_deg):
+    """The penetration is F/k, with the force τ/r of a torque that nothing else holds."""
+    falling = Scenario(
+        plant={
+            "load": {"kind": "knee", "segment_mass_kg": 0.0, "knee_torque_n_m": torque},
+            "full_order": True,
+            "bypass": True,
+            "end_stops": True,
+        },
+        reference={"kind": "step", "start_deg": 30.0, "end_deg": 30.0},
+        simulation={"duration_s": 2.0},
+        faults=[
+            {"place": "command", "kind": "scale", "size": 0.0, "start_s": 0.1},
+            {
+                "place": "plant.bypass.minimum_opening",
+                "kind": "value",
+                "size": 1.0,
+                "start_s": 0.1,
+            },
+        ],
+    )
+    run = simulate(falling)
+    force = -torque / run["moment_arm_m"][-1]
+    assert run["rod_force_n"][-1] == pytest.approx(-force, rel=1e-4)
+    values = scenario_values(falling)
+    stop = values["plant/cylinder.stop_low_m" if torque > 0.0 else "plant/cylinder.stop_high_m"]
+    beyond = run["rod_extension_m"][-1] - stop
+    # The open bypass leaves P_r (A_1 − A_2) on the rod.
+    left = 0.2e6 * math.pi / 4.0 * 0.010**2
+    assert beyond == pytest.approx((left + force) / 3e7, rel=1e-3)
+    assert np.degrees(run["knee_angle_rad"][-1]) == pytest.approx(angle_deg, abs=0.1)
+    with pytest.raises(SimulationError, match="left the range of motion"):
+        simulate(falling.changed({"plant.end_stops": None}))
