@@ -100,6 +100,7 @@ def _at_rest(
 ) -> tuple[DiagramEquations, Any]:
     """Return the equations of the plant with the ports ``outputs``, and a Context at rest."""
     if isinstance(plant, PlantParameters):
+        plant = plant.without_temperatures()
         plant.knee.require_posture(knee_angle_deg)
         angle_rad = math.radians(knee_angle_deg)
         equations = recent_equations.of(

@@ -570,6 +570,10 @@ class PlantParameters(Parameters):
             )
         return self
 
+    def without_temperatures(self) -> PlantParameters:
+        """Return the plant for linear analysis, whose motor stays cold."""
+        return self.model_copy(update={"thermal": None})
+
     @property
     def knee_inertia_kg_m2(self) -> float | None:
         """Inertia of the load about the knee in kg·m², or None for a constant mass at the rod."""

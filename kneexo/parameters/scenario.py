@@ -261,6 +261,7 @@ class Scenario(Parameters):
         cell = self.load_cell.model_copy(update={"quantized": False, "noise_n": 0.0, "seed": None})
         bus = NoBus(latency_samples=self.bus.latency_samples)
         update: dict[str, Any] = {"encoder": encoder, "load_cell": cell, "bus": bus}
+        update["plant"] = self.plant.without_temperatures()  # which would be slow states
         if isinstance(self.wearer, LegParameters):
             cuff = self.wearer.cuff.model_copy(update={"slip_torque_n_m": None})
             update["wearer"] = self.wearer.model_copy(update={"cuff": cuff})

@@ -5,6 +5,7 @@ import pytest
 from pydrake.systems.analysis import Simulator
 from scipy.linalg import expm
 
+from kneexo.analysis import linearize_plant
 from kneexo.diagrams import make_plant
 from kneexo.export.firmware import export_firmware
 from kneexo.parameters import MotorParameters, PlantParameters, Scenario, ThermalParameters
@@ -125,6 +126,14 @@ def test_the_plant_closes_the_loop_of_loss_and_temperature():
     assert current > 1.0
     # The two temperatures are the last states of the plant.
     np.testing.assert_allclose(rates[-2:], [0.01 * 0.15 * current**2 / 20.0, 0.0], rtol=1e-12)
+
+
+def test_linear_analyses_take_a_cold_motor():
+    """A temperature would be a slow pole that hides the integrator of the plant."""
+    warm = PlantParameters(motor=MotorParameters(), thermal=ThermalParameters())
+    gains = [linearize_plant(p).velocity_gain for p in (warm, warm.without_temperatures())]
+    assert gains[0] == gains[1] != 0.0
+    assert Scenario(plant=warm).without_quantizers().plant == warm.without_temperatures()
 
 
 @pytest.mark.slow
