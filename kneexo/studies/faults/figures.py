@@ -17,6 +17,7 @@ _MARKS = {
     "in time": ("o", TEAL),
     "late": ("s", GOLD),
     "missed": ("X", RED),
+    "made worse": ("D", RED),
 }
 """Mark and colour of each verdict."""
 

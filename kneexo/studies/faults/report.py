@@ -17,7 +17,7 @@ _HAZARDS = {
 }
 """Hazard, hazardous situation and harm, by how the knee leaves its motion."""
 
-_VERDICTS = ("missed", "late", "in time", "harmless", "never active")
+_VERDICTS = ("made worse", "missed", "late", "in time", "harmless", "never active")
 """The verdicts of a row, the worst first."""
 
 

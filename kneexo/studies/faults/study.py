@@ -94,18 +94,29 @@ class FaultRow:
     """Largest values until the safe state is reached."""
 
     @property
+    def is_made_worse(self) -> bool:
+        """Whether the motor does not obey a stop, and the knee moves farther than without it."""
+        moved, moved_alone = self.protected.deviation_deg, self.alone.deviation_deg
+        return bool(self.detector) and math.isinf(self.safe_after_s) and moved > moved_alone
+
+    @property
     def margin_s(self) -> float:
         """Critical duration minus time to the safe state. The protection is late below zero.
 
-        The margin is inf if the fault may be permanent, or if no signal starts it.
+        The margin is inf if the fault may be permanent, or if no signal starts it. It is -inf if
+        the protection makes the fault worse.
         """
+        if self.is_made_worse:
+            return -math.inf
         if not math.isfinite(self.critical_duration_s):
             return math.inf
         return self.critical_duration_s - self.safe_after_s
 
     @property
     def verdict(self) -> str:
-        """One of ``never active``, ``harmless``, ``in time``, ``late`` and ``missed``."""
+        """One of ``never active, harmless, in time, late, missed, made worse``."""
+        if self.is_made_worse:
+            return "made worse"
         if math.isnan(self.critical_duration_s):
             return "never active"
         if self.margin_s >= 0.0:

@@ -1,6 +1,7 @@
 """The study `faults`: rows against single runs, verdicts, refusals, and the words of the report."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -123,6 +124,13 @@ def test_the_verdict_compares_the_safe_state_with_the_critical_duration(
     found = row("cause", "fault", critical_s, detector, safe_s)
     assert found.verdict == verdict
     assert found.margin_s == pytest.approx(margin_s)
+
+
+def test_a_stop_that_the_motor_does_not_obey_can_make_a_fault_worse():
+    found = row("drive", "command offset 2000 rpm", math.inf, "speed", math.inf)
+    worse = replace(found, protected=replace(found.protected, deviation_deg=23.46))
+    assert (found.verdict, found.margin_s) == ("in time", math.inf)
+    assert (worse.verdict, worse.margin_s) == ("made worse", -math.inf)
 
 
 def test_each_fault_is_told_once_at_its_worst_time(tables):
