@@ -58,6 +58,7 @@ from kneexo.analysis.sampled_loop import SampledLoop, linearize_loop
 from kneexo.analysis.sine_estimate import SineEstimate, estimate_sine
 from kneexo.analysis.stride import StrideLoad, stride_load
 from kneexo.analysis.survival import FaultCase, FaultSurvival, fault_survival
+from kneexo.analysis.thresholds import DetectorThresholds, detector_thresholds
 from kneexo.analysis.torque_bandwidth import TorqueResponse, torque_response
 from kneexo.analysis.tracking import (
     StepMetrics,
@@ -74,6 +75,7 @@ __all__ = [
     "Alignment",
     "CoupledStability",
     "CuffForces",
+    "DetectorThresholds",
     "EnergyBalance",
     "FaultCase",
     "FaultSurvival",
@@ -108,6 +110,7 @@ __all__ = [
     "coupled_stability",
     "crossing",
     "design_linkage",
+    "detector_thresholds",
     "draw_trials",
     "energy_balance",
     "estimate_sine",

@@ -10,7 +10,6 @@ import pydrake.math as drake_math
 from kneexo.parameters import PlantParameters, ProtectionParameters
 from kneexo.parameters.safety_states import DETECTORS
 from kneexo.systems._leaf import NamedLeaf, clip, discrete_state, leaf_template, where_positive
-from kneexo.systems.drive import nearest_integer
 
 _TURN = 2.0 * math.pi
 
@@ -43,14 +42,15 @@ def context_values(
 class FaultDetectors(NamedLeaf):
     """Compares six residuals of the controller's signals with thresholds.
 
-    With the reading y of the encoder, the last plausible reading y⁻, the measured rod extension x,
-    the motor speed ω, the command u, the rod force F, and the time constants T_f and T_s,
+    With the reading y of the encoder, the last plausible reading y⁻ that is m samples old, the
+    measured rod extension x, the motor speed ω, the command u, the rod force F, and the time
+    constants T_f and T_s,
 
     =========  =====  ============================================================
     detector   unit   residual
     =========  =====  ============================================================
     range      rad    y beyond its least or largest value
-    rate       rad/s  |y − y⁻|/T, less whole turns
+    rate       rad/s  |y − y⁻|/(m T), less whole turns
     flow       m      |r|, r ← (1 − T/T_f) r + x_k − x_{k−1} − T (c_ω ω − c_F F)
     load_cell  N      |F|
     speed      rad/s  |s|, s ← s + T (u − ω − s)/T_s
@@ -82,11 +82,11 @@ class FaultDetectors(NamedLeaf):
     detected             6     1              1 for a detector that has detected a fault, else 0
     ===================  ====  =============  ====================================================
 
-    Discrete states, updated every ``sample_time_s``: 1 after the first sample, y⁻, x, r, s and the
-    counters. Context parameters by name: the thresholds ``range_threshold``, …, ``flow_s``
-    (T_f), ``speed_s`` (T_s), ``trip_samples`` (n), ``reading_min_rad``, ``reading_max_rad``,
-    ``travel_m_per_rad`` (c_ω) and ``leakage_m_per_s_n`` (c_F). Source: an assumption. Lee et al.
-    2020 have no detectors.
+    Discrete states, updated every ``sample_time_s``: m, which is 0 before the first sample, y⁻, x,
+    r, s and the counters. Context parameters by name: the thresholds ``range_threshold``, …,
+    ``flow_s`` (T_f), ``speed_s`` (T_s), ``trip_samples`` (n), ``reading_min_rad``,
+    ``reading_max_rad``, ``travel_m_per_rad`` (c_ω) and ``leakage_m_per_s_n`` (c_F). Source: an
+    assumption. Lee et al. 2020 have no detectors.
 
     Parameters
     ----------
@@ -143,21 +143,26 @@ class FaultDetectors(NamedLeaf):
     def _encoder_residuals(self, context: Any) -> tuple[Any, Any]:
         """Return the residuals range and rate."""
         p, reading = self.parameters(context), self._reading.Eval(context)[0]
-        started, last, *_ = discrete_state(context)
+        age, last, *_ = discrete_state(context)
         middle = 0.5 * (p.reading_min_rad + p.reading_max_rad)
         distance = drake_math.abs(_within_half_a_turn(reading - middle))
         beyond = distance - 0.5 * (p.reading_max_rad - p.reading_min_rad)
-        rate = drake_math.abs(_within_half_a_turn(reading - last)) / self._sample_time
-        return where_positive(-beyond, 0.0, beyond), where_positive(started, rate, 0.0)
+        change = drake_math.abs(_within_half_a_turn(reading - last))
+        rate = change / (where_positive(age, age, 1.0) * self._sample_time)
+        return where_positive(-beyond, 0.0, beyond), where_positive(age, rate, 0.0)
+
+    def _is_plausible(self, context: Any) -> Any:
+        p = self.parameters(context)
+        beyond, rate = self._encoder_residuals(context)
+        slow = where_positive(p.rate_threshold - rate, 1.0, 0.0)
+        return where_positive(p.range_threshold - beyond, slow, 0.0)
 
     def _plausible_reading(self, context: Any) -> Any:
         p, reading = self.parameters(context), self._reading.Eval(context)[0]
-        started, last, *_ = discrete_state(context)
+        age, last, *_ = discrete_state(context)
         limited = clip(reading, p.reading_min_rad, p.reading_max_rad)
-        substitute = where_positive(started, last, limited)
-        beyond, rate = self._encoder_residuals(context)
-        kept = where_positive(p.rate_threshold - rate, reading, substitute)
-        return where_positive(p.range_threshold - beyond, kept, substitute)
+        substitute = where_positive(age, last, limited)
+        return where_positive(self._is_plausible(context), reading, substitute)
 
     def _calc_residuals(self, context: Any) -> list[Any]:
         _, _, _, travel, speed, *_ = discrete_state(context)
@@ -175,12 +180,12 @@ class FaultDetectors(NamedLeaf):
 
     def _update(self, context: Any) -> list[Any]:
         p, dt = self.parameters(context), self._sample_time
-        started, _, before, travel, slip, *counts = discrete_state(context)
+        age, _, before, travel, slip, *counts = discrete_state(context)
         extension, speed = self._extension.Eval(context)[0], self._speed.Eval(context)[0]
         by_motor = p.travel_m_per_rad * speed
         if self._measures_force:
             by_motor = by_motor - p.leakage_m_per_s_n * self._force.Eval(context)[0]
-        moved = where_positive(started, extension - before, 0.0)
+        moved = where_positive(age, extension - before, 0.0)
         travel = travel - dt / p.flow_s * travel + moved - dt * by_motor
         slip = slip + dt / p.speed_s * (self._command.Eval(context)[0] - speed - slip)
         thresholds = p[: len(DETECTORS)]
@@ -192,12 +197,13 @@ class FaultDetectors(NamedLeaf):
         counts = [
             clip(c + step, 0.0, p.trip_samples) for c, step in zip(counts, steps, strict=True)
         ]
-        return [1.0, self._plausible.Eval(context)[0], extension, travel, slip, *counts]
+        age = where_positive(self._is_plausible(context), 1.0, age + 1.0)
+        return [age, self._plausible.Eval(context)[0], extension, travel, slip, *counts]
 
 
 def _within_half_a_turn(angle: Any) -> Any:
     """Return an angle in rad less whole turns, within ±π."""
-    return angle - _TURN * nearest_integer(angle / _TURN)
+    return angle - _TURN * drake_math.floor((1.0 / _TURN) * angle + 0.5)
 
 
 FaultDetectors_ = leaf_template(FaultDetectors)

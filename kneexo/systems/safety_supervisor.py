@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from functools import reduce
 from typing import Any
 
 import pydrake.math as drake_math
+from pydrake.math import max as _max, min as _min
 
 from kneexo.parameters import ProtectionParameters
 from kneexo.parameters.plant import RPM
@@ -85,62 +87,71 @@ class SafetySupervisor(NamedLeaf):
         )
         declare("safety_state", 1, lambda c: discrete_state(c)[:1], state)
         declare("safety_reason", 1, lambda c: discrete_state(c)[1:2], state)
-        declare("bypass", 1, lambda c: [_is(discrete_state(c)[0], "released")], state)
+        declare("bypass", 1, self._calc_bypass, state)
+
+    def _calc_bypass(self, context: Any) -> list[Any]:
+        return [where_positive(_is(discrete_state(context)[0], "released"), 1.0, 0.0)]
 
     def _calc_command(self, context: Any) -> Any:
         state, _, own, *_ = discrete_state(context)
-        return where_positive(_is(state, *LAW_ACTS), self._law.Eval(context)[0], own)
+        return where_positive(_law_acts(state), self._law.Eval(context)[0], own)
 
     def _update(self, context: Any) -> list[Any]:
         p, dt = self.parameters(context), self._sample_time
         state, reason, own, samples, clear, reset_before = discrete_state(context)
-        detected = self._detected.Eval(context)
-        emergency, reset = (
-            value_or_zero(self._emergency, context),
-            value_or_zero(self._reset, context),
-        )
-        fault = 0.0
-        for value in detected:
-            fault = where_positive(value, 1.0, fault)
-        clear, samples = where_positive(fault, 0.0, clear + 1.0), samples + 1.0
+        detected = self._detected.Eval(context).tolist()
+        emergency = value_or_zero(self._emergency, context) - 0.5
+        reset = value_or_zero(self._reset, context)
+        clear = where_positive(_largest(detected), 0.0, clear + 1.0)
+        samples = samples + 1.0
         speed = drake_math.abs(self._speed.Eval(context)[0])
-        # Half a sample keeps rounded times from deciding.
+        # An event happens if its number is positive. Half a sample keeps rounded times from
+        # deciding.
         events = {
-            "emergency": emergency - 0.5,
+            "emergency": emergency,
             "standstill": where_positive(drake_math.abs(own), 0.0, p.standstill_rad_s - speed),
             "healthy": (clear + 0.5) * dt - p.healthy_s,
             "overdue": (samples + 0.5) * dt - p.overdue_s,
-            "reset": where_positive(reset_before - 0.5, 0.0, reset - 0.5),
+            "reset": _min(reset - 0.5, 0.5 - reset_before),
         }
+        causes: dict[str, list[Any]] = {}
         for detector, value in zip(DETECTORS.values(), detected, strict=True):
-            events[detector.event] = where_positive(value, 1.0, events.get(detector.event, 0.0))
+            causes.setdefault(detector.event, []).append(value)
+        events |= {event: _largest(values) for event, values in causes.items()}
         following = state
         for row in reversed(self._transitions):  # the first row decides, so it comes last
-            taken = where_positive(_is(state, row.state), events[row.event], 0.0)
+            taken = _min(_is(state, row.state), events[row.event])
             following = where_positive(taken, _NUMBERS[row.next_state], following)
         cause: Any = float(NOT_HEALTHY)
         for number, value in reversed(list(enumerate(detected, 1))):
             cause = where_positive(value, float(number), cause)
-        cause = where_positive(events["emergency"], float(EMERGENCY_STOP), cause)
-        cause = where_positive(_is(state, *LAW_ACTS), cause, reason)
+        cause = where_positive(emergency, float(EMERGENCY_STOP), cause)
+        cause = where_positive(_law_acts(state), cause, reason)
         command = self._command.Eval(context)[0]
         step = p.stop_rad_s2 * dt
+        slower = command - clip(command, -step, step)
         return [
             following,
-            where_positive(_is(following, *LAW_ACTS), 0.0, cause),
-            where_positive(_is(following, "stopping"), command - clip(command, -step, step), 0.0),
+            where_positive(_law_acts(following), 0.0, cause),
+            where_positive(_is(following, "stopping"), slower, 0.0),
             where_positive(drake_math.abs(following - state), 0.0, samples),
             clear,
             reset,
         ]
 
 
-def _is(state: Any, *names: str) -> Any:
-    """Return 1 if the number ``state`` is that of one of the states ``names``, else 0."""
-    result: Any = 0.0
-    for name in names:
-        result = where_positive(0.5 - drake_math.abs(state - _NUMBERS[name]), 1.0, result)
-    return result
+def _is(state: Any, name: str) -> Any:
+    """Return a positive number if ``state`` is the number of the state ``name``."""
+    return 0.5 - drake_math.abs(state - _NUMBERS[name])
+
+
+def _law_acts(state: Any) -> Any:
+    """Return a positive number if ``state`` is one of `LAW_ACTS`, which have the first numbers."""
+    return len(LAW_ACTS) - 0.5 - state
+
+
+def _largest(values: list[Any]) -> Any:
+    return reduce(_max, values)
 
 
 SafetySupervisor_ = leaf_template(SafetySupervisor)

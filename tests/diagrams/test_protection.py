@@ -54,7 +54,7 @@ FAULTS = [
     ({"kind": "offset", "size": -160.0}, "range"),
     ({"kind": "bit_flip", "size": 6.0}, "rate"),
     (DEAD, "speed"),
-    ({"kind": "drift", "size": 20.0}, "following"),
+    ({"kind": "drift", "size": 20.0}, "flow"),
 ]
 
 
@@ -113,7 +113,7 @@ def test_drake_and_the_compiled_engine_switch_at_the_same_samples():
 def test_runs_that_differ_in_thresholds_share_a_batch():
     fault = {"kind": "offset", "size": 2.0, "start_s": 0.2}
     scenarios = [
-        with_faults(fault).changed({"protection.rate_deg_s": rate}) for rate in (250.0, 2000.0)
+        with_faults(fault).changed({"protection.rate_deg_s": rate}) for rate in (150.0, 2000.0)
     ]
     runs = simulate_together(scenarios)
     assert [end(run)[1] for run in runs] == ["rate", "none"]
@@ -195,9 +195,10 @@ def test_the_verdict_says_when_and_why_the_protection_acted():
     result = track(with_faults({"kind": "offset", "size": 2.0, "start_s": 0.2}))
     (line,) = [notice for notice in result.verdict.notices if "protection" in notice]
     assert line.startswith("protection acted at 0.21 s: rate was ")
-    assert line.endswith("above 250 deg/s; the run ends in the state stopped")
+    assert line.endswith("above 150 deg/s; the run ends in the state stopped")
     size = float(line.split("was ")[1].split(",")[0])
-    assert size == pytest.approx(2.0 / T, rel=0.1)
+    # Five samples after the last plausible reading.
+    assert size == pytest.approx(2.0 / (5 * T), rel=0.1)
     assert not [notice for notice in track(BASE).verdict.notices if "protection" in notice]
 
 

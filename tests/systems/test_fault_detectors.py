@@ -57,10 +57,12 @@ def test_range_is_the_angle_beyond_the_readings_less_whole_turns():
 
 def test_rate_is_the_change_since_the_last_plausible_reading_and_a_wrap_is_no_jump():
     count = 2 * math.pi / 4096
-    readings = np.array([2.0, 2.0 + count, 2.0 + 2 * count - 2 * math.pi, 2.5, 2.0 + 2 * count])
-    found = residual("rate", 5, encoder_reading=readings)
+    wrapped = 2.0 + 2 * count - 2 * math.pi
+    readings = np.array([2.0, 2.0 + count, wrapped, 2.5, 2.5, 2.0 + 4 * count])
+    found = residual("rate", 6, encoder_reading=readings)
     jump = (0.5 - 2 * count) / T
-    np.testing.assert_allclose(found, [0, count / T, count / T, jump, 0], rtol=0, atol=1e-9)
+    expected = [0, count / T, count / T, jump, jump / 2, 2 / 3 * count / T]
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
 
 
 def test_an_outlier_does_not_reach_the_law():

@@ -1,0 +1,90 @@
+"""Levels of residuals against counters step by step, and healthy runs over an uncertainty set."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+
+from kneexo.analysis.thresholds import MARGIN, DetectorThresholds, detector_thresholds, level_of
+from kneexo.errors import ParameterError
+from kneexo.parameters import ProtectionParameters, Scenario, Uncertainty, UncertaintySet
+from kneexo.parameters.safety_states import DETECTORS
+
+SHORT = Scenario(
+    protection={"overdue_s": 0.1}, plant={"load": "knee"}, simulation={"duration_s": 0.3}
+)
+MASSES = UncertaintySet(values={"plant.cylinder.mass_kg": Uncertainty(low=1.4, high=1.8)})
+
+
+def trips(residual, threshold, samples):
+    """The counter of `FaultDetectors`, one sample after the other."""
+    count = 0
+    for value in residual:
+        count = max(count + (1 if value >= threshold else -1), 0)
+        if count == samples:
+            return True
+    return False
+
+
+@given(st.lists(st.integers(0, 6), min_size=1, max_size=25), st.integers(1, 6))
+def test_the_level_is_the_largest_threshold_that_trips(values, samples):
+    residual = np.array(values, dtype=float)
+    tripping = [level for level in sorted(set(values)) if trips(values, level, samples)]
+    assert level_of(residual, samples) == max(tripping, default=0.0)
+
+
+def test_levels_of_a_series_by_hand():
+    series = np.array([0.0, 5.0, 4.0, 0.0, 3.0, 9.0, 1.0, 1.0])
+    assert [level_of(series, n) for n in (1, 2, 3, 8)] == [9.0, 4.0, 3.0, 0.0]
+
+
+def test_the_text_and_the_figure_have_the_levels():
+    levels = {name: np.array([[1.0, 2.0, 4.0], [3.0, 3.0, 5.0]]) for name in DETECTORS}
+    result = DetectorThresholds(
+        ProtectionParameters(flow_mm=3.5), 4, 1, 0.5, {"flow": 1, "start": 2}, (0.01, 0.002), levels
+    )
+    assert result.largest("flow") == 4.0
+    assert [result.false_alarms("flow", threshold) for threshold in (0.5, 3.0, 4.0)] == [3, 1, 0]
+    text = str(result).splitlines()
+    assert text[0] == "4 healthy runs, 0.5 h, 1 failed, 3 false alarms"
+    assert text[4].split() == ["flow", "4", f"{MARGIN * 4:g}", "3.5", "1", "mm"]
+    assert text[-1] == "start: 2"
+    ax = result.plot()
+    flow = ax.get_lines()[list(DETECTORS).index("flow")]
+    np.testing.assert_allclose(flow.get_xdata(), [2.0, 10.0])
+    np.testing.assert_allclose(flow.get_ydata(), [5 / 3.5, 4 / 3.5])
+    plt.close(ax.figure)
+
+
+@pytest.mark.slow
+def test_healthy_runs_have_levels_below_the_thresholds_and_no_alarm():
+    result = detector_thresholds(SHORT, MASSES, 3, trips_s=[0.002])
+    assert (result.runs, result.failed, dict(result.alarms)) == (3, 0, {})
+    assert result.hours == pytest.approx(3 * 0.3 / 3600)
+    assert result.levels["flow"].shape == (2, 3)
+    assert 0.0 < result.largest("flow") < 2.5
+    assert np.all(result.levels["rate"][1] >= result.levels["rate"][0])
+
+
+@pytest.mark.slow
+def test_a_false_alarm_is_counted_and_its_level_is_that_of_the_whole_run():
+    free = detector_thresholds(SHORT, MASSES, 2)
+    less = 0.9 * np.min(free.levels["speed"])
+    strict = detector_thresholds(SHORT.changed({"protection.speed_rpm": less}), MASSES, 2)
+    assert dict(strict.alarms) == {"speed": 2}
+    np.testing.assert_array_equal(strict.levels["speed"], free.levels["speed"])
+
+
+@pytest.mark.slow
+def test_a_motion_that_the_pump_cannot_follow_is_an_alarm():
+    fast = {"reference": {"frequency_hz": 1.0}, "simulation.duration_s": 1.5}
+    result = detector_thresholds(SHORT.changed(fast), MASSES, 1)
+    assert set(result.alarms) <= {"speed", "following"}
+    assert sum(result.alarms.values()) == 1
+
+
+def test_runs_without_protection_or_number_are_refused():
+    with pytest.raises(ParameterError, match="protection: is missing; add protection"):
+        detector_thresholds(Scenario())
+    with pytest.raises(ParameterError, match="runs = 0: must be >= 1"):
+        detector_thresholds(SHORT, MASSES, 0)
