@@ -37,7 +37,7 @@ def listed():
 def test_the_shipped_modules_are_small_and_those_of_the_list():
     files = {file.stem: file.stat().st_size for file in FOLDER.glob("*.wasm")}
     assert set(files) == set(listed()["modules"])
-    assert sum(files.values()) < 600_000
+    assert sum(files.values()) < 700_000
 
 
 def test_the_key_of_the_default_loop_is_shipped_whatever_its_numbers():
@@ -178,20 +178,6 @@ def test_a_cuff_too_stiff_for_the_page_is_refused_with_the_most_it_follows():
             "plant.load.inertia_kg_m2",
             1.6 * (2807 / 4200) ** 2 * 0.10709**2,
         ),
-        # 1.72e9 Pa · 2e-10 m³/(s·Pa)/81000 1/s
-        (
-            "leg",
-            {"plant.full_order.dead_volume_m3": 3e-6},
-            "plant.full_order.dead_volume_m3",
-            4.247e-6,
-        ),
-        # 40 N/(1.6 kg · 81000 1/s)
-        (
-            "leg",
-            {"plant.full_order.friction_band_m_s": 1e-4},
-            "plant.full_order.friction_band_m_s",
-            3.086e-4,
-        ),
     ],
 )
 def test_a_mode_too_fast_for_the_page_is_refused_with_the_least_value(
@@ -207,3 +193,13 @@ def test_a_mode_too_fast_for_the_page_is_refused_with_the_least_value(
     require_slow_modes(scenario.changed({place: 1.01 * named}))
     with pytest.raises(ParameterError):
         require_slow_modes(scenario.changed({place: 0.99 * named}))
+
+
+def test_valves_and_friction_of_the_full_order_limit_no_step():
+    """RK4 with 60 steps in a sample would need a dead volume of 4.2 ml for its valve."""
+    fast = {"plant.full_order.dead_volume_m3": 3e-6, "plant.full_order.friction_band_m_s": 1e-4}
+    scenario = Scenario.preset("leg").changed(fast)
+    require_slow_modes(scenario)
+    tolerances = [loop_source(scenario, smooth=s).rosenbrock_tolerance for s in (False, True)]
+    assert tolerances == [1e-6, 1e-12]
+    assert loop_source(Scenario()).rosenbrock_tolerance is None

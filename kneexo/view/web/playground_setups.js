@@ -285,8 +285,13 @@ const Setups = (() => {
       if (value !== defaultOf(data, setup, quantity)) setPath(tree, quantity.name, value);
     }
     const table = data.modules[model.loop.module].table;
-    setPath(tree, "simulation.integrator", "rk4");
-    setPath(tree, "simulation.step_s", table.sample_time_s / table.rk4_steps_per_tick);
+    if (table.rosenbrock_tolerance !== null) {
+      setPath(tree, "simulation.integrator", "rosenbrock");
+      setPath(tree, "simulation.tolerance", table.rosenbrock_tolerance);
+    } else {
+      setPath(tree, "simulation.integrator", "rk4");
+      setPath(tree, "simulation.step_s", table.sample_time_s / table.rk4_steps_per_tick);
+    }
     const title = `# From a page of kneexo ${data.kneexo}. Run it: kneexo simulate FILE.yaml --out run`;
     return `${[title, ...yamlLines(tree, "")].join("\n")}\n`;
   }

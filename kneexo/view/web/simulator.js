@@ -14,6 +14,7 @@ const Simulator = (() => {
     2: "the motion diverges: a value is no longer finite",
     4: "the knee or the cylinder leaves its range of motion",
     16: "a parameter is not finite",
+    64: "the plant changes too fast for the tolerance of the integrator",
   };
   const ERROR_SHARE = 2 / 30; // of the amplitude; see ERROR_SHARE in kneexo/analysis/verdict.py
   const LARGEST_COUNT_DEG = ERROR_SHARE * 30; // as LARGEST_COUNT_DEG there

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.image import imread
+from web_cases import solver_of
 
 from kneexo.analysis import large_signal_bandwidth_hz, linearize_loop, track
 from kneexo.errors import KneexoError, SimulationError
@@ -106,13 +107,12 @@ class _Page:
 
 
 def _steps(scenario, page):
-    """The scenario with the steps of the page."""
-    step_s = page.evaluate(
+    """The scenario with the method of the page."""
+    table = page.evaluate(
         """(() => { const model = Setups.modelOf(Page.data, Page.state.setups[0]);
-        const { table } = Page.data.modules[model.loop.module];
-        return table.sample_time_s / table.rk4_steps_per_tick; })()"""
+        return Page.data.modules[model.loop.module].table; })()"""
     )
-    return scenario.with_steps(step_s)
+    return changed(scenario, {f"simulation.{k}": v for k, v in solver_of(table).items()})
 
 
 def _same(text, value):

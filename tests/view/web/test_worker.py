@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from web_cases import solver_of
 
 from kneexo.analysis import interaction_metrics
 from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
@@ -60,10 +61,9 @@ def loaded(worker, scenario, name="model"):
 
 
 def in_kneexo(scenario, model, duration_s):
-    """The run of the compiled engine with the steps of a module."""
+    """The run of the compiled engine with the method of a module."""
     table = web_modules([model])[model["loop"]["module"]]["table"]
-    step_s = table["sample_time_s"] / table["rk4_steps_per_tick"]
-    settings = {"duration_s": duration_s, "integrator": "rk4", "step_s": step_s}
+    settings = {"duration_s": duration_s} | solver_of(table)
     return track(scenario.changed({f"simulation.{k}": v for k, v in settings.items()}))
 
 
