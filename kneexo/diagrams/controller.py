@@ -19,7 +19,7 @@ from kneexo.diagrams.law import (
     users_law,
 )
 from kneexo.diagrams.part import Part, add_parts
-from kneexo.diagrams.protection import connect_protection, protection_parts
+from kneexo.diagrams.protection import connect_protection, plausible_ports, protection_parts
 from kneexo.diagrams.signals import CONTROLLER_SIGNALS, SIGNALS
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
@@ -63,8 +63,8 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
     not ``exact``. More outputs: ``measured_knee_angle``, ``measured_rod_extension`` and
     ``rod_reference``. An estimator adds ``estimated_state``, the sliding-mode law adds
     ``sliding_variable``, and the torque controller adds ``desired_torque``. Protection adds the
-    subsystems ``detectors`` (`FaultDetectors`), which gets the reading of the encoder before
-    ``coordinates``, and ``supervisor`` (`SafetySupervisor`), through which the command passes. Its
+    subsystems ``detectors`` (`FaultDetectors`), which replaces the coordinates of implausible
+    readings, and ``supervisor`` (`SafetySupervisor`), through which the command passes. Its
     outputs are ``residuals``, ``safety_state``, ``safety_reason`` and ``bypass``.
 
     The ports of a law of the user decide what the law is connected to: see `LawParameters`. A law
@@ -105,12 +105,10 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
             "rod_reference": rod_reference.get_output_port(),
         }
         reference, reading = rod_reference.get_input_port(), coordinates.get_input_port()
-        if "detectors" in subsystems:  # they replace implausible readings
-            sources["encoder_reading"] = subsystems["detectors"].GetOutputPort("encoder_reading")
-            builder.Connect(sources["encoder_reading"], reading)
-            reading = subsystems["detectors"].GetInputPort("encoder_reading")
         inputs["knee_reference"] = builder.ExportInput(reference, "knee_reference")
         inputs["encoder_reading"] = builder.ExportInput(reading, "encoder_reading")
+        if "detectors" in subsystems:
+            sources |= plausible_ports(builder, subsystems["detectors"], sources, inputs)
         outputs |= {
             "measured_knee_angle": sources["knee_angle"],
             "measured_rod_extension": sources["rod_extension"],

@@ -37,6 +37,23 @@ def protection_parts(scenario: Scenario, protection: ProtectionParameters) -> It
     )
 
 
+PLAUSIBLE = ("encoder_reading", "knee_angle", "rod_extension")
+"""Names of the ports whose implausible values the detectors replace."""
+
+
+def plausible_ports(
+    builder: Any, detectors: Any, sources: Mapping[str, Any], inputs: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Connect the detectors to reading and coordinates; return the ports of plausible values.
+
+    ``sources`` has the ports of the coordinates, ``inputs`` the exported input of the reading.
+    """
+    builder.ConnectInput(inputs["encoder_reading"], detectors.GetInputPort("encoder_reading"))
+    for name in ("knee_angle", "rod_extension"):
+        builder.Connect(sources[name], detectors.GetInputPort(name))
+    return {name: detectors.GetOutputPort(name) for name in PLAUSIBLE}
+
+
 def connect_protection(
     builder: Any,
     subsystems: Mapping[str, Any],
@@ -56,10 +73,10 @@ def connect_protection(
         "detected": detectors.GetOutputPort("detected"),
     }
     builder.Connect(command, supervisor.GetInputPort("motor_speed_command"))
-    for system, connected in ((detectors, "encoder_reading"), (supervisor, "motor_speed_command")):
+    for system, connected in ((detectors, PLAUSIBLE), (supervisor, ("motor_speed_command",))):
         for name in port_sizes(system, inputs=True):
             port = system.GetInputPort(name)
-            if name == connected:
+            if name in connected:
                 continue
             if name in sources:
                 builder.Connect(sources[name], port)

@@ -97,7 +97,8 @@ def make_firmware(
     ------
     ParameterError
         ``what``, ``vectors_s`` or ``step_s`` is wrong, or ``what`` is ``loop`` and the reference is
-        sampled or the wearer's moment is a table. `make_closed_loop` raises this error too.
+        sampled or the wearer's moment is a table, or there is ``look_up`` for a controller with
+        protection. `make_closed_loop` raises this error too.
     CompilationError
         The diagram cannot be exported: see `CSource`.
     SimulationError
@@ -156,6 +157,11 @@ def _firmware(
         raise ParameterError(
             f"vectors_s = {vectors_s:g} s: must be {sample_time_s:g} … {duration_s:g} s, the "
             f"scenario's sample time and duration"
+        )
+    if look_up and scenario.protection is not None:
+        raise ParameterError(
+            "look_up: the tables have no row for a count at which the linkage cannot close, which "
+            "protection accepts; leave out look_up or protection"
         )
     target = make_target(scenario, what, counts=True)
     source = source_of(

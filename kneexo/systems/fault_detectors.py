@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any
 
 import pydrake.math as drake_math
@@ -43,8 +44,8 @@ class FaultDetectors(NamedLeaf):
     """Compares six residuals of the controller's signals with thresholds.
 
     With the reading y of the encoder, the last plausible reading y⁻ that is m samples old, the
-    measured rod extension x, the motor speed ω, the command u, the rod force F, and the time
-    constants T_f and T_s,
+    plausible rod extension x and knee angle θ, the motor speed ω, the command u, the rod force F,
+    and the time constants T_f and T_s,
 
     =========  =====  ============================================================
     detector   unit   residual
@@ -63,27 +64,30 @@ class FaultDetectors(NamedLeaf):
     counters of AUTOSAR do. A detector has detected a fault while its counter is n, so fewer than n
     outliers stop nothing. A residual that is not a number is above the threshold.
 
-    Readings with range or rate above the threshold are implausible. The controller gets y⁻ in their
-    place, so that an outlier does not reach the law, and the linkage can always be closed.
+    Readings with range or rate above the threshold are implausible. The controller gets the values
+    of the last plausible reading in their place. So an outlier does not reach the law, and neither
+    does a reading at which the linkage cannot be closed. The first reading counts as plausible.
 
     ===================  ====  =============  ====================================================
     input port           size  unit
     ===================  ====  =============  ====================================================
     encoder_reading      1     rad            y
-    rod_extension        1     m              x, computed from the plausible reading
+    knee_angle           1     rad            computed from y; nan where the linkage cannot close
+    rod_extension        1     m              computed from y, as the knee angle
     motor_speed          1     rad/s          ω as the drive reports it
     motor_speed_command  1     rad/s          u
-    knee_angle           1     rad            θ, only if ``follows``
     knee_reference       4     rad, rad/s, …  θ_ref and derivatives, only if ``follows``
     measured_force       2     N, s           F and its age, only if ``measures_force``
     **output port**
     encoder_reading      1     rad            y, or y⁻ for an implausible y
+    knee_angle           1     rad            θ, that of the last plausible reading
+    rod_extension        1     m              x, that of the last plausible reading
     residuals            6     see above      in the order of `DETECTORS`
     detected             6     1              1 for a detector that has detected a fault, else 0
     ===================  ====  =============  ====================================================
 
-    Discrete states, updated every ``sample_time_s``: m, which is 0 before the first sample, y⁻, x,
-    r, s and the counters. Context parameters by name: the thresholds ``range_threshold``, …,
+    Discrete states, updated every ``sample_time_s``: m, which is 0 before the first sample, y⁻, θ,
+    x, r, s and the counters. Context parameters by name: the thresholds ``range_threshold``, …,
     ``flow_s`` (T_f), ``speed_s`` (T_s), ``trip_samples`` (n), ``reading_min_rad``,
     ``reading_max_rad``, ``travel_m_per_rad`` (c_ω) and ``leakage_m_per_s_n`` (c_F). Source: an
     assumption. Lee et al. 2020 have no detectors.
@@ -118,31 +122,31 @@ class FaultDetectors(NamedLeaf):
         )
         self._sample_time, self._follows = sample_time_s, follows
         self._measures_force = measures_force
-        self._reading = self.DeclareVectorInputPort("encoder_reading", 1)
-        self._extension = self.DeclareVectorInputPort("rod_extension", 1)
+        names = ("encoder_reading", "knee_angle", "rod_extension")
+        self._encoder = [self.DeclareVectorInputPort(name, 1) for name in names]
         self._speed = self.DeclareVectorInputPort("motor_speed", 1)
         self._command = self.DeclareVectorInputPort("motor_speed_command", 1)
+        sources = [self._encoder[0], self.xd_ticket()]
         others = []
         if follows:
-            self._angle = self.DeclareVectorInputPort("knee_angle", 1)
             self._reference = self.DeclareVectorInputPort("knee_reference", 4)
-            others += [self._angle, self._reference]
+            others += [self._encoder[1], self._reference]
         if measures_force:
             self._force = self.DeclareVectorInputPort("measured_force", 2)
             others.append(self._force)
-        self._declare_update(sample_time_s, 5 + len(DETECTORS), self._update)
-        declare, state = self._declare_output, self.xd_ticket()
-        self._plausible = declare(
-            "encoder_reading", 1, lambda c: [self._plausible_reading(c)], self._reading, state
+        self._declare_update(sample_time_s, 6 + len(DETECTORS), self._update)
+        self._plausible = [
+            self._declare_output(name, 1, partial(self._calc_plausible, index), port, *sources)
+            for index, (name, port) in enumerate(zip(names, self._encoder, strict=True))
+        ]
+        self._residuals = self._declare_output(
+            "residuals", len(DETECTORS), self._calc_residuals, *sources, *others
         )
-        self._residuals = declare(
-            "residuals", 6, self._calc_residuals, self._reading, state, *others
-        )
-        declare("detected", 6, self._detected, state)
+        self._declare_output("detected", len(DETECTORS), self._calc_detected, self.xd_ticket())
 
     def _encoder_residuals(self, context: Any) -> tuple[Any, Any]:
         """Return the residuals range and rate."""
-        p, reading = self.parameters(context), self._reading.Eval(context)[0]
+        p, reading = self.parameters(context), self._encoder[0].Eval(context)[0]
         age, last, *_ = discrete_state(context)
         middle = 0.5 * (p.reading_min_rad + p.reading_max_rad)
         distance = drake_math.abs(_within_half_a_turn(reading - middle))
@@ -157,31 +161,32 @@ class FaultDetectors(NamedLeaf):
         slow = where_positive(p.rate_threshold - rate, 1.0, 0.0)
         return where_positive(p.range_threshold - beyond, slow, 0.0)
 
-    def _plausible_reading(self, context: Any) -> Any:
-        p, reading = self.parameters(context), self._reading.Eval(context)[0]
-        age, last, *_ = discrete_state(context)
-        limited = clip(reading, p.reading_min_rad, p.reading_max_rad)
-        substitute = where_positive(age, last, limited)
-        return where_positive(self._is_plausible(context), reading, substitute)
+    def _calc_plausible(self, index: int, context: Any) -> list[Any]:
+        """Return reading, knee angle or rod extension, by index, or that of the last reading."""
+        age, *last = discrete_state(context)
+        value = self._encoder[index].Eval(context)[0]
+        held = where_positive(age, last[index], value)
+        return [where_positive(self._is_plausible(context), value, held)]
 
     def _calc_residuals(self, context: Any) -> list[Any]:
-        _, _, _, travel, speed, *_ = discrete_state(context)
+        _, _, _, _, travel, speed, *_ = discrete_state(context)
         force = self._force.Eval(context)[0] if self._measures_force else 0.0
         following = 0.0
         if self._follows:
-            following = self._reference.Eval(context)[0] - self._angle.Eval(context)[0]
+            following = self._reference.Eval(context)[0] - self._plausible[1].Eval(context)[0]
         others = (travel, force, speed, following)
         return [*self._encoder_residuals(context), *(drake_math.abs(value) for value in others)]
 
-    def _detected(self, context: Any) -> list[Any]:
+    def _calc_detected(self, context: Any) -> list[Any]:
         n = self.parameters(context).trip_samples
         counts = discrete_state(context)[-len(DETECTORS) :]
         return [where_positive(count - n + 0.5, 1.0, 0.0) for count in counts]
 
     def _update(self, context: Any) -> list[Any]:
         p, dt = self.parameters(context), self._sample_time
-        age, _, before, travel, slip, *counts = discrete_state(context)
-        extension, speed = self._extension.Eval(context)[0], self._speed.Eval(context)[0]
+        age, _, _, before, travel, slip, *counts = discrete_state(context)
+        reading, angle, extension = (port.Eval(context)[0] for port in self._plausible)
+        speed = self._speed.Eval(context)[0]
         by_motor = p.travel_m_per_rad * speed
         if self._measures_force:
             by_motor = by_motor - p.leakage_m_per_s_n * self._force.Eval(context)[0]
@@ -198,7 +203,7 @@ class FaultDetectors(NamedLeaf):
             clip(c + step, 0.0, p.trip_samples) for c, step in zip(counts, steps, strict=True)
         ]
         age = where_positive(self._is_plausible(context), 1.0, age + 1.0)
-        return [age, self._plausible.Eval(context)[0], extension, travel, slip, *counts]
+        return [age, reading, angle, extension, travel, slip, *counts]
 
 
 def _within_half_a_turn(angle: Any) -> Any:

@@ -138,7 +138,7 @@ def test_laws_of_users_are_protected():
 def test_the_torque_controller_follows_no_reference():
     system = make_controller(Scenario.preset("wearer").changed({"protection": {}}))
     detectors = system.GetSubsystemByName("detectors")
-    assert not detectors.HasInputPort("knee_angle")
+    assert not detectors.HasInputPort("knee_reference")
     assert detectors.HasInputPort("measured_force")
     assert not make_controller(BASE).GetSubsystemByName("detectors").HasInputPort("measured_force")
 
@@ -181,6 +181,20 @@ def test_exports_have_the_protection(tmp_path):
         export_fmu(scenario, tmp_path, "loop").outputs
     )
     assert export_sil(BASE, tmp_path / "sil").replay.passed
+
+
+@pytest.mark.slow
+def test_exported_c_gets_over_counts_at_which_the_linkage_cannot_close(tmp_path):
+    """Each step of the replay has the status 0."""
+    scenario = with_faults({"kind": "offset", "size": 150.0, "start_s": 0.2})
+    replay = export_firmware(scenario, tmp_path, "controller").replay
+    assert replay.passed
+    assert replay.largest["safety_reason"] == REASONS.index("range")
+
+
+def test_tables_by_the_count_refuse_protection(tmp_path):
+    with pytest.raises(ParameterError, match="look_up: the tables have no row for a count"):
+        export_firmware(BASE, tmp_path, look_up=True)
 
 
 def test_a_page_refuses_protection():

@@ -32,7 +32,8 @@ def detectors(follows=True, measures_force=True, **values):
 def run(system, samples, **rows):
     """Outputs at each sample, before the update. ``rows`` has the sequence of an input port."""
     context = system.CreateDefaultContext()
-    found = {"encoder_reading": [], "residuals": [], "detected": []}
+    names = ("encoder_reading", "knee_angle", "rod_extension", "residuals", "detected")
+    found = {name: [] for name in names}
     for sample in range(samples):
         for name, value in QUIET.items():
             if system.HasInputPort(name):
@@ -67,14 +68,19 @@ def test_rate_is_the_change_since_the_last_plausible_reading_and_a_wrap_is_no_ju
 
 def test_an_outlier_does_not_reach_the_law():
     readings = np.array([2.0, 2.001, 2.5, math.nan, 2.002, 9.0, 2.003])
-    plausible = run(detectors(), 7, encoder_reading=readings)["encoder_reading"][:, 0]
-    np.testing.assert_array_equal(plausible, [2.0, 2.001, 2.001, 2.001, 2.002, 2.002, 2.003])
+    angles = np.where(readings < 2.1, 0.1 * readings, math.nan)  # the linkage cannot close
+    rows = {"encoder_reading": readings, "knee_angle": angles, "rod_extension": 2.0 * angles}
+    found = run(detectors(), 7, **rows)
+    expected = np.array([2.0, 2.001, 2.001, 2.001, 2.002, 2.002, 2.003])
+    np.testing.assert_array_equal(found["encoder_reading"][:, 0], expected)
+    np.testing.assert_array_equal(found["knee_angle"][:, 0], 0.1 * expected)
+    np.testing.assert_array_equal(found["rod_extension"][:, 0], 2.0 * (0.1 * expected))
+    assert np.isfinite(found["residuals"][:, 2:]).all()
 
 
-@pytest.mark.parametrize(("reading", "expected"), [(0.5, 1.0), (3.5, 3.0), (2.9, 2.9)])
-def test_the_first_reading_is_limited_to_the_range(reading, expected):
-    plausible = run(detectors(), 1, encoder_reading=[reading])["encoder_reading"]
-    assert plausible == expected
+def test_the_first_reading_passes():
+    found = run(detectors(), 2, encoder_reading=[0.5, 0.5], knee_angle=[0.3, 0.4])
+    assert found["knee_angle"][:, 0].tolist() == [0.3, 0.3]
 
 
 def test_flow_is_the_travel_on_which_encoder_and_motor_disagree():
@@ -131,7 +137,7 @@ def test_following_and_load_cell_are_absolute_values():
 @pytest.mark.parametrize("name", ["following", "load_cell"])
 def test_a_loop_without_the_signal_has_no_residual(name):
     system = detectors(follows=name != "following", measures_force=name != "load_cell")
-    port = {"following": "knee_angle", "load_cell": "measured_force"}[name]
+    port = {"following": "knee_reference", "load_cell": "measured_force"}[name]
     assert not system.HasInputPort(port)
     assert run(system, 3)["residuals"][:, COLUMN[name]].tolist() == [0.0, 0.0, 0.0]
 
@@ -173,11 +179,10 @@ def test_the_thresholds_are_those_of_the_parameters_in_si_units():
 def test_scalars_dependencies_and_parameters(leaf):
     system = detectors()
     structure = leaf.structure(system)
-    assert structure.outputs == {"encoder_reading": 1, "residuals": 6, "detected": 6}
-    assert structure.discrete == [11]
-    assert {source for source, name in structure.feedthrough if name == "encoder_reading"} == {
-        "encoder_reading"
-    }
+    assert list(structure.outputs.values()) == [1, 1, 1, 6, 6]
+    assert structure.discrete == [12]
+    sources = {source for source, name in structure.feedthrough if name == "knee_angle"}
+    assert sources == {"encoder_reading", "knee_angle"}
     assert not [source for source, name in structure.feedthrough if name == "detected"]
     inputs = {
         "encoder_reading": [(1.9, 2.1)],
@@ -188,5 +193,13 @@ def test_scalars_dependencies_and_parameters(leaf):
         "knee_reference": [(0.4, 0.41), (0, 1), (0, 1), (0, 1)],
         "measured_force": [(10.0, 20.0), (0.0, 0.002)],
     }
-    state = [(0.9, 1.1), (1.8, 1.85), (0.05, 0.08), (1e-3, 2e-3), (5.0, 6.0), *[(1.6, 2.4)] * 6]
+    state = [
+        (0.9, 1.1),
+        (1.8, 1.85),
+        (0.5, 0.6),
+        (0.05, 0.08),
+        (1e-3, 2e-3),
+        (5.0, 6.0),
+        *[(1.6, 2.4)] * 6,
+    ]
     leaf.Probe(system, inputs, state, spread=1e-3).check_contract(flow_s=0.5, travel_m_per_rad=1e-3)
