@@ -18,6 +18,7 @@ RISING = {"reference": sit_to_stand_reference(8.0, 2), "simulation.duration_s": 
 WALK = {"reference": gait_reference(1 / GAIT_STRIDE_S, 10), "simulation.duration_s": 8.9}
 CASES = {  # scenario, changed values, share of the runs
     "training, 0.1 Hz sine": (UNCERTAIN_KNEE, {}, 1.0),
+    "training with PID": (UNCERTAIN_KNEE, {"controller": "pid"}, 0.1),
     "strides of 20 s": (UNCERTAIN_KNEE, STRIDES, 0.1),
     "sit to stand in 8 s": (UNCERTAIN_KNEE, RISING, 0.1),
     "preset leg, training": (Scenario.preset("leg"), {}, 0.1),

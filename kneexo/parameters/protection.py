@@ -32,7 +32,12 @@ class ProtectionParameters(Parameters):
     )
     speed_s: float = quantity(0.1, "s", "assumption: time constant of its low-pass", ge=0.01, le=60)
     following_deg: float = quantity(
-        3.0, "deg", "assumption: reference minus measured knee angle", ge=0.01, le=360
+        6.0,
+        "deg",
+        "assumption: reference minus measured knee angle; healthy knees with the PID of the paper "
+        "reach 4.5, those with SMC 0.8",
+        ge=0.01,
+        le=360,
     )
     trip_s: float = quantity(
         0.010, "s", "assumption: five samples, so that single outliers stop nothing", ge=0, le=10
