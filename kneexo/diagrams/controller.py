@@ -10,6 +10,7 @@ from pydrake.systems.primitives import Saturation, ZeroOrderHold
 
 from kneexo import systems
 from kneexo.diagrams.law import (
+    connect_inputs,
     held_command,
     known_to_controller,
     law_inputs,
@@ -118,16 +119,7 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
         builder.Connect(sources["rod_extension"], subsystems["estimator"].get_input_port())
         sources["estimated_state"] = subsystems["estimator"].get_output_port()
         outputs["estimated_state"] = sources["estimated_state"]
-    for law_input in port_sizes(law, inputs=True):
-        port = law.GetInputPort(law_input)
-        # Without an estimator the true state of the rod takes the place of the estimated state.
-        input_name = "rod_state" if law_input == "estimated_state" else law_input
-        if law_input in sources:
-            builder.Connect(sources[law_input], port)
-        elif input_name in inputs:
-            builder.ConnectInput(inputs[input_name], port)
-        else:
-            inputs[input_name] = builder.ExportInput(port, input_name)
+    connect_inputs(builder, law, sources, inputs)
     if "supervisor" in subsystems:
         outputs |= connect_protection(builder, subsystems, sources, inputs, command)
     for name in SIGNALS:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Collection, Hashable, Mapping
 from typing import Any, NamedTuple, TypeVar, cast
 
 from pydrake.systems.framework import System
@@ -132,6 +132,42 @@ def port_sizes(system: System, *, inputs: bool = False) -> dict[str, int]:
     else:
         ports = map(system.get_output_port, range(system.num_output_ports()))
     return {port.get_name(): port.size() for port in ports}
+
+
+def connect_inputs(
+    builder: Any,
+    system: System,
+    sources: Mapping[str, Any],
+    inputs: dict[str, Any],
+    connected: Collection[str] = (),
+) -> None:
+    """Connect the input ports of a part of the controller, by their names.
+
+    Parameters
+    ----------
+    builder
+        The DiagramBuilder of the controller.
+    system
+        The part.
+    sources
+        Output ports inside the controller by name.
+    inputs
+        Input ports of the controller by name. A port that is in neither mapping becomes one more.
+    connected
+        Names of the ports that are connected already.
+    """
+    for name in port_sizes(system, inputs=True):
+        port = system.GetInputPort(name)
+        # Without an estimator the true state of the rod takes the place of the estimated state.
+        input_name = "rod_state" if name == "estimated_state" else name
+        if name in connected:
+            continue
+        if name in sources:
+            builder.Connect(sources[name], port)
+        elif input_name in inputs:
+            builder.ConnectInput(inputs[input_name], port)
+        else:
+            inputs[input_name] = builder.ExportInput(port, input_name)
 
 
 def require_ports(system: System, subject: str) -> None:

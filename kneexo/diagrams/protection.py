@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from kneexo import linkage, systems
-from kneexo.diagrams.law import port_sizes
+from kneexo.diagrams.law import connect_inputs
 from kneexo.diagrams.part import Part
 from kneexo.parameters import LinkageParameters, ProtectionParameters, Scenario
 from kneexo.systems import fault_detectors, safety_supervisor
@@ -73,24 +73,14 @@ def connect_protection(
         "detected": detectors.GetOutputPort("detected"),
     }
     builder.Connect(command, supervisor.GetInputPort("motor_speed_command"))
-    for system, connected in ((detectors, PLAUSIBLE), (supervisor, ("motor_speed_command",))):
-        for name in port_sizes(system, inputs=True):
-            port = system.GetInputPort(name)
-            if name in connected:
-                continue
-            if name in sources:
-                builder.Connect(sources[name], port)
-            elif name in inputs:
-                builder.ConnectInput(inputs[name], port)
-            else:
-                inputs[name] = builder.ExportInput(port, name)
+    connect_inputs(builder, detectors, sources, inputs, PLAUSIBLE)
+    connect_inputs(builder, supervisor, sources, inputs, ("motor_speed_command",))
     return {
         "motor_speed_command": sources["motor_speed_command"],
         "residuals": detectors.GetOutputPort("residuals"),
-        **{
-            name: supervisor.GetOutputPort(name)
-            for name in ("safety_state", "safety_reason", "bypass")
-        },
+        "safety_state": supervisor.GetOutputPort("safety_state"),
+        "safety_reason": supervisor.GetOutputPort("safety_reason"),
+        "bypass": supervisor.GetOutputPort("bypass"),
     }
 
 
