@@ -89,6 +89,14 @@ def check_metrics(metrics, result):
 
 
 def check_run(answer, result):
+    """Compare curves and metrics.
+
+    Rounding can decide whether a substep of the Rosenbrock method is good. A relative change of
+    1e-15 of the mass moves a sample of a pushed leg by 1.3e-8 of the largest pressure. So the
+    curves may differ by a tenth of the method's tolerance of 1e-6.
+    """
+    stiff = result.run.settings.integrator == "rosenbrock"
+    share = 1e-7 if stiff else 1e-8
     for name, column in {
         "angle": "knee_angle_rad",
         "reference": "knee_reference_rad",
@@ -97,7 +105,7 @@ def check_run(answer, result):
     }.items():
         expected = result[column]
         size = np.max(np.abs(expected))
-        np.testing.assert_allclose(answer["columns"][name], expected, rtol=0.0, atol=1e-8 * size)
+        np.testing.assert_allclose(answer["columns"][name], expected, rtol=0.0, atol=share * size)
     np.testing.assert_array_equal(answer["time"], result.run.time_s)
     check_metrics(answer["metrics"], result)
 
