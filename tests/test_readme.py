@@ -128,9 +128,20 @@ def section(title):
 
 
 def test_the_example_of_the_scenario_files_runs(tmp_path, capsys):
-    others = SCENARIO_FILES.replace(section("Faults"), "").replace(section("Protection"), "")
+    others = SCENARIO_FILES
+    for title in ("Faults", "Protection", "Safe states"):
+        others = others.replace(section(title), "")
     example = block("python", others)
     assert 1.0 < float(output_of(example, tmp_path, capsys)) < 90.0
+
+
+@pytest.mark.slow
+def test_the_examples_of_protection_run(tmp_path, capsys):
+    path = tmp_path / "scenario.yaml"
+    path.write_text(block("yaml", section("Protection")), encoding="utf-8")
+    assert load_scenario(path).protection.following_deg == 2.0
+    lines = output_of(block("python", section("Protection")), tmp_path, capsys).splitlines()
+    assert lines[0] == "3 healthy runs, 0.025 h, 0 failed, 0 false alarms"
 
 
 @pytest.mark.slow
@@ -144,11 +155,8 @@ def test_the_examples_of_faults_run(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_the_examples_of_protection_run(tmp_path, capsys):
-    path = tmp_path / "scenario.yaml"
-    path.write_text(block("yaml", section("Protection")), encoding="utf-8")
-    assert load_scenario(path).protection.following_deg == 2.0
-    lines = output_of(block("python", section("Protection")), tmp_path, capsys).splitlines()
+def test_the_example_of_safe_states_runs(tmp_path, capsys):
+    lines = output_of(block("python", section("Safe states")), tmp_path, capsys).splitlines()
     assert [line.partition(":")[0] for line in lines] == ["zero_speed", "bypass"]
     largest = [float(line.split()[3]) for line in lines]  # 120 and 9 N·m
     assert largest[0] > 5.0 * largest[1] > 10.0
