@@ -159,10 +159,10 @@ class FourBarKnee(NamedLeaf):
         if not self.margin(context) >= 0.0:
             p = self.parameters(context)
             angle = f"= {math.degrees(self._pose(context)[0]):.6g}"
-            t = _argument(p, self._extension.Eval(context)[0])
-            if abs(t) > 1.0:  # outside their range the polynomials give no knee angle
-                low, high = FIT_RANGE_DEG
-                angle = f"> {high:g}" if t > 1.0 else f"< {low:g}"
+            # Outside their range the polynomials give no knee angle. A run that ends there has
+            # passed one end with a wrong moment arm, which can throw the rod to the other end.
+            if abs(_argument(p, self._extension.Eval(context)[0])) > 1.0:
+                angle = "outside {:g} … {:g}".format(*FIT_RANGE_DEG)
             raise SimulationError(
                 f"t = {context.get_time():.6g} s: {self.get_name()}: knee_angle {angle} deg left "
                 f"the range of motion "

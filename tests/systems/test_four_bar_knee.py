@@ -232,7 +232,11 @@ def test_the_margin_is_the_way_to_the_nearer_end_and_its_overshoot(angle_deg, re
 
 @pytest.mark.parametrize(
     ("extension", "words"),
-    [(-0.02, "knee_angle > 91 deg left"), (0.17, "knee_angle < -2 deg left"), (0.1483, "= -0.4")],
+    [
+        (-0.02, "knee_angle outside -2 … 91 deg left"),
+        (0.17, "knee_angle outside -2 … 91"),
+        (0.1483, "= -0.4"),
+    ],
 )
 def test_no_angle_is_named_where_the_polynomials_give_none(extension, words):
     # At −20 mm the polynomial of θ_p gives 103 deg, and at −1 m 4e14 deg.
