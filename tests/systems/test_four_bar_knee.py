@@ -264,6 +264,6 @@ def test_extension_without_a_knee_angle_raises_instead_of_hanging(extension):
     context = system.CreateDefaultContext()
     system.GetInputPort("rod_extension").FixValue(context, extension)
     with pytest.raises(
-        SimulationError, match=r"^t = 0 s: knee: knee_angle [=<>] [^\n]* left the range"
+        SimulationError, match=r"^t = 0 s: knee: knee_angle (=|outside) [^\n]* left the range"
     ):
         Simulator(system, context).AdvanceTo(0.1)
