@@ -11,7 +11,8 @@ class ProtectionParameters(Parameters):
 
     Each detector compares a residual with a threshold. It has detected a fault when the residual
     has been above the threshold for ``trip_s`` longer than below it. The default thresholds are
-    above the levels of all healthy runs of ``benchmarks/false_alarms.py``.
+    above the levels of all runs with position control in ``benchmarks/false_alarms.py``, except
+    for strides that are too fast for the pump.
     """
 
     range_deg: float = quantity(
