@@ -57,8 +57,8 @@ class ProtectionParameters(Parameters):
     following_deg: float = quantity(
         6.0,
         "deg",
-        "assumption: reference minus measured knee angle; 10,000 healthy runs reach 0.8134 deg, and "
-        "1,000 with the PID of the paper 4.561 deg, benchmarks/false_alarms.py",
+        "assumption: reference minus measured knee angle; 10,000 healthy runs reach 0.8134 deg, "
+        "and 1,000 with the PID of the paper 4.561 deg, benchmarks/false_alarms.py",
         ge=0.01,
         le=360,
     )

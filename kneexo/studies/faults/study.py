@@ -237,7 +237,7 @@ def faults_study(
     rows: list[FaultRow] = []
     cases: list[tuple[Scenario, FaultParameters]] = []
     with open_sweep(**options) as sweep:
-        for loop in [scenario.changed({"controller": kind}) for kind in kinds] or [scenario]:
+        for loop in [_controlled(scenario, kind) for kind in kinds] or [scenario]:
             items = [
                 (cause, fault.changed({"start_s": start_s, "duration_s": None}))
                 for (cause, fault), start_s in product(given, starts_s)
@@ -261,6 +261,12 @@ def faults_study(
         healthy_hours=settings.samples * scenario.duration_s / 3600.0,
         traces=_traces(*cases[worst]),
     )
+
+
+def _controlled(scenario: Scenario, kind: str) -> Scenario:
+    """Return the scenario with a controller of this kind, which is its own if it has one."""
+    same = scenario.controller.kind == kind
+    return scenario if same else scenario.changed({"controller": kind})
 
 
 def urgency(row: FaultRow) -> tuple[float, float, float]:
@@ -316,6 +322,7 @@ def _assess(
     alone, protected = _without(scenario), _with(scenario)
     healthy = simulate(alone, signals=_signals(alone))
     case = fault_case(alone, healthy, bound_deg, fault)
+    start = int(np.searchsorted(healthy.time_s, fault.start_s - 1e-9))
     run, complete = _run(alone, fault)
     deviation = _deviation_deg(run, healthy)
     found: dict[str, Any] = {
@@ -324,7 +331,7 @@ def _assess(
         "detector": "",
         "detected_after_s": math.inf,
         "safe_after_s": math.inf,
-        "alone": _peaks(run, healthy, None) | {"complete": complete},
+        "alone": _peaks(run, healthy, slice(start, None)) | {"complete": complete},
     }
     run, complete = _run(protected, fault)
     after = run.time_s - fault.start_s
@@ -336,7 +343,8 @@ def _assess(
     end = None
     if safe.size:
         found["safe_after_s"], end = float(after[safe[0]]), int(safe[0]) + 1
-    found["protected"] = _peaks(run, healthy, end) | {"complete": complete or end is not None}
+    peaks = _peaks(run, healthy, slice(start, end))
+    found["protected"] = peaks | {"complete": complete or end is not None}
     return found
 
 
@@ -393,13 +401,14 @@ def _deviation_deg(run: Run, healthy: Run) -> Array:
     return np.degrees(angle - other[: angle.size])
 
 
-def _peaks(run: Run, healthy: Run, end: int | None) -> dict[str, Any]:
-    """Return the largest values up to the sample ``end``."""
-    return {
-        "deviation_deg": float(np.max(np.abs(_deviation_deg(run, healthy)[:end]))),
-        "torque_n_m": float(np.max(np.abs(_torque(run)[:end]))),
-        "pressure_mpa": 1e-6 * float(np.max(np.abs(_pressure(run)[:end]))),
+def _peaks(run: Run, healthy: Run, part: slice) -> dict[str, Any]:
+    """Return the largest values in a part of the samples."""
+    values = {
+        "deviation_deg": _deviation_deg(run, healthy),
+        "torque_n_m": _torque(run),
+        "pressure_mpa": 1e-6 * _pressure(run),
     }
+    return {name: float(np.max(np.abs(value[part]))) for name, value in values.items()}
 
 
 def _torque(run: Run) -> Array:

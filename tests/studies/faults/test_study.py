@@ -9,12 +9,12 @@ from faults_cases import made_up, row
 
 from kneexo.analysis import fault_survival
 from kneexo.errors import ParameterError
-from kneexo.parameters import UNCERTAIN_KNEE, FaultParameters
+from kneexo.parameters import UNCERTAIN_KNEE, FaultParameters, PidParameters
 from kneexo.parameters.safety_states import REASONS
 from kneexo.simulation import simulate
 from kneexo.studies.faults import FaultsSettings, faults_study
 from kneexo.studies.faults.report import report
-from kneexo.studies.faults.study import _starts
+from kneexo.studies.faults.study import _controlled, _starts
 
 DEAD = FaultParameters(place="command", kind="scale", size=0.0)
 SWAPPED = FaultParameters(place="command", kind="scale", size=-1.0)
@@ -45,9 +45,10 @@ def test_a_row_is_that_of_single_runs(result):
             deviation = np.degrees(run["knee_angle_rad"]) - healthy
             assert found.alone.deviation_deg == pytest.approx(np.abs(deviation).max(), rel=1e-12)
             assert found.flexes == (deviation[np.abs(deviation).argmax()] > 0.0)
-            torque = np.abs(run["rod_force_n"] * run["moment_arm_m"]).max()
+            late = run.time_s >= found.start_s - 1e-9
+            torque = np.abs(run["rod_force_n"] * run["moment_arm_m"])[late].max()
             assert found.alone.torque_n_m == pytest.approx(torque, rel=1e-12)
-            assert found.alone.pressure_mpa == 1e-6 * np.abs(run["load_pressure_pa"]).max()
+            assert found.alone.pressure_mpa == 1e-6 * np.abs(run["load_pressure_pa"])[late].max()
         run = simulate(faulty.changed({"protection": {}}))
         stopped = np.flatnonzero(run["safety_reason"])[0]
         assert found.detector == REASONS[int(run["safety_reason"][stopped])]
@@ -75,6 +76,12 @@ def test_healthy_runs_are_counted_and_a_low_threshold_stops_them():
     assert result.healthy_runs == 3
     assert result.healthy_hours == pytest.approx(3 * 9.5 / 3600.0)
     assert result.alarms == {"following": 2}
+
+
+def test_a_tuned_controller_stays_beside_the_other_one():
+    tuned = FAST.changed({"controller.lambda_per_s": 7.0})
+    assert _controlled(tuned, "smc") == tuned
+    assert _controlled(tuned, "pid").controller == PidParameters()
 
 
 def test_faults_begin_in_the_second_period_or_late_in_the_run():
