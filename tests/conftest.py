@@ -434,6 +434,8 @@ class _Browser:
         scale = 2 if phone else 1
         size = {"width": width, "height": height, "deviceScaleFactor": scale, "mobile": phone}
         self.call("Emulation.setDeviceMetricsOverride", **size)
+        # Of 50 entries Chromium drops the first that a script has left, which may be this page's.
+        self.call("Page.resetNavigationHistory")
         self.load(url=path.resolve().as_uri())
 
     def evaluate(self, script):

@@ -69,7 +69,7 @@ def test_a_fault_that_moves_the_knee_little_may_be_permanent():
     result = fault_survival(RAMP, [small], [0.6])
     assert math.isinf(result.worst.critical_duration_s)
     assert math.isnan(result.worst.failing_duration_s)
-    assert str(result).splitlines()[1] == "command offset 1: may be permanent"
+    assert str(result).splitlines()[1] == "command offset 1 rpm: may be permanent"
 
 
 @pytest.mark.slow
@@ -86,8 +86,8 @@ def test_faults_that_differ_by_seed_or_trigger_have_lines_of_their_own():
     faults = [FaultParameters(**noise), FaultParameters(**noise, seed=1, **when)]
     lines = str(fault_survival(RAMP, faults, [0.6])).splitlines()
     assert [line.partition(":")[0] for line in lines[1:]] == [
-        "encoder noise 0.1",
-        "encoder noise 0.1 seed 1 if knee_angle_rad > 0.5",
+        "encoder noise 0.1 deg",
+        "encoder noise 0.1 deg seed 1 if knee_angle_rad > 0.5",
     ]
 
 
