@@ -244,8 +244,8 @@ STUDIES = {
             "state, false alarms of healthy knees.",
             uncertain=True,
             stages=(
-                Stage("faults", 20.0, repeats=True),
-                Stage("healthy runs", 2.0),
+                Stage("faults", 140.0, repeats=True),
+                Stage("healthy runs", 3.0),
                 Stage(FIGURES, 0.5),
                 Stage(FILES, 2.0),
             ),
