@@ -22,6 +22,7 @@ def row(cause, fault, critical_s, detector, safe_s, *, start_s=10.0, flexes=True
         detected_after_s=0.5 * safe_s,
         safe_after_s=safe_s,
         protected=Peaks(4.567, 6.789, 1.234, True),
+        bound_deg=5.0,
     )
 
 

@@ -93,11 +93,14 @@ class FaultRow:
     protected: Peaks
     """Largest values until the safe state is reached."""
 
+    bound_deg: float
+    """Largest tolerated motion."""
+
     @property
     def is_made_worse(self) -> bool:
-        """Whether the motor does not obey a stop, and the knee moves farther than without it."""
-        moved, moved_alone = self.protected.deviation_deg, self.alone.deviation_deg
-        return bool(self.detector) and math.isinf(self.safe_after_s) and moved > moved_alone
+        """Whether the protection moves the knee beyond the bound, and farther than the fault."""
+        moved = self.protected.deviation_deg
+        return bool(self.detector) and moved > max(self.alone.deviation_deg, self.bound_deg)
 
     @property
     def margin_s(self) -> float:
@@ -245,7 +248,10 @@ def faults_study(
             _require_quiet(_with(loop))
             assess = partial(_assess, loop, settings.bound_deg)
             assessed = sweep.map(assess, items, "faults", group=_structure)
-            rows += [_row(loop, item, values) for item, values in zip(items, assessed, strict=True)]
+            rows += [
+                _row(loop, settings.bound_deg, item, values)
+                for item, values in zip(items, assessed, strict=True)
+            ]
             cases += [(loop, fault) for _, fault in items]
         kept, _ = applicable(scenario, uncertainty)
         points = draw(kept, settings.samples, settings.seed)
@@ -348,7 +354,9 @@ def _assess(
     return found
 
 
-def _row(scenario: Scenario, item: tuple[str, FaultParameters], found: dict[str, Any]) -> FaultRow:
+def _row(
+    scenario: Scenario, bound_deg: float, item: tuple[str, FaultParameters], found: dict[str, Any]
+) -> FaultRow:
     """Return the row of a fault whose effect is ``found`` by `_assess`."""
     cause, fault = item
     found = found | {name: Peaks(**found[name]) for name in ("alone", "protected")}
@@ -357,6 +365,7 @@ def _row(scenario: Scenario, item: tuple[str, FaultParameters], found: dict[str,
         cause=cause,
         fault=fault_name(fault),
         start_s=fault.start_s,
+        bound_deg=bound_deg,
         **found,
     )
 
