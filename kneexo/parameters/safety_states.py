@@ -49,7 +49,7 @@ STATES = {
     "starting": "the law acts; following and speed are not watched yet",
     "operating": "the law acts",
     "stopping": "the speed command falls to zero with a rate limit",
-    "stopped": "the speed command is zero, and the oil holds the knee",
+    "stopped": "the speed command is zero, and the oil holds the knee if the motor stands",
     "released": "the speed command is zero, and the bypass is open",
 }
 """The states by their number, with what the supervisor does in them."""

@@ -28,6 +28,12 @@ def clip(value: Any, lower: Any, upper: Any) -> Any:
     return _min(_max(value, lower), upper)
 
 
+def smooth_step(value: Any, band: Any) -> Any:
+    """Return a cubic step from exactly 0 at −``band`` to exactly 1 at ``band``."""
+    z = clip(0.5 + 0.5 * value / band, 0.0, 1.0)
+    return z * z * (3.0 - 2.0 * z)
+
+
 def where_positive(condition: Any, positive: Any, otherwise: Any) -> Any:
     """Return ``positive`` if ``condition`` > 0, else ``otherwise``; any scalar type of Drake."""
     if isinstance(condition, Expression):

@@ -14,9 +14,9 @@ from kneexo.systems._leaf import (
     clip,
     leaf_template,
     require_finite,
+    smooth_step,
     values_of,
 )
-from kneexo.systems.full_cylinder import share_open
 from kneexo.systems.state_variable import StateVariable
 
 RAD_S_PER_KRAD_S = 1e3
@@ -71,7 +71,7 @@ def derating(temperature: Any, p: Any) -> Any:
     ``p`` has the numbers of `ThermalParameters`.
     """
     middle = 0.5 * (p.derating_min_degc + p.derating_max_degc)
-    return share_open(middle - temperature, 0.5 * (p.derating_max_degc - p.derating_min_degc))
+    return smooth_step(middle - temperature, 0.5 * (p.derating_max_degc - p.derating_min_degc))
 
 
 def load_flow(speed: Any, pressure: Any, displacement: Any, gear_ratio: Any, leakage: Any) -> Any:

@@ -21,7 +21,7 @@ from kneexo.parameters import (
     CylinderParameters,
     FullCylinderParameters,
 )
-from kneexo.systems._leaf import clip, leaf_template
+from kneexo.systems._leaf import clip, leaf_template, smooth_step
 from kneexo.systems.cylinder import (
     Cylinder,
     EndStops,
@@ -42,12 +42,6 @@ def opening(excess: Any, band: Any) -> Any:
     return rounded * (excess - 0.5 * rounded) / band
 
 
-def share_open(difference: Any, band: Any) -> Any:
-    """Return a smooth step from exactly 0 at −``band`` to exactly 1 at ``band``."""
-    z = clip(0.5 + 0.5 * difference / band, 0.0, 1.0)
-    return z * z * (3.0 - 2.0 * z)
-
-
 def makeup_flow(
     pressure: Any, pilot: Any, *, reservoir: Any, conductance: Any, pilot_band: Any, band: Any
 ) -> Any:
@@ -58,7 +52,7 @@ def makeup_flow(
     pressure of the reservoir.
     """
     deficit = reservoir - pressure
-    piloted = share_open(pilot - pressure, pilot_band)
+    piloted = smooth_step(pilot - pressure, pilot_band)
     return conductance * (piloted * deficit + (1.0 - piloted) * opening(deficit, band))
 
 

@@ -15,7 +15,6 @@ from kneexo.systems.full_cylinder import (
     opening,
     relief_flow,
     seal_friction,
-    share_open,
 )
 
 # Lee et al. 2020, Tables 2 and 3: bore 20 mm, rod 10 mm.
@@ -316,13 +315,6 @@ def test_holding_pressures_balance_the_force_with_the_lower_line_at_the_reservoi
 )
 def test_opening_is_a_rounded_corner(excess, expected):
     assert opening(excess, 2.0) == expected
-
-
-@pytest.mark.parametrize(
-    ("difference", "expected"), [(-9.0, 0.0), (-2.0, 0.0), (0.0, 0.5), (2.0, 1.0), (9.0, 1.0)]
-)
-def test_share_open_is_a_smooth_step(difference, expected):
-    assert share_open(difference, 2.0) == expected
 
 
 def test_makeup_valve_is_one_way_unless_piloted():

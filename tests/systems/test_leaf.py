@@ -12,6 +12,7 @@ from kneexo.systems._leaf import (
     clip,
     discrete_state,
     leaf_template,
+    smooth_step,
     value_or_zero,
     where_positive,
 )
@@ -136,6 +137,13 @@ def test_clip_limits_all_scalars_and_keeps_the_derivative_inside(value, expected
     assert dual.value() == expected
     assert dual.derivatives().sum() == slope
     assert clip(Expression(x), -2.0, 5.0).Evaluate({x: value}) == expected
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"), [(-9.0, 0.0), (-2.0, 0.0), (0.0, 0.5), (2.0, 1.0), (9.0, 1.0)]
+)
+def test_the_smooth_step_is_exact_at_both_ends(value, expected):
+    assert smooth_step(value, 2.0) == expected
 
 
 def test_clip_does_not_hide_nan():

@@ -20,9 +20,16 @@ from kneexo.analysis.signals import period_s
 from kneexo.analysis.survival import fault_case, fault_name
 from kneexo.diagrams import available_signals
 from kneexo.errors import ParameterError, SimulationError
-from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, UncertaintySet
+from kneexo.parameters import (
+    UNCERTAIN_KNEE,
+    UNCERTAINTY,
+    ProtectionParameters,
+    Scenario,
+    UncertaintySet,
+)
 from kneexo.parameters.criteria import TOLERATED_DEVIATION_DEG
 from kneexo.parameters.fault import FaultParameters
+from kneexo.parameters.plant import RPM
 from kneexo.parameters.quantity import Parameters, choice, quantity
 from kneexo.parameters.safety_states import REASONS, STATES
 from kneexo.parameters.typical_faults import typical_faults
@@ -89,7 +96,7 @@ class FaultRow:
     """Name of the detector that found the fault, or an empty text."""
     detected_after_s: float
     safe_after_s: float
-    """Time from the start of the fault to the safe state; inf if it is not reached."""
+    """Time from the start of the fault until the motor stands or the bypass is open; else inf."""
     protected: Peaks
     """Largest values until the safe state is reached."""
 
@@ -191,13 +198,12 @@ def _flat(row: FaultRow) -> dict[str, Any]:
 
 
 _SIGNALS = (
-    *("knee_reference", "knee_angle", "load_pressure", "rod_force", "moment_arm"),
+    *("knee_reference", "knee_angle", "motor_speed", "load_pressure", "rod_force", "moment_arm"),
     *("interaction_torque", "chamber_pressures", "safety_state", "safety_reason"),
 )
 """Signals of the runs, as far as the scenario has them."""
 
-_SAFE = list(STATES).index("stopped")
-"""Number of the first safe state. All later states are safe too."""
+_STOPPED, _RELEASED = (list(STATES).index(state) for state in ("stopped", "released"))
 
 
 def faults_study(
@@ -325,6 +331,7 @@ def _assess(
 ) -> dict[str, Any]:
     """Return the effect of a fault as plain data; runs in a worker process."""
     _, fault = item
+    protection = scenario.protection or ProtectionParameters()
     alone, protected = _without(scenario), _with(scenario)
     healthy = simulate(alone, signals=_signals(alone))
     case = fault_case(alone, healthy, bound_deg, fault)
@@ -342,7 +349,7 @@ def _assess(
     run, complete = _run(protected, fault)
     after = run.time_s - fault.start_s
     detected = np.flatnonzero((after >= 0.0) & (run["safety_reason"] > 0.0))
-    safe = np.flatnonzero((after >= 0.0) & (run["safety_state"] >= _SAFE))
+    safe = np.flatnonzero((after >= 0.0) & _is_safe(run, protection))
     if detected.size:
         found["detector"] = REASONS[int(run["safety_reason"][detected[0]])]
         found["detected_after_s"] = float(after[detected[0]])
@@ -408,6 +415,17 @@ def _deviation_deg(run: Run, healthy: Run) -> Array:
     """Return the deviation of the knee at each sample of a run, positive in flexion."""
     angle, other = run["knee_angle_rad"], healthy["knee_angle_rad"]
     return np.degrees(angle - other[: angle.size])
+
+
+def _is_safe(run: Run, protection: ProtectionParameters) -> Any:
+    """Return for each sample whether the bypass is open, or the motor has stopped and stands.
+
+    A motor that does not obey turns on in the state ``stopped``, which it reaches when the stop is
+    overdue.
+    """
+    stands = np.abs(run["motor_speed_rad_s"]) < protection.standstill_rpm * RPM
+    state = run["safety_state"]
+    return (state == _RELEASED) | ((state == _STOPPED) & stands)
 
 
 def _peaks(run: Run, healthy: Run, part: slice) -> dict[str, Any]:

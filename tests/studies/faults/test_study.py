@@ -60,6 +60,20 @@ def test_a_row_is_that_of_single_runs(result):
 
 
 @pytest.mark.slow
+def test_a_motor_that_turns_on_after_an_overdue_stop_is_not_safe():
+    """A drive that adds 2000 rpm behind the supervisor gets to the state stopped, and turns on."""
+    drive = FaultParameters(place="command", kind="offset", size=2000.0)
+    settings = QUICK.changed({"faults": (drive,), "onsets": 1, "observed_s": 1.3})
+    (found,) = faults_study(FAST, settings).rows
+    scenario = FAST.changed({"protection": {}, "simulation.duration_s": 6.3})
+    run = simulate(scenario.changed({"faults": (drive.changed({"start_s": 5.0}),)}))
+    assert run["safety_state"][-1] == 3.0
+    assert abs(run["motor_speed_rad_s"][-1]) > 100.0
+    assert found.detector == "speed"
+    assert found.safe_after_s == math.inf
+
+
+@pytest.mark.slow
 def test_the_curves_are_those_of_the_worst_row(result):
     worst, traces = result.worst, result.traces
     assert worst.margin_s == min(r.margin_s for r in result.rows)
