@@ -367,7 +367,9 @@ class _Fit:
         turns = np.radians(np.arange(3600) / 10.0)
         weights = np.stack([np.cos(turns), np.sin(turns), np.ones(turns.size)])
         squares = np.sum(weights * (parts.T @ parts @ weights), axis=0)
-        turn = float(turns[np.argmin(squares)])
+        # Of the turns that are equal but for rounding errors the first counts: 0 for a hinge.
+        equal = squares <= np.min(squares) + 1e-12 * np.sum(np.abs(wanted) ** 2)
+        turn = float(turns[np.argmax(equal)])
         return turn - 2.0 * np.pi if turn > np.pi else turn
 
     def _columns(self) -> Array:
