@@ -32,9 +32,10 @@ _LATER = ("speed", "following")  # detectors that are not watched during the sta
 class DetectorThresholds(Result):
     """False alarms and levels of the residuals in healthy runs. `detector_thresholds` makes it.
 
-    The level of a residual in a run is the largest threshold at which the detector would have
+    The level of a detector in a run is the largest threshold at which the detector would have
     detected a fault. ``levels`` maps the name of a detector to the levels (trips, runs) in the unit
-    of its threshold, with a row for each of ``trips_s``.
+    of its threshold, with a row for each of ``trips_s``. The first of ``trips_s`` is that of the
+    protection.
     """
 
     protection: ProtectionParameters
@@ -77,8 +78,8 @@ class DetectorThresholds(Result):
     def plot(self, ax: Any = None) -> Any:
         """Plot the largest level, divided by the threshold, over the trip time; return the axes."""
         caption = (
-            "Largest residual of healthy runs that a detector would have taken for a fault, "
-            "divided by its threshold, over the time for which the residual is above it."
+            "Largest threshold at which a detector would have stopped a healthy run, divided by "
+            "its threshold, over the trip time. Above 1 the detector raises a false alarm."
         )
         ax = axes_or_new(ax, caption=caption)
         for (name, levels), colour in zip(self.levels.items(), SERIES, strict=False):

@@ -10,7 +10,7 @@ II, Eq. IV.7.25):
 The matrix is factorized without row exchanges, as in the Kinetic PreProcessor (Sandu et al. 1997,
 Atmos. Environ. 31). So the places of its nonzero elements are known when the code is made, and the
 code skips all others. A pivot that is zero or small makes the error estimate large or not finite.
-Then the step is repeated with a shorter one, in which 1/(γ h) dominates.
+Then the step is repeated with a shorter length, with which 1/(γ h) dominates.
 
 The substeps of a tick are the steps that meet the tolerance. Exported C and machine code have the
 coefficients, the order of the elimination and the control of the substeps from here.
@@ -52,9 +52,9 @@ class SubstepControl:
     least: float = 0.1
     most: float = 5.0
     whole: float = 0.9999
-    """Share of the rest of the tick from which a substep is stretched to the end of the tick."""
+    """A substep that is longer than this share of the rest of the tick ends with the tick."""
     share: float = 0.5
-    """Largest share of the rest of the tick for all other substeps, so that none is very short."""
+    """All other substeps take at most this share of the rest, so that none is very short."""
 
     @property
     def easy(self) -> float:
@@ -140,8 +140,7 @@ class Elimination:
     Attributes
     ----------
     entries
-        Places (row, column) of the elements of J on the diagonal and of those that are not always
-        zero.
+        Places (row, column) of the elements of J that are not always zero, and of its diagonal.
     size
         Number of elements of the factors: the elements of ``entries``, then those that the
         elimination adds, which are zero at first.

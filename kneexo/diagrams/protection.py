@@ -63,8 +63,8 @@ def connect_protection(
 ) -> dict[str, Any]:
     """Connect detectors and supervisor; return their output ports by name.
 
-    ``sources`` are ports inside the controller, ``inputs`` are the exported inputs so far, to which
-    more are added, and ``command`` is the port of the law's command.
+    ``sources`` are ports inside the controller. ``inputs`` are the exported inputs so far; the
+    inputs of an operator are added to them. ``command`` is the port of the law's command.
     """
     detectors, supervisor = subsystems["detectors"], subsystems["supervisor"]
     sources = {
@@ -85,11 +85,11 @@ def connect_protection(
 
 
 def reading_range_rad(scenario: Scenario) -> tuple[float, float]:
-    """Return the least and largest reading of the encoder in rad that the controller accepts.
+    """Return the least and largest reading of the encoder in rad within the range of motion.
 
-    The knee angle can exceed the range of motion by the allowed overshoot. θ_4 at both ends (Eq.
-    3–7), less the phase of the encoder, gives the readings. One count and the mounting error extend
-    the range at each end.
+    The detector ``range`` tolerates ``range_deg`` beyond it. The knee angle can exceed the range of
+    motion by the allowed overshoot. θ_4 at both ends (Eq. 3–7), less the phase of the encoder,
+    gives the readings. One count and the mounting error extend the range at each end.
     """
     encoder, plant = scenario.encoder, scenario.believed_plant
     knee = plant.knee

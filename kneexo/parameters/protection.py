@@ -9,10 +9,9 @@ from kneexo.parameters.safety_states import SafeState
 class ProtectionParameters(Parameters):
     """Detectors of faults beside the controller, and the supervisor that stops the motor.
 
-    Each detector compares a residual with a threshold. It has detected a fault when the residual
-    has been above the threshold for ``trip_s`` longer than below it. The default thresholds are
-    above the levels of all runs with position control in ``benchmarks/false_alarms.py``, except
-    for strides that are too fast for the pump.
+    Each detector compares a residual with a threshold; see `kneexo.systems.FaultDetectors`. The
+    default thresholds are above the levels of all runs with position control in
+    ``benchmarks/false_alarms.py``, except for strides that are too fast for the pump.
     """
 
     range_deg: float = quantity(
@@ -63,7 +62,12 @@ class ProtectionParameters(Parameters):
         le=360,
     )
     trip_s: float = quantity(
-        0.010, "s", "assumption: five samples, so that single outliers stop nothing", ge=0, le=10
+        0.010,
+        "s",
+        "assumption: five samples, to which the counter of a detector must rise, so that single "
+        "outliers stop nothing",
+        ge=0,
+        le=10,
     )
     healthy_s: float = quantity(
         0.1, "s", "assumption: time without a fault that ends the start", ge=0, le=60

@@ -1,4 +1,4 @@
-"""Faults that a designer examines first, with three sizes each and their usual causes."""
+"""Faults that a designer examines first, with one or three sizes each, and their usual causes."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ TYPICAL_FAULTS = (
     TypicalFault("encoder", "dropped", (0.1, 0.5, 0.9), "loose plug"),
     TypicalFault("encoder", "late", (2.0, 5.0, 10.0), "bus of the encoder overloaded"),
     TypicalFault("encoder", "bit_flip", (5.0, 8.0, 11.0), "bit of the word disturbed"),
-    TypicalFault("command", "scale", (0.5, 0.0, -1.0), "torque lost, motor dead, phases swapped"),
+    TypicalFault("command", "scale", (0.5, 0.0, -1.0), "command scaled, lost or reversed"),
     TypicalFault("command", "frozen", (0.0,), "command stale, the controller hangs"),
     TypicalFault("command", "offset", (100.0, 500.0, 2000.0), "scaling of the drive wrong"),
     TypicalFault("command", "late", (2.0, 5.0, 10.0), "bus of the drive overloaded"),
@@ -38,7 +38,7 @@ TYPICAL_FAULTS = (
     TypicalFault("load_cell", "offset", (10.0, 50.0, 200.0), "load cell overloaded"),
     TypicalFault("load_cell", "frozen", (0.0,), "converter hangs"),
     TypicalFault("plant.pump.speed_limit_rad_s", "value", (0.7, 0.4, 0.1), "speed limited"),
-    TypicalFault("plant.pump.lag_s", "value", (2.0, 5.0, 20.0), "current limit reduced"),
+    TypicalFault("plant.pump.lag_s", "value", (2.0, 5.0, 20.0), "motor accelerates slowly"),
     TypicalFault("plant.motor.supply_voltage_v", "value", (0.7, 0.4, 0.1), "supply sags"),
     TypicalFault("plant.motor.current_limit_a", "value", (0.5, 0.1, 0.0), "phase lost, motor dead"),
     TypicalFault("plant.motor.coulomb_torque_n_m", "value", (5.0, 20.0, 1000.0), "shaft locked"),

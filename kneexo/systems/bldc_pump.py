@@ -118,9 +118,9 @@ class BldcPump(NamedLeaf):
     With ``motor`` the drive asks for the torque that makes α_d, and gets what current and supply
     allow: J dω_m/dt = k_t i − T_l, with T_l = D_m P_L/gear + T_c tanh(ω_m/ω_0) + b ω_m and
     i = `limited_current` of J α_d + T_l. Within the limits dω_m/dt is α_d. A dead motor, with
-    i_max = 0, is no brake: the oil can drive it. One lost phase of three leaves a third of the mean
-    torque, and so of i_max. Its ripple is left out. With ``thermal`` the resistance R is that of
-    `warm_resistance`, and `derating` lowers i_max.
+    i_max = 0, is no brake: the oil can drive it. With six-step commutation one lost phase of three
+    leaves a third of the mean torque, and so of i_max. Its ripple is left out. With ``thermal`` the
+    resistance R is that of `warm_resistance`, and `derating` lowers i_max.
 
     ===================  ====  =======  ==============================================
     input port           size  unit

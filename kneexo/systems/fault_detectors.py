@@ -51,18 +51,19 @@ class FaultDetectors(NamedLeaf):
     detector   unit   residual
     =========  =====  ============================================================
     range      rad    y beyond its least or largest value
-    rate       rad/s  |y − y⁻|/(m T), less whole turns
+    rate       rad/s  |(y − y⁻) less whole turns|/(m T)
     flow       m      |r|, r ← (1 − T/T_f) r + x_k − x_{k−1} − T (c_ω ω − c_F F)
     load_cell  N      |F|
     speed      rad/s  |s|, s ← s + T (u − ω − s)/T_s
     following  rad    |θ_ref − θ|
     =========  =====  ============================================================
 
-    r is the travel on which encoder and motor disagree within T_f, with c_ω = D_m/(gear Ā) and the
-    leakage c_F = C/Ā². Without load cell F is absent, and leakage is part of r. A counter of each
-    residual goes up by one in a sample above the threshold, else down by one, within 0 … n, as the
-    counters of AUTOSAR do. A detector has detected a fault while its counter is n, so fewer than n
-    outliers stop nothing. A residual that is not a number is above the threshold.
+    r is a leaky integral: the travel on which encoder and motor disagree, forgotten with T_f, with
+    c_ω = D_m/(gear Ā) and the leakage c_F = C/Ā². Without load cell F is absent, and leakage is
+    part of r. Each detector has a counter, as in AUTOSAR's debouncing. In each sample the counter
+    goes up by one if the residual is above the threshold or not a number, else down by one, within
+    0 … n. The detector has detected a fault while its counter is n, so fewer than n outliers stop
+    nothing.
 
     Readings with range or rate above the threshold are implausible. The controller gets the values
     of the last plausible reading in their place. So an outlier does not reach the law, and neither

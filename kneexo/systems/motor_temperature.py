@@ -34,7 +34,7 @@ STATE_VARIABLES = (
 
 
 class MotorTemperature(NamedLeaf):
-    """Winding and case of the motor as two bodies of equal temperature each.
+    """Winding and case of the motor as two thermal masses, each with one uniform temperature.
 
     C_w dT_w/dt = P − (T_w − T_c)/R_wc,  C_c dT_c/dt = (T_w − T_c)/R_wc − (T_c − T_a)/R_ca.
 
@@ -49,8 +49,8 @@ class MotorTemperature(NamedLeaf):
     The states are the temperatures in 100 °C, ``start_degc`` at the start. Context parameters by
     name: ``winding_capacity_j_per_k`` (C_w), ``case_capacity_j_per_k`` (C_c),
     ``winding_to_case_k_per_w`` (R_wc), ``case_to_air_k_per_w`` (R_ca) and ``air_degc`` (T_a).
-    Friction of the shaft heats nothing. Source: the two thermal resistances and time constants of
-    motors' data sheets, an assumption.
+    Friction of the shaft heats nothing. Source: the model of two resistances and two time constants
+    that motors' data sheets assume.
     """
 
     def __init__(self, parameters: ThermalParameters = ThermalParameters()) -> None:

@@ -229,7 +229,7 @@ def test_the_supervisor_drives_the_bypass_of_the_plant():
 
 
 def peaks_of_a_walking_wearer(safe_state):
-    """Largest extending and flexing torque in N·m on a wearer who walks on with a dead motor."""
+    """Largest extending and flexing torque in N·m on a wearer who walks on while the speed command is zero."""
     values = {"plant.bypass": {}, "protection": {"safe_state": safe_state}}
     base = Scenario.preset("wearer").changed(values | {"simulation.duration_s": 14.0})
     run = simulate(with_faults({"start_s": 4.0} | DEAD, base=base))

@@ -21,7 +21,7 @@ def test_a_scenario_accepts_each_of_its_typical_faults(preset):
 
 def test_the_sizes_of_a_number_are_factors_of_its_healthy_value():
     faults = typical_faults(Scenario().changed({"plant.pump.lag_s": 0.02}))
-    assert [fault.size for fault in faults["current limit reduced"]] == [0.04, 0.1, 0.4]
+    assert [fault.size for fault in faults["motor accelerates slowly"]] == [0.04, 0.1, 0.4]
     assert [fault.si_size for fault in faults["scaling of the drive wrong"]] == pytest.approx(
         [10.471975512, 52.35987756, 209.4395102]
     )

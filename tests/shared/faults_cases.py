@@ -35,8 +35,8 @@ def made_up():
         rows=(
             row("magnet slipped", "encoder offset 1 deg", math.inf, "", math.inf),
             row("magnet slipped", "encoder offset 5 deg", 0.876, "flow", 0.0543),
-            row("motor dead", "command scale 0", 0.321, "following", 0.432, flexes=False),
-            row("motor dead", "command scale 0", 0.654, "following", 0.567, start_s=12.5),
+            row("command lost", "command scale 0", 0.321, "following", 0.432, flexes=False),
+            row("command lost", "command scale 0", 0.654, "following", 0.567, start_s=12.5),
             row("wear", "leakage", 0.987, "", math.inf, complete=False),
         ),
         alarms={"rate": 2, "speed": 1},

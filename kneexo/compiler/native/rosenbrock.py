@@ -27,8 +27,8 @@ class Stuck:
     errors: Array
     """Largest error estimate of each state in the tick, divided by the tolerance of the state.
 
-    Only the first substep from a state counts. If it fails, the next substeps from there become so
-    short that no estimate is finite.
+    Repeated substeps do not count: when a substep fails, the next ones from the same point become
+    so short that their estimates are not finite, and these would hide the state that failed.
     """
 
 
@@ -52,8 +52,8 @@ class Rosenbrock:
         type_
             Type of a state: a double in each lane.
         elimination, linear, has_time_derivative
-            The elimination with the Jacobian of the model, the call of the function that computes
-            the elements of the Jacobian, and whether this function computes ∂f/∂t.
+            The elimination with the Jacobian of the model. The call of the function that writes
+            dx/dt, then ∂f/∂t if ``has_time_derivative``, and the elements of the Jacobian.
         tick_s, tolerance
             Duration of a tick in s, and largest error estimate of a substep.
         substeps

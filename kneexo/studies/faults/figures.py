@@ -65,8 +65,8 @@ def plot_margins(result: FaultsResult) -> Figure:
     figure, ax = plt.subplots(figsize=(6.0, 5.0), layout="constrained")
     figure.set_label(
         "Each mark is a fault at one time. Below the line the motor is safe before the knee leaves "
-        "its motion. Faults that may be permanent stand at the right edge, faults that no detector "
-        "finds at the upper edge."
+        "its motion. At the right edge are faults that the knee tolerates without a time limit, at "
+        "the upper edge faults after which the motor does not become safe."
     )
     finite = [
         value
@@ -103,8 +103,9 @@ def plot_protection(result: FaultsResult) -> Figure:
     """Draw the motion with protection over that without, with a mark for each case."""
     figure, ax = plt.subplots(figsize=(6.0, 5.0), layout="constrained")
     figure.set_label(
-        "Largest motion of the knee by a fault, until the motor is safe, over that without "
-        "protection. Runs that leave the range of motion count until then."
+        "Each mark is a fault at one time: the largest motion of the knee before the motor is "
+        "safe, over the largest motion without protection. A run that leaves the range of motion "
+        "ends there."
     )
     largest = (max(r.alone.deviation_deg, r.protected.deviation_deg) for r in result.rows)
     high = 1.1 * max(*largest, result.settings.bound_deg)

@@ -43,16 +43,20 @@ class FaultsSettings(Parameters):
     """Settings of ``kneexo study faults``: faults, times, bound, and healthy runs."""
 
     faults: tuple[FaultParameters, ...] = choice(
-        (), "left out: typical faults with three sizes; start_s and duration_s are replaced"
+        (), "left out: typical faults; start_s and duration_s are replaced"
     )
     controllers: tuple[Literal["smc", "pid"], ...] = choice(
         ("smc", "pid"), "controllers in place of the scenario's, unless it is torque or law"
     )
     onsets: int = quantity(
-        4, "1", "assumption: quarters of a period, at which the faults begin", ge=1, le=1000
+        4, "1", "assumption: number of starts, evenly spaced over a period", ge=1, le=1000
     )
     observed_s: float = quantity(
-        4.0, "s", "assumption: a detector must be quicker by far", ge=0.1, le=1e4
+        4.0,
+        "s",
+        "assumption: time that a run lasts after the last start, much longer than a detection",
+        ge=0.1,
+        le=1e4,
     )
     bound_deg: float = quantity(
         TOLERATED_DEVIATION_DEG, "deg", "assumption: as in fault_survival", gt=0, le=180
@@ -93,12 +97,12 @@ class FaultRow:
     critical_duration_s: float
     """Longest duration without protection; see `kneexo.analysis.FaultCase`."""
     detector: str
-    """Name of the detector that found the fault, or an empty text."""
+    """Name of the detector that stopped the motor, or an empty text."""
     detected_after_s: float
     safe_after_s: float
     """Time from the start of the fault until the motor stands or the bypass is open; else inf."""
     protected: Peaks
-    """Largest values until the safe state is reached."""
+    """Largest values before the motor reaches the safe state."""
 
     bound_deg: float
     """Largest tolerated motion."""
@@ -113,8 +117,8 @@ class FaultRow:
     def margin_s(self) -> float:
         """Critical duration minus time to the safe state. The protection is late below zero.
 
-        The margin is inf if the fault may be permanent, or if no signal starts it. It is -inf if
-        the protection makes the fault worse.
+        The margin is inf if the knee tolerates the fault without a time limit, or if the trigger of
+        the fault never occurs. It is -inf if the protection makes the fault worse.
         """
         if self.is_made_worse:
             return -math.inf
@@ -230,8 +234,8 @@ def faults_study(
     Raises
     ------
     ParameterError
-        The scenario has faults or a push, refuses one of the faults, or is shorter than
-        ``observed_s``. The protection stops a run without a fault.
+        The scenario has faults or a push, refuses one of the faults, or is not longer than
+        ``observed_s``. Or the protection stops a run without a fault.
     SimulationError
         The run without faults fails.
     """
@@ -289,8 +293,8 @@ def urgency(row: FaultRow) -> tuple[float, float, float]:
 def _starts(scenario: Scenario, settings: FaultsSettings) -> tuple[Scenario, list[float]]:
     """Return the scenario with the duration of its runs, and the times at which faults begin.
 
-    The faults begin in the second period of a sine. With another reference they begin in the last
-    three quarters of the run.
+    The faults begin in the second period of a sine. With another reference the last ``observed_s``
+    of the run stay free, and the faults begin in the last three quarters of the time before.
     """
     period, shares = period_s(scenario), np.arange(settings.onsets) / settings.onsets
     if period:
@@ -402,7 +406,8 @@ def _run(scenario: Scenario, fault: FaultParameters) -> tuple[Run, bool]:
     except SimulationError as error:
         if not error.time_s > fault.start_s:
             raise
-        # The check at the end of a run is stricter than that inside, where a tick is not cut.
+        # A run checks the range of motion at each sample and at its last time, so the repeated run
+        # ends one sample earlier than the failure.
         samples = math.ceil(error.time_s / scenario.controller.sample_time_s) - 2
     end_s = max(samples * scenario.controller.sample_time_s, fault.start_s)
     faulty = faulty.changed({"faults": (), "simulation.duration_s": end_s}).changed(
