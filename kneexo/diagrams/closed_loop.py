@@ -21,10 +21,9 @@ from kneexo.diagrams.controller import (
     controller_parts,
     make_controller,
 )
-from kneexo.diagrams.faults import LoopFaults, fault_values
+from kneexo.diagrams.faults import LoopFaults, fault_values, pressed_buttons
 from kneexo.diagrams.part import NO_FAULTS, Part, connect, state_names
 from kneexo.diagrams.plant import make_plant, scenario_plant_parts, start_arguments
-from kneexo.diagrams.protection import OPERATOR_INPUTS
 from kneexo.diagrams.signals import (
     CONTROLLER_SIGNALS,
     LAW_OUTPUTS,
@@ -41,6 +40,7 @@ from kneexo.parameters import (
     SampledReference,
     Scenario,
 )
+from kneexo.parameters.fault import OPERATOR_INPUTS
 from kneexo.systems import StateVariable, drive, knee_reference, push as push_system
 from kneexo.systems.function_law import LAW_COMMAND
 from kneexo.systems.knee_reference import require_reference_in_range
@@ -76,8 +76,8 @@ def make_closed_loop(
 
     Inputs: ``disturbance_force``, ``knee_torque`` if the plant has a load and the scenario has
     neither wearer nor push, and ``bypass`` if the plant has a bypass and the scenario no
-    protection. With protection, also ``emergency_stop`` and ``reset``. An unconnected input is
-    zero.
+    protection. With protection, also ``emergency_stop`` and ``reset``, unless a fault presses
+    them. An unconnected input is zero.
     Outputs: each of `available_signals`. Drake logs the state before an update, so that the logged
     command at t was held until t. The paper's ideal case (Fig. 9) is
     `kneexo.studies.paper.IDEAL_SMC`.
@@ -139,11 +139,13 @@ def make_closed_loop(
         ports["measured_force"] = faults.on_signal("load_cell", ports["measured_force"])
     for index in range(controller.num_input_ports()):
         port = controller.get_input_port(index)
-        if port.get_name() in (LAW_COMMAND, *OPERATOR_INPUTS):
-            builder.ExportInput(port, port.get_name())
-            continue
-        signal = ports.get(port.get_name()) or plant.GetOutputPort(port.get_name())
-        builder.Connect(signal, port)
+        name = port.get_name()
+        if name in pressed_buttons(scenario):
+            builder.Connect(faults.button(name), port)
+        elif name in (LAW_COMMAND, *OPERATOR_INPUTS):
+            builder.ExportInput(port, name)
+        else:
+            builder.Connect(ports.get(name) or plant.GetOutputPort(name), port)
     available = available_signals(scenario)
     # An exact estimate; the port of a controller with an estimator replaces it below.
     ports["estimated_state"] = plant.GetOutputPort("rod_state")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from pydrake.systems.primitives import Adder
+from pydrake.systems.primitives import Adder, ConstantVectorSource
 
 from kneexo import systems
 from kneexo.diagrams.part import Part
@@ -14,7 +14,7 @@ from kneexo.diagrams.signals import NEEDED_SETTINGS, SIGNALS
 from kneexo.diagrams.wearer import wearer_parts
 from kneexo.errors import ParameterError, close_names, question, shown
 from kneexo.parameters import FaultParameters, Scenario
-from kneexo.parameters.fault import FAULTY_SIGNALS
+from kneexo.parameters.fault import FAULTY_SIGNALS, OPERATOR_INPUTS
 from kneexo.parameters.paths import changed, has_path, value_at
 from kneexo.systems import fault as fault_system
 
@@ -39,12 +39,19 @@ def fault_values(scenario: Scenario) -> Iterator[tuple[str, dict[str, float]]]:
     Raises `ParameterError` as `fault_structure` does.
     """
     changes = _changes(scenario)
+    for name in sorted(pressed_buttons(scenario)):
+        yield name, {"0[0]": 0.0}  # the only element of Drake's block
     for number, fault in enumerate(scenario.faults):
         if fault.place in FAULTY_SIGNALS:
             values = fault_system.context_values(fault, **_reading(scenario, fault))
             yield f"fault_{number}", values
         for path, offsets in changes.get(number, {}).items():
             yield _name(number, path), fault_system.offset_values(fault, offsets)
+
+
+def pressed_buttons(scenario: Scenario) -> set[str]:
+    """Return the names of the buttons of the protection that faults of a scenario press."""
+    return {fault.place for fault in scenario.faults} & set(OPERATOR_INPUTS)
 
 
 class LoopFaults:
@@ -72,6 +79,11 @@ class LoopFaults:
             self._builder.Connect(port, system.GetInputPort("signal"))
             port = system.GetOutputPort("signal")
         return port
+
+    def button(self, name: str) -> Any:
+        """Add a button that only faults press; return its output port."""
+        nobody = self._builder.AddNamedSystem(name, ConstantVectorSource([0.0]))
+        return self.on_signal(name, nobody.get_output_port())
 
     def names_inside(self, folder: str) -> dict[str, tuple[str, ...]]:
         """Return the Context parameters that faults change, by the name of their system.

@@ -14,9 +14,6 @@ from kneexo.diagrams.part import Part
 from kneexo.parameters import LinkageParameters, ProtectionParameters, Scenario
 from kneexo.systems import fault_detectors, safety_supervisor
 
-OPERATOR_INPUTS = ("emergency_stop", "reset")
-"""Names of the inputs of a controller with protection that come from an operator."""
-
 
 def protection_parts(scenario: Scenario, protection: ProtectionParameters) -> Iterator[Part]:
     """Yield fault detectors and safety supervisor."""

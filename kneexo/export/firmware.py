@@ -23,7 +23,6 @@ from kneexo.compiler import (
     write_c,
     write_sil,
 )
-from kneexo.diagrams.protection import OPERATOR_INPUTS
 from kneexo.diagrams.wearer import moment_of
 from kneexo.errors import ParameterError
 from kneexo.export.target import (
@@ -34,6 +33,7 @@ from kneexo.export.target import (
     require_step,
 )
 from kneexo.parameters import SampledReference, Scenario
+from kneexo.parameters.fault import OPERATOR_INPUTS
 from kneexo.parameters.scenario_file import dump_scenario
 from kneexo.result import Array
 from kneexo.rod_polynomial import completed

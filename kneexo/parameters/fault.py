@@ -15,18 +15,26 @@ from kneexo.parameters.torque import generator_seeds
 Kind = Literal[
     "frozen", "offset", "drift", "scale", "noise", "dropped", "late", "bit_flip", "value"
 ]  # fmt: skip
-"""Kinds of faults: of a signal, and ``value`` of a number."""
+"""Kinds of faults. A parameter has the kind ``value`` alone."""
 
 
-FAULTY_SIGNALS = {"encoder": math.pi / 180.0, "load_cell": 1.0, "command": RPM}
+OPERATOR_INPUTS = ("emergency_stop", "reset")
+"""Buttons of the protection. A fault of the kind ``value`` and the size 1 presses one."""
+
+FAULTY_SIGNALS = {
+    "encoder": math.pi / 180.0,
+    "load_cell": 1.0,
+    "command": RPM,
+    **dict.fromkeys(OPERATOR_INPUTS, 1.0),
+}
 """The signals that can be faulty, each with the SI units of one unit of a fault's size.
 
 The encoder's reading has sizes in deg, the load cell's in N, and the speed command in rpm.
 """
 
 _UNITS = {"encoder": "deg", "load_cell": "N", "command": "rpm"}
-_AMOUNTS = ("offset", "drift", "noise")
-"""Kinds with a size in the unit of the signal."""
+_AMOUNTS = ("offset", "drift", "noise", "value")
+"""Kinds of a signal with a size in the unit of the signal."""
 
 LATEST = 10
 """Largest number of samples by which a signal can be late."""
@@ -53,7 +61,8 @@ class FaultParameters(Parameters):
 
     place: str = choice(
         "encoder",
-        "encoder, load_cell or command; or the path of a number of plant, wearer or load_cell, as "
+        "encoder, load_cell or command; emergency_stop or reset, which a fault presses; or the "
+        "path of a number of plant, wearer or load_cell, as "
         "plant.pump.internal_leakage_m3_per_s_pa",
     )
     kind: Kind = choice(
@@ -61,8 +70,8 @@ class FaultParameters(Parameters):
         "frozen: the last value stays; offset: plus the size; drift: plus the size each second; "
         "scale: times the size; noise: plus random numbers of this standard deviation; dropped: "
         "this share of samples repeats the value before; late: by this number of samples; "
-        "bit_flip: of the bit with this number in the encoder count; value: the parameter at the "
-        "path has this value",
+        "bit_flip: of the bit with this number in the encoder count; value: the signal, or the "
+        "parameter at the path, has this value",
     )
     size: float = quantity(
         0.0,
@@ -94,7 +103,7 @@ class FaultParameters(Parameters):
     def si_size(self) -> float:
         """Size in SI units. Factors, shares, counts and values of parameters stay as they are."""
         if self.kind in _AMOUNTS:
-            return self.size * FAULTY_SIGNALS[self.place]
+            return self.size * FAULTY_SIGNALS.get(self.place, 1.0)
         return self.size
 
     @property
@@ -115,12 +124,13 @@ class FaultParameters(Parameters):
 
     @model_validator(mode="after")
     def _consistent(self) -> FaultParameters:
-        if (self.place in FAULTY_SIGNALS) == (self.kind == "value"):
-            signals = ", ".join(FAULTY_SIGNALS)
+        if self.place not in _UNITS and self.kind != "value":
             raise ValueError(
-                f"kind = {self.kind} at place = {shown(self.place)}: must be another kind than "
-                f"value for {signals}, and value for the path of a number"
+                f"kind = {self.kind} at place = {shown(self.place)}: must be value, except for "
+                f"{', '.join(_UNITS)}"
             )
+        if self.place in OPERATOR_INPUTS and self.size != 1.0:
+            raise ValueError(f"size = {self.size:g} at place = {self.place}: must be 1")
         if self.kind == "bit_flip" and self.place != "encoder":
             raise ValueError(f"kind = bit_flip at place = {self.place}: must be at the encoder")
         low, high = _SIZES.get(self.kind, (-math.inf, math.inf))

@@ -19,7 +19,7 @@ from kneexo.parameters.control import (
     PidParameters,
     SlidingModeParameters,
 )
-from kneexo.parameters.fault import FaultParameters
+from kneexo.parameters.fault import OPERATOR_INPUTS, FaultParameters
 from kneexo.parameters.fields import Words
 from kneexo.parameters.names import searched_for_names
 from kneexo.parameters.plant import RPM, PlantParameters, RodPolynomialParameters
@@ -387,6 +387,10 @@ class Scenario(Parameters):
                 raise ValueError(
                     f"{subject}: place = load_cell: needs wearer.kind = leg or controller.kind = "
                     f"torque"
+                )
+            if fault.place in OPERATOR_INPUTS and self.protection is None:
+                raise ValueError(
+                    f"{subject}: place = {fault.place}: needs protection; add protection: {{}}"
                 )
             first_s = fault.size * sample_time_s
             if fault.kind == "late" and fault.start_s < first_s:

@@ -106,6 +106,7 @@ class FaultySignal(_Fault):
     offset    u + s
     drift     u + s t
     scale     s u
+    value     s
     noise     u + s n_k, with n_k of `unit_noise`
     dropped   the output before in a random share s of the samples, else u
     late      u of s samples ago
@@ -188,6 +189,8 @@ class FaultySignal(_Fault):
             return value + p.size * (clock - 1.0) * self._sample_time
         if self._kind == "scale":
             return p.size * value
+        if self._kind == "value":
+            return p.size + 0.0 * value
         if self._kind == "noise":
             return value + p.size * unit_noise(others)
         if self._kind == "dropped":

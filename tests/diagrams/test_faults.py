@@ -197,7 +197,7 @@ def test_without_faults_the_loop_has_no_system_of_a_fault():
 
 
 SIGNAL_KINDS = {"frozen": 0.0, "offset": 1.0, "drift": 5.0, "scale": 0.8, "noise": 0.2}
-SIGNAL_KINDS |= {"dropped": 0.4, "late": 1.0, "bit_flip": 2.0}
+SIGNAL_KINDS |= {"dropped": 0.4, "late": 1.0, "bit_flip": 2.0, "value": 9.0}
 LOADED = Scenario(
     plant={"load": KneeLoadParameters()},
     encoder={"quantized": False},
@@ -254,7 +254,10 @@ REFUSED = [
     ({"size": 5.0}, "size = 5 of kind = frozen: must be 0"),
     ({"place": "load_cell"}, r"faults\.0: place = load_cell: needs wearer.kind = leg or"),
     ({"place": "plant.pump.lag"}, r"faults\.0: plant.pump.lag: unknown name; did you mean"),
-    ({"place": "encoder.phase_rad"}, "is unknown; must be encoder, load_cell, command, or the"),
+    (
+        {"place": "encoder.phase_rad"},
+        "is unknown; must be encoder, load_cell, command, emer",
+    ),
     ({"place": "plant.ideal_motor"}, "is no number that can change during a run"),
     ({"place": LAG, "size": 50.0}, r"faults\.0: .*lag_s = 50 s is out of range"),
     ({"place": LAG, "size": 0.01}, "has no effect with size = 0.01; the value is 0.01 without"),
@@ -278,7 +281,10 @@ REFUSED = [
     ({"above": 1.0}, "signal: must have above or below, and a threshold must have a signal"),
     ({"signal": "knee_angle", "above": 1.0}, "signal 'knee_angle' is unknown; did you mean knee_a"),
     ({"place": "command", "kind": "bit_flip", "size": 1.0}, "must be at the encoder"),
-    ({"place": "command", "kind": "value"}, "must be another kind than value for encoder"),
+    ({"place": "plant.pump.lag_s.", "kind": "frozen"}, "unknown name"),
+    ({"place": "reset", "kind": "frozen"}, "kind = frozen at place = reset: must be value, exc"),
+    ({"place": "reset", "kind": "value", "size": 2.0}, "size = 2 at place = reset: must be 1"),
+    ({"place": "reset", "kind": "value", "size": 1.0}, "place = reset: needs protection; add"),
 ]
 
 

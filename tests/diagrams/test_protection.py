@@ -21,6 +21,7 @@ from kneexo.simulation import simulate
 from kneexo.simulation.compiled import scenario_values, simulate_together
 
 T = 0.002
+STATES_ = list(STATES)
 BASE = Scenario(protection={}, simulation={"duration_s": 0.3})
 
 
@@ -29,7 +30,7 @@ def with_faults(*faults, base=BASE):
 
 
 def end(run):
-    return list(STATES)[int(run["safety_state"][-1])], REASONS[int(run["safety_reason"][-1])]
+    return STATES_[int(run["safety_state"][-1])], REASONS[int(run["safety_reason"][-1])]
 
 
 def test_protection_leaves_a_healthy_run_as_it_is():
@@ -67,6 +68,33 @@ def test_a_fault_is_detected_and_the_motor_stands(fault, reason, preset):
     assert end(run) == ("stopped", reason)
     assert np.all(run["safety_reason"][: int(3.0 / T) + 1] == 0.0)
     assert abs(run["motor_speed_rad_s"][-1]) < 1.0
+
+
+def press(button, start_s, duration_s=0.1):
+    return {"place": button, "kind": "value", "size": 1.0, "start_s": start_s} | {
+        "duration_s": duration_s
+    }
+
+
+@pytest.mark.slow
+def test_buttons_stop_the_motor_at_their_sample_and_start_it_again():
+    """The command falls at ``stop_rad_s2``. A reset while the stop is pressed has no effect."""
+    base = BASE.changed({"simulation.duration_s": 1.0})
+    faults = press("emergency_stop", 0.5), press("reset", 0.58, T), press("reset", 0.62)
+    run = simulate(with_faults(*faults, base=base))
+    state, pressed = run["safety_state"], round(0.5 / T)
+    changes = np.flatnonzero(np.diff(state)) + 1
+    assert [STATES_[int(state[at])] for at in changes] == [
+        *("operating", "stopping", "stopped", "starting", "operating")
+    ]
+    # The record is that before the update of its sample, and so one sample later than the press.
+    assert changes[1] == pressed + 1
+    assert changes[3] == round(0.62 / T) + 1
+    assert REASONS[int(run["safety_reason"][changes[2]])] == "emergency stop"
+    assert run["safety_reason"][-1] == 0.0
+    speed = abs(run["motor_speed_command_rad_s"][pressed])
+    ramp = math.ceil(speed / (base.protection.stop_rad_s2 * T))
+    assert np.all(run["motor_speed_command_rad_s"][pressed + ramp + 2 : changes[3]] == 0.0)
 
 
 @pytest.mark.slow
@@ -229,7 +257,7 @@ def test_the_supervisor_drives_the_bypass_of_the_plant():
 
 
 def peaks_of_a_walking_wearer(safe_state):
-    """Largest extending and flexing torque in N·m on a wearer who walks on while the speed command is zero."""
+    """Largest torques in N·m on a wearer who walks on at a speed command of zero."""
     values = {"plant.bypass": {}, "protection": {"safe_state": safe_state}}
     base = Scenario.preset("wearer").changed(values | {"simulation.duration_s": 14.0})
     run = simulate(with_faults({"start_s": 4.0} | DEAD, base=base))
