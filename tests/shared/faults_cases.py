@@ -6,7 +6,7 @@ import numpy as np
 
 from kneexo.parameters import UNCERTAIN_KNEE
 from kneexo.studies.faults import FaultsResult, FaultsSettings
-from kneexo.studies.faults.study import FaultRow, Peaks
+from kneexo.studies.faults.study import EmergencyStop, FaultRow, Peaks
 
 
 def row(cause, fault, critical_s, detector, safe_s, *, start_s=10.0, flexes=True, complete=True):
@@ -38,6 +38,10 @@ def made_up():
             row("command lost", "command scale 0", 0.321, "following", 0.432, flexes=False),
             row("command lost", "command scale 0", 0.654, "following", 0.567, start_s=12.5),
             row("wear", "leakage", 0.987, "", math.inf, complete=False),
+        ),
+        stops=(
+            EmergencyStop("smc", 10.0, 0.0876, 1.23, 23.4),
+            EmergencyStop("smc", 12.5, 0.0543, 2.34, 12.3),
         ),
         alarms={"rate": 2, "speed": 1},
         healthy_runs=200,

@@ -17,7 +17,10 @@ _HAZARDS = {
 }
 """Hazard, hazardous situation and harm, by how the knee leaves its motion."""
 
-_VERDICTS = ("made worse", "missed", "late", "in time", "harmless", "never active")
+_FAILED = ("made worse", "missed", "late")
+"""The verdicts of faults that the protection does not stop in time, the worst first."""
+
+_VERDICTS = (*_FAILED, "in time", "harmless", "never active")
 """The verdicts of a row, the worst first."""
 
 
@@ -45,6 +48,7 @@ def report(result: FaultsResult) -> str:
             else "The torque is that of the actuator on the knee."
         ),
         hazards=_hazards(result),
+        evidence=_evidence(result),
         peak=_peak,
     )
 
@@ -74,6 +78,41 @@ def _peak(path: str) -> Callable[[dict[str, Any]], str]:
 def _finite(value: float) -> float:
     """Return the value, or nan for inf, because a table shows a dash for nan."""
     return value if math.isfinite(value) else math.nan
+
+
+def _evidence(result: FaultsResult) -> list[dict[str, str]]:
+    """Return a line for each requirement of 21 CFR 890.3480(b)(5) that a simulation can inform."""
+    counts = Counter(row.verdict for row in result.rows)
+    relevant = [row for row in result.rows if row.verdict in ("in time", *_FAILED)]
+    delays_s = sorted(row.detected_after_s for row in relevant if row.detector) or [math.nan]
+    stops, worst = result.stops, result.worst
+    places: dict[str, Counter[str]] = {}
+    for row in result.rows:
+        place = row.fault.split(" ")[0].split(".")
+        verdict = "failed" if row.verdict in _FAILED else row.verdict
+        places.setdefault(" ".join(place[:2]), Counter())[verdict] += 1
+    findings = {
+        "(ii) commands and safeguards in the worst case": (
+            f"{worst.fault} at {worst.start_s:g} s ({worst.controller.upper()}): {worst.verdict}, "
+            f"{number(worst.protected.deviation_deg)}° and {number(worst.protected.torque_n_m)} N·m"
+        ),
+        "(iii) manual override": (
+            f"{len(stops)} emergency stops: safe within "
+            f"{number(max(stop.safe_after_s for stop in stops))} s, in which the knee turns by up "
+            f"to {number(max(stop.travel_deg for stop in stops))}° at up to "
+            f"{number(max(stop.torque_n_m for stop in stops))} N·m"
+        ),
+        "(iv) accuracy of the safeguards": (
+            f"{counts['in time']} of {len(relevant)} cases that are not harmless: in time; found after "
+            f"{number(delays_s[len(delays_s) // 2])} s (median), {number(delays_s[-1])} s (worst); "
+            f"{sum(result.alarms.values())} false alarms in {result.healthy_runs} healthy runs"
+        ),
+        "(v) sensors, actuator and motor": "; ".join(
+            f"{place}: {', '.join(f'{count} {name}' for name, count in verdicts.items())}"
+            for place, verdicts in places.items()
+        ),
+    }
+    return [{"requirement": name, "finding": text} for name, text in findings.items()]
 
 
 def _hazards(result: FaultsResult) -> list[dict[str, str]]:

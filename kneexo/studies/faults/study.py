@@ -138,13 +138,29 @@ class FaultRow:
         return "late" if self.detector else "missed"
 
 
+@dataclass(frozen=True)
+class EmergencyStop:
+    """A press of ``emergency_stop`` at ``start_s``, in a run without a fault."""
+
+    controller: str
+    start_s: float
+    safe_after_s: float
+    """Time from the press until the motor stands or the bypass is open; inf if it never does."""
+    travel_deg: float
+    """Largest turn of the knee from the press on, before the motor reaches the safe state."""
+    torque_n_m: float
+    """Largest torque in this time, as in `Peaks`."""
+
+
 @dataclass(frozen=True, repr=False)
 class FaultsResult(Result):
-    """Rows of all faults, false alarms of healthy runs, and the worst case as curves."""
+    """Rows of all faults, stops, false alarms of healthy runs, and the worst case as curves."""
 
     scenario: Scenario
     settings: FaultsSettings
     rows: tuple[FaultRow, ...]
+    stops: tuple[EmergencyStop, ...]
+    """Emergency stops at the times of the faults, for each controller."""
     alarms: dict[str, int]
     """Number of healthy runs that each detector stopped."""
     healthy_runs: int
@@ -179,9 +195,10 @@ class FaultsResult(Result):
         return data_frame({name: [line[name] for line in lines] for name in lines[0]})
 
     def results(self) -> dict[str, Any]:
-        """Return plain data: all rows, and the false alarms."""
+        """Return plain data: all rows, the emergency stops and the false alarms."""
         return {
             "rows": [_flat(row) for row in self.rows],
+            "emergency_stops": [asdict(stop) for stop in self.stops],
             "healthy": {
                 "runs": self.healthy_runs,
                 "hours": self.healthy_hours,
@@ -248,6 +265,7 @@ def faults_study(
     given = [(cause, fault) for cause, sizes in faults.items() for fault in sizes]
     kinds = settings.controllers if scenario.controller.kind in ("smc", "pid") else ()
     rows: list[FaultRow] = []
+    stops: list[EmergencyStop] = []
     cases: list[tuple[Scenario, FaultParameters]] = []
     with open_sweep(**options) as sweep:
         for loop in [_controlled(scenario, kind) for kind in kinds] or [scenario]:
@@ -263,6 +281,8 @@ def faults_study(
                 for item, values in zip(items, assessed, strict=True)
             ]
             cases += [(loop, fault) for _, fault in items]
+            stopped = sweep.map(partial(_stop, _with(loop)), starts_s, "emergency stops")
+            stops += [EmergencyStop(loop.controller.kind, **values) for values in stopped]
         kept, _ = applicable(scenario, uncertainty)
         points = draw(kept, settings.samples, settings.seed)
         alarm = partial(_alarm, _with(scenario), kept)
@@ -272,6 +292,7 @@ def faults_study(
         scenario=scenario,
         settings=settings,
         rows=tuple(rows),
+        stops=tuple(stops),
         alarms=dict(Counter(filter(None, alarms))),
         healthy_runs=settings.samples,
         healthy_hours=settings.samples * scenario.duration_s / 3600.0,
@@ -335,7 +356,6 @@ def _assess(
 ) -> dict[str, Any]:
     """Return the effect of a fault as plain data; runs in a worker process."""
     _, fault = item
-    protection = scenario.protection or ProtectionParameters()
     alone, protected = _without(scenario), _with(scenario)
     healthy = simulate(alone, signals=_signals(alone))
     case = fault_case(alone, healthy, bound_deg, fault)
@@ -347,22 +367,34 @@ def _assess(
         "flexes": bool(deviation[np.argmax(np.abs(deviation))] > 0.0),
         "detector": "",
         "detected_after_s": math.inf,
-        "safe_after_s": math.inf,
         "alone": _peaks(run, healthy, slice(start, None)) | {"complete": complete},
     }
     run, complete = _run(protected, fault)
     after = run.time_s - fault.start_s
     detected = np.flatnonzero((after >= 0.0) & (run["safety_reason"] > 0.0))
-    safe = np.flatnonzero((after >= 0.0) & _is_safe(run, protection))
     if detected.size:
         found["detector"] = REASONS[int(run["safety_reason"][detected[0]])]
         found["detected_after_s"] = float(after[detected[0]])
-    end = None
-    if safe.size:
-        found["safe_after_s"], end = float(after[safe[0]]), int(safe[0]) + 1
+    found["safe_after_s"], end = _safe_after(run, protected, fault.start_s)
     peaks = _peaks(run, healthy, slice(start, end))
     found["protected"] = peaks | {"complete": complete or end is not None}
     return found
+
+
+@needs_runs
+def _stop(protected: Scenario, start_s: float) -> dict[str, float]:
+    """Return the effect of an emergency stop as plain data; runs in a worker process."""
+    press = FaultParameters(place="emergency_stop", kind="value", size=1.0, start_s=start_s)
+    run, _ = _run(protected, press)
+    safe_after_s, end = _safe_after(run, protected, start_s)
+    part = slice(int(np.searchsorted(run.time_s, start_s - 1e-9)), end)
+    angle = np.degrees(run["knee_angle_rad"][part])
+    return {
+        "start_s": start_s,
+        "safe_after_s": safe_after_s,
+        "travel_deg": float(np.max(np.abs(angle - angle[0]))),
+        "torque_n_m": float(np.max(np.abs(_torque(run)[part]))),
+    }
 
 
 def _row(
@@ -422,15 +454,19 @@ def _deviation_deg(run: Run, healthy: Run) -> Array:
     return np.degrees(angle - other[: angle.size])
 
 
-def _is_safe(run: Run, protection: ProtectionParameters) -> Any:
-    """Return for each sample whether the bypass is open, or the motor has stopped and stands.
+def _safe_after(run: Run, protected: Scenario, start_s: float) -> tuple[float, int | None]:
+    """Return the time from ``start_s`` to the first safe sample, and the index behind this sample.
 
-    A motor that does not obey turns on in the state ``stopped``, which it reaches when the stop is
-    overdue.
+    At a safe sample the bypass is open, or the motor has stopped and stands. A motor that does not
+    obey turns on in the state ``stopped``, which it reaches when the stop is overdue. Without a
+    safe sample the result is inf and None.
     """
+    protection = protected.protection or ProtectionParameters()
     stands = np.abs(run["motor_speed_rad_s"]) < protection.standstill_rpm * RPM
-    state = run["safety_state"]
-    return (state == _RELEASED) | ((state == _STOPPED) & stands)
+    state, after = run["safety_state"], run.time_s - start_s
+    is_safe = (state == _RELEASED) | ((state == _STOPPED) & stands)
+    safe = np.flatnonzero((after >= 0.0) & is_safe)
+    return (float(after[safe[0]]), int(safe[0]) + 1) if safe.size else (math.inf, None)
 
 
 def _peaks(run: Run, healthy: Run, part: slice) -> dict[str, Any]:

@@ -60,6 +60,27 @@ def test_a_row_is_that_of_single_runs(result):
 
 
 @pytest.mark.slow
+def test_an_emergency_stop_is_that_of_a_single_run(result):
+    scenario = FAST.changed({"protection": {}, "simulation.duration_s": 9.5})
+    assert [stop.start_s for stop in result.stops] == [5.0, 7.5]
+    for stop in result.stops:
+        press = {"place": "emergency_stop", "kind": "value", "size": 1.0, "start_s": stop.start_s}
+        run = simulate(scenario.changed({"faults": (press,)}))
+        first = round(stop.start_s / 0.002)
+        # Each record is that before the update of its sample: the stop begins one sample later.
+        speed = abs(run["motor_speed_command_rad_s"][first])
+        ramp = math.ceil(speed / (scenario.protection.stop_rad_s2 * 0.002))
+        assert stop.safe_after_s >= 0.002 * (ramp + 1)
+        last = first + round(stop.safe_after_s / 0.002)
+        assert [run["safety_state"][n] for n in (first, last - 1, last)] == [1.0, 2.0, 3.0]
+        assert abs(run["motor_speed_rad_s"][last]) < 30.0 * math.pi / 30.0
+        angle = np.degrees(run["knee_angle_rad"][first : last + 1])
+        assert stop.travel_deg == pytest.approx(np.abs(angle - angle[0]).max(), rel=1e-12)
+        torque = np.abs(run["rod_force_n"] * run["moment_arm_m"])[first : last + 1]
+        assert stop.torque_n_m == pytest.approx(torque.max(), rel=1e-12)
+
+
+@pytest.mark.slow
 def test_a_motor_that_turns_on_after_an_overdue_stop_is_not_safe():
     """A drive that adds 2000 rpm behind the supervisor gets to the state stopped, and turns on."""
     drive = FaultParameters(place="command", kind="offset", size=2000.0)
@@ -161,7 +182,7 @@ def test_each_fault_is_told_once_at_its_worst_time(tables):
     result = made_up()
     assert result.worst == result.rows[4]
     assert result.undetected == result.rows[0]
-    faults, harmless, hazards = tables(report(result))
+    faults, harmless, hazards, _ = tables(report(result))
     column = faults[0].index("may last (s)")
     assert [line[column] for line in faults[1:]] == ["0.876", "0.321", "0.987"]
     assert [line[1] for line in harmless[1:]] == ["encoder offset 1 deg"]
