@@ -103,8 +103,8 @@ def _evidence(result: FaultsResult) -> list[dict[str, str]]:
             f"{number(max(stop.torque_n_m for stop in stops))} N·m"
         ),
         "(iv) accuracy of the safeguards": (
-            f"{counts['in time']} of {len(relevant)} cases that are not harmless: in time; found after "
-            f"{number(delays_s[len(delays_s) // 2])} s (median), {number(delays_s[-1])} s (worst); "
+            f"in time in {counts['in time']} of {len(relevant)} cases that are not harmless; found "
+            f"after {number(delays_s[len(delays_s) // 2])} s (median), {number(delays_s[-1])} s (worst); "
             f"{sum(result.alarms.values())} false alarms in {result.healthy_runs} healthy runs"
         ),
         "(v) sensors, actuator and motor": "; ".join(
