@@ -85,6 +85,7 @@ def _evidence(result: FaultsResult) -> list[dict[str, str]]:
     counts = Counter(row.verdict for row in result.rows)
     relevant = [row for row in result.rows if row.verdict in ("in time", *_FAILED)]
     delays_s = sorted(row.detected_after_s for row in relevant if row.detector) or [math.nan]
+    median_s, worst_s = delays_s[len(delays_s) // 2], delays_s[-1]
     stops, worst = result.stops, result.worst
     places: dict[str, Counter[str]] = {}
     for row in result.rows:
@@ -104,7 +105,7 @@ def _evidence(result: FaultsResult) -> list[dict[str, str]]:
         ),
         "(iv) accuracy of the safeguards": (
             f"in time in {counts['in time']} of {len(relevant)} cases that are not harmless; found "
-            f"after {number(delays_s[len(delays_s) // 2])} s (median), {number(delays_s[-1])} s (worst); "
+            f"after {number(median_s)} s (median), {number(worst_s)} s (worst); "
             f"{sum(result.alarms.values())} false alarms in {result.healthy_runs} healthy runs"
         ),
         "(v) sensors, actuator and motor": "; ".join(
