@@ -9,7 +9,18 @@ from kneexo.studies.faults import FaultsResult, FaultsSettings
 from kneexo.studies.faults.study import EmergencyStop, FaultRow, Peaks
 
 
-def row(cause, fault, critical_s, detector, safe_s, *, start_s=10.0, flexes=True, complete=True):
+def row(
+    cause,
+    fault,
+    critical_s,
+    detector,
+    safe_s,
+    *,
+    start_s=10.0,
+    flexes=True,
+    complete=True,
+    moved_deg=4.567,
+):
     return FaultRow(
         controller="smc",
         cause=cause,
@@ -21,7 +32,7 @@ def row(cause, fault, critical_s, detector, safe_s, *, start_s=10.0, flexes=True
         detector=detector,
         detected_after_s=0.5 * safe_s,
         safe_after_s=safe_s,
-        protected=Peaks(4.567, 6.789, 1.234, True),
+        protected=Peaks(moved_deg, 6.789, 1.234, True),
         bound_deg=5.0,
     )
 
@@ -35,9 +46,25 @@ def made_up():
         rows=(
             row("magnet slipped", "encoder offset 1 deg", math.inf, "", math.inf),
             row("magnet slipped", "encoder offset 5 deg", 0.876, "flow", 0.0543),
-            row("command lost", "command scale 0", 0.321, "following", 0.432, flexes=False),
-            row("command lost", "command scale 0", 0.654, "following", 0.567, start_s=12.5),
-            row("wear", "leakage", 0.987, "", math.inf, complete=False),
+            row(
+                "command lost",
+                "command scale 0",
+                0.321,
+                "following",
+                0.432,
+                flexes=False,
+                moved_deg=5.678,
+            ),
+            row(
+                "command lost",
+                "command scale 0",
+                0.654,
+                "following",
+                0.567,
+                start_s=12.5,
+                moved_deg=5.432,
+            ),
+            row("wear", "leakage", 0.987, "", math.inf, complete=False, moved_deg=9.876),
         ),
         stops=(
             EmergencyStop("smc", 10.0, 0.0876, 1.23, 23.4),

@@ -64,9 +64,10 @@ def plot_margins(result: FaultsResult) -> Figure:
     """Draw the time to the safe state over the critical duration, with a mark for each case."""
     figure, ax = plt.subplots(figsize=(6.0, 5.0), layout="constrained")
     figure.set_label(
-        "Each mark is a fault at one time. Below the line the motor is safe before the knee leaves "
-        "its motion. At the right edge are faults that the knee tolerates without a time limit, at "
-        "the upper edge faults after which the motor does not become safe."
+        "Each mark is a fault at one time. Below the line the motor is safe within the critical "
+        "duration. A case above the line can be in time, because a detector keeps implausible "
+        "readings from the law. At the right edge are faults that the knee tolerates without a "
+        "time limit, at the upper edge faults after which the motor does not become safe."
     )
     finite = [
         value

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
-from kneexo.studies.faults.study import FaultRow, FaultsResult, urgency
+from kneexo.studies.faults.study import FAILED, FaultRow, FaultsResult, urgency
 from kneexo.studies.markdown import number
 from kneexo.studies.template import filled
 
@@ -17,10 +17,7 @@ _HAZARDS = {
 }
 """Hazard, hazardous situation and harm, by how the knee leaves its motion."""
 
-_FAILED = ("made worse", "missed", "late")
-"""The verdicts of faults that the protection does not stop in time, the worst first."""
-
-_VERDICTS = (*_FAILED, "in time", "harmless", "never active")
+_VERDICTS = (*FAILED, "in time", "harmless", "never active")
 """The verdicts of a row, the worst first."""
 
 
@@ -35,6 +32,8 @@ def report(result: FaultsResult) -> str:
         result=result,
         settings=result.settings,
         worst=result.worst,
+        worst_deg=_peak("protected.deviation_deg")(vars(result.worst)),
+        worst_alone_deg=_peak("alone.deviation_deg")(vars(result.worst)),
         undetected=result.undetected,
         undetected_torque_n_m=max((row.alone.torque_n_m for row in unfound), default=math.nan),
         counts=Counter(row.verdict for row in result.rows),
@@ -83,14 +82,14 @@ def _finite(value: float) -> float:
 def _evidence(result: FaultsResult) -> list[dict[str, str]]:
     """Return a line for each requirement of 21 CFR 890.3480(b)(5) that a simulation can inform."""
     counts = Counter(row.verdict for row in result.rows)
-    relevant = [row for row in result.rows if row.verdict in ("in time", *_FAILED)]
+    relevant = [row for row in result.rows if row.has_failed or row.verdict == "in time"]
     delays_s = sorted(row.detected_after_s for row in relevant if row.detector) or [math.nan]
     median_s, worst_s = delays_s[len(delays_s) // 2], delays_s[-1]
     stops, worst = result.stops, result.worst
     places: dict[str, Counter[str]] = {}
     for row in result.rows:
         place = row.fault.split(" ")[0].split(".")
-        verdict = "failed" if row.verdict in _FAILED else row.verdict
+        verdict = "failed" if row.has_failed else row.verdict
         places.setdefault(" ".join(place[:2]), Counter())[verdict] += 1
     findings = {
         "(ii) commands and safeguards in the worst case": (

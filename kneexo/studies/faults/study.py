@@ -1,7 +1,7 @@
 """Effects of faults at several times of a motion, with and without the protection.
 
-The fault-tolerant time of a fault is its critical duration without protection. The protection acts
-in time if the motor is in its safe state before.
+The protection acts in time if the knee stays near its motion until the motor is in its safe state.
+The critical duration of a fault is that without protection, the fault-tolerant time interval.
 """
 
 from __future__ import annotations
@@ -67,6 +67,10 @@ class FaultsSettings(Parameters):
     seed: int = quantity(2020, "1", "assumption: any number", ge=0)
 
 
+FAILED = ("made worse", "missed", "late")
+"""The verdicts of faults on which the protection does not act in time, the worst first."""
+
+
 @dataclass(frozen=True)
 class Peaks:
     """Largest values from the start of a fault on."""
@@ -108,34 +112,38 @@ class FaultRow:
     """Largest tolerated motion."""
 
     @property
-    def is_made_worse(self) -> bool:
-        """Whether the protection moves the knee beyond the bound, and farther than the fault."""
-        moved = self.protected.deviation_deg
-        return bool(self.detector) and moved > max(self.alone.deviation_deg, self.bound_deg)
-
-    @property
     def margin_s(self) -> float:
-        """Critical duration minus time to the safe state. The protection is late below zero.
+        """Critical duration minus time to the safe state.
 
         The margin is inf if the knee tolerates the fault without a time limit, or if the trigger of
-        the fault never occurs. It is -inf if the protection makes the fault worse.
+        the fault never occurs.
         """
-        if self.is_made_worse:
-            return -math.inf
         if not math.isfinite(self.critical_duration_s):
             return math.inf
         return self.critical_duration_s - self.safe_after_s
 
     @property
     def verdict(self) -> str:
-        """One of ``never active, harmless, in time, late, missed, made worse``."""
-        if self.is_made_worse:
-            return "made worse"
-        if math.isnan(self.critical_duration_s):
+        """One of ``never active, harmless, in time, late, missed, made worse``.
+
+        The protection acts in time if the knee stays within the bound until the motor is safe. It
+        makes a fault worse if the knee moves beyond the bound, and farther than without it.
+        """
+        if math.isnan(self.critical_duration_s) and not self.detector:
             return "never active"
-        if self.margin_s >= 0.0:
-            return "in time" if self.detector else "harmless"
-        return "late" if self.detector else "missed"
+        moved_deg = self.protected.deviation_deg
+        is_within = self.protected.complete and moved_deg <= self.bound_deg
+        if not self.detector:
+            return "harmless" if math.isinf(self.critical_duration_s) else "missed"
+        if is_within and math.isfinite(self.safe_after_s):
+            return "in time"
+        is_worse = moved_deg > max(self.alone.deviation_deg, self.bound_deg)
+        return "made worse" if is_worse and self.alone.complete else "late"
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether the protection did not act in time on a harmful fault."""
+        return self.verdict in FAILED
 
 
 @dataclass(frozen=True)
@@ -170,7 +178,10 @@ class FaultsResult(Result):
 
     @property
     def worst(self) -> FaultRow:
-        """The row with the least margin, and among these with the shortest critical duration."""
+        """The row in which a fault moves the knee farthest in spite of the protection.
+
+        If the protection acts in time on each fault, it is the row with the least margin.
+        """
         return min(self.rows, key=urgency)
 
     @property
@@ -307,8 +318,9 @@ def _controlled(scenario: Scenario, kind: str) -> Scenario:
 
 
 def urgency(row: FaultRow) -> tuple[float, float, float]:
-    """Return a key that is less for a worse row: margin, then critical duration, then motion."""
-    return row.margin_s, row.critical_duration_s, -row.alone.deviation_deg
+    """Return a key that is less for a worse row: the motion of failures, then the margin."""
+    moved_deg = row.protected.deviation_deg if row.has_failed else 0.0
+    return -moved_deg, row.margin_s, -row.alone.deviation_deg
 
 
 def _starts(scenario: Scenario, settings: FaultsSettings) -> tuple[Scenario, list[float]]:

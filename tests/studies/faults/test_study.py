@@ -148,34 +148,46 @@ def test_a_protection_that_stops_the_healthy_run_is_refused():
         faults_study(nervous, QUICK)
 
 
-VERDICTS = [
-    (math.inf, "", math.inf, "harmless", math.inf),
-    (math.inf, "rate", 0.1, "in time", math.inf),
-    (0.5, "rate", 0.5, "in time", 0.0),
-    (0.5, "rate", 0.502, "late", -0.002),
-    (0.5, "rate", math.inf, "late", -math.inf),
-    (0.5, "", math.inf, "missed", -math.inf),
-    (math.nan, "", math.inf, "never active", math.inf),
+VERDICTS = [  # the bound is 5°, and without protection the knee moves by 23.45°
+    (math.inf, "", math.inf, 4.9, "harmless", math.inf),
+    (math.inf, "rate", 0.1, 4.9, "in time", math.inf),
+    (0.5, "rate", 0.4, 5.0, "in time", 0.1),
+    (0.5, "rate", 0.502, 4.9, "in time", -0.002),
+    (0.5, "rate", 0.4, 5.1, "late", 0.1),
+    (0.5, "rate", math.inf, 4.9, "late", -math.inf),
+    (0.5, "rate", 0.4, 23.46, "made worse", 0.1),
+    (0.5, "", math.inf, 23.45, "missed", -math.inf),
+    (math.nan, "", math.inf, 0.0, "never active", math.inf),
 ]
 
 
-@pytest.mark.parametrize(("critical_s", "detector", "safe_s", "verdict", "margin_s"), VERDICTS)
-def test_the_verdict_compares_the_safe_state_with_the_critical_duration(
-    critical_s, detector, safe_s, verdict, margin_s
+@pytest.mark.parametrize(
+    ("critical_s", "detector", "safe_s", "moved_deg", "verdict", "margin_s"), VERDICTS
+)
+def test_the_verdict_is_that_of_the_motion_with_protection(
+    critical_s, detector, safe_s, moved_deg, verdict, margin_s
 ):
-    found = row("cause", "fault", critical_s, detector, safe_s)
+    found = row("cause", "fault", critical_s, detector, safe_s, moved_deg=moved_deg)
     assert found.verdict == verdict
+    assert found.has_failed == (verdict in ("late", "missed", "made worse"))
     assert found.margin_s == pytest.approx(margin_s)
 
 
-def test_a_stop_can_make_a_fault_worse():
-    found = row("drive", "command offset 2000 rpm", math.inf, "speed", 0.5)
-    for moved_deg, alone_deg, verdict in ((23.46, 23.45, "made worse"), (4.9, 1.0, "in time")):
-        alone = replace(found.alone, deviation_deg=alone_deg)
-        protected = replace(found.protected, deviation_deg=moved_deg)
-        changed = replace(found, alone=alone, protected=protected)
-        assert changed.verdict == verdict
-        assert changed.margin_s == (-math.inf if verdict == "made worse" else math.inf)
+@pytest.mark.parametrize(("part", "verdict"), [("alone", "late"), ("protected", "late")])
+def test_a_run_that_leaves_the_range_of_motion_has_no_last_word_on_the_motion(part, verdict):
+    """Such a run may have gone on: the protection is not worse, and not in time."""
+    found = row("cause", "fault", 0.5, "rate", 0.4, moved_deg=23.46 if part == "alone" else 4.9)
+    early = replace(getattr(found, part), complete=False)
+    assert replace(found, **{part: early}).verdict == verdict
+
+
+def test_the_worst_row_is_the_failure_with_the_largest_motion_or_the_least_margin():
+    late = row("a", "late", 0.5, "rate", 0.4, moved_deg=7.0)
+    farther = row("b", "missed", 0.5, "", math.inf, moved_deg=9.0)
+    tight, loose = row("c", "tight", 0.5, "rate", 0.49), row("d", "loose", 0.5, "rate", 0.1)
+    result = made_up()
+    assert replace(result, rows=(tight, late, farther, loose)).worst == farther
+    assert replace(result, rows=(loose, tight)).worst == tight
 
 
 def test_each_fault_is_told_once_at_its_worst_time(tables):
