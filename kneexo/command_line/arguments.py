@@ -160,14 +160,13 @@ def add_law(parser: argparse.ArgumentParser) -> None:
 
 
 def add_preset(parser: argparse.ArgumentParser) -> None:
-    """Add ``--preset``, which chooses the scenario that a scenario file and ``--set`` change."""
+    """Add ``--preset``, the scenario that a scenario file and ``--set`` change."""
     parser.add_argument(
         "--preset",
         metavar="NAME",
-        help="scenario to start from, which the values of the scenario file and of --set change: "
-        "paper (no gravity, reduced order), bench (weight of the shank, drive on its bus), leg "
-        "(bench, and the full order of the cylinder with friction) or wearer (leg, and a wearer "
-        "with zero-torque control)",
+        help="scenario to start from: paper (no gravity, reduced order), bench (weight of the "
+        "shank, drive on its bus), leg (bench, and the full order of the cylinder with friction) "
+        "or wearer (leg, and a wearer with zero-torque control)",
     )
 
 

@@ -96,7 +96,7 @@ def plot_margins(result: FaultsResult) -> Figure:
     )
     decimal_ticks(ax.xaxis)
     decimal_ticks(ax.yaxis)
-    legend_below(figure, [ax], 4)
+    legend_below(figure, [ax], 3)
     return figure
 
 
