@@ -146,13 +146,16 @@ def applicable(
     """Return the uncertain values that vary in the scenario, and the paths of the other values.
 
     The scenario lacks the other values. The ranges of `UNCERTAINTY` are about the paper's knee. A
-    value of the scenario outside its range, such as a linkage of the user, does not vary.
+    value of the scenario outside its range, such as a linkage of the user, does not vary. Options
+    that the scenario refuses, such as the reduced order of a plant with a bypass, are left out.
     With a wearer `UNCERTAINTY` also has the values of `WEARER_UNCERTAINTY`.
     Raises `ParameterError` if no value is left, and the errors of `require_applicable`.
     """
     values, is_default = uncertainty.values, uncertainty == UNCERTAINTY
     if is_default and scenario.wearer.kind != "none":
         values = values | WEARER_UNCERTAINTY.values
+    if is_default:
+        values = {path: _accepted(value, scenario, path) for path, value in values.items()}
     present = {
         path: value
         for path, value in values.items()
@@ -164,6 +167,20 @@ def applicable(
             f"none of the uncertain values is in this scenario: {', '.join(values)}"
         )
     return UncertaintySet(values=present), tuple(path for path in values if path not in present)
+
+
+def _accepted(uncertainty: Uncertainty, scenario: Scenario, path: str) -> Uncertainty:
+    """Return the uncertain value with the options that the scenario accepts, if it has any."""
+
+    def is_accepted(option: Any) -> bool:
+        try:
+            changed(scenario, {path: option})
+        except ParameterError:
+            return False
+        return True
+
+    options = tuple(filter(is_accepted, uncertainty.options))
+    return uncertainty.model_copy(update={"options": options}) if options else uncertainty
 
 
 def _includes(uncertainty: Uncertainty, scenario: Scenario, path: str) -> bool:

@@ -106,6 +106,17 @@ def test_the_default_set_varies_every_value_of_a_preset(preset):
     assert all(not has_path(scenario, path) for path in absent)
 
 
+def test_the_default_set_leaves_out_options_that_the_scenario_refuses():
+    """A plant with a bypass has no reduced order; a set of the user's is refused."""
+    scenario = Scenario.preset("leg").changed({"plant.bypass": {}})
+    kept, others = applicable(scenario, UNCERTAINTY)
+    assert others == ()
+    assert kept.values["plant.full_order"].options == ({}, {"coulomb_friction_n": 40.0})
+    mine = UncertaintySet(values={"plant.full_order": Uncertainty(options=(None, {}))})
+    with pytest.raises(ParameterError, match="bypass: must be left out of the reduced order"):
+        applicable(scenario, mine)
+
+
 def test_a_wearer_adds_cuff_and_load_cell_to_the_default_set_alone():
     """Ranges from half to twice the default stiffness, and of 0.5 % of the load cell's range."""
     wearer = Scenario.preset("wearer")

@@ -270,6 +270,7 @@ def faults_study(
     if scenario.faults or scenario.push:
         raise ParameterError("faults, push: must be left out; the study sets the faults")
     scenario, starts_s = _starts(scenario, settings)
+    kept, _ = applicable(scenario, uncertainty)
     faults = typical_faults(scenario)
     if settings.faults:
         faults = {"given": settings.faults}
@@ -294,7 +295,6 @@ def faults_study(
             cases += [(loop, fault) for _, fault in items]
             stopped = sweep.map(partial(_stop, _with(loop)), starts_s, "emergency stops")
             stops += [EmergencyStop(loop.controller.kind, **values) for values in stopped]
-        kept, _ = applicable(scenario, uncertainty)
         points = draw(kept, settings.samples, settings.seed)
         alarm = partial(_alarm, _with(scenario), kept)
         alarms = sweep.map(alarm, points, "healthy runs", group=options_of)
