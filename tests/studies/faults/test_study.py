@@ -14,7 +14,7 @@ from kneexo.parameters.safety_states import REASONS
 from kneexo.simulation import simulate
 from kneexo.studies.faults import FaultsSettings, faults_study
 from kneexo.studies.faults.report import report
-from kneexo.studies.faults.study import _controlled, _starts
+from kneexo.studies.faults.study import _controlled, _safe_after, _starts
 
 DEAD = FaultParameters(place="command", kind="scale", size=0.0)
 SWAPPED = FaultParameters(place="command", kind="scale", size=-1.0)
@@ -22,6 +22,14 @@ QUICK = FaultsSettings(
     faults=(DEAD, SWAPPED), controllers=("smc",), onsets=2, observed_s=2.0, samples=3
 )
 FAST = UNCERTAIN_KNEE.changed({"reference.frequency_hz": 0.2, "reference.amplitude_deg": 15.0})
+
+
+class SimpleRun(dict):
+    """Columns with times, as a `Run` has them."""
+
+    def __init__(self, columns, time_s):
+        super().__init__(columns)
+        self.time_s = time_s
 
 
 @pytest.fixture(scope="module")
@@ -78,6 +86,21 @@ def test_an_emergency_stop_is_that_of_a_single_run(result):
         assert stop.travel_deg == pytest.approx(np.abs(angle - angle[0]).max(), rel=1e-12)
         torque = np.abs(run["rod_force_n"] * run["moment_arm_m"])[first : last + 1]
         assert stop.torque_n_m == pytest.approx(torque.max(), rel=1e-12)
+
+
+def test_a_motor_is_safe_when_it_stands_in_the_state_stopped():
+    """The samples: operating, stopping, stopped at 31 rpm, stopped at 29 rpm."""
+    columns = {
+        "safety_state": np.array([1.0, 2.0, 3.0, 3.0]),
+        "motor_speed_rad_s": np.array([0.0, 0.0, -31.0, -29.0]) * math.pi / 30.0,
+    }
+    run = SimpleRun(columns, time_s=np.array([4.998, 5.0, 5.002, 5.004]))
+    after_s, end = _safe_after(run, FAST.changed({"protection": {}}), 5.0)
+    assert (after_s, end) == (pytest.approx(0.004), 4)
+    columns["safety_state"][2:] = 2.0
+    assert _safe_after(run, FAST.changed({"protection": {}}), 5.0) == (math.inf, None)
+    columns["safety_state"][2] = 4.0  # the bypass is open, whatever the motor does
+    assert _safe_after(run, FAST.changed({"protection": {}}), 5.0)[1] == 3
 
 
 @pytest.mark.slow
@@ -182,11 +205,11 @@ def test_a_run_that_leaves_the_range_of_motion_has_no_last_word_on_the_motion(pa
 
 
 def test_the_worst_row_is_the_failure_with_the_largest_motion_or_the_least_margin():
-    late = row("a", "late", 0.5, "rate", 0.4, moved_deg=7.0)
-    farther = row("b", "missed", 0.5, "", math.inf, moved_deg=9.0)
+    missed = row("a", "missed", 0.5, "", math.inf, moved_deg=7.0)
+    farther = row("b", "late", 0.5, "rate", 0.4, moved_deg=9.0)
     tight, loose = row("c", "tight", 0.5, "rate", 0.49), row("d", "loose", 0.5, "rate", 0.1)
     result = made_up()
-    assert replace(result, rows=(tight, late, farther, loose)).worst == farther
+    assert replace(result, rows=(tight, missed, farther, loose)).worst == farther
     assert replace(result, rows=(loose, tight)).worst == tight
 
 
