@@ -76,6 +76,17 @@ def test_a_false_alarm_is_counted_and_its_level_is_that_of_the_whole_run():
 
 
 @pytest.mark.slow
+def test_following_and_speed_have_no_level_during_the_start():
+    """A step at 0.1 s leaves the knee 4° behind. That counts if the start has ended before."""
+    step = {"kind": "step", "start_deg": 40.0, "end_deg": 44.0, "time_s": 0.1}
+    late = SHORT.changed({"protection.overdue_s": 1.0, "reference": step})
+    late = late.changed({"simulation.duration_s": 1.5})
+    early = late.changed({"protection.overdue_s": 0.05, "protection.speed_rpm": 1e4})
+    levels = [detector_thresholds(s, MASSES, 1).largest("following") for s in (late, early)]
+    assert levels[0] < 0.5 < 3.0 < levels[1] < 4.5
+
+
+@pytest.mark.slow
 def test_a_motion_that_the_pump_cannot_follow_is_an_alarm():
     fast = {"reference": {"frequency_hz": 1.0}, "simulation.duration_s": 1.5}
     result = detector_thresholds(SHORT.changed(fast), MASSES, 1)

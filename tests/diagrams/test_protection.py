@@ -91,6 +91,8 @@ def test_buttons_stop_the_motor_at_their_sample_and_start_it_again():
     assert changes[1] == pressed + 1
     assert changes[3] == round(0.62 / T) + 1
     assert REASONS[int(run["safety_reason"][changes[2]])] == "emergency stop"
+    drake = simulate(with_faults(*faults, base=base).with_engine("drake"))
+    np.testing.assert_array_equal(drake["safety_state"], state)
     assert run["safety_reason"][-1] == 0.0
     speed = abs(run["motor_speed_command_rad_s"][pressed])
     ramp = math.ceil(speed / (base.protection.stop_rad_s2 * T))
