@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from kneexo.parameters.fault import FAULTY_SIGNALS, FaultParameters, Kind
-from kneexo.parameters.paths import value_at
+from kneexo.parameters.paths import has_path, value_at
 from kneexo.parameters.scenario import Scenario
 
 
@@ -13,13 +13,15 @@ from kneexo.parameters.scenario import Scenario
 class TypicalFault:
     """A place and a kind of fault, as in `FaultParameters`, with some sizes.
 
-    The sizes of the kind ``value`` are factors of the healthy value.
+    The sizes of the kind ``value`` are factors of the healthy value, except for a value that is
+    zero in a healthy knee.
     """
 
     place: str
     kind: Kind
     sizes: tuple[float, ...]
     cause: str
+    healthy_is_zero: bool = False
 
 
 TYPICAL_FAULTS = (
@@ -43,8 +45,12 @@ TYPICAL_FAULTS = (
     TypicalFault("plant.motor.current_limit_a", "value", (0.5, 0.1, 0.0), "phase lost, motor dead"),
     TypicalFault("plant.motor.coulomb_torque_n_m", "value", (5.0, 20.0, 1000.0), "shaft locked"),
     TypicalFault("plant.pump.internal_leakage_m3_per_s_pa", "value", (3.0, 10.0, 100.0), "wear"),
-    TypicalFault("plant.cylinder.leakage_m3_per_s_pa", "value", (3.0, 10.0, 100.0), "seal torn"),
-    TypicalFault("plant.full_order.entrained_air", "value", (3.0, 10.0, 30.0), "oil level too low"),
+    TypicalFault(  # 3, 10 and 100 times the leakage of the pump
+        "plant.cylinder.leakage_m3_per_s_pa", "value", (6e-13, 2e-12, 2e-11), "seal torn", True
+    ),
+    TypicalFault(
+        "plant.full_order.entrained_air", "value", (0.01, 0.03, 0.1), "oil level too low", True
+    ),
     TypicalFault("plant.full_order.coulomb_friction_n", "value", (2.0, 4.0, 8.0), "seal swollen"),
     TypicalFault(
         "plant.full_order.relief_pressure_pa", "value", (0.8, 0.5, 0.3), "relief valve weak"
@@ -79,4 +85,7 @@ def _factor(scenario: Scenario, typical: TypicalFault) -> float:
         return float(scenario.encoder.quantized)
     if typical.place in FAULTY_SIGNALS:
         return 1.0
-    return float(value_at(scenario, typical.place) or 0.0)
+    value = value_at(scenario, typical.place) if has_path(scenario, typical.place) else None
+    if typical.healthy_is_zero:
+        return float(value == 0.0)
+    return float(value or 0.0)

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
+from kneexo.parameters.typical_faults import TYPICAL_FAULTS, typical_faults
 from kneexo.studies.faults.study import FAILED, FaultRow, FaultsResult, urgency
 from kneexo.studies.markdown import number
 from kneexo.studies.template import filled
@@ -48,6 +49,7 @@ def report(result: FaultsResult) -> str:
         ),
         hazards=_hazards(result),
         evidence=_evidence(result),
+        absent=_absent(result),
         peak=_peak,
     )
 
@@ -77,6 +79,14 @@ def _peak(path: str) -> Callable[[dict[str, Any]], str]:
 def _finite(value: float) -> float:
     """Return the value, or nan for inf, because a table shows a dash for nan."""
     return value if math.isfinite(value) else math.nan
+
+
+def _absent(result: FaultsResult) -> list[str]:
+    """Return cause and place of each typical fault that the scenario cannot have."""
+    if result.settings.faults:
+        return []
+    present = typical_faults(result.scenario)
+    return [f"{t.cause} ({t.place})" for t in TYPICAL_FAULTS if t.cause not in present]
 
 
 def _evidence(result: FaultsResult) -> list[dict[str, str]]:
