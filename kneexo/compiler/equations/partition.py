@@ -57,6 +57,54 @@ def fixed_nodes(
     return fixed[::-1]
 
 
+def zero_factors(
+    graph: Graph,
+    roots: Iterable[int],
+    fixed: Collection[int],
+    arguments: Callable[[int], Sequence[int]],
+) -> dict[int, frozenset[int]]:
+    """Return the ``fixed`` nodes by which each node is multiplied on all ways to the ``roots``.
+
+    The ways lead through sums, products and numerators. If one of these factors is zero, code may
+    take 0 in place of any finite value of the node. For example, the volume of air in oil
+    multiplies a power of the pressure. ``arguments(node)`` returns the arguments that the code for
+    ``roots`` reads.
+    """
+    roots = list(roots)
+    factors_of = dict.fromkeys(roots, frozenset[int]())
+    for node in reversed(graph.reachable(roots, arguments)):
+        linear = set(_linear_arguments(graph, node))
+        factors = factors_of[node]
+        if graph.nodes[node][0] == "multiply":
+            factors = factors.union(*(_factors(graph, a, fixed) for a in arguments(node)))
+        for argument in arguments(node):
+            passed = factors if argument in linear else frozenset[int]()
+            factors_of[argument] = passed & factors_of.get(argument, passed)
+    return factors_of
+
+
+def _linear_arguments(graph: Graph, node: int) -> tuple[int, ...]:
+    """Return the arguments of a sum or product, or the numerator of a quotient if it is no divisor.
+
+    The value of the node stays finite if such an argument becomes zero.
+    """
+    kind, arguments = graph.nodes[node][0], graph.arguments(node)
+    if kind == "divide":
+        return arguments[: int(arguments[0] != arguments[1])]
+    return arguments if kind in ("add", "multiply") else ()
+
+
+def _factors(graph: Graph, node: int, fixed: Collection[int]) -> set[int]:
+    """Return the ``fixed`` nodes that make a node zero which depends on parameters alone."""
+    if not graph.is_fixed(node):
+        return set()
+    factors = {node}.intersection(fixed)
+    if graph.nodes[node][0] in ("multiply", "divide"):
+        read = _linear_arguments(graph, node)
+        factors = factors.union(*(_factors(graph, a, fixed) for a in read))
+    return factors
+
+
 def nodes_by_count(
     graph: Graph,
     roots: Sequence[int],

@@ -10,6 +10,7 @@ from typing import Any
 
 from ..equations.graph import SOURCES, Graph
 from ..equations.operations import OPERATIONS
+from ..equations.partition import zero_factors
 from ..equations.passes import ALWAYS, Group, Memo, Place, Program
 from . import elementary
 from .arguments import MEMO_LINES
@@ -106,6 +107,7 @@ class Printer:
         if memory is not None:
             for number, memo in enumerate(program.memos):
                 self.memo_of |= dict.fromkeys(memo.nodes, (number, memo))
+        self._zero_factors: dict[int, frozenset[int]] = {}
         self._emitted: dict[Any, Any] = {}  # pairs of sine and cosine, and rows of tables
 
     def _arguments(self, node: int) -> tuple[int, ...]:
@@ -131,6 +133,8 @@ class Printer:
                 if group.condition == ALWAYS:
                     without_condition.add(node)
         fused = self._fused(groups, groups_of)
+        roots = (node for group in groups for _, node in group.targets)
+        self._zero_factors = zero_factors(self.graph, roots, self.hoisted, self._arguments)
         values: dict[int, Operand] = {}
         shared = (node for node, users in groups_of.items() if len(users) > 1)
         self._compute(sorted(without_condition.union(shared)), values, fused)
@@ -224,7 +228,23 @@ class Printer:
             if pair not in self._emitted:
                 self._emitted[pair] = elementary.sincos(f, *f.alike(operands[0]))
             return self._emitted[pair][int(name)]
-        return _EMITTERS[emitter](f, name, operands)
+        emit = partial(_EMITTERS[emitter], f, name, operands)
+        if emitter == "elementary" and self._zero_factors[node]:
+            return self._unless_zero(min(self._zero_factors[node]), emit)
+        return emit()
+
+    def _unless_zero(self, factor: int, emit: Callable[[], Operand]) -> Value:
+        """Emit the code of ``emit`` under the condition that a fixed node is not zero.
+
+        The value is 0 in lanes where the fixed node is zero.
+        """
+        f, number = self.function, self.storage.load("constant", self.hoisted[factor])
+        assert isinstance(number, Value)
+        matters = number.differs(0.0)
+        result = f.variable(f.constant(0.0, number.type))
+        with f.when(f.any_lane(matters)):
+            result.set(f.select(matters, f.coerce(emit(), number.type), 0.0))
+        return result.get()
 
     def _sum(self, terms: Sequence[int], values: Mapping[int, Operand], fused: set[int]) -> Operand:
         """Emit a sum. A fused multiply-add adds each term that is a product in ``fused``."""

@@ -3,7 +3,12 @@
 import pytest
 
 from kneexo.compiler.equations.graph import Graph
-from kneexo.compiler.equations.partition import fixed_nodes, is_rounded, nodes_by_count
+from kneexo.compiler.equations.partition import (
+    fixed_nodes,
+    is_rounded,
+    nodes_by_count,
+    zero_factors,
+)
 
 
 @pytest.fixture
@@ -65,3 +70,40 @@ def test_a_condition_is_in_no_table_and_reads_from_none(graph):
     sine = graph.unary("sin", count)
     root = graph.where(graph.compare("gt", sine, graph.zero), graph.source("state"), graph.one)
     assert by_count(graph, [root], {count}.__contains__) == {}
+
+
+def test_a_factor_counts_on_each_way_from_a_node_to_the_roots(graph):
+    p, q, x, y = (
+        *(graph.source("parameter", i) for i in (0, 1)),
+        *map(graph.source, ("state", "time")),
+    )
+    one_way, two_ways, also_bare = (graph.unary(name, x) for name in ("exp", "sin", "tanh"))
+    fraction = graph.operation("divide", p, q)
+    roots = [
+        graph.multiply(p, graph.add(one_way, y)),
+        graph.add(graph.multiply(p, q, two_ways), graph.multiply(fraction, y, two_ways)),
+        graph.add(graph.multiply(q, also_bare), graph.operation("divide", p, also_bare)),
+    ]
+    factors = zero_factors(graph, roots, {p, q, fraction}, graph.arguments)
+    assert factors[one_way] == {p}
+    assert factors[two_ways] == {p}
+    assert factors[also_bare] == set()
+
+
+def test_all_factors_of_a_fixed_product_count(graph):
+    p, q, x = graph.source("parameter", 0), graph.source("parameter", 1), graph.source("state")
+    sine, both = graph.unary("sin", x), graph.multiply(p, q)
+    root = graph.multiply(both, sine)
+    assert zero_factors(graph, [root], {p, both}, graph.arguments)[sine] == {p, both}
+
+
+def test_a_divisor_and_the_argument_of_a_function_have_no_factors(graph):
+    p, x = graph.source("parameter"), graph.source("state")
+    names = ("exp", "sin", "tanh", "atan")
+    above, below, inside, both = (graph.unary(name, x) for name in names)
+    quotients = [
+        graph.operation("divide", *pair) for pair in ((above, x), (x, below), (both, both))
+    ]
+    roots = [graph.multiply(p, node) for node in (*quotients, graph.unary("log", inside))]
+    factors = zero_factors(graph, roots, {p}, graph.arguments)
+    assert [bool(factors[node]) for node in (above, below, inside, both)] == [1, 0, 0, 0]

@@ -368,6 +368,23 @@ def always(roots):
     return [Group(ALWAYS, tuple((("output", i), root) for i, root in enumerate(roots)))]
 
 
+@pytest.mark.parametrize("lanes", [1, 2, 4])
+def test_a_function_whose_factor_is_zero_is_not_computed(printed, lanes):
+    graph = Graph()
+    x, p = graph.source("state"), graph.source("parameter")
+    roots = [graph.multiply(p, graph.unary("exp", x)), graph.unary("exp", x)]
+    code = printed.groups(hoisting(graph, ()), always(roots[:1]), lanes=(lanes,))
+    both = printed.groups(hoisting(graph, ()), always(roots), lanes=(lanes,))
+    x = np.array([[1e3, 1e3, 0.5, 1e3, 0.5, 0.5, -1e3, 0.5]])
+    p = np.array([[0.0, 1.0, 3.0, -0.0, 0.0, -2.0, np.inf, np.nan]])
+    values = {"time": x, "state": x, "constant": p}
+    with np.errstate(over="ignore", invalid="ignore"):
+        products = p * both(lanes, **values)[1]
+    assert_same_bits(both(lanes, **values)[0], products[0])  # 0 times infinity is nan
+    products[0, [0, 3]] = 0.0, -0.0
+    assert_same_bits(code(lanes, **values)[0], products[0])
+
+
 @pytest.mark.parametrize("lanes", [1, 4])
 def test_a_memo_changes_nothing(printed, lanes):
     graph, memos, roots = memo_graph()
