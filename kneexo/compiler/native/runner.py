@@ -40,7 +40,11 @@ with a period of half a tick has the same value at these points, so it would loo
 """
 
 TOLERANCE = 1e-8
-"""Default tolerance of the exact hold: error of a state x in one step, divided by 1 + |x|."""
+"""Default tolerance of the exact hold: error of a state x in one step, divided by 1 + |x|.
+
+With 1e-7 some runs read another count of the encoder (``benchmarks/tolerance.py``). With 1e-9 the
+full order takes four times as long.
+"""
 
 PIECE_S = 0.2
 """Intended duration of one call of the machine code in s; Ctrl-C acts between two calls."""
