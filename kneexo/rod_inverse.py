@@ -7,9 +7,10 @@ doubles can differ between processors. So the fit, and every run, gives the same
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from decimal import Context, Decimal, localcontext
+from decimal import Context, Decimal, InvalidOperation, localcontext
 from functools import lru_cache
 from itertools import product, zip_longest
 from types import SimpleNamespace
@@ -251,11 +252,17 @@ def rounded_rod_extension(link: LinkageParameters, knee_angle_rad: float) -> flo
     """Return the rod extension x(θ_p) in m, with the same bits on every processor.
 
     The extension is computed with 50 decimal digits and rounded once. Raises `LinkageError` where
-    the links do not close.
+    the links do not close, or are in line.
     """
     rod_extension(link, knee_angle_rad)  # raises the error; the decimal numbers need no check
     with localcontext(_DECIMAL):
-        return float(_decimal_pose(link, Decimal(knee_angle_rad))[0])
+        try:
+            return float(_decimal_pose(link, Decimal(knee_angle_rad))[0])
+        except InvalidOperation:  # in line, the links close as doubles but not with 50 digits
+            raise LinkageError(
+                f"links a_2_m = {link.a_2_m:g} m and a_4_m = {link.a_4_m:g} m are in line at knee "
+                f"angle {math.degrees(knee_angle_rad):.4g} deg; change a length"
+            ) from None
 
 
 def _decimal_pose(

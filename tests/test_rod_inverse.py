@@ -27,6 +27,7 @@ from kneexo.parameters import (
     G3,
     G4,
     G5,
+    HINGE,
     LINKAGES,
     TABLE_1_LINKAGES,
     LinkageParameters,
@@ -140,6 +141,15 @@ def test_coefficients_of_the_fit_are_those_of_exact_arithmetic_rounded_once():
                 Polynomial([mp.mpf(0)]),
             )
             np.testing.assert_array_equal(coefficients[::-1], [float(c) for c in exact.coef])
+
+
+def test_links_in_line_have_no_rounded_rod_extension():
+    """a_2 + a_3 = a_4 in doubles, while the exact sum of the doubles is below a_4."""
+    link = HINGE.changed({"a_2_m": 0.03, "a_3_m": 0.03, "a_4_m": 0.06})
+    with pytest.raises(
+        LinkageError, match=r"a_2_m = 0.03 m and a_4_m = 0.06 m are in line at .*90"
+    ):
+        rounded_rod_extension(link, np.pi / 2.0)
 
 
 @names
