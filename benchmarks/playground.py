@@ -1,6 +1,6 @@
 """Measures how long a user of `kneexo play` waits in Chromium, and whether the numbers are right.
 
-    python benchmarks/playground.py [--repeats N] [--presets paper bench leg wearer]
+    python benchmarks/playground.py [--repeats N] [--presets paper bench leg wearer protected]
 
 For each preset the program makes a page, opens it, and moves the slider of the gear by events of a
 real mouse, with the leg still and playing. A wait lasts from the event of the mouse to the picture
@@ -39,7 +39,7 @@ from kneexo.parameters.scenario_file import load_scenario
 from kneexo.systems.knee_reference import run_middle_deg
 from kneexo.view.playground import playground_page
 
-PRESETS = ("paper", "bench", "leg", "wearer")
+PRESETS = ("paper", "bench", "leg", "wearer", "protected")
 SLIDER = "q-plant.pump.gear_ratio"
 
 OPENING = """
@@ -94,7 +94,7 @@ class Mouse:
     def __init__(self, browser: Any) -> None:
         self.browser = browser
         script = f"""(() => {{ const slider = document.getElementById("{SLIDER}");
-          slider.scrollIntoView({{ block: "nearest" }});
+          slider.scrollIntoView({{ block: "center" }});
           const box = slider.getBoundingClientRect();
           const thumb = 8;  // half its width
           const at = slider.value / slider.max;
@@ -229,7 +229,7 @@ def main() -> None:
             found[name] = measured(browser, file, options.repeats)
             for row, numbers in found[name].items():
                 texts = ", ".join(f"{head} {value:.3g}" for head, value in numbers.items())
-                print(f"{name:8}{row:12}{texts}", flush=True)
+                print(f"{name:10}{row:12}{texts}", flush=True)
         browser.close()
     load = os.getloadavg()[0]
     print(f"load of the machine over the last minute, with this program: {load:.1f}")

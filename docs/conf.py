@@ -239,9 +239,14 @@ def drop_old_pages(app: Sphinx) -> None:
 
 FRAMES = {
     "play": ("playground.html", "The page to play with", ["play", "--preset", "leg"]),
+    "fault": (
+        "protected.html#a.fault=encoder_frozen",
+        "Throw a fault at the knee",
+        ["play", "--preset", "protected"],
+    ),
     "knee": ("knee.html", "The knee moves", ["view", "--preset", "leg"]),
 }
-"""Pages in frames. Each marker in the Markdown has file, title, and the command of the file."""
+"""Pages in frames. Each marker in the Markdown has address, title, and command of the file."""
 
 
 def place_frames(_app: Sphinx, document: str, content: list[str]) -> None:
@@ -265,7 +270,7 @@ def write_frames(app: Sphinx, failure: Exception | None) -> None:
     if failure is not None or app.builder.format != "html":
         return
     for file, _, command in FRAMES.values():
-        if main([*command, "--out", str(app.outdir / file)]):
+        if main([*command, "--out", str(app.outdir / file.partition("#")[0])]):
             raise ExtensionError(f"kneexo {command[0]} has failed")
 
 

@@ -165,8 +165,9 @@ def add_preset(parser: argparse.ArgumentParser) -> None:
         "--preset",
         metavar="NAME",
         help="scenario to start from: paper (no gravity, reduced order), bench (weight of the "
-        "shank, drive on its bus), leg (bench, and the full order of the cylinder with friction) "
-        "or wearer (leg, and a wearer with zero-torque control)",
+        "shank, drive on its bus), leg (bench, and the full order of the cylinder with friction), "
+        "wearer (leg, and a wearer with zero-torque control) or protected (leg, and protection "
+        "against faults)",
     )
 
 

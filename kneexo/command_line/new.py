@@ -120,7 +120,7 @@ def _lines(csv: str) -> Iterator[str]:
     gains = ", ".join(f"{name}: {value:g}" for name, value in pid.items())
     yield "# A knee to change. Comments: unit, range; meaning or origin. Other values are the"
     yield "# preset's (kneexo params lists them). The polynomial is fitted to this linkage."
-    yield f"preset: {PRESET}  # weight of the shank, drive, chambers, friction; others: {others}"
+    yield f"preset: {PRESET}  # shank's weight, drive, chambers, friction; others: {others}"
     yield "plant:"
     yield f"  linkage:  # {origin}"
     for name, meaning in _MEANINGS.items():

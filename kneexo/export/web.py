@@ -16,7 +16,7 @@ import numpy as np
 from kneexo.compiler import CSource, InputTable, input_table
 from kneexo.diagrams.closed_loop import plant_start
 from kneexo.diagrams.wearer import moment_of, moment_spline
-from kneexo.errors import KneexoError, ParameterError
+from kneexo.errors import KneexoError
 from kneexo.export.web_code import (
     REFERENCES,
     TORQUE_MODES,
@@ -25,6 +25,13 @@ from kneexo.export.web_code import (
     modules,
     reference_source,
     require_slow_modes,
+)
+from kneexo.export.web_faults import (
+    direct_maps,
+    fault_data,
+    is_protected,
+    sizes_of,
+    with_thrown_faults,
 )
 from kneexo.export.web_maps import Map, fit_maps
 from kneexo.linkage import pose
@@ -37,7 +44,7 @@ from kneexo.parameters import (
     TorqueParameters,
 )
 from kneexo.parameters.fields import source_of as provenance_of, unit_of
-from kneexo.parameters.paths import value_at
+from kneexo.parameters.paths import changed, value_at
 from kneexo.parameters.quantity import Parameters
 from kneexo.parameters.sliders import Slider, sliders_of
 from kneexo.result import Array
@@ -102,24 +109,23 @@ def web_model(scenario: Scenario) -> dict[str, Any]:
         ``powers``, both as base64 of doubles; see `InputTable`.
     ``limits``
         Bounds of the signals, each a number, None, or a formula.
+    ``faults``
+        Faults, protection and safety state machine; see `fault_data`. None for a scenario without
+        ``protection`` and ``faults``.
     ``controller``, ``load``
         The kinds of these parts. A torque controller has its mode in place of the kind.
     ``wearer``, ``moment``
         Whether the loop has a wearer, and the biological moment as a piecewise polynomial or None.
         A loop with a wearer has the input of `IntervalReference`, followed by the moment.
 
-    Raises `ParameterError` for a law that is called as Python, for faults, and for a mode of the
-    plant that the steps of a module cannot follow. Raises the errors of `make_closed_loop`. Raises
-    `CompilationError` if a module must be compiled and Zig is not installed.
+    Raises `ParameterError` for a law that is called as Python, for faults that a page cannot throw,
+    and for a mode of the plant that the steps of a module cannot follow. Raises the errors of
+    `make_closed_loop`. Raises `CompilationError` if a module must be compiled and Zig is not
+    installed.
     """
-    if scenario.faults:
-        raise ParameterError(
-            "faults: a page cannot show them yet; leave them out (--set faults=[])"
-        )
-    if scenario.protection is not None:
-        raise ParameterError(
-            "protection: a page cannot show it yet; leave it out (--set protection=null)"
-        )
+    faults = fault_data(scenario) if is_protected(scenario) else None
+    if faults:
+        scenario = with_thrown_faults(scenario, {})
     push = scenario.push or PushParameters()
     scenario = completed(scenario.changed({"push": None}))  # the page pushes between two samples
     require_slow_modes(scenario)
@@ -127,19 +133,27 @@ def web_model(scenario: Scenario) -> dict[str, Any]:
     if scenario.plant.knee_inertia_kg_m2 is not None:
         del sliders["plant.cylinder.mass_kg"]  # has no effect
     ranges = {path: (slider.low, slider.high) for path, slider in sliders.items()}
-    ranges[START] = _start_range(scenario)
     values = {path: value_at(scenario, path) for path in sliders}
+    required = [START]
+    if faults:
+        for size in sizes_of(faults):
+            required.append(size["name"])
+            ranges[size["name"]] = size["low"], size["high"]
+            values[size["name"]] = size["value"]
+    ranges[START] = _start_range(scenario)
     values[START], rate = start_motion(scenario.reference)
-    starts, leg = [START], scenario.wearer
+    leg = scenario.wearer
     if isinstance(leg, LegParameters) and leg.motion == "active":
-        starts.append(START_RATE)
+        required.append(START_RATE)
         ranges[START_RATE], values[START_RATE] = _RATES_RAD_S, rate
     loops = _LOOPS if leg.kind == "none" else _LOOPS[:1]
     sources = {name: _loop_source(structure_key(scenario), scenario, name) for name in loops}
     numbers = _Numbers(scenario, sources)
-    maps, names = fit_maps(numbers, ranges, values, starts, scenario.bus.velocity_unit_rad_s)
+    maps, names = fit_maps(numbers, ranges, values, required, scenario.bus.velocity_unit_rad_s)
     base = numbers(values, bounded=True)
     parts = numbers.split(maps)
+    if faults:
+        parts["loop"] |= direct_maps(scenario, (name for name, _ in _columns(sources["loop"])))
     return {
         **{
             name: {
@@ -154,10 +168,11 @@ def web_model(scenario: Scenario) -> dict[str, Any]:
         "wearer": leg.kind != "none",
         "moment": (moment := moment_of(scenario)) and _table(input_table(moment_spline(moment))),
         "quantities": [
-            *(_quantity(scenario, p, sliders[p]) for p in names if p not in starts),
+            *(_quantity(scenario, p, sliders[p]) for p in names if p not in required),
             *(_quantity(push, p, s, "push.") for p, s in sliders_of(push) if _can_push(scenario)),
         ],
         "references": _references(scenario),
+        "faults": faults,
         "limits": _limits(scenario, base[numbers.places["limits"]], parts["limits"]),
     }
 
@@ -217,7 +232,8 @@ class _Numbers:
             if name not in (START, START_RATE)
         )
         if paths not in self._known:
-            self._known[paths] = self._parameters(self._scenario.changed(dict(paths)))
+            change = with_thrown_faults if self._scenario.faults else changed
+            self._known[paths] = self._parameters(change(self._scenario, dict(paths)))
         scenario, parameters, limits = self._known[paths]
         start = plant_start(_started_at(scenario, values[START]))
         if START_RATE in values:

@@ -34,6 +34,7 @@ from kneexo.diagrams.law import why_python
 from kneexo.diagrams.plant import moving_masses_kg
 from kneexo.diagrams.signals import SIGNALS
 from kneexo.errors import ParameterError
+from kneexo.export.web_faults import with_thrown_faults
 from kneexo.linkage import moment_arm
 from kneexo.parameters import (
     LegParameters,
@@ -56,6 +57,9 @@ OUTPUTS = (
     *("chamber_pressures", "relief_flow", "interaction_torque", "wearer_motion"),
 )
 """Names of the signals that the module of a loop outputs, if the scenario has them."""
+
+PROTECTED_OUTPUTS = ("moment_arm", "safety_state", "safety_reason")
+"""Names of the further signals that the module of a loop with protection outputs."""
 
 INTERVAL = (
     "interval_start_s",
@@ -110,6 +114,7 @@ SHIPPED: Mapping[str, Mapping[str, Any]] = {
     "paper with load": {"plant": {"load": "knee"}},
     "bench": with_preset("bench", {}),
     "leg": with_preset("leg", {}),
+    "protected": with_preset("protected", {}),
 }
 """Scenarios whose modules come with the package, with sliding mode and with PID.
 
@@ -136,7 +141,8 @@ def loop_source(scenario: Scenario, *, smooth: bool = False) -> CSource:
     if value_at(scenario, "plant.load.kind") == "knee":
         # With a fixed factor of zero the equations suit every value of the parameters.
         scenario = scenario.changed({"plant.load.disturbance_amplitude_n": 0.0})
-    names = [name for name in OUTPUTS if name in available_signals(scenario)]
+    outputs = OUTPUTS if scenario.protection is None else OUTPUTS + PROTECTED_OUTPUTS
+    names = [name for name in outputs if name in available_signals(scenario)]
     diagram, inputs = _diagram(scenario)
     inputs |= {PERTURBATION: ("command_perturbation_rad_s",)}
     method: dict[str, Any] = {"step_s": _INTERVAL_S / (_SMOOTH_STEPS if smooth else _STEPS)}
@@ -275,6 +281,8 @@ def shipped_sources() -> Iterator[tuple[str, CSource]]:
     for name, values in SHIPPED.items():
         for controller in ("smc", "pid"):
             scenario = Scenario.model_validate({**values, "controller": controller})
+            if scenario.protection is not None:
+                scenario = with_thrown_faults(scenario, {})
             for smooth in (False, True):
                 kind = "without quantizers" if smooth else "with quantizers"
                 yield f"{name}, {controller}, {kind}", loop_source(scenario, smooth=smooth)

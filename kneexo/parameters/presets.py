@@ -28,10 +28,8 @@ class Preset:
 
 _WEIGHT = {"kind": "knee"}
 _DRIVE = {"kind": "cia402"}
-_LEG = {
-    "plant": {"load": _WEIGHT, "full_order": {"coulomb_friction_n": SEAL_FRICTION_N}},
-    "bus": _DRIVE,
-}
+_LEG_PLANT = {"load": _WEIGHT, "full_order": {"coulomb_friction_n": SEAL_FRICTION_N}}
+_LEG = {"plant": _LEG_PLANT, "bus": _DRIVE}
 _SOUND_TORQUE = {
     "kind": "torque",
     "proportional_rad_s_per_n": 3.0,
@@ -60,8 +58,12 @@ PRESETS: Mapping[str, Preset] = {
         "leg, and the leg of a wearer in a cuff; torque control that keeps the rod free of force",
         {**_LEG, "wearer": {"kind": "leg"}, "controller": _SOUND_TORQUE},
     ),
+    "protected": Preset(
+        "leg, limits of motor torque and supply, end stops, and protection against faults",
+        {**_LEG, "plant": {**_LEG_PLANT, "motor": {}, "end_stops": {}}, "protection": {}},
+    ),
 }
-"""The presets by name. Each preset contains what the preset before it contains."""
+"""The presets by name. Each one contains the one before it, but ``protected`` has no wearer."""
 
 
 def with_preset(name: Any, data: Mapping[str, Any]) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from kneexo.parameters.plant import (
     FullCylinderParameters,
     KneeLoadParameters,
 )
+from kneexo.parameters.protection import ProtectionParameters
 from kneexo.parameters.push import PushParameters
 from kneexo.parameters.quantity import Parameters
 from kneexo.parameters.reference import RampReference, SineReference, StepReference
@@ -54,6 +55,7 @@ _BAR = ("bar", 1e-5)
 _DEG = ("deg", 180.0 / math.pi)
 _CC_REV = ("cc/rev", 2e6 * math.pi)
 _DECADE = "a factor of about ten around the paper's value"
+_ALARM = "false alarms to hardly a detection"
 _LEAK = "from none to ten times the assumed leakage of the pump"
 
 SLIDERS: Mapping[type[Parameters], Mapping[str, Slider]] = {
@@ -204,6 +206,13 @@ SLIDERS: Mapping[type[Parameters], Mapping[str, Slider]] = {
         ),
         "start_s": Slider("start of the push", 0.0, 60.0, "within a run"),
         "duration_s": Slider("duration of the push", 0.01, 5.0, "a knock to a hold", "log"),
+    },
+    ProtectionParameters: {
+        "following_deg": Slider("threshold of following", 0.2, 30.0, _ALARM, "log"),
+        "speed_rpm": Slider("threshold of speed", 20.0, 4000.0, _ALARM, "log"),
+        "flow_mm": Slider("threshold of flow", 0.2, 25.0, _ALARM, "log"),
+        "rate_deg_s": Slider("threshold of rate", 50.0, 1e4, _ALARM, "log"),
+        "range_deg": Slider("threshold of range", 0.1, 30.0, _ALARM, "log"),
     },
     SineReference: {
         "amplitude_deg": Slider("amplitude", 1.0, 44.0, "within the range of motion"),

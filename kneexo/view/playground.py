@@ -32,6 +32,7 @@ _SHORTEST_RUN_S = 0.5
 _SCRIPTS = (
     "playground_setups.js",
     "playground_curves.js",
+    "playground_safety.js",
     "playground_bode.js",
     "playground_controls.js",
     "playground_numbers.js",
@@ -46,6 +47,7 @@ _CONTROLLERS, _LOADS = ("smc", "pid"), ("none", "knee")
 """Kinds of controller and load between which switches of the page choose."""
 
 _GROUPS = (
+    ("Fault", ("fault.",), ("size", "start_s", "duration_s", "reset_s")),
     (
         "Task",
         ("reference.", "simulation."),
@@ -76,6 +78,7 @@ _GROUPS = (
             "controller.derivative",
         ),
     ),
+    ("Protection", ("protection.",), ("following_deg", "speed_rpm", "flow_mm")),
     (
         "Wearer",
         ("wearer.", "load_cell."),
@@ -190,6 +193,7 @@ def _entry(scenario: Scenario, name: str) -> dict[str, Any]:
         if model["references"].get("samples") == first["references"].get("samples"):
             model["references"].pop("samples", None)  # the page reads those of the first
     knee, limits = scenario.plant.knee, first["limits"]
+    faults = first.get("faults") or {"fault": "none", "protection": "off"}
     return {
         "name": name,
         "models": models,
@@ -199,6 +203,8 @@ def _entry(scenario: Scenario, name: str) -> dict[str, Any]:
             "controller": first["controller"],
             "load": first["load"],
             "reference": scenario.reference.kind,
+            "fault": faults["fault"],
+            "protection": faults["protection"],
         },
         "leg": stage_leg(
             name,
@@ -218,7 +224,8 @@ def _longest_s(scenario: Scenario) -> float:
 
 
 def _model(scenario: Scenario) -> dict[str, Any]:
-    return {**web_model(scenario), "scenario": _differences(scenario)}
+    """Return the model of a scenario, with the values of its scenario file but its faults."""
+    return {**web_model(scenario), "scenario": _differences(scenario.changed({"faults": ()}))}
 
 
 def _variants(

@@ -15,7 +15,6 @@ from kneexo.errors import ParameterError
 from kneexo.export.firmware import export_firmware
 from kneexo.export.fmu import export_fmu
 from kneexo.export.target import make_target
-from kneexo.export.web import web_model
 from kneexo.parameters import KneeLoadParameters, Scenario
 from kneexo.parameters.scenario_file import dump_scenario, load_scenario
 from kneexo.simulation import simulate
@@ -335,11 +334,6 @@ def test_the_verdict_says_when_faults_were_active():
     never = fault | {"signal": "knee_angle_rad", "above": 3.0}
     (line,) = [n for n in track(with_faults(never)).verdict.notices if "fault" in n]
     assert line.startswith("no fault was active, because no signal passed its threshold")
-
-
-def test_a_page_refuses_faults():
-    with pytest.raises(ParameterError, match="faults: a page cannot show them yet"):
-        web_model(with_faults({"start_s": 0.1}))
 
 
 @pytest.mark.parametrize(

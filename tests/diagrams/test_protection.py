@@ -13,7 +13,6 @@ from kneexo.errors import ParameterError
 from kneexo.export.firmware import export_firmware, export_sil
 from kneexo.export.fmu import export_fmu
 from kneexo.export.target import count_range, make_target
-from kneexo.export.web import web_model
 from kneexo.linkage import moment_arm, pose
 from kneexo.parameters import Scenario
 from kneexo.parameters.safety_states import REASONS, STATES
@@ -225,11 +224,6 @@ def test_exported_c_gets_over_counts_at_which_the_linkage_cannot_close(tmp_path)
 def test_tables_by_the_count_refuse_protection(tmp_path):
     with pytest.raises(ParameterError, match="look_up: the tables have no row for a count"):
         export_firmware(BASE, tmp_path, look_up=True)
-
-
-def test_a_page_refuses_protection():
-    with pytest.raises(ParameterError, match="protection: a page cannot show it yet"):
-        web_model(BASE)
 
 
 # ---------------------------------------------------------------------------------- verdict

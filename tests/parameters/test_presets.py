@@ -16,7 +16,7 @@ from kneexo.parameters.paths import changed
 from kneexo.parameters.presets import PRESETS, with_preset
 from kneexo.parameters.scenario_file import dump_scenario, load_scenario
 
-PAPER, BENCH, LEG, WEARER = map(Scenario.preset, PRESETS)
+PAPER, BENCH, LEG, WEARER, PROTECTED = map(Scenario.preset, PRESETS)
 
 MEAN_AREA_M2 = math.pi / 4.0 * (0.020**2 - 0.010**2 / 2.0)
 """Mean of Table 3's piston and ring."""
@@ -33,7 +33,7 @@ def load(tmp_path):
 
 
 def test_each_preset_adds_parts_to_the_one_before():
-    assert list(PRESETS) == ["paper", "bench", "leg", "wearer"]
+    assert list(PRESETS) == ["paper", "bench", "leg", "wearer", "protected"]
     assert Scenario() == PAPER
     assert (PAPER.plant.load, PAPER.plant.full_order, PAPER.bus) == (NoLoad(), None, NoBus())
     assert (BENCH.plant.load, BENCH.bus) == (KneeLoadParameters(), Cia402Parameters())
@@ -42,8 +42,10 @@ def test_each_preset_adds_parts_to_the_one_before():
     gains = {"proportional_rad_s_per_n": 3, "integral_rad_s2_per_n": 10, "speed_feedforward": 0.3}
     torque = {"kind": "torque", **gains}
     assert changed(LEG, {"wearer": "leg", "controller": torque}) == WEARER
+    parts = {"plant.motor": {}, "plant.end_stops": {}, "protection": {}}
+    assert changed(LEG, parts) == PROTECTED
     # The pump leaks in all of them; the controller knows the plant.
-    for scenario in (PAPER, BENCH, LEG, WEARER):
+    for scenario in (PAPER, BENCH, LEG, WEARER, PROTECTED):
         assert scenario.plant.pump.leakage_m3_per_s_pa == 2e-13
         assert scenario.nominal is None
 
@@ -71,7 +73,7 @@ def test_the_argument_takes_the_place_of_the_entry(load):
     )
 
 
-@pytest.mark.parametrize("name", ["bench", "leg", "wearer"])
+@pytest.mark.parametrize("name", ["bench", "leg", "wearer", "protected"])
 def test_a_written_scenario_is_complete_without_its_preset(load, name):
     text = dump_scenario(Scenario.preset(name))
     assert "preset" not in text
@@ -91,7 +93,10 @@ def test_values_of_one_scenario_do_not_reach_the_next():
 def test_a_wrong_name_lists_the_presets(name, hint):
     with pytest.raises(ParameterError) as caught:
         Scenario.preset(name)
-    assert str(caught.value) == f"preset = '{name}': must be paper, bench, leg or wearer{hint}"
+    assert (
+        str(caught.value)
+        == f"preset = '{name}': must be paper, bench, leg, wearer or protected{hint}"
+    )
 
 
 def test_a_wrong_name_in_a_file_has_its_line(load):

@@ -44,7 +44,13 @@ def test_schema_is_valid_and_names_its_draft(schema):
 
 def test_schema_names_sections_units_and_ranges(schema):
     assert set(schema["properties"]) == {*Scenario.model_fields, "preset"}
-    assert schema["properties"]["preset"]["enum"] == ["paper", "bench", "leg", "wearer"]
+    assert schema["properties"]["preset"]["enum"] == [
+        "paper",
+        "bench",
+        "leg",
+        "wearer",
+        "protected",
+    ]
     mass = schema["$defs"]["CylinderParameters"]["properties"]["mass_kg"]
     assert mass["unit"] == "kg"
     assert mass["minimum"] == 0.01

@@ -23,8 +23,9 @@ const Page = (() => {
 
   function requestOf(setup) {
     const model = Setups.modelOf(data, setup);
-    const values = Setups.valuesOf(data, setup);
-    return { model: model.key, reference: setup.reference, values, duration_s: values[data.duration.name], band_deg: data.recovery_band_deg };
+    const values = { ...Setups.valuesOf(data, setup), ...Setups.moduleValues(data, setup) };
+    return { model: model.key, reference: setup.reference, values, duration_s: values[data.duration.name], band_deg: data.recovery_band_deg,
+      fault_s: Setups.thrownOf(data, setup)?.start_s };
   }
 
   function change(index) {
@@ -32,7 +33,7 @@ const Page = (() => {
     const fault = Setups.faultOf(data, setup);
     complain(fault && `${state.compare ? `Set-up ${"AB"[index]}: ` : ""}${fault}`);
     if (fault || !shownSetups().includes(index)) return;
-    const request = { ...requestOf(setup), view_s: parts.plots.range };
+    const request = { ...requestOf(setup), view_s: parts.plots.range, fault: Setups.thrownOf(data, setup), isProtected: setup.protection === "on" };
     parts.latest[index] = request;
     results[index].fresh = false;
     parts.stage.rest(LONGEST_RUN_MS);
@@ -41,7 +42,7 @@ const Page = (() => {
       parts.analyses.request(index, null);
       return;
     }
-    const sweep = requestOf({ ...setup, reference: "sine" });
+    const sweep = requestOf({ ...setup, reference: "sine", fault: "none", protection: "off" });
     const near = results[index].near_hz; // the search is quicker beside the last result
     if (near) sweep.near_hz = near;
     parts.analyses.request(index, { linear: request, sweep, frequencies: SWEEP_HZ });
@@ -53,6 +54,10 @@ const Page = (() => {
       tellEnds();
       return;
     }
+    if (!request.isProtected) { // these states act on nothing
+      delete answer.columns.state;
+      delete answer.columns.reason;
+    }
     const setup = state.setups[index];
     const { sample_time_s } = data.modules[Setups.modelOf(data, setup).loop.module].table;
     const end_s = answer.time.at(-1) ?? 0;
@@ -60,7 +65,7 @@ const Page = (() => {
       ...results[index], hasWearer: Setups.hasWearer(data, setup), margins: data.margins, band_deg: data.recovery_band_deg,
       fresh: !answer.unfinished && parts.latest[index] === request,
       run: {
-        ...answer, duration_s: request.duration_s, reference: request.reference, step_s: request.values["reference.time_s"],
+        ...answer, fault: request.fault, faults: Setups.modelOf(data, setup).faults, isProtected: request.isProtected, duration_s: request.duration_s, reference: request.reference, step_s: request.values["reference.time_s"],
         part_s: answer.unfinished && request.duration_s - end_s > sample_time_s ? end_s : null,
       },
       frequency: request.reference === "sine" ? request.values["reference.frequency_hz"] : null,
@@ -111,6 +116,7 @@ const Page = (() => {
       if (runs[1]) runs[1].same_reference = visible[0].reference_key === visible[1].reference_key;
       if (runs.some((run, index) => parts.drawn?.[index] !== run) || parts.drawn?.length !== runs.length) {
         parts.plots.show(runs, parts.pinned?.run);
+        parts.safety.show(runs);
         runs.forEach((run, index) => showOnStage(index, run));
         parts.stage.rest(runs.some((run) => run.unfinished) ? LONGEST_RUN_MS : STAGE_REST_MS);
         parts.drawn = runs;
@@ -171,7 +177,9 @@ const Page = (() => {
     const setup = state.setups[index];
     const controller = Setups.CONTROLLER_NAMES[setup.controller] ?? setup.controller;
     const scenario = data.scenarios.length > 1 ? `${data.scenarios[setup.scenario].name}, ` : "";
-    return `${state.compare ? `${"AB"[index]}: ` : ""}${scenario}${controller}`;
+    const { faults } = Setups.modelOf(data, setup);
+    const protection = faults && setup.protection === "off" ? ", no protection" : "";
+    return `${state.compare ? `${"AB"[index]}: ` : ""}${scenario}${controller}${protection}`;
   }
 
   function tellEnds() {
@@ -206,6 +214,7 @@ const Page = (() => {
     const wearers = shownSetups().map((index) => Setups.hasWearer(data, state.setups[index]));
     byId("bode").hidden = wearers.every(Boolean);
     byId("wearer-note").hidden = byId("torque-option").hidden = !wearers.some(Boolean);
+    byId("state-option").hidden = shownSetups().every((index) => state.setups[index].protection !== "on");
   }
 
   /** The sines of a set-up's sweep in words. */
@@ -237,13 +246,17 @@ const Page = (() => {
     const box = element("div");
     byId("stage").append(box);
     parts.stage = new Stage(box, { legs: legs.map((scenario) => data.scenarios[scenario].leg), trace: false, playing });
-    box.addEventListener("stagetime", (event) => parts.plots.setTime(event.detail));
+    box.addEventListener("stagetime", ({ detail }) => {
+      parts.plots.setTime(detail);
+      if (!parts.plots.hovered) parts.safety.at(detail); // also at a time beyond the zoom
+    });
     parts.legs = legs.join(" ");
     parts.drawn = null;
   }
 
   function showTime(time) {
     byId("cursor-time").textContent = time == null ? "" : `t = ${time.toFixed(2)} s`;
+    if (time != null) parts.safety.at(time);
   }
 
   function onPanel(index) {
@@ -383,6 +396,8 @@ const Page = (() => {
       ["controller", (setup) => Setups.CONTROLLER_NAMES[setup.controller] ?? setup.controller],
       ["load", (setup) => Setups.LOAD_NAMES[setup.load] ?? setup.load],
       ["reference", (setup) => Setups.REFERENCE_NAMES[setup.reference] ?? setup.reference],
+      ["protection", (setup) => Setups.PROTECTION_NAMES[setup.protection]],
+      ["fault", (setup) => Setups.thrownOf(data, setup)?.label ?? "none"],
     ];
   }
 
@@ -450,11 +465,12 @@ const Page = (() => {
     byId("undo").hidden = byId("redo").hidden = !parts.trail.active;
     showSteps();
     parts.board = new Numbers.Board(byId("numbers"), byId("brief"));
+    parts.safety = new Safety.Diagram(byId("safety"));
     parts.plots = new Curves.RunPlots(byId("plots"), showTime, (time) => parts.stage.seek(time), showCursors);
     parts.bode = new Bode.BodePlots(byId("bode-plots"));
     parts.runs = new Runner.Runs(new Runner.Crew(source, models), onRun);
     parts.analyses = new Runner.Analyses(new Runner.Crew(source, models), REST_MS, handlers);
-    parts.panel = new Controls.Panel(byId("panel"), data, state, onPanel);
+    parts.panel = new Controls.Panel(byId("panel"), data, state, onPanel, () => parts.plots.time ?? 0);
     listen();
     choosePlot();
     setCompare(state.compare);

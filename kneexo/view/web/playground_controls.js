@@ -34,9 +34,9 @@ const Controls = (() => {
   }
 
   class Panel {
-    /** `onChange(index)` is called after each change of set-up `index`. */
-    constructor(parent, data, state, onChange) {
-      Object.assign(this, { parent, data, state, onChange, index: 0, opened: new Set() });
+    /** `onChange(index)` is called after each change of set-up `index`. `now()` returns the time that the leg shows. */
+    constructor(parent, data, state, onChange, now) {
+      Object.assign(this, { parent, data, state, onChange, now, index: 0, opened: new Set() });
       this.build();
     }
 
@@ -106,6 +106,8 @@ const Controls = (() => {
         ["controller", "Controller", names(Setups.choices(data, setup, "controller"), Setups.CONTROLLER_NAMES)],
         ["load", "Load", names(Setups.choices(data, setup, "load"), Setups.LOAD_NAMES)],
         ["reference", "Reference", names(Setups.references(data, setup), Setups.REFERENCE_NAMES)],
+        ["protection", "Protection", Setups.modelOf(data, setup).faults ? Object.entries(Setups.PROTECTION_NAMES) : []],
+        ["fault", "Throw a fault", Object.entries(Setups.faultNames(data, setup))],
       ];
       return lists.filter(([, , choices]) => choices.length > 1)
         .map(([name, title, choices]) => this.switch(name, title, choices));
@@ -121,7 +123,7 @@ const Controls = (() => {
     }
 
     switch(name, title, choices) {
-      const field = element("fieldset", { class: "switch" });
+      const field = element("fieldset", { class: `switch ${name}` });
       field.append(element("legend", {}, title));
       for (const [choice, label] of choices) {
         const id = `${name}-${choice}`;
@@ -150,6 +152,7 @@ const Controls = (() => {
     group({ title }, main, rest) {
       const section = element("section", { class: "group", "aria-label": title });
       section.append(element("h3", {}, title), ...main.map((q) => this.row(q)));
+      if (title === "Fault") section.append(this.button("throw-now", "Throw it at the time of the leg", () => this.throwNow(main)));
       if (!rest.length) return section;
       const more = element("details");
       more.open = this.opened.has(title) || !main.length;
@@ -180,6 +183,12 @@ const Controls = (() => {
       for (const event of ["pointerenter", "focusin"]) row.addEventListener(event, () => this.tell(quantity));
       this.rows.set(quantity, { row, slider, box, reset, note });
       return row;
+    }
+
+    /** Let the fault start at the time that the leg shows. */
+    throwNow(quantities) {
+      const start = quantities.find(({ name }) => name === "fault.start_s");
+      this.set(start, Number(this.now().toFixed(3)));
     }
 
     /** Show range and source of a quantity below the sliders. */

@@ -1,4 +1,4 @@
-// The curves of the page: four plots over one time axis, and the frequency response.
+// The curves of the page: plots over one time axis, and the frequency response.
 "use strict";
 
 const Curves = (() => {
@@ -13,6 +13,7 @@ const Curves = (() => {
     { name: "error", title: "Error, reference minus angle", unit: "deg", factor: DEG, height: 100 },
     { name: "torque", title: "Torque of the wearer on the exoskeleton", unit: "N·m", factor: 1, height: 110 },
     { name: "command", title: "Motor speed command", unit: "rpm", factor: RPM, height: 110, extra: "limit" },
+    { name: "state", title: "State of the protection", unit: "", factor: -1, height: 92, strip: true },
     { name: "pressure", title: "Load pressure", unit: "bar", factor: 1e-5, height: 100 },
   ];
 
@@ -65,7 +66,7 @@ const Curves = (() => {
   // Columns of a run, with the names that signals.csv of kneexo simulate has for them.
   const CSV = {
     knee_angle_rad: "angle", knee_reference_rad: "reference", motor_speed_command_rad_s: "command",
-    load_pressure_pa: "pressure", wearer_angle_rad: "wearer", interaction_torque_n_m: "torque",
+    load_pressure_pa: "pressure", safety_state: "state", safety_reason: "reason", wearer_angle_rad: "wearer", interaction_torque_n_m: "torque",
   };
 
   /** The curves of a run as the text of a CSV file in SI units. */
@@ -89,6 +90,7 @@ const Curves = (() => {
       this.onSeek = onSeek;
       this.runs = [];
       this.range = null;
+      this.states = []; // names of the rows of the strip
       this.hovered = false;
       this.plots = PLOTS.map((plot, index) => this.make(plot, index === PLOTS.length - 1));
       new ResizeObserver(() => this.resize()).observe(parent);
@@ -97,12 +99,12 @@ const Curves = (() => {
     make(plot, last) {
       const figure = element("figure", { class: "plot", "data-plot": plot.name, tabindex: "-1" });
       const caption = element("figcaption");
-      const title = element("span", { class: "plot-title" }, `${plot.title} (${plot.unit})`);
+      const title = element("span", { class: "plot-title" }, titleOf(plot));
       const values = element("span", { class: "plot-values number", "aria-hidden": "true" });
       caption.append(title, values);
       const box = element("div", { role: "img", "aria-label": plot.title });
       figure.append(caption, box);
-      figure.hidden = plot.name === "torque"; // until a run has it
+      figure.hidden = plot.name === "torque" || Boolean(plot.strip); // until a run has it
       this.parent.append(figure);
       const chart = new uPlot(this.options(plot, last), this.series(plot).map(() => []), box);
       chart.over.addEventListener("pointerenter", () => { this.hovered = true; });
@@ -118,7 +120,7 @@ const Curves = (() => {
 
     /** Series in the order of the columns: time, A, B, the extra lines of A and of B, the pinned run. */
     series(plot) {
-      const main = ["a", "b"].map((name) => ({ stroke: painted(name), width: 1.75 }));
+      const main = ["a", "b"].map((name) => ({ stroke: painted(name), width: 1.75, ...(plot.strip && { paths: () => null }) }));
       const extra = [0, 1].flatMap((index) => {
         const stroke = (name) => painted(index ? "b" : name);
         if (plot.extra === "reference") {
@@ -137,17 +139,20 @@ const Curves = (() => {
         width: 600, height: plot.height + (last ? 24 : 0), legend: { show: false },
         padding: [6, 16, 0, 0],
         cursor: { sync: { key: "run" }, drag: { x: true, y: false, setScale: true }, y: false },
-        scales: { x: { time: false }, y: { range: (_, low, high) => padded(low, high) } },
+        scales: { x: { time: false }, y: { range: (_, low, high) => (plot.strip ? [0.5 - this.states.length, 0.5] : padded(low, high)) } },
         axes: [
           axis({ size: () => (last || this.single ? 30 : 6), values: (_, splits) =>
             splits.map((value) => (last || this.single ? `${tick(value)} s` : "")) }),
-          axis({ space: 20, values: (_, splits) => splits.map(tick) }),
+          plot.strip ? axis({ splits: () => this.states.map((_, row) => -row), values: () => this.states, gap: 2,
+            font: "11px system-ui, sans-serif", ticks: { show: false }, grid: { show: false } })
+            : axis({ space: 20, values: (_, splits) => splits.map(tick) }),
         ],
         series: this.series(plot),
         hooks: {
           setScale: [(chart, key) => key === "x" && this.follow(chart)],
           setCursor: [(chart) => this.read(chart)],
-          draw: [(chart) => this.cursors?.forEach((time, k) => drawCursor(chart, time, `${k + 1}`))],
+          draw: [(chart) => Safety.drawRuns(chart, this.runs, plot),
+            (chart) => this.cursors?.forEach((time, k) => drawCursor(chart, time, `${k + 1}`))],
         },
       };
     }
@@ -160,7 +165,8 @@ const Curves = (() => {
       const longest = runs.reduce((a, b) => (b.time.length > a.time.length ? b : a));
       const time = longest.time;
       const end = Math.max(...runs.map((run) => run.duration_s));
-      const kind = runs.map((run) => run.reference).join(" ");
+      const kind = runs.map((run) => `${run.reference} ${run.fault ? `${run.fault.label} ${run.fault.start_s}` : ""}`).join(" ");
+      this.states = Object.keys(runs.find((run) => run.columns.state)?.faults.states ?? {});
       const again = this.end === end && this.kind === kind && this.range !== null;
       const unfinished = runs.some((run) => run.unfinished);
       const keeps = again && (unfinished || !this.isFirst);
@@ -276,6 +282,10 @@ const Curves = (() => {
 
     readAt(plot, index) {
       const named = ["A", "B"].slice(0, this.runs.length);
+      if (plot.strip) {
+        plot.values.textContent = index == null ? "" : this.runs.filter((run) => run.columns.state).map((run) => Safety.stateAt(run, plot.data[0][index])).join(", ");
+        return;
+      }
       plot.values.replaceChildren(...(index == null ? [] : named.map((name, run) => {
         const value = plot.data[run + 1][index];
         const text = `${this.runs.length > 1 ? `${name} ` : ""}${value == null ? "–" : fixed(value)}`;
@@ -316,7 +326,7 @@ const Curves = (() => {
       x = 8 * scale;
       let y = line;
       for (const { chart, title, unit } of shown) {
-        write(`${title} (${unit})`, colour("ink"), 600, y + 0.7 * line);
+        write(titleOf({ title, unit }), colour("ink"), 600, y + 0.7 * line);
         ctx.drawImage(chart.ctx.canvas, 0, y + line);
         y += line + chart.ctx.canvas.height;
       }
@@ -349,8 +359,16 @@ const Curves = (() => {
     return value.toFixed(digits).replace("-", "−");
   }
 
+  const titleOf = ({ title, unit }) => (unit ? `${title} (${unit})` : title);
+
   /** The times around the steps of all runs, or null if a run does not settle after a step. */
   function eventOf(runs) {
+    const safe = runs.map(({ fault, metrics: { protection } }) => (fault && protection.safe_time_s) || null);
+    if (safe.some(Boolean)) {
+      const [start, end] = [Math.min(...runs.map(({ fault }) => fault?.start_s ?? Infinity)), Math.max(...safe)];
+      const width = Math.max(end - start, 0.1);
+      return [start - width, end + 2 * width];
+    }
     const ends = runs.map(({ step_s: start, metrics: { settling_time_s: settling, push } }) =>
       (settling > 0 && !push ? [start, start + 3 * settling] : null));
     if (!ends.every(Boolean)) return null;
@@ -398,6 +416,7 @@ const Curves = (() => {
         if (value > high) high = value;
       }
       const name = runs.length > 1 ? `${"AB"[index]} ` : "";
+      if (plot.strip && run.columns.state) return `${name}${Safety.changesOf(run).map(Safety.sentence).join(", ")}`;
       if (low > high) return `${name}no values`;
       return `${name}from ${fixed(plot.factor * low)} to ${fixed(plot.factor * high)} ${plot.unit}`;
     });

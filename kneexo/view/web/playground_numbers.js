@@ -90,6 +90,31 @@ const Numbers = (() => {
     return value == null || value === Infinity ? "∞" : shown(factor * value);
   }
 
+  const isThrown = ({ run }) => Boolean(run.fault || run.metrics.protection?.stop);
+
+  /** Milliseconds from the start of the fault to a time of the run, or nan. */
+  function sinceFault({ fault }, time_s) {
+    return fault && time_s != null && time_s >= fault.start_s - 1e-9 ? 1e3 * (time_s - fault.start_s) : NaN;
+  }
+
+  function ofDetection({ fault, faults, isProtected, metrics: { protection: { stop } } }) {
+    if (!isProtected) return ["no protection", "plain"];
+    if (!stop) return ["no detector has tripped", "bad"];
+    const text = `by ${faults.reasons[stop.reason]} at ${shown(stop.time_s, 5)} s`;
+    return Number.isFinite(sinceFault({ fault }, stop.time_s)) ? [text, "good"] : [`false alarm ${text}`, "bad"];
+  }
+
+  function ofSafety({ isProtected, faults, metrics: { protection: { stop, safe_time_s: time } } }) {
+    if (!isProtected) return ["no protection", "plain"];
+    if (time !== null) return ["released" in faults.states ? "the bypass is open" : "the motor stands", "good"];
+    return [stop ? "the motor never stands" : "the motor is not stopped", "bad"];
+  }
+
+  /** The part of a run for which the largest values after a fault count. */
+  function ofReach({ fault, metrics: { protection } }) {
+    return [`${fault ? "from the fault on" : "from the start on"}${protection.safe_time_s === null ? "" : ", until safe"}`, "plain"];
+  }
+
   // If a row has `wearer`, it is only for set-ups with a wearer (true) or without a wearer (false).
   // If a row has `when`, it is only for results for which this function is true. A row of an `analysis`
   // does not have its number from the run.
@@ -120,6 +145,14 @@ const Numbers = (() => {
       word: () => ["largest, from the run without a push", "plain"] },
     { name: "recovery", wearer: false, when: isPushed, label: "Recovery time", unit: "s",
       value: ({ run }) => shown(run.metrics.push.recovery_time_s), word: ofRecovery },
+    { name: "detected", when: isThrown, label: "Detected after", unit: "ms",
+      value: ({ run }) => shown(sinceFault(run, run.metrics.protection.stop?.time_s), 4), word: ({ run }) => ofDetection(run) },
+    { name: "safe", when: isThrown, label: "Safe after", unit: "ms",
+      value: ({ run }) => shown(sinceFault(run, run.metrics.protection.safe_time_s), 4), word: ({ run }) => ofSafety(run) },
+    { name: "fault-error", when: isThrown, label: "Peak error", unit: "deg",
+      value: ({ run }) => shown(run.metrics.protection.largest_error_rad * DEG), word: ({ run }) => ofReach(run) },
+    { name: "fault-torque", when: isThrown, label: "Peak torque", unit: "N·m",
+      value: ({ run }) => shown(run.metrics.protection.peak_torque_n_m), word: ({ run }) => ofReach(run) },
     { name: "saturated", label: "Time at the limit", unit: "%",
       value: ({ run }) => shown(100 * shareOf(run)), word: ({ run }) => ofShare(shareOf(run)) },
     { name: "bandwidth", analysis: true, wearer: false, label: "Bandwidth", unit: "Hz",
@@ -140,7 +173,7 @@ const Numbers = (() => {
   ];
 
   // Rows that a phone shows beside the sliders.
-  const BRIEF = ["rms-torque", "settling", "overshoot", "error", "recovery", "saturated", "phase"];
+  const BRIEF = ["rms-torque", "settling", "overshoot", "error", "recovery", "detected", "safe", "saturated", "phase"];
 
   /** Cards of numbers. Each card has a value and a verdict for each set-up. `brief` shows a few of them. */
   class Board {
@@ -219,9 +252,11 @@ const Numbers = (() => {
       const hz = result.sweep?.minus_3_db_hz;
       if (result.hasWearer) return `${name}torque of the wearer ${shown(run.metrics.rms_torque_n_m)} newton metres rms.`;
       const cycle = run.metrics.limit_cycle ? `hunts at rest by ${shown(run.metrics.limit_cycle.amplitude_rad * DEG, 2)} degrees, ` : "";
+      const [words] = isThrown(result) ? ofDetection(run) : [""];
+      const detected = words && `fault detected after ${shown(sinceFault(run, run.metrics.protection.stop?.time_s), 4)} milliseconds, ${words}, `;
       const error = hasStep(result) ? `${ofSettling(run)[0]}, settling time ${shown(run.metrics.settling_time_s)} seconds`
         : `largest error ${shown(run.metrics.largest_error_rad * DEG)} degrees`;
-      return `${name}${error}, ${cycle}`
+      return `${name}${detected}${error}, ${cycle}`
         + `motor at its limit ${shown(100 * shareOf(run))} percent of the time`
         + `${Number.isFinite(hz) ? `, bandwidth ${shown(hz)} hertz` : ""}.`;
     }).join(" ");

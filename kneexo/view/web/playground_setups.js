@@ -8,7 +8,8 @@ const Setups = (() => {
   const REFERENCE_NAMES = { sine: "sine", step: "step", ramp: "ramp", samples: "samples" };
   const NUMBER = /^[+-]?(\d+\.?\d*|\.\d+)(e[+-]?\d+)?$/i;
   const LINK_PREFIXES = ["a", "b"];
-  const SWITCHES = ["scenario", "controller", "load", "reference"];
+  const SWITCHES = ["scenario", "controller", "load", "reference", "fault", "protection"];
+  const PROTECTION_NAMES = { on: "on", off: "off" };
   const VERSION = "kneexo"; // name of the version in a link
 
   /** Unit and factor of a quantity on the page. Values, links and YAML have the unit of the scenario. */
@@ -65,7 +66,63 @@ const Setups = (() => {
   function quantitiesOf(data, setup) {
     const model = modelOf(data, setup);
     const task = model.references[setup.reference].quantities ?? [];
-    return [...task, data.duration, ...model.quantities];
+    const guarded = setup.protection === "on";
+    const acting = model.quantities.filter(({ name }) => guarded || !name.startsWith("protection."));
+    return [...task, data.duration, ...faultQuantities(model, setup, guarded), ...acting];
+  }
+
+  // ----------------------------------------------------------------------------- faults
+
+  const hasFault = (setup) => setup.fault !== "none";
+
+  function faultQuantities({ faults }, setup, guarded) {
+    if (!faults || !hasFault(setup)) return [];
+    const { quantity } = faults.choices[setup.fault];
+    const clock = faults.quantities.filter(({ name }) => guarded || name !== "fault.reset_s");
+    return [...(quantity ? [quantity] : []), ...clock];
+  }
+
+  /** Names of the faults that a set-up can have; empty if the model has no protection. */
+  function faultNames(data, setup) {
+    const { faults } = modelOf(data, setup);
+    if (!faults) return {};
+    const { reset, ...choices } = faults.choices;
+    return { none: "none", ...Object.fromEntries(Object.entries(choices).map(([name, { label }]) => [name, label])) };
+  }
+
+  /** The fault of a set-up: label, start and end; null without a fault. */
+  function thrownOf(data, setup) {
+    const { faults } = modelOf(data, setup);
+    if (!faults || !hasFault(setup)) return null;
+    const values = valuesOf(data, setup);
+    const { "fault.start_s": start_s, "fault.duration_s": duration_s, "fault.reset_s": reset_s = 0 } = values;
+    const end_s = duration_s > 0 ? start_s + duration_s : Infinity;
+    return { label: faults.choices[setup.fault].label, start_s, duration_s, end_s, reset_s };
+  }
+
+  /** Values of the module that throw the fault of a set-up, and that put thresholds out of reach without protection. */
+  function moduleValues(data, setup) {
+    const { faults } = modelOf(data, setup);
+    const thrown = thrownOf(data, setup);
+    return {
+      ...(faults && setup.protection === "off" ? faults.off : {}),
+      ...(thrown && { [`fault.${setup.fault}.start_s`]: thrown.start_s }),
+      ...(thrown?.duration_s && { [`fault.${setup.fault}.duration_s`]: thrown.duration_s }),
+      ...(thrown?.reset_s && { "fault.reset.start_s": thrown.reset_s }),
+    };
+  }
+
+  /** The list `faults` of a scenario file. */
+  function faultsForYaml(data, setup) {
+    const thrown = thrownOf(data, setup);
+    if (!thrown) return [];
+    const { choices } = modelOf(data, setup).faults;
+    const entry = ({ place, kind, size }, start_s) => ({ place, kind, size, start_s });
+    const chosen = entry(choices[setup.fault], thrown.start_s);
+    const { quantity } = choices[setup.fault];
+    if (quantity) chosen.size = valueOf(data, setup, quantity);
+    if (thrown.duration_s) chosen.duration_s = thrown.duration_s;
+    return [chosen, ...(thrown.reset_s ? [entry(choices.reset, thrown.reset_s)] : [])];
   }
 
   function durationDefault(data, setup) {
@@ -105,8 +162,16 @@ const Setups = (() => {
     return { ...setup, values: { ...setup.values } };
   }
 
+  // For each prefix of names: why the scenario would refuse the values of a set-up, or an empty text.
+  const CHECKS = { reference: faultOfReference, push: faultOfPush, fault: faultOfThrown };
+
   /** Why the scenario would refuse the values of a set-up, or an empty text. */
   function faultOf(data, setup) {
+    const reasons = Object.values(CHECKS).map((check) => check(data, setup)).filter(Boolean);
+    return reasons.length ? `${reasons[0]} The curves show the previous run.` : "";
+  }
+
+  function faultOfReference(data, setup) {
     const { knee_low_rad: low, knee_high_rad: high } = modelOf(data, setup).limits;
     const [least, most] = [low, high].map((angle) => Math.round((angle * 180e6) / Math.PI) / 1e6);
     const values = valuesOf(data, setup);
@@ -117,17 +182,32 @@ const Setups = (() => {
       ramp: () => [get("start_deg"), get("end_deg")],
     }[setup.reference]?.() ?? [];
     const wrong = ends.find((angle) => angle < least - 1e-9 || angle > most + 1e-9);
-    if (wrong === undefined) return faultOfPush(values, values[data.duration.name]);
+    if (wrong === undefined) return "";
     return `The reference would reach ${shown(wrong)}°, but the knee moves only from ${shown(least)}° to ${shown(most)}°. `
-      + `Reduce ${setup.reference === "sine" ? "the amplitude, or change the mean" : "the step"}. The curves show the previous run.`;
+      + `Reduce ${setup.reference === "sine" ? "the amplitude, or change the mean" : "the step"}.`;
   }
 
-  /** Why a run of this duration cannot contain the push of a set-up, or an empty text. */
-  function faultOfPush(values, duration_s) {
+  /** Why a run cannot contain the push of a set-up, or an empty text. */
+  function faultOfPush(data, setup) {
+    const values = valuesOf(data, setup);
+    const duration_s = values[data.duration.name];
     const end = values["push.start_s"] + values["push.duration_s"];
     if (!values["push.torque_n_m"] || end <= duration_s) return "";
     return `The push ends at ${shown(end)} s, but the run lasts ${shown(duration_s)} s. Push earlier or for a shorter time, `
-      + "or extend the run. The curves show the previous run.";
+      + "or extend the run.";
+  }
+
+  /** Why a run cannot contain the fault of a set-up, or an empty text. */
+  function faultOfThrown(data, setup) {
+    const thrown = thrownOf(data, setup);
+    if (!thrown) return "";
+    if (setup.fault === "emergency_stop" && setup.protection === "off") return "The emergency stop needs the protection. Turn it on.";
+    const run_s = valuesOf(data, setup)[data.duration.name];
+    const last_s = run_s - data.modules[modelOf(data, setup).loop.module].table.sample_time_s;
+    const { start_s, end_s, reset_s } = thrown;
+    const late = start_s > last_s ? ["fault begins", start_s] : reset_s > last_s ? ["reset is pressed", reset_s]
+      : Number.isFinite(end_s) && end_s > run_s ? ["fault ends", end_s] : null;
+    return late ? `The ${late[0]} at ${shown(late[1])} s, but the run lasts ${shown(run_s)} s. Choose an earlier time, or extend the run.` : "";
   }
 
   // ------------------------------------------------------------------------------ links
@@ -191,17 +271,19 @@ const Setups = (() => {
       if (scenario in data.scenarios && scenario !== setup.scenario) choose(data, setup, "scenario", scenario);
       choosePair(data, setup, get("controller"), get("load"));
       if (references(data, setup).includes(get("reference"))) setup.reference = get("reference");
+      if (get("fault") in faultNames(data, setup)) setup.fault = get("fault");
+      if (modelOf(data, setup).faults && get("protection") in PROTECTION_NAMES) setup.protection = get("protection");
       for (const quantity of quantitiesOf(data, setup)) {
         const value = parsed(get(quantity.name) ?? "");
         if (value !== null && value >= quantity.low && value <= quantity.high) {
           setValue(data, setup, quantity, value);
         }
       }
-      if (faultOf(data, setup)) {
-        for (const name of Object.keys(setup.values)) {
-          if (/^(reference|push)\./.test(name)) delete setup.values[name];
-        }
+      for (const [prefix, check] of Object.entries(CHECKS)) {
+        if (!check(data, setup)) continue;
+        for (const name of Object.keys(setup.values).filter((one) => one.startsWith(`${prefix}.`))) delete setup.values[name];
       }
+      if (faultOfThrown(data, setup)) setup.fault = "none";
       return setup;
     });
     return { compare, setups };
@@ -224,6 +306,7 @@ const Setups = (() => {
     if (!references(data, setup).includes(setup.reference)) {
       [setup.reference] = references(data, setup);
     }
+    if (!(setup.fault in faultNames(data, setup))) setup.fault = "none";
   }
 
   /**
@@ -250,6 +333,7 @@ const Setups = (() => {
   function yamlScalar(value) {
     if (typeof value === "number") return yamlNumber(value);
     if (Array.isArray(value)) return `[${value.map(yamlScalar).join(", ")}]`;
+    if (typeof value === "object" && value !== null) return `{${Object.entries(value).map(([name, one]) => `${name}: ${yamlScalar(one)}`).join(", ")}}`;
     return JSON.stringify(value);
   }
 
@@ -282,7 +366,12 @@ const Setups = (() => {
     }
     for (const quantity of quantitiesOf(data, setup)) {
       const value = valueOf(data, setup, quantity);
-      if (value !== defaultOf(data, setup, quantity)) setPath(tree, quantity.name, value);
+      if (value !== defaultOf(data, setup, quantity) && !quantity.name.startsWith("fault.")) setPath(tree, quantity.name, value);
+    }
+    if (model.faults) {
+      tree.faults = faultsForYaml(data, setup);
+      if (setup.protection === "off") delete tree.protection;
+      else tree.protection ??= {};
     }
     const table = data.modules[model.loop.module].table;
     if (table.rosenbrock_tolerance !== null) {
@@ -297,8 +386,8 @@ const Setups = (() => {
   }
 
   return {
-    CONTROLLER_NAMES, LOAD_NAMES, REFERENCE_NAMES, choices, choose, clamped, copied, defaultOf,
-    display, faultOf, follow, fresh, hasWearer, linkOf, modelOf, parsed, quantitiesOf, references, remarkOf, setValue, shown, stateOf,
+    CONTROLLER_NAMES, LOAD_NAMES, PROTECTION_NAMES, REFERENCE_NAMES, choices, choose, clamped, copied, defaultOf,
+    display, faultNames, faultOf, follow, fresh, hasWearer, linkOf, modelOf, moduleValues, parsed, thrownOf, quantitiesOf, references, remarkOf, setValue, shown, stateOf,
     valueOf, valuesOf, yamlOf,
   };
 })();

@@ -223,7 +223,7 @@ const Simulator = (() => {
   function valuesOf(model, reference, values) {
     const quantities = [...model.quantities, ...(model.references[reference]?.quantities ?? [])];
     const defaults = quantities.map(({ name, value }) => [name, value]);
-    return { ...Object.fromEntries(defaults), ...values };
+    return { ...model.faults?.idle, ...Object.fromEntries(defaults), ...values };
   }
 
   // ---------------------------------------------------------------------------------- runs
@@ -374,8 +374,9 @@ const Simulator = (() => {
     const limits = limitsOf(model, values);
     const answerOf = (rows, end = null) => {
       const signals = signalsOf(instance, columns[0].slice(0, rows), limits.command_limit_rad_s);
-      const { time, shaft, hydraulic, chambers, rate, ...shown } = signals;
+      const { time, shaft, hydraulic, chambers, rate, speed, kneeTorque, ...shown } = signals;
       const metrics = rows > 1 ? metricsOf(model, reference, values, limits, signals) : {};
+      if (model.faults) metrics.protection = protectionMetrics(signals, model.faults, request.fault_s ?? 0);
       return { time, columns: shown, metrics, limits, end };
     };
     const isDue = partsOf(instance, request.view_s ?? [0, duration_s]);
@@ -428,7 +429,11 @@ const Simulator = (() => {
     const signal = (name) => instance.output(name, rows);
     const angle = signal("knee_angle_rad");
     const torque = signal("interaction_torque_n_m"); // null without a wearer
+    const state = signal("safety_state"); // null without protection
+    const arm = signal("moment_arm_m");
     return {
+      ...(state && { state, reason: signal("safety_reason"), speed: signal("motor_speed_rad_s"),
+        kneeTorque: signal("rod_force_n").map((force, tick) => force * arm[tick]) }),
       ...(torque && { torque, wearer: signal("wearer_angle_rad"), rate: signal("wearer_rate_rad_s") }),
       time: Float64Array.from({ length: rows }, (_, tick) => tick * instance.table.sample_time_s),
       angle,
@@ -664,6 +669,24 @@ const Simulator = (() => {
     return {
       largest_deviation_rad: largest(deviation),
       recovery_time_s: back < time.length ? Math.max(time[back] - start, 0) : null,
+    };
+  }
+
+  // When and why the protection stopped the motor, when the knee was safe, and the largest error and torque on the
+  // knee until then. All count from a time on. A signal at a sample shows the state before the update at this sample,
+  // so the supervisor decided a sample before, as in kneexo/analysis/verdict.py.
+  function protectionMetrics({ time, state, reason, speed, error, kneeTorque }, { names, standstill_rad_s }, from_s) {
+    const first = indexAt(time, from_s);
+    const [stopped, released] = ["stopped", "released"].map((name) => names.indexOf(name));
+    const stop = reason.findIndex((value) => value > 0);
+    const safe = state.findIndex((value, k) => k >= first
+      && (value === released || (value === stopped && Math.abs(speed[k]) < standstill_rad_s)));
+    const end = safe < 0 ? time.length : safe + 1;
+    return {
+      stop: stop < 0 ? null : { time_s: time[Math.max(stop - 1, 0)], reason: reason[stop] },
+      safe_time_s: safe < 0 ? null : time[Math.max(safe - 1, 0)],
+      largest_error_rad: largest(error.subarray(first, end)),
+      peak_torque_n_m: largest(kneeTorque.subarray(first, end)),
     };
   }
 
