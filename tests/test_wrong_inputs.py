@@ -96,7 +96,7 @@ FILES = {
     "plant: {linkage: g1}": r"must be G1, G2, G3, G4, G5, hinge or a mapping; did you mean G1\?$",
     "plant: {full_order: yes}": r"must be true, false or a mapping$",
     "reference: walk": r"must be sine, step, ramp, samples, gait, csv or a mapping",
-    "preset: legs": r"must be paper, bench, leg or wearer; did you mean leg\?$",
+    "preset: legs": r"must be paper, bench, leg, wearer or protected; did you mean leg\?$",
     # values
     "plant: {cylinder: {mass_kg: 2 kg}}": r"= '2 kg': must be a number, .* <= 1000 kg$",
     "plant: {cylinder: {mass_kg: 1,6}}": r"write a decimal point",
@@ -169,7 +169,7 @@ COMMANDS = {
     "--set controller.mass_min_kg=2": r"--set controller.mass_min_kg: controller: mass_min_kg = 2",
     "--set preset=leg": r"--set preset: unknown name; known here: bus, controller",
     # other arguments
-    "--preset legs": r"--preset = 'legs': must be paper, bench, leg or wearer; did you mean leg\?$",
+    "--preset legs": r"--preset = 'legs': must be paper, bench, leg, wearer or protected; did you mean leg\?$",
     "--engine fast": r"--engine: 'fast' is unknown; known: compiled, drake",
     "--law law.py:contrl": r"--law 'law.py:contrl': .* did you mean control\?$",
     "--law nolaw.py:control": r"--law 'nolaw.py:control': there is no file",
