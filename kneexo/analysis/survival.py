@@ -157,15 +157,15 @@ def fault_survival(
     Raises
     ------
     ParameterError
-        There is no fault or no start, ``bound_deg`` is not positive, or the scenario refuses a
-        fault.
+        There is no fault or no start, ``bound_deg`` is not within 0 … 180°, or the scenario
+        refuses a fault.
     SimulationError
         The run without the fault fails.
     """
     if not faults or not len(starts_s):
         raise ParameterError("faults, starts_s: must have at least one fault and one start")
-    if not bound_deg > 0.0:
-        raise ParameterError(f"bound_deg = {bound_deg:g} deg: must be > 0")
+    if not 0.0 < bound_deg <= 180.0:
+        raise ParameterError(f"bound_deg = {bound_deg:g} deg: must be > 0 and <= 180 deg")
     healthy = simulate(scenario, signals=_signals(scenario))
     items = [
         fault.changed({"start_s": float(start_s), "duration_s": None})

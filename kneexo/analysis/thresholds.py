@@ -127,18 +127,25 @@ def detector_thresholds(
     Raises
     ------
     ParameterError
-        The scenario has no protection, ``runs`` is not positive, all runs fail, or the uncertainty
-        set does not suit the scenario.
+        The scenario has no protection, ``runs`` is not positive, a run is not longer than
+        ``overdue_s`` and all trip times, all runs fail, or the uncertainty set does not suit the
+        scenario.
     """
     protection = scenario.protection
     if protection is None:
         raise ParameterError("protection: is missing; add protection: {}")
     if runs < 1:
         raise ParameterError(f"runs = {runs}: must be >= 1")
+    trips = (protection.trip_s, *trips_s)
+    for name, time_s in (("overdue_s", protection.overdue_s), *(("trip_s", t) for t in trips)):
+        if not 0.0 <= time_s < scenario.duration_s:
+            raise ParameterError(
+                f"{name} = {time_s:g} s: must be >= 0 and < {scenario.duration_s:g} s, the "
+                f"duration of a run; reduce it, or extend simulation.duration_s"
+            )
     kept, _ = applicable(scenario, uncertainty)
     watched = scenario.changed({"push": None, "faults": ()})
     observing = watched.changed({"protection": _observing(watched)})
-    trips = (protection.trip_s, *trips_s)
     healthy = partial(_healthy_run, watched, observing, kept, trips)
     found = parallel_map(healthy, draw(kept, runs, seed), workers=workers)
     succeeded = [run for run in found if run is not None]

@@ -29,7 +29,9 @@ def fault_structure(scenario: Scenario) -> tuple[Any, ...]:
 
     Raises `ParameterError` for a fault that cannot be in this scenario, or changes nothing.
     """
-    kinds = ((fault.place, fault.kind, _trigger(fault)) for fault in scenario.faults)
+    kinds = (
+        (fault.place, fault.kind, fault.signal and _signal_of(fault)) for fault in scenario.faults
+    )
     return (*kinds, *_names(_changes(scenario)).items())
 
 
@@ -223,6 +225,8 @@ def _changes_of(scenario: Scenario, number: int) -> Changes:
             f"{subject}: is unknown; must be {', '.join(FAULTY_SIGNALS)}, or the path of a number "
             f"of {', '.join(_CHANGING)} that the scenario has"
         )
+    if fault.place.startswith("load_cell.") and not scenario.has_load_cell:
+        raise ParameterError(f"{subject}: needs wearer.kind = leg or controller.kind = torque")
     if fault.place.startswith("plant.linkage."):
         raise ParameterError(f"{subject}: is of the linkage, which cannot change during a run")
     if has_path(scenario, fault.place) and not isinstance(value, float):

@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import model_validator
 
-from kneexo.errors import shown
+from kneexo.errors import close_names, question, shown
 from kneexo.parameters.plant import RPM
 from kneexo.parameters.quantity import Parameters, choice, quantity
 from kneexo.parameters.torque import generator_seeds
@@ -39,10 +39,11 @@ _AMOUNTS = ("offset", "drift", "noise", "value")
 LATEST = 10
 """Largest number of samples by which a signal can be late."""
 
+_LARGEST = {"encoder": 1e4, "load_cell": 1e6, "command": 1e6}
+"""Largest magnitude of an amount, in the unit of the signal."""
+
 _SIZES = {
-    "frozen": (0.0, 0.0),
     "scale": (-100.0, 100.0),
-    "noise": (0.0, math.inf),
     "dropped": (1e-6, 1.0),
     "late": (1.0, LATEST),
     "bit_flip": (0.0, 15.0),
@@ -124,6 +125,12 @@ class FaultParameters(Parameters):
 
     @model_validator(mode="after")
     def _consistent(self) -> FaultParameters:
+        if "." not in self.place and self.place not in FAULTY_SIGNALS:
+            near = question(close_names(self.place, FAULTY_SIGNALS))
+            raise ValueError(
+                f"place = {shown(self.place)}: must be {', '.join(FAULTY_SIGNALS)}, or the path of "
+                f"a number{near}"
+            )
         if self.place not in _UNITS and self.kind != "value":
             raise ValueError(
                 f"kind = {self.kind} at place = {shown(self.place)}: must be value, except for "
@@ -133,18 +140,19 @@ class FaultParameters(Parameters):
             raise ValueError(f"size = {self.size:g} at place = {self.place}: must be 1")
         if self.kind == "bit_flip" and self.place != "encoder":
             raise ValueError(f"kind = bit_flip at place = {self.place}: must be at the encoder")
-        low, high = _SIZES.get(self.kind, (-math.inf, math.inf))
+        unit = f" {self.size_unit}".rstrip()
+        subject = f"size = {self.size:g}{unit} of kind = {self.kind}"
+        if self.kind == "frozen" and self.size:
+            raise ValueError(f"{subject}: must be left out")
+        neutral = {"offset": 0.0, "drift": 0.0, "noise": 0.0, "scale": 1.0}.get(self.kind)
+        if self.size == neutral:
+            raise ValueError(f"{subject}: has no effect; give another size")
+        largest = _LARGEST.get(self.place, math.inf) if self.kind in _AMOUNTS else math.inf
+        low, high = _SIZES.get(self.kind, (0.0 if self.kind == "noise" else -largest, largest))
         whole = self.kind not in ("late", "bit_flip") or self.size == round(self.size)
         if not (low <= self.size <= high and whole):
             what = "" if whole else "a whole number, "
-            raise ValueError(
-                f"size = {self.size:g} of kind = {self.kind}: must be {what}{low:g} … {high:g}"
-            )
-        neutral = {"offset": 0.0, "drift": 0.0, "noise": 0.0, "scale": 1.0}.get(self.kind)
-        if self.size == neutral:
-            raise ValueError(
-                f"size = {neutral:g} of kind = {self.kind}: has no effect, must not be {neutral:g}"
-            )
+            raise ValueError(f"{subject}: must be {what}{low:g} … {high:g}{unit}")
         if (self.signal is None) != (self.above is None and self.below is None):
             raise ValueError("signal: must have above or below, and a threshold must have a signal")
         if self.above is not None and self.below is not None:

@@ -42,7 +42,7 @@ def one_line(model: type[BaseModel], error: ValidationError) -> tuple[Location, 
     path = shortened(".".join(str(key) for key in place.keys))
     error_type, value, context = fault["type"], fault["input"], fault.get("ctx", {})
     unit = unit_of(place.field) if place.field else ""
-    unit = "" if unit == "1" else unit
+    unit = "" if unit == "1" or unit.startswith("by ") else unit
     bounds = allowed_range(place.field) if place.field else ""
     location = place.keys
     # A bad sample also makes its list too short, which does not count as a second fault.

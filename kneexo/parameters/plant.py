@@ -110,7 +110,7 @@ class MotorParameters(Parameters):
         "assumption: 5730 rpm without load at 24 V, above the 5000 rpm of Tables 2 and 3; also the "
         "constant of the induced voltage in V·s/rad",
         ge=1e-4,
-        le=10,
+        le=1,
     )
     resistance_ohm: float = quantity(
         0.15, "Ω", "assumption: between two phases at 25 °C, with the leads", ge=1e-4, le=100

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pydantic import model_validator
+
 from kneexo.parameters.quantity import Parameters, choice, quantity
 from kneexo.parameters.safety_states import SafeState
 
@@ -91,3 +93,12 @@ class ProtectionParameters(Parameters):
         "zero_speed: the oil holds the knee; bypass: a valve joins the chambers, and the knee is "
         "free",
     )
+
+    @model_validator(mode="after")
+    def _start_can_end(self) -> ProtectionParameters:
+        if self.healthy_s > self.overdue_s:
+            raise ValueError(
+                f"healthy_s = {self.healthy_s:g} s: must be <= overdue_s = {self.overdue_s:g} s, "
+                f"or each start ends with a stop; reduce healthy_s or extend overdue_s"
+            )
+        return self

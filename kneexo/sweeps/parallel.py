@@ -23,7 +23,7 @@ from queue import SimpleQueue
 from typing import Any, TypeVar
 
 from kneexo.compiler import available_cores
-from kneexo.errors import WorkerError
+from kneexo.errors import ParameterError, WorkerError
 from kneexo.interruption import interrupt_later
 from kneexo.progress import progress_bar
 from kneexo.simulation.lockstep import is_in_lockstep, map_in_lockstep
@@ -224,9 +224,13 @@ def parallel_map(
 
     Raises
     ------
+    ParameterError
+        ``workers`` is less than 1.
     WorkerError
         A worker process died.
     """
+    if workers is not None and workers < 1:
+        raise ParameterError(f"workers = {workers}: must be >= 1")
     try:
         keys = [] if checkpoint is None else piece_keys(function, items)
     except UnknownLawError as error:

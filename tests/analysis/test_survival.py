@@ -102,5 +102,6 @@ def test_faults_that_differ_by_seed_or_trigger_have_lines_of_their_own():
 def test_wrong_arguments_are_one_line(arguments, message):
     with pytest.raises(ParameterError, match=message):
         fault_survival(RAMP, *arguments)
-    with pytest.raises(ParameterError, match="bound_deg = 0 deg: must be > 0"):
-        fault_survival(RAMP, [DEAD], [1.0], bound_deg=0.0)
+    for bound_deg in (0.0, math.inf):
+        with pytest.raises(ParameterError, match=f"bound_deg = {bound_deg:g} deg: must be > 0 and"):
+            fault_survival(RAMP, [DEAD], [1.0], bound_deg=bound_deg)

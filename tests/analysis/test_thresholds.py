@@ -75,13 +75,31 @@ def test_a_false_alarm_is_counted_and_its_level_is_that_of_the_whole_run():
     np.testing.assert_array_equal(strict.levels["speed"], free.levels["speed"])
 
 
+@pytest.mark.parametrize(
+    ("values", "trips_s", "message"),
+    [
+        ({"protection.overdue_s": 0.3}, [], "overdue_s = 0.3 s: must be >= 0 and < 0.3 s, the dur"),
+        ({"protection.trip_s": 1.0}, [], "trip_s = 1 s: must be >= 0 and < 0.3 s"),
+        ({}, [-1.0], "trip_s = -1 s: must be >= 0"),
+    ],
+)
+def test_a_run_too_short_for_a_level_is_refused(values, trips_s, message):
+    with pytest.raises(ParameterError, match=message):
+        detector_thresholds(SHORT.changed(values), MASSES, 1, trips_s=trips_s)
+
+
+def test_a_start_that_cannot_end_is_refused():
+    with pytest.raises(ParameterError, match="healthy_s = 2 s: must be <= overdue_s = 1 s, or ea"):
+        ProtectionParameters(healthy_s=2.0)
+
+
 @pytest.mark.slow
 def test_following_and_speed_have_no_level_during_the_start():
     """A step at 0.1 s leaves the knee 4° behind. That counts if the start has ended before."""
     step = {"kind": "step", "start_deg": 40.0, "end_deg": 44.0, "time_s": 0.1}
     late = SHORT.changed({"protection.overdue_s": 1.0, "reference": step})
     late = late.changed({"simulation.duration_s": 1.5})
-    early = late.changed({"protection.overdue_s": 0.05, "protection.speed_rpm": 1e4})
+    early = late.changed({"protection.overdue_s": 0.1, "protection.speed_rpm": 1e4})
     levels = [detector_thresholds(s, MASSES, 1).largest("following") for s in (late, early)]
     assert levels[0] < 0.5 < 3.0 < levels[1] < 4.5
 

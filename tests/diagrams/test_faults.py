@@ -174,6 +174,30 @@ def test_a_signal_triggers_a_fault_at_the_next_sample():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("signal", "sign"), [("knee_angle_rad", "above"), ("motor_speed_rad_s", "below")]
+)
+def test_triggers_of_two_signals_of_one_column_have_a_model_each(signal, sign):
+    """In one process the second model must not be the first one."""
+    threshold = {"knee_angle_rad": math.radians(10.1), "motor_speed_rad_s": -20.0}[signal]
+    fault = {"place": "command", "kind": "scale", "size": 0.9, "start_s": 0.0}
+    scenario = with_faults(fault | {"signal": signal, sign: threshold})
+    column = simulate(BASE)[signal]
+    beyond = column > threshold if sign == "above" else column < threshold
+    first = int(np.flatnonzero(beyond)[0])
+    for engine in ("compiled", "drake"):
+        active = simulate(scenario.with_engine(engine))["active_faults"]
+        assert np.flatnonzero(active)[0] == first + 1
+
+
+def test_the_signal_of_a_trigger_belongs_to_the_structure():
+    fault = {"kind": "frozen", "start_s": 0.0, "above": 1.0}
+    names = ("knee_angle_rad", "motor_speed_rad_s", "rod_force_n")
+    structures = {fault_structure(with_faults(fault | {"signal": name})) for name in names}
+    assert len(structures) == 3
+
+
+@pytest.mark.slow
 def test_several_faults_add_up_and_two_of_one_system_share_its_port():
     faults = [
         {"place": LAG, "kind": "value", "size": 0.02, "start_s": 0.05},
@@ -250,7 +274,7 @@ PHI = BASE.plant.linkage.phi_rad
 REFUSED = [
     ({"start_s": 0.199}, r"faults\.0: start_s = 0.199 s: must be <= 0.198 s, the last sample"),
     ({"duration_s": 1e-3}, r"faults\.0: duration_s = 0.001 s: must be >= 0.002 s, because a fault"),
-    ({"size": 5.0}, "size = 5 of kind = frozen: must be 0"),
+    ({"size": 5.0}, "size = 5 of kind = frozen: must be left out"),
     ({"place": "load_cell"}, r"faults\.0: place = load_cell: needs wearer.kind = leg or"),
     ({"place": "plant.pump.lag"}, r"faults\.0: plant.pump.lag: unknown name; did you mean"),
     (
@@ -266,7 +290,7 @@ REFUSED = [
     ),
     ({"kind": "bit_flip", "size": 12.0}, "size = 12 of kind = bit_flip: needs encoder.quantized"),
     ({"kind": "scale", "size": 1e3}, "size = 1000 of kind = scale: must be -100 … 100"),
-    ({"kind": "scale", "size": 1.0}, "size = 1 of kind = scale: has no effect, must not be 1"),
+    ({"kind": "scale", "size": 1.0}, "size = 1 of kind = scale: has no effect; give another size"),
     ({"kind": "dropped", "size": 0.0}, "size = 0 of kind = dropped: must be 1e-06 … 1"),
     ({"kind": "frozn"}, r"faults\.0\.kind = 'frozn': must be 'frozen', 'offset', "),
     ({"kind": "late", "size": 0.0}, "size = 0 of kind = late: must be 1 … 10"),
@@ -275,12 +299,17 @@ REFUSED = [
         "start_s = 0.01 s: must be >= 0.018 s, because",
     ),
     ({"kind": "bit_flip", "size": 1.5}, "must be a whole number, 0 … 15"),
-    ({"kind": "offset", "size": 0.0}, "size = 0 of kind = offset: has no effect, must not be 0"),
+    ({"kind": "offset", "size": 0.0}, "size = 0 deg of kind = offset: has no effect; give"),
     ({"signal": "knee_angle_rad"}, "signal: must have above or below"),
     ({"above": 1.0}, "signal: must have above or below, and a threshold must have a signal"),
     ({"signal": "knee_angle", "above": 1.0}, "signal 'knee_angle' is unknown; did you mean knee_a"),
     ({"place": "command", "kind": "bit_flip", "size": 1.0}, "must be at the encoder"),
     ({"place": "plant.pump.lag_s.", "kind": "frozen"}, "unknown name"),
+    ({"place": "encodr"}, r"place = encodr: must be encoder, .*a number; did you mean encoder\?"),
+    ({"kind": "noise", "size": -1.0}, "size = -1 deg of kind = noise: must be 0 … 10000 deg"),
+    ({"kind": "drift", "size": 1e5}, r"size = 100000 deg/s of kind = drift: must be -10000 … 1000"),
+    ({"size": math.nan}, r"faults\.0\.size = nan is out of range: must be finite and >= -1e\+12"),
+    ({"place": "load_cell.offset_n", "size": 5.0}, "load_cell.offset_n: needs wearer.kind = leg"),
     ({"place": "reset", "kind": "frozen"}, "kind = frozen at place = reset: must be value, exc"),
     ({"place": "reset", "kind": "value", "size": 2.0}, "size = 2 at place = reset: must be 1"),
     ({"place": "reset", "kind": "value", "size": 1.0}, "place = reset: needs protection; add"),

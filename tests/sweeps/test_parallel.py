@@ -18,7 +18,7 @@ import pytest
 from hypothesis import given, strategies as st
 from waiting import wait_for
 
-from kneexo.errors import WorkerError
+from kneexo.errors import ParameterError, WorkerError
 from kneexo.simulation.lockstep import ask, needs_runs
 from kneexo.sweeps import parallel, parallel_map, process_pool
 from kneexo.sweeps.checkpoint import Checkpoint, piece_keys
@@ -157,6 +157,11 @@ class Held(Executor):
     def run(self):
         future, function, arguments = self.waiting.pop(0)
         future.set_result(function(*arguments))
+
+
+def test_no_worker_is_refused():
+    with pytest.raises(ParameterError, match="workers = 0: must be >= 1"):
+        parallel_map(abs, [1], workers=0)
 
 
 def test_no_more_is_submitted_than_the_workers_need():

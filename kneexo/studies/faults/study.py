@@ -28,7 +28,7 @@ from kneexo.parameters import (
     UncertaintySet,
 )
 from kneexo.parameters.criteria import TOLERATED_DEVIATION_DEG
-from kneexo.parameters.fault import FaultParameters
+from kneexo.parameters.fault import OPERATOR_INPUTS, FaultParameters
 from kneexo.parameters.plant import RPM
 from kneexo.parameters.quantity import Parameters, choice, quantity
 from kneexo.parameters.safety_states import REASONS, STATES
@@ -64,7 +64,7 @@ class FaultsSettings(Parameters):
     samples: int = quantity(
         200, "1", "assumption: healthy runs that count false alarms", ge=1, le=1_000_000
     )
-    seed: int = quantity(2020, "1", "assumption: any number", ge=0)
+    seed: int = quantity(2020, "1", "assumption: any number", ge=0, le=2**31 - 1)
 
 
 FAILED = ("made worse", "missed", "late")
@@ -269,13 +269,21 @@ def faults_study(
     """
     if scenario.faults or scenario.push:
         raise ParameterError("faults, push: must be left out; the study sets the faults")
+    if pressed := next((f.place for f in settings.faults if f.place in OPERATOR_INPUTS), ""):
+        raise ParameterError(
+            f"faults: place = {pressed}: must be left out; the study presses the emergency stop"
+        )
     scenario, starts_s = _starts(scenario, settings)
     kept, _ = applicable(scenario, uncertainty)
     faults = typical_faults(scenario)
     if settings.faults:
         faults = {"given": settings.faults}
     given = [(cause, fault) for cause, sizes in faults.items() for fault in sizes]
-    kinds = settings.controllers if scenario.controller.kind in ("smc", "pid") else ()
+    kinds = (
+        tuple(dict.fromkeys(settings.controllers))
+        if scenario.controller.kind in ("smc", "pid")
+        else ()
+    )
     rows: list[FaultRow] = []
     stops: list[EmergencyStop] = []
     cases: list[tuple[Scenario, FaultParameters]] = []

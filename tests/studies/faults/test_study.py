@@ -164,6 +164,12 @@ def test_a_scenario_has_no_faults_of_its_own(values, message):
         faults_study(UNCERTAIN_KNEE.changed(values), QUICK)
 
 
+def test_the_study_presses_the_emergency_stop_itself():
+    press = FaultParameters(place="emergency_stop", kind="value", size=1.0)
+    with pytest.raises(ParameterError, match="place = emergency_stop: must be left out; the study"):
+        faults_study(UNCERTAIN_KNEE, QUICK.changed({"faults": (press,)}))
+
+
 @pytest.mark.slow
 def test_a_protection_that_stops_the_healthy_run_is_refused():
     nervous = FAST.changed({"protection": {"following_deg": 0.1}})
