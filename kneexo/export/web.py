@@ -132,10 +132,13 @@ def web_model(scenario: Scenario) -> dict[str, Any]:
     sliders = dict(sliders_of(scenario))
     if scenario.plant.knee_inertia_kg_m2 is not None:
         del sliders["plant.cylinder.mass_kg"]  # has no effect
-    ranges = {path: (slider.low, slider.high) for path, slider in sliders.items()}
-    values = {path: value_at(scenario, path) for path in sliders}
+    direct = [path for path in sliders if path.startswith("protection.")]  # see `direct_maps`
+    ranges = {path: (s.low, s.high) for path, s in sliders.items() if path not in direct}
+    values = {path: value_at(scenario, path) for path in ranges}
     required = [START]
     if faults:
+        # The detector of the range depends on the size |e| of the error e, which has no formula.
+        ranges.pop("encoder.mounting_error_rad", None)
         for size in sizes_of(faults):
             required.append(size["name"])
             ranges[size["name"]] = size["low"], size["high"]
@@ -168,7 +171,7 @@ def web_model(scenario: Scenario) -> dict[str, Any]:
         "wearer": leg.kind != "none",
         "moment": (moment := moment_of(scenario)) and _table(input_table(moment_spline(moment))),
         "quantities": [
-            *(_quantity(scenario, p, sliders[p]) for p in names if p not in required),
+            *(_quantity(scenario, p, sliders[p]) for p in (*names, *direct) if p not in required),
             *(_quantity(push, p, s, "push.") for p, s in sliders_of(push) if _can_push(scenario)),
         ],
         "references": _references(scenario),
