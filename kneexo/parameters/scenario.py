@@ -150,10 +150,14 @@ class Scenario(Parameters):
     ] = NoBus()
     reference: Reference = SineReference()
     wearer: Wearer = NoWearer()
-    push: PushParameters | None = choice(None, "left out: nobody pushes the leg")
+    push: PushParameters | None = choice(
+        None, "left out: nobody pushes the leg", words={False: None}
+    )
     faults: tuple[FaultParameters, ...] = choice((), "left out: nothing fails")
     protection: ProtectionParameters | None = choice(
-        None, "left out: no detectors, and nothing stops the motor"
+        None,
+        "left out: no detectors, and nothing stops the motor",
+        words={True: {}, False: None},
     )
     initial_offset_m: float = quantity(
         0.0, "m", "rod position minus reference at the start (Fig. 9: 89 mm off)", ge=-0.15, le=0.15
