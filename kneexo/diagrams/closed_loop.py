@@ -70,7 +70,7 @@ def make_closed_loop(
     - ``drive``: `Cia402Drive`, only with a bus of this kind.
     - ``can_bus``: `DiscreteTimeDelay`, only for a bus with latency.
     - ``push``: `Push`, which acts on the plant, only with a push.
-    - ``fault_0``, …: see `kneexo.diagrams.faults`, only with faults.
+    - ``fault_0``, …, ``watchdog``: see `kneexo.diagrams.faults`, only with faults.
     - ``signals`` and ``log``: a `Multiplexer` and a `VectorLogSink`, which logs the columns
       ``columns(signals)`` at the control period. Both are absent for ``signals=()``.
 
@@ -172,7 +172,7 @@ def make_closed_loop(
         )
         builder.Connect(command, bus.get_input_port())
         command = bus.get_output_port()
-    command = faults.on_signal("command", command)
+    command = faults.on_command(command)
     ports["motor_speed_command"] = command
     builder.Connect(command, plant.GetInputPort("motor_speed_command"))
 

@@ -2,7 +2,7 @@
 
 The module of a loop has all faults that a user can throw. A fault that is not chosen starts after
 the end of each run, so a choice needs no other module. Without protection the thresholds of its
-detectors are out of reach.
+detectors and the time of the watchdog are out of reach.
 """
 
 from __future__ import annotations
@@ -84,6 +84,8 @@ def direct_maps(scenario: Scenario, columns: Iterable[str]) -> Iterator[tuple[in
         elif found := re.fullmatch(r"controller/detectors\.(\w+)_threshold", column):
             detector = DETECTORS[found[1]]
             name, factor = f"protection.{detector.field}", detector.factor
+        elif column == "watchdog.watchdog_s":
+            name = "protection.watchdog_s"
         if name:
             yield index, {"kind": "affine", "of": [name], "offset": 0.0, "factors": [factor]}
 
@@ -129,7 +131,7 @@ def fault_data(scenario: Scenario) -> dict[str, Any]:
     causes = ("", *(detector.event for detector in DETECTORS.values()), "emergency", "overdue")
     clocks = {f"{_PREFIX}{n}.{f}": IDLE_S for n in choices for f in ("start_s", "duration_s")}
     sizes = {f"{_PREFIX}{n}.size": c["size"] for n, c in choices.items() if "quantity" in c}
-    fields = [detector.field for detector in DETECTORS.values()]
+    fields = [*(detector.field for detector in DETECTORS.values()), "watchdog_s"]
     thresholds = {f"protection.{field}": getattr(protection, field) for field in fields}
     return {
         "choices": choices,

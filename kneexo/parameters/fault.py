@@ -36,6 +36,9 @@ _UNITS = {"encoder": "deg", "load_cell": "N", "command": "rpm"}
 _AMOUNTS = ("offset", "drift", "noise", "value")
 """Kinds of a signal with a size in the unit of the signal."""
 
+LOSING = ("frozen", "dropped")
+"""Kinds that lose samples, so that the last one stays."""
+
 LATEST = 10
 """Largest number of samples by which a signal can be late."""
 

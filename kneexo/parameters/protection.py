@@ -88,6 +88,13 @@ class ProtectionParameters(Parameters):
     standstill_rpm: float = quantity(
         30.0, "rpm", "assumption: motor speed that counts as standstill", ge=0.1, le=1e4
     )
+    watchdog_s: float = quantity(
+        0.02,
+        "s",
+        "assumption: ten samples; time without a new speed command after which the drive stops",
+        ge=1e-3,
+        le=60,
+    )
     safe_state: SafeState = choice(
         "zero_speed",
         "zero_speed: the oil holds the knee; bypass: a valve joins the chambers, and the knee is "

@@ -10,6 +10,7 @@ from kneexo.systems.bldc_pump import BldcPump, BldcPump_
 from kneexo.systems.bypass_valve import BypassValve, BypassValve_
 from kneexo.systems.cuff import Cuff, Cuff_
 from kneexo.systems.drive import Cia402Drive, Cia402Drive_
+from kneexo.systems.drive_watchdog import DriveWatchdog, DriveWatchdog_
 from kneexo.systems.encoder_count import EncoderCount, EncoderCount_
 from kneexo.systems.energy_meter import EnergyMeter, EnergyMeter_
 from kneexo.systems.fault import FaultySignal, FaultySignal_, ParameterFault, ParameterFault_
@@ -70,6 +71,8 @@ __all__ = [
     "Cia402Drive_",
     "Cuff",
     "Cuff_",
+    "DriveWatchdog",
+    "DriveWatchdog_",
     "EncoderCount",
     "EncoderCount_",
     "EnergyMeter",

@@ -8,7 +8,7 @@ from typing import Any
 
 import pydrake.math as drake_math
 
-from kneexo.parameters.fault import LATEST, FaultParameters
+from kneexo.parameters.fault import LATEST, LOSING, FaultParameters
 from kneexo.parameters.torque import AS_183
 from kneexo.systems._leaf import NamedLeaf, discrete_state, leaf_template, where_positive
 from kneexo.systems.drive import nearest_integer
@@ -121,6 +121,7 @@ class FaultySignal(_Fault):
     **output port**
     active           1     1     1 while the fault is active, else 0
     signal           n     any   u with the fault
+    lost             1     1     positive if the output is an old one; only frozen and dropped
     ===============  ====  ====  ====================================================
 
     Discrete states, updated every ``sample_time_s``: the clock of the fault; u_h, or the last
@@ -169,10 +170,19 @@ class FaultySignal(_Fault):
         self._output = self._declare_output(
             "signal", size, self._calc_signal, self._signal, self.xd_ticket()
         )
+        if self._kind in LOSING:
+            self._declare_output("lost", 1, self._calc_lost, self.xd_ticket())
 
     def _calc_signal(self, context: Any) -> list[Any]:
         first, *rest = self._signal.Eval(context)
         return [where_positive(self._active(context), self._faulty(context, first), first), *rest]
+
+    def _calc_lost(self, context: Any) -> list[Any]:
+        _, _, *seeds = discrete_state(context)
+        lost = 1.0
+        if self._kind == "dropped":
+            lost = self.parameters(context).size - _uniform(seeds)
+        return [where_positive(self._active(context), lost, 0.0)]
 
     def _faulty(self, context: Any, value: Any) -> Any:
         p = self.parameters(context)

@@ -99,6 +99,25 @@ def test_buttons_stop_the_motor_at_their_sample_and_start_it_again():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("kind", [("frozen", 0.0), ("dropped", 1.0)])
+def test_a_lost_command_trips_the_watchdog_of_the_drive(kind):
+    """Ten samples keep the last command; then it falls by 4 rad/s a sample, in both engines."""
+    fault = {"place": "command", "kind": kind[0], "size": kind[1], "start_s": 0.2}
+    scenario = with_faults(fault)
+    step, watched = BASE.protection.stop_rad_s2 * T, round(BASE.protection.watchdog_s / T)
+    for engine in ("compiled", "drake"):
+        command = simulate(scenario.with_engine(engine))["motor_speed_command_rad_s"]
+        held = command[100]  # the record at 0.2 s is the command until then
+        count = int(np.flatnonzero(command[101:] != held)[0])
+        assert count == watched
+        falling = np.maximum(abs(held) - step * np.arange(1, command.size - 100 - count), 0.0)
+        np.testing.assert_allclose(np.abs(command[101 + count :]), falling, rtol=0, atol=1e-9)
+    assert abs(held) > 2 * step
+    unwatched = simulate(scenario.changed({"protection": None}))["motor_speed_command_rad_s"]
+    np.testing.assert_allclose(unwatched[101:], unwatched[100], rtol=0, atol=1e-9)
+
+
+@pytest.mark.slow
 def test_outliers_and_a_wrap_do_nothing():
     """Four wrong samples do not reach the law, and a whole turn is no jump."""
     healthy = simulate(BASE)
