@@ -45,6 +45,15 @@ class DriveWatchdog(NamedLeaf):
     Discrete states, updated every ``sample_time_s``: c and the drive's own command. Context
     parameters by name: ``watchdog_s`` (T_w) and ``stop_rad_s2`` (a). Source: the loss of a
     heartbeat in CiA 301 and the quick stop of CiA 402. Lee et al. 2020 have no watchdog.
+
+    Parameters
+    ----------
+    parameters
+        Time without a command, and rate of the stop.
+    sample_time_s
+        Time T between two samples in s.
+    losses
+        Number n of faults that can lose a command.
     """
 
     def __init__(
