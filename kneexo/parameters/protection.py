@@ -105,7 +105,8 @@ class ProtectionParameters(Parameters):
     def _start_can_end(self) -> ProtectionParameters:
         if self.healthy_s > self.overdue_s:
             raise ValueError(
-                f"healthy_s = {self.healthy_s:g} s: must be at most overdue_s = {self.overdue_s:g} s, "
-                f"or each start ends with a stop; reduce healthy_s or extend overdue_s"
+                f"healthy_s = {self.healthy_s:g} s: must be at most overdue_s = "
+                f"{self.overdue_s:g} s, or each start ends with a stop; reduce healthy_s or extend "
+                f"overdue_s"
             )
         return self

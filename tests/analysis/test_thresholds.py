@@ -89,7 +89,7 @@ def test_a_run_too_short_for_a_level_is_refused(values, trips_s, message):
 
 
 def test_a_start_that_cannot_end_is_refused():
-    with pytest.raises(ParameterError, match="healthy_s = 2 s: must be at most overdue_s = 1 s, or ea"):
+    with pytest.raises(ParameterError, match="healthy_s = 2 s: must be at most overdue_s = 1 s"):
         ProtectionParameters(healthy_s=2.0)
 
 
