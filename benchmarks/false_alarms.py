@@ -3,7 +3,7 @@
     python benchmarks/false_alarms.py [RUNS] [WORKERS]
 
 The thresholds in ``kneexo/parameters/protection.py`` lie above the levels. The last case is faster
-than the pump, so that ``following`` must stop the motor.
+than the pump, so that a detector must stop the motor.
 """
 
 import sys

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from pydrake.systems.primitives import Adder, ConstantVectorSource, Multiplexer
+from pydrake.systems.primitives import Adder, ConstantVectorSource
 
 from kneexo import systems
 from kneexo.diagrams.part import Part
@@ -13,7 +13,7 @@ from kneexo.diagrams.plant import scenario_plant_parts
 from kneexo.diagrams.signals import NEEDED_SETTINGS, SIGNALS
 from kneexo.diagrams.wearer import wearer_parts
 from kneexo.errors import ParameterError, close_names, question, shown
-from kneexo.parameters import FaultParameters, ProtectionParameters, Scenario
+from kneexo.parameters import FaultParameters, Scenario
 from kneexo.parameters.fault import FAULTY_SIGNALS, LOSING, OPERATOR_INPUTS
 from kneexo.parameters.paths import changed, has_path, value_at
 from kneexo.systems import drive_watchdog, fault as fault_system
@@ -41,8 +41,9 @@ def fault_values(scenario: Scenario) -> Iterator[tuple[str, dict[str, float]]]:
     Raises `ParameterError` as `fault_structure` does.
     """
     changes = _changes(scenario)
-    if protection := watchdog_of(scenario):
-        yield "watchdog", drive_watchdog.context_values(protection)
+    if scenario.protection is not None and _losing(scenario):
+        sample_time_s = scenario.controller.sample_time_s
+        yield "watchdog", drive_watchdog.context_values(scenario.protection, sample_time_s)
     for name in sorted(pressed_buttons(scenario)):
         yield name, {"0[0]": 0.0}  # the only element of Drake's block
     for number, fault in enumerate(scenario.faults):
@@ -58,10 +59,10 @@ def pressed_buttons(scenario: Scenario) -> set[str]:
     return {fault.place for fault in scenario.faults} & set(OPERATOR_INPUTS)
 
 
-def watchdog_of(scenario: Scenario) -> ProtectionParameters | None:
-    """Return the protection if it has a command to watch: one that a fault can lose."""
-    losses = (fault.place == "command" and fault.kind in LOSING for fault in scenario.faults)
-    return scenario.protection if any(losses) else None
+def _losing(scenario: Scenario) -> list[int]:
+    """Return the numbers of the faults that lose commands."""
+    faults = enumerate(scenario.faults)
+    return [number for number, f in faults if f.place == "command" and f.kind in LOSING]
 
 
 class LoopFaults:
@@ -91,22 +92,15 @@ class LoopFaults:
         return port
 
     def on_command(self, port: Any) -> Any:
-        """Add the faults of the command, and the watchdog if a command can be lost."""
-        first = len(self._systems)
+        """Add the faults of the command, and the drive's watchdog if a command can be lost."""
         port = self.on_signal("command", port)
-        protection = watchdog_of(self._scenario)
-        if protection is None:
+        protection, losing = self._scenario.protection, _losing(self._scenario)
+        if protection is None or not losing:
             return port
-        losing = [s for s in list(self._systems.values())[first:] if s.HasOutputPort("lost")]
-        sample_time_s = self._scenario.controller.sample_time_s
-        watchdog = self._builder.AddNamedSystem(
-            "watchdog",
-            systems.DriveWatchdog(protection, sample_time_s, len(losing)),
-        )
-        lost = self._builder.AddNamedSystem("lost_commands", Multiplexer(len(losing)))
-        for index, system in enumerate(losing):
-            self._builder.Connect(system.GetOutputPort("lost"), lost.get_input_port(index))
-        self._builder.Connect(lost.get_output_port(), watchdog.GetInputPort("lost"))
+        watchdog = systems.DriveWatchdog(protection, self._scenario.controller.sample_time_s)
+        self._builder.AddNamedSystem("watchdog", watchdog)
+        lost = [self._systems[number].GetOutputPort("lost") for number in losing]
+        self._builder.Connect(self._sum("lost_commands", lost), watchdog.GetInputPort("lost"))
         self._builder.Connect(port, watchdog.GetInputPort("motor_speed_command"))
         return watchdog.GetOutputPort("motor_speed_command")
 

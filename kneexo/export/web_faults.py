@@ -84,8 +84,8 @@ def direct_maps(scenario: Scenario, columns: Iterable[str]) -> Iterator[tuple[in
         elif found := re.fullmatch(r"controller/detectors\.(\w+)_threshold", column):
             detector = DETECTORS[found[1]]
             name, factor = f"protection.{detector.field}", detector.factor
-        elif column == "watchdog.watchdog_s":
-            name = "protection.watchdog_s"
+        elif column == "watchdog.watchdog_samples":
+            name, factor = "protection.watchdog_s", 1.0 / scenario.controller.sample_time_s
         if name:
             yield index, {"kind": "affine", "of": [name], "offset": 0.0, "factors": [factor]}
 

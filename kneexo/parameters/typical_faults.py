@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from kneexo.parameters.fault import FAULTY_SIGNALS, FaultParameters, Kind
-from kneexo.parameters.paths import has_path, value_at
+from kneexo.parameters.paths import value_at
 from kneexo.parameters.scenario import Scenario
 
 
@@ -85,7 +85,7 @@ def _factor(scenario: Scenario, typical: TypicalFault) -> float:
         return float(scenario.encoder.quantized)
     if typical.place in FAULTY_SIGNALS:
         return 1.0
-    value = value_at(scenario, typical.place) if has_path(scenario, typical.place) else None
+    value = value_at(scenario, typical.place)
     if typical.healthy_is_zero:
         return float(value == 0.0)
     return float(value or 0.0)

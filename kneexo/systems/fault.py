@@ -121,7 +121,7 @@ class FaultySignal(_Fault):
     **output port**
     active           1     1     1 while the fault is active, else 0
     signal           n     any   u with the fault
-    lost             1     1     positive if the output is an old one; only frozen and dropped
+    lost             1     1     1 if the output is an old one, else 0; only frozen and dropped
     ===============  ====  ====  ====================================================
 
     Discrete states, updated every ``sample_time_s``: the clock of the fault; u_h, or the last
@@ -179,10 +179,11 @@ class FaultySignal(_Fault):
 
     def _calc_lost(self, context: Any) -> list[Any]:
         _, _, *seeds = discrete_state(context)
-        lost = 1.0
+        active = self._active(context)
         if self._kind == "dropped":
-            lost = self.parameters(context).size - _uniform(seeds)
-        return [where_positive(self._active(context), lost, 0.0)]
+            drops = self.parameters(context).size - _uniform(seeds)
+            return [where_positive(drops, active, 0.0)]
+        return [active]
 
     def _faulty(self, context: Any, value: Any) -> Any:
         p = self.parameters(context)
@@ -200,7 +201,7 @@ class FaultySignal(_Fault):
         if self._kind == "scale":
             return p.size * value
         if self._kind == "value":
-            return p.size + 0.0 * value
+            return p.size
         if self._kind == "noise":
             return value + p.size * unit_noise(others)
         if self._kind == "dropped":

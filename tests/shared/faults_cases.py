@@ -32,7 +32,7 @@ def row(
         detector=detector,
         detected_after_s=0.5 * safe_s,
         safe_after_s=safe_s,
-        protected=Peaks(moved_deg, 6.789, 1.234, True),
+        protected=Peaks(moved_deg, 6.789, 1.234, complete),
         bound_deg=5.0,
     )
 

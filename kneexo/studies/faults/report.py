@@ -104,7 +104,8 @@ def _evidence(result: FaultsResult) -> list[dict[str, str]]:
     findings = {
         "(ii) commands and safeguards in the worst case": (
             f"{worst.fault} at {worst.start_s:g} s ({worst.controller.upper()}): {worst.verdict}, "
-            f"{number(worst.protected.deviation_deg)}° and {number(worst.protected.torque_n_m)} N·m"
+            f"{_peak('protected.deviation_deg')(vars(worst))}° and "
+            f"{_peak('protected.torque_n_m')(vars(worst))} N·m"
         ),
         "(iii) manual override": (
             f"{len(stops)} emergency stops: safe within "

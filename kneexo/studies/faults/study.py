@@ -142,7 +142,7 @@ class FaultRow:
 
     @property
     def has_failed(self) -> bool:
-        """Whether the protection did not act in time on a harmful fault."""
+        """Whether the knee moved beyond the bound in spite of the protection, or by it."""
         return self.verdict in FAILED
 
 
