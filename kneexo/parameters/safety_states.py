@@ -46,7 +46,7 @@ REASONS = ("none", *DETECTORS, "emergency stop", "start")
 """Names of the reasons by their number."""
 
 STATES = {
-    "starting": "the law acts; following and speed are not watched yet",
+    "starting": "the law acts; following and speed cannot stop the motor yet",
     "operating": "the law acts",
     "stopping": "the speed command falls to zero with a rate limit",
     "stopped": "the speed command is zero, and the oil holds the knee if the motor stands",

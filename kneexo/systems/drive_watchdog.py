@@ -17,16 +17,16 @@ def context_values(parameters: ProtectionParameters, sample_time_s: float) -> di
 
 
 class DriveWatchdog(NamedLeaf):
-    """The speed command that the drive obeys: the last one, or its own after a loss.
+    """The speed command that the drive obeys: the last one, or its own after n losses in a row.
 
-    A new command is lost in each of the last c samples. When c reaches n, the drive stops the motor
-    for the rest of the run: its own command falls to zero by at most a T in a sample.
+    c counts the consecutive samples without a new command. At c = n the drive takes over for the
+    rest of the run. Its own command then falls to zero at the rate a, by at most a·T in a sample.
 
     ===================  ====  =====  ===================================================
     input port           size  unit
     ===================  ====  =====  ===================================================
     motor_speed_command  1     rad/s  of the bus; an old one if the new one is lost
-    lost                 1     1      number of faults that lose the new command
+    lost                 1     1      number of active faults that lose the new command
     **output port**
     motor_speed_command  1     rad/s  for the motor
     ===================  ====  =====  ===================================================

@@ -63,11 +63,12 @@ def zero_factors(
     fixed: Collection[int],
     arguments: Callable[[int], Sequence[int]],
 ) -> dict[int, frozenset[int]]:
-    """Return the ``fixed`` nodes by which each node is multiplied on all ways to the ``roots``.
+    """Map each node to the ``fixed`` nodes that multiply it on every path to the ``roots``.
 
-    The ways lead through sums, products and numerators. If one of these factors is zero, code may
-    take 0 in place of any finite value of the node. For example, the volume of air in oil
-    multiplies a power of the pressure. ``arguments(node)`` returns the arguments that the code for
+    The paths lead through sums, products and numerators. If such a factor is zero, code may use 0
+    in place of the node, provided that the node is finite. For example, the volume of air in oil
+    multiplies a power of the pressure. So code without air need not compute this power.
+    ``arguments(node)`` returns the arguments that the code for
     ``roots`` reads.
     """
     roots = list(roots)

@@ -127,7 +127,8 @@ class FaultRow:
         """One of ``never active, harmless, in time, late, missed, made worse``.
 
         The protection acts in time if the knee stays within the bound until the motor is safe. It
-        makes a fault worse if the knee moves beyond the bound, and farther than without it.
+        is late if the knee does not. It makes the fault worse if the knee also moves farther than
+        without protection. A harmless or missed fault is not detected.
         """
         if math.isnan(self.critical_duration_s) and not self.detector:
             return "never active"

@@ -224,7 +224,7 @@ def test_each_fault_is_told_once_at_its_worst_time(tables):
     assert result.worst == result.rows[4]
     assert result.undetected == result.rows[0]
     faults, harmless, hazards, _ = tables(report(result))
-    column = faults[0].index("may last (s)")
+    column = faults[0].index("critical duration (s)")
     assert [line[column] for line in faults[1:]] == ["0.876", "0.321", "0.987"]
     assert [line[1] for line in harmless[1:]] == ["encoder offset 1 deg"]
     assert [line[-1] for line in hazards[1:]] == ["in time", "late", "missed"]
