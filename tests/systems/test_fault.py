@@ -117,6 +117,14 @@ def test_noise_and_dropped_samples_have_their_statistics_and_depend_on_the_seed(
     assert lost[1:].mean() == pytest.approx(0.3, abs=5 * np.sqrt(0.21 / 400))
     held = np.maximum.accumulate(np.where(lost, -1.0, ramp))  # the last value that came
     np.testing.assert_array_equal(dropped, held)
+    told = outputs(FaultySignal(fault("dropped", 0.3, start_s=0.0), T), ramp, port="lost")[:, 0]
+    np.testing.assert_array_equal(told, lost)
+
+
+def test_a_frozen_signal_is_lost_while_the_fault_is_active():
+    system = FaultySignal(fault("frozen", 0.0, start_s=2 * T, duration_s=2 * T), T, lead_s=T)
+    np.testing.assert_array_equal(outputs(system, SIGNAL, port="lost")[:, 0], [0, 0, 1, 1, 0, 0])
+    assert not FaultySignal(fault(), T).HasOutputPort("lost")
 
 
 @pytest.mark.parametrize(("given", "sign"), [("above", 1.0), ("below", -1.0)])
