@@ -167,11 +167,7 @@ def fault_survival(
     if not 0.0 < bound_deg <= 180.0:
         raise ParameterError(f"bound_deg = {bound_deg:g} deg: must be > 0 and <= 180 deg")
     healthy = simulate(scenario, signals=_signals(scenario))
-    items = [
-        fault.changed({"start_s": float(start_s), "duration_s": None})
-        for fault in faults
-        for start_s in starts_s
-    ]
+    items = [fault.permanent(float(start_s)) for fault in faults for start_s in starts_s]
     for item in items:  # an error here, not in a worker
         _faulty(scenario, item, 1)
     case = partial(fault_case, scenario, healthy, bound_deg)

@@ -184,8 +184,10 @@ def make_closed_loop(
     connected = set()
     if scenario.push is not None or "wearer_motion" in wearer:
         connected.add("knee_torque")
-    if plant.HasInputPort("bypass") and controller.HasOutputPort("bypass"):
-        connect(builder, controller, "bypass", plant, "bypass")
+    if scenario.protection is not None:
+        release = scenario.protection.safe_state
+        if plant.HasInputPort(release):
+            connect(builder, controller, "release", plant, release)
         connected.add("bypass")
     for name in ("disturbance_force", "knee_torque", "bypass"):
         if plant.HasInputPort(name) and name not in connected:

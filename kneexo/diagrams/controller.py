@@ -66,7 +66,7 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
     ``sliding_variable``, and the torque controller adds ``desired_torque``. Protection adds the
     subsystems ``detectors`` (`FaultDetectors`), which replaces the coordinates of implausible
     readings, and ``supervisor`` (`SafetySupervisor`), through which the command passes. Its
-    outputs are ``residuals``, ``safety_state``, ``safety_reason`` and ``bypass``.
+    outputs are ``residuals``, ``safety_state``, ``safety_reason`` and ``release``.
 
     The ports of a law of the user decide what the law is connected to: see `LawParameters`. A law
     that reads ``encoder_reading``, and nothing that kneexo computes from this reading, is the only

@@ -57,9 +57,10 @@ def make_plant(
     temperatures of the motor, ``temperature`` (`MotorTemperature`) and, with a bypass, ``bypass``
     (`BypassValve`).
     Inputs: ``motor_speed_command`` (rad/s), ``disturbance_force`` (N, on the rod, positive opposes
-    extension), with a load ``knee_torque`` (N·m, positive flexes) and with a bypass ``bypass`` (its
-    opening, 0 to 1). All but the command are zero if unconnected. Outputs: `PLANT_OUTPUTS`, and the
-    `OPTIONAL_OUTPUTS` of the parts that the plant has.
+    extension), with a load ``knee_torque`` (N·m, positive flexes), with a bypass ``bypass`` (its
+    opening, 0 to 1), and with ``motor`` ``torque_off`` and ``dynamic_brake`` (1: on). All
+    but the command are zero if unconnected. Outputs: `PLANT_OUTPUTS`, and the `OPTIONAL_OUTPUTS` of
+    the parts that the plant has.
 
     The plant starts at rest with zero motor speed, and the pressures hold load and spring. In full
     order the lower of the two chamber pressures equals the pressure of the reservoir.
@@ -114,6 +115,9 @@ def make_plant(
         temperature = systems_by_name["temperature"]
         connect(builder, motor, "winding_loss", temperature, "winding_loss")
         connect(builder, temperature, "motor_temperatures", motor, "motor_temperatures")
+    if parameters.motor is not None:
+        for name in ("torque_off", "dynamic_brake"):
+            builder.ExportInput(motor.GetInputPort(name), name)
     if "bypass" in systems_by_name:
         bypass = systems_by_name["bypass"]
         builder.ExportInput(bypass.GetInputPort("bypass"), "bypass")

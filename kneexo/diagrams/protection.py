@@ -77,7 +77,7 @@ def connect_protection(
         "residuals": detectors.GetOutputPort("residuals"),
         "safety_state": supervisor.GetOutputPort("safety_state"),
         "safety_reason": supervisor.GetOutputPort("safety_reason"),
-        "bypass": supervisor.GetOutputPort("bypass"),
+        "release": supervisor.GetOutputPort("release"),
     }
 
 

@@ -60,7 +60,7 @@ def make_target(scenario: Scenario, what: str, *, counts: bool = False) -> Targe
     ``controller``
         `make_controller`. Inputs: encoder reading and knee reference, and with torque control the
         reading of the load cell. Output: motor speed command. Protection adds the inputs motor
-        speed, emergency stop and reset, and the outputs residuals, state, reason and bypass.
+        speed, emergency stop and reset, and the outputs residuals, state, reason and release.
         With ``counts``, the reading of a quantized encoder is replaced by its count, a whole
         number.
     ``plant``
@@ -117,7 +117,7 @@ def _controller(scenario: Scenario, counts: bool) -> Target:
     inputs = [controller.get_input_port(i).get_name() for i in range(controller.num_input_ports())]
     outputs = ["motor_speed_command"]
     if scenario.protection is not None:
-        outputs += ["residuals", "safety_state", "safety_reason", "bypass"]
+        outputs += ["residuals", "safety_state", "safety_reason", "release"]
     ranges = {}
     if "knee_reference" in inputs:
         ranges[_FIELDS["knee_reference"][0]] = reference_range_rad(scenario)

@@ -16,7 +16,14 @@ from kneexo.export.web_maps import Map
 from kneexo.parameters import ProtectionParameters, Scenario
 from kneexo.parameters.fault import FaultParameters
 from kneexo.parameters.plant import RPM
-from kneexo.parameters.safety_states import DETECTORS, EVENTS, REASONS, STATES, transitions
+from kneexo.parameters.safety_states import (
+    DETECTORS,
+    EVENTS,
+    REASONS,
+    SAFE_STATES,
+    STATES,
+    transitions,
+)
 from kneexo.parameters.sliders import Slider
 from kneexo.parameters.thrown_faults import throw_of, thrown_faults
 
@@ -103,6 +110,8 @@ def fault_data(scenario: Scenario) -> dict[str, Any]:
         loop without protection.
     ``fault``, ``protection``
         The choices that the page shows first.
+    ``safe``
+        What is true of the knee in the safe state, in words.
     ``standstill_rad_s``, ``overdue_s``
         Motor speed that counts as standstill, and longest start and stop.
     ``names``, ``states``
@@ -144,6 +153,7 @@ def fault_data(scenario: Scenario) -> dict[str, Any]:
         "off": dict.fromkeys(thresholds, UNREACHABLE),
         "fault": throw.name,
         "protection": "off" if scenario.protection is None else "on",
+        "safe": SAFE_STATES[protection.safe_state],
         "standstill_rad_s": protection.standstill_rpm * RPM,
         "overdue_s": protection.overdue_s,
         "names": list(STATES),

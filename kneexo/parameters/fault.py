@@ -10,7 +10,7 @@ from pydantic import model_validator
 from kneexo.errors import close_names, question, shown
 from kneexo.parameters.plant import RPM
 from kneexo.parameters.quantity import Parameters, choice, quantity
-from kneexo.parameters.torque import generator_seeds
+from kneexo.parameters.torque import AS_183, generator_seeds
 
 Kind = Literal[
     "frozen", "offset", "drift", "scale", "noise", "dropped", "late", "bit_flip", "value"
@@ -59,8 +59,8 @@ class FaultParameters(Parameters):
 
     The ``place`` is one of `FAULTY_SIGNALS`, or the dotted path of a parameter of the scenario. The
     fault begins at ``start_s``. With ``signal`` it begins at the first sample from ``start_s`` on
-    at which the signal is above or below the threshold. It begins once, and ends after
-    ``duration_s``.
+    at which the signal is above or below the threshold. With ``mttf_s`` it begins after ``start_s``
+    by a random time. It begins once, and ends after ``duration_s``.
     """
 
     place: str = choice(
@@ -99,8 +99,16 @@ class FaultParameters(Parameters):
     below: float | None = quantity(
         None, "by signal", "given by the user: lower threshold, if any", ge=-1e12, le=1e12
     )
+    mttf_s: float | None = quantity(
+        None,
+        "s",
+        "given by the user: mean time to failure, if any; the time from start_s to the fault is "
+        "exponentially distributed",
+        gt=0,
+        le=1e12,
+    )
     seed: int = quantity(
-        0, "1", "assumption: selects noise and dropped samples", ge=0, le=2**31 - 1
+        0, "1", "assumption: selects noise, dropped samples and time to failure", ge=0, le=2**31 - 1
     )
 
     @property
@@ -117,9 +125,25 @@ class FaultParameters(Parameters):
         return f"{unit}/s" if self.kind == "drift" else unit
 
     @property
+    def begin_s(self) -> float:
+        """Time in s at which the fault begins, or from which on its signal starts it.
+
+        With ``mttf_s`` M it is ``start_s`` − M ln(1 − U), with a uniform random number U of AS 183.
+        """
+        if self.mttf_s is None:
+            return self.start_s
+        pairs = zip(self.generator_seeds, AS_183, strict=True)
+        share = math.fsum(seed / modulus for seed, (modulus, _) in pairs) % 1.0
+        return self.start_s - self.mttf_s * math.log1p(-share)
+
+    @property
     def end_s(self) -> float:
-        """End in s of a fault that begins at ``start_s``; inf without ``duration_s``."""
-        return math.inf if self.duration_s is None else self.start_s + self.duration_s
+        """End in s of a fault that begins at ``begin_s``; inf without ``duration_s``."""
+        return math.inf if self.duration_s is None else self.begin_s + self.duration_s
+
+    def permanent(self, start_s: float) -> FaultParameters:
+        """Return the fault that begins at ``start_s``, or later by its signal, and does not end."""
+        return self.changed({"start_s": start_s, "duration_s": None, "mttf_s": None})
 
     @property
     def generator_seeds(self) -> tuple[float, ...]:

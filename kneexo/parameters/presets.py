@@ -60,7 +60,11 @@ PRESETS: Mapping[str, Preset] = {
     ),
     "protected": Preset(
         "leg, limits of motor torque and supply, end stops, and protection against faults",
-        {**_LEG, "plant": {**_LEG_PLANT, "motor": {}, "end_stops": {}}, "protection": {}},
+        {
+            **_LEG,
+            "plant": {**_LEG_PLANT, "motor": {}, "end_stops": {}},
+            "protection": {"safe_state": "dynamic_brake"},
+        },
     ),
 }
 """The presets by name. Each one contains the one before it, but ``protected`` has no wearer."""

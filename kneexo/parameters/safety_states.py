@@ -11,8 +11,20 @@ from typing import Literal, NamedTuple
 
 from kneexo.parameters.plant import RPM
 
-SafeState = Literal["zero_speed", "bypass"]
-"""Where a stop ends: the motor stands and the oil holds the knee, or the bypass is open."""
+SafeState = Literal["zero_speed", "dynamic_brake", "torque_off", "bypass"]
+"""Where a stop ends: at a speed command of zero, or also with a release beyond the drive's control.
+
+The input of the plant that a release acts on has the name of the safe state.
+"""
+
+
+SAFE_STATES: dict[SafeState, str] = {
+    "zero_speed": "the motor stands",
+    "dynamic_brake": "the windings are shorted",
+    "torque_off": "the motor has no torque",
+    "bypass": "the bypass is open",
+}
+"""What is true of a knee in its safe state."""
 
 
 class Detector(NamedTuple):
@@ -50,7 +62,8 @@ STATES = {
     "operating": "the law acts",
     "stopping": "the speed command falls to zero with a rate limit",
     "stopped": "the speed command is zero, and the oil holds the knee if the motor stands",
-    "released": "the speed command is zero, and the bypass is open",
+    "released": "the speed command is zero; the windings are shorted, the motor has no torque, or "
+    "the bypass is open",
 }
 """The states by their number, with what the supervisor does in them."""
 
@@ -71,12 +84,12 @@ EVENTS = {
 
 
 class Transition(NamedTuple):
-    """A transition between two `STATES`, for one or for all (None) safe states."""
+    """A transition between two `STATES`, for safe states with (True) or without release, or all."""
 
     state: str
     event: str
     next_state: str
-    safe_state: SafeState | None = None
+    release: bool | None = None
 
 
 TRANSITIONS = (
@@ -86,14 +99,14 @@ TRANSITIONS = (
     Transition("starting", "overdue", "stopping"),
     Transition("operating", "emergency", "stopping"),
     Transition("operating", "implausible", "stopping"),
-    Transition("operating", "disobeyed", "stopping", "zero_speed"),
-    Transition("operating", "disobeyed", "released", "bypass"),
+    Transition("operating", "disobeyed", "stopping", False),
+    Transition("operating", "disobeyed", "released", True),
     Transition("operating", "away", "stopping"),
-    Transition("stopping", "disobeyed", "released", "bypass"),
-    Transition("stopping", "standstill", "stopped", "zero_speed"),
-    Transition("stopping", "standstill", "released", "bypass"),
-    Transition("stopping", "overdue", "stopped", "zero_speed"),
-    Transition("stopping", "overdue", "released", "bypass"),
+    Transition("stopping", "disobeyed", "released", True),
+    Transition("stopping", "standstill", "stopped", False),
+    Transition("stopping", "standstill", "released", True),
+    Transition("stopping", "overdue", "stopped", False),
+    Transition("stopping", "overdue", "released", True),
     Transition("stopped", "emergency", "stopped"),
     Transition("stopped", "implausible", "stopped"),
     Transition("stopped", "reset", "starting"),
@@ -106,5 +119,5 @@ TRANSITIONS = (
 
 def transitions(safe_state: SafeState) -> tuple[Transition, ...]:
     """Return the transitions with a safe state, in order of the priority of their events."""
-    present = (row for row in TRANSITIONS if row.safe_state in (None, safe_state))
+    present = (row for row in TRANSITIONS if row.release in (None, safe_state != "zero_speed"))
     return tuple(sorted(present, key=lambda row: list(EVENTS).index(row.event)))

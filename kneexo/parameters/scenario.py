@@ -410,7 +410,7 @@ class Scenario(Parameters):
                 )
             for other_number, other in enumerate(self.faults[:number]):
                 same = (fault.place, fault.kind) == (other.place, other.kind)
-                overlap = fault.start_s < other.end_s and other.start_s < fault.end_s
+                overlap = fault.begin_s < other.end_s and other.begin_s < fault.end_s
                 if same and overlap and fault.kind in ("frozen", "value"):
                     raise ValueError(
                         f"{subject}: is at the same place and time as faults.{other_number}; must "
@@ -425,11 +425,14 @@ class Scenario(Parameters):
             return self
         if self.controller.kind == "smc" and self.controller.continuous:
             raise ValueError("protection: needs controller.continuous = false")
+        missing = ""
         if protection.safe_state == "bypass" and self.plant.bypass is None:
-            raise ValueError(
-                "protection.safe_state = bypass: the plant has no bypass; must be zero_speed; or "
-                "add plant: {full_order: true, bypass: true}"
-            )
+            missing = "bypass; must be zero_speed; or add plant: {full_order: true, bypass: true}"
+        elif protection.safe_state in ("dynamic_brake", "torque_off") and self.plant.motor is None:
+            missing = "motor; must be zero_speed; or add plant: {motor: true}"
+        if missing:
+            safe_state = protection.safe_state
+            raise ValueError(f"protection.safe_state = {safe_state}: the plant has no {missing}")
         count_deg = math.degrees(self.encoder.resolution_rad)
         sample_time_s, cell = self.controller.sample_time_s, self.load_cell
         rpm = self.bus.velocity_unit_rad_s / RPM

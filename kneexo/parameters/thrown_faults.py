@@ -118,11 +118,11 @@ def throw_of(scenario: Scenario) -> Throw:
     fault = faults[0] if faults else FaultParameters()
     known = {(thrown.place, thrown.kind): name for name, thrown in thrown_faults(scenario).items()}
     name = known.get((fault.place, fault.kind)) if faults else "none"
-    triggered = any(fault.signal is not None for fault in scenario.faults)
+    triggered = any((f.signal, f.mttf_s) != (None, None) for f in scenario.faults)
     if name is None or len(faults) > 1 or len(resets) > 1 or triggered:
         names = [f"{place} {kind}" for place, kind in known if place != RESET]
         raise ParameterError(
-            f"faults: a page throws one fault without signal, of {', '.join(names)}, and perhaps "
+            f"faults: a page throws one fault at a given time, of {', '.join(names)}, and perhaps "
             f"one reset; leave the faults out (--set faults=[])"
         )
     return Throw(

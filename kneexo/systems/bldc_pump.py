@@ -15,7 +15,9 @@ from kneexo.systems._leaf import (
     leaf_template,
     require_finite,
     smooth_step,
+    value_or_zero,
     values_of,
+    where_positive,
 )
 from kneexo.systems.state_variable import StateVariable
 
@@ -120,13 +122,16 @@ class BldcPump(NamedLeaf):
     i = `limited_current` of J α_d + T_l. Within the limits dω_m/dt is α_d. A dead motor, with
     i_max = 0, is no brake: the oil can drive it. With six-step commutation one lost phase of three
     leaves a third of the mean torque, and so of i_max. Its ripple is left out. With ``thermal`` the
-    resistance R is that of `warm_resistance`, and `derating` lowers i_max.
+    resistance R is that of `warm_resistance`, and `derating` lowers i_max. Torque off
+    (IEC 61800-5-2) makes i zero. The dynamic brake shorts the windings: i = −k_t ω_m/R.
 
     ===================  ====  =======  ==============================================
     input port           size  unit
     ===================  ====  =======  ==============================================
     motor_speed_command  1     rad/s    motor side of the gear
     load_pressure        1     Pa       P_L = P_1 − P_2
+    torque_off           1     1        1: no current; 0 if unconnected; only with ``motor``
+    dynamic_brake        1     1        1: shorted windings; 0 if unconnected; only with ``motor``
     motor_temperatures   2     °C       T_w of the winding, T_c; only with ``thermal``
     **output port**
     motor_speed          1     rad/s    motor side; positive drives the rod out
@@ -184,7 +189,10 @@ class BldcPump(NamedLeaf):
         declare("shaft_power", 1, lambda c: [self._torque(c) * self._speed(c)], *both)
         declare("hydraulic_power", 1, self._hydraulic_power, *both)
         if self._limited:
-            sources = [self._command, *both]
+            self._torque_off, self._brake = (
+                self.DeclareVectorInputPort(name, 1) for name in ("torque_off", "dynamic_brake")
+            )
+            sources = [self._command, *both, self._torque_off, self._brake]
             if thermal is not None:
                 self._temperatures = self.DeclareVectorInputPort("motor_temperatures", 2)
                 sources.append(self._temperatures)
@@ -238,13 +246,20 @@ class BldcPump(NamedLeaf):
         torque = p.inertia_kg_m2 * self._demanded_acceleration(context)
         torque += self._opposing_torque(context)
         resistance, limit = self._winding(context)
-        return limited_current(
+        speed = self._speed(context)
+        current = limited_current(
             torque,
-            self._speed(context),
+            speed,
             torque_constant=p.torque_constant_n_m_per_a,
             resistance=resistance,
             supply=p.supply_voltage_v,
             limit=limit,
+        )
+        is_off = value_or_zero(self._torque_off, context) - 0.5
+        is_shorted = value_or_zero(self._brake, context) - 0.5
+        current = where_positive(is_off, 0.0, current)
+        return where_positive(
+            is_shorted, -p.torque_constant_n_m_per_a * speed / resistance, current
         )
 
     def _voltage(self, context: Any) -> list[Any]:

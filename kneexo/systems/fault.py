@@ -41,7 +41,7 @@ def context_values(
     above = parameters.above is not None
     size = 2.0**parameters.size if parameters.kind == "bit_flip" else parameters.si_size
     values = {
-        "start_s": parameters.start_s,
+        "start_s": parameters.begin_s,
         "duration_s": FOREVER_S if parameters.duration_s is None else parameters.duration_s,
         "lead_s": lead_s,
         "threshold": (parameters.above if above else parameters.below) or 0.0,

@@ -58,7 +58,7 @@ class SafetySupervisor(NamedLeaf):
     motor_speed_command  1     rad/s  for the drive
     safety_state         1     1      number of the state in `STATES`, from 0
     safety_reason        1     1      number of the reason in `REASONS`; 0 without a stop
-    bypass               1     1      1: the bypass is to be open, else 0
+    release              1     1      1 in the state ``released``, else 0
     ===================  ====  =====  ===========================================================
 
     Discrete states, updated every ``sample_time_s``: state, reason, own command, number of samples
@@ -87,9 +87,9 @@ class SafetySupervisor(NamedLeaf):
         )
         declare("safety_state", 1, lambda c: discrete_state(c)[:1], state)
         declare("safety_reason", 1, lambda c: discrete_state(c)[1:2], state)
-        declare("bypass", 1, self._calc_bypass, state)
+        declare("release", 1, self._calc_release, state)
 
-    def _calc_bypass(self, context: Any) -> list[Any]:
+    def _calc_release(self, context: Any) -> list[Any]:
         return [where_positive(_is(discrete_state(context)[0], "released"), 1.0, 0.0)]
 
     def _calc_command(self, context: Any) -> Any:

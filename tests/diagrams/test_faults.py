@@ -2,6 +2,7 @@
 
 import importlib
 import math
+import re
 
 import numpy as np
 import pytest
@@ -159,6 +160,20 @@ def test_a_change_of_a_number_ends():
     fault = {"place": LAG, "kind": "value", "size": 0.05, "start_s": 0.05, "duration_s": 0.05}
     active = simulate(with_faults(fault))["active_faults"]
     np.testing.assert_array_equal(np.flatnonzero(active), np.arange(26, 51))
+
+
+@pytest.mark.slow
+def test_a_fault_begins_at_its_time_to_failure_or_after_the_run():
+    dead = {"place": "command", "kind": "scale", "size": 0.0, "start_s": 0.0, "seed": 1}
+    scenario = with_faults(dead | {"mttf_s": 0.05})
+    begin_s = scenario.faults[0].begin_s
+    active = simulate(scenario)["active_faults"]
+    assert 0.0 < begin_s < BASE.duration_s
+    assert np.flatnonzero(active)[0] == math.ceil(begin_s / 0.002) + 1
+    result = track(with_faults(dead | {"mttf_s": 1e4}))
+    assert not result.run["active_faults"].any()
+    (line,) = [notice for notice in result.verdict.notices if "fault" in notice]
+    assert re.fullmatch(r"no fault was active; the first begins at \d+ s by its mttf_s", line)
 
 
 @pytest.mark.slow

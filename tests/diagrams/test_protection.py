@@ -1,6 +1,7 @@
 """Loops with protection: what a fault does, both engines, laws of users, exports, the verdict."""
 
 import math
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from kneexo.export.fmu import export_fmu
 from kneexo.export.target import count_range, make_target
 from kneexo.linkage import moment_arm, pose
 from kneexo.parameters import Scenario
-from kneexo.parameters.safety_states import REASONS, STATES
+from kneexo.parameters.safety_states import REASONS, STATES, SafeState
 from kneexo.simulation import simulate
 from kneexo.simulation.compiled import scenario_values, simulate_together
 
@@ -209,7 +210,7 @@ def test_ports_of_the_exported_controller():
         "encoder_count", "knee_reference", "motor_speed", "emergency_stop", "reset"
     }  # fmt: skip
     assert target.outputs == (
-        "motor_speed_command", "residuals", "safety_state", "safety_reason", "bypass"
+        "motor_speed_command", "residuals", "safety_state", "safety_reason", "release"
     )  # fmt: skip
     turn = BASE.encoder.counts_per_revolution
     plain = count_range(BASE.changed({"protection": None}))
@@ -269,6 +270,27 @@ def test_the_supervisor_drives_the_bypass_of_the_plant():
     for protection, inputs in ((None, {"bypass"}), ({}, set())):
         loop = make_closed_loop(Scenario().changed(plant | {"protection": protection}))
         assert {"bypass"} & set(port_sizes(loop, inputs=True)) == inputs
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["exact_hold", "radau3"])
+def test_a_release_reaches_a_motor_that_does_not_obey(engine):
+    """A drive adds 1,000 rpm: at zero speed the motor turns on; a release takes it the torque."""
+    plant = {"plant.bypass": {}, "simulation.duration_s": 0.3, "simulation.integrator": engine}
+    base = Scenario.preset("protected").changed(plant)
+    adds = {"place": "command", "kind": "offset", "size": 1000.0, "start_s": 0.15}
+    runs = {}
+    for name in get_args(SafeState):
+        runs[name] = simulate(with_faults(adds, base=base.changed({"protection.safe_state": name})))
+        assert end(runs[name]) == ("stopping" if name == "zero_speed" else "released", "speed")
+    speeds = {name: run["motor_speed_rad_s"][-1] for name, run in runs.items()}
+    assert speeds["zero_speed"] > 80.0
+    assert runs["bypass"]["bypass_opening"][-1] > 0.9
+    assert runs["torque_off"]["motor_current_a"][-1] == 0.0
+    braked, motor = runs["dynamic_brake"], base.plant.motor
+    current = -motor.torque_constant_n_m_per_a * speeds["dynamic_brake"] / motor.resistance_ohm
+    assert braked["motor_current_a"][-1] == pytest.approx(current, rel=1e-12)
+    assert abs(speeds["dynamic_brake"]) < 1.0
 
 
 def peaks_of_a_walking_wearer(safe_state):

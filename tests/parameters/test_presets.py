@@ -42,7 +42,8 @@ def test_each_preset_adds_parts_to_the_one_before():
     gains = {"proportional_rad_s_per_n": 3, "integral_rad_s2_per_n": 10, "speed_feedforward": 0.3}
     torque = {"kind": "torque", **gains}
     assert changed(LEG, {"wearer": "leg", "controller": torque}) == WEARER
-    parts = {"plant.motor": {}, "plant.end_stops": {}, "protection": {}}
+    parts = {"plant.motor": {}, "plant.end_stops": {}}
+    parts |= {"protection": {"safe_state": "dynamic_brake"}}
     assert changed(LEG, parts) == PROTECTED
     # The pump leaks in all of them; the controller knows the plant.
     for scenario in (PAPER, BENCH, LEG, WEARER, PROTECTED):

@@ -17,11 +17,19 @@ REFUSED = [
     ({"flow_mm": -1.0}, {}, r"flow_mm = -1 mm is out of range"),
     ({"speed_rpm": 0.5}, {"bus": "can"}, "speed_rpm = 0.5 rpm: must be > 1 rpm, one velocity unit"),
     ({"flow": 1.0}, {}, r"protection.flow: unknown name; did you mean protection.flow_"),
-    ({"safe_state": "open"}, {}, r"safe_state = 'open': must be 'zero_speed' or 'bypass'"),
+    (
+        {"safe_state": "open"},
+        {},
+        r"safe_state = 'open': must be 'zero_speed', 'dynamic_brake', 'to",
+    ),
     (
         {"safe_state": "bypass"},
         {},
         "safe_state = bypass: the plant has no bypass; must be zero_speed",
+    ),
+    *(
+        ({"safe_state": name}, {}, f"safe_state = {name}: the plant has no motor; must be zero_sp")
+        for name in ("dynamic_brake", "torque_off")
     ),
     (
         {},

@@ -1,12 +1,13 @@
 """A result of the study `faults` that is made up, with a row of each verdict."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from kneexo.parameters import UNCERTAIN_KNEE
 from kneexo.studies.faults import FaultsResult, FaultsSettings
-from kneexo.studies.faults.study import EmergencyStop, FaultRow, Peaks
+from kneexo.studies.faults.study import EmergencyStop, FaultRow, Peaks, Rest
 
 
 def row(
@@ -20,9 +21,12 @@ def row(
     flexes=True,
     complete=True,
     moved_deg=4.567,
+    safe_state="zero_speed",
+    turn_deg=0.876,
 ):
     return FaultRow(
         controller="smc",
+        safe_state=safe_state,
         cause=cause,
         fault=fault,
         start_s=start_s,
@@ -33,42 +37,60 @@ def row(
         detected_after_s=0.5 * safe_s,
         safe_after_s=safe_s,
         protected=Peaks(moved_deg, 6.789, 1.234, complete),
+        rest=Rest(turn_deg, 3.45) if math.isfinite(safe_s) else Rest(math.nan, math.nan),
         bound_deg=5.0,
+    )
+
+
+def _without_torque(zero_speed):
+    """The row with the safe state torque_off, which is quicker if the command is lost."""
+    if zero_speed.cause != "command lost":
+        return replace(zero_speed, safe_state="torque_off")
+    return replace(
+        zero_speed,
+        safe_state="torque_off",
+        safe_after_s=0.0234,
+        protected=Peaks(3.456, 4.321, 0.987, True),
+        rest=Rest(12.34, 3.21),
     )
 
 
 def made_up():
     time_s = np.linspace(0.0, 15.0, 31)
     curves = {"healthy": 0.0, "alone": 2.0, "protected": 1.0}
+    rows = (
+        row("magnet slipped", "encoder offset 1 deg", math.inf, "", math.inf),
+        row("magnet slipped", "encoder offset 5 deg", 0.876, "flow", 0.0543),
+        row(
+            "command lost",
+            "command scale 0",
+            0.321,
+            "following",
+            0.432,
+            flexes=False,
+            moved_deg=5.678,
+        ),
+        row(
+            "command lost",
+            "command scale 0",
+            0.654,
+            "following",
+            0.567,
+            start_s=12.5,
+            moved_deg=5.432,
+        ),
+        row("wear", "leakage", 0.987, "", math.inf, complete=False, moved_deg=9.876),
+    )
     return FaultsResult(
         scenario=UNCERTAIN_KNEE,
         settings=FaultsSettings(),
-        rows=(
-            row("magnet slipped", "encoder offset 1 deg", math.inf, "", math.inf),
-            row("magnet slipped", "encoder offset 5 deg", 0.876, "flow", 0.0543),
-            row(
-                "command lost",
-                "command scale 0",
-                0.321,
-                "following",
-                0.432,
-                flexes=False,
-                moved_deg=5.678,
-            ),
-            row(
-                "command lost",
-                "command scale 0",
-                0.654,
-                "following",
-                0.567,
-                start_s=12.5,
-                moved_deg=5.432,
-            ),
-            row("wear", "leakage", 0.987, "", math.inf, complete=False, moved_deg=9.876),
-        ),
+        safe_states=("zero_speed", "torque_off"),
+        all_rows=(*rows, *(_without_torque(row) for row in rows)),
         stops=(
-            EmergencyStop("smc", 10.0, 0.0876, 1.23, 23.4),
-            EmergencyStop("smc", 12.5, 0.0543, 2.34, 12.3),
+            EmergencyStop("smc", "zero_speed", 10.0, 34.5, 0.0876, 1.23, 23.4, Rest(0.456, 4.56)),
+            EmergencyStop("smc", "zero_speed", 12.5, 45.6, 0.0543, 2.34, 12.3, Rest(0.567, 5.67)),
+            EmergencyStop("smc", "torque_off", 10.0, 34.5, 0.0321, 3.21, 32.1, Rest(6.78, 7.89)),
+            EmergencyStop("smc", "torque_off", 12.5, 45.6, 0.0432, 4.32, 21.0, Rest(8.91, 9.12)),
         ),
         alarms={"rate": 2, "speed": 1},
         healthy_runs=200,

@@ -16,11 +16,14 @@ PARAMETERS = BldcPumpParameters(
     gear_ratio=5.0, internal_leakage_m3_per_s_pa=3e-13, external_leakage_m3_per_s_pa=4e-13
 )
 INPUTS = {"motor_speed_command": [(-600.0, 600.0)], "load_pressure": [(-3e6, 3e6)]}
+LIMITED_INPUTS = INPUTS | {"torque_off": [(0.0, 1.0)], "dynamic_brake": [(0.0, 1.0)]}
 OUTPUTS = ("motor_speed", "load_flow", "shaft_torque", "shaft_power", "hydraulic_power")
 
 
-def at(system, *, command=0.0, pressure=0.0, speed=0.0):
+def at(system, *, command=0.0, pressure=0.0, speed=0.0, **releases):
     context = system.CreateDefaultContext()
+    for name, value in releases.items():
+        system.GetInputPort(name).FixValue(context, value)
     system.GetInputPort("motor_speed_command").FixValue(context, command)
     system.GetInputPort("load_pressure").FixValue(context, pressure)
     if context.num_continuous_states():
@@ -174,7 +177,7 @@ def limited(**values):
 
 def test_a_motor_with_torque_adds_current_and_voltage(leaf):
     structure, plain = leaf.structure(limited()), leaf.structure(BldcPump())
-    assert structure.inputs == plain.inputs
+    assert structure.inputs == plain.inputs | {"torque_off": 1, "dynamic_brake": 1}
     assert structure.outputs == plain.outputs | {"motor_current": 1, "motor_voltage": 1}
     assert structure.feedthrough - plain.feedthrough == {
         (source, name) for source in structure.inputs for name in ("motor_current", "motor_voltage")
@@ -186,7 +189,8 @@ def test_a_motor_with_torque_adds_current_and_voltage(leaf):
 @pytest.mark.parametrize("supply", [4.0, 24.0])
 def test_conversions_with_torque_agree_and_keep_arguments_and_changes(leaf, supply):
     system = BldcPump(PARAMETERS, False, MotorParameters(supply_voltage_v=supply))
-    leaf.Probe(system, INPUTS, [(-0.3, 0.3)]).check_contract(8, inertia_kg_m2=3e-5)
+    inputs = LIMITED_INPUTS | {"dynamic_brake": [(0.0, 0.4)]}  # braked, the voltage is zero
+    leaf.Probe(system, inputs, [(-0.3, 0.3)]).check_contract(11, inertia_kg_m2=3e-5)
 
 
 def test_random_points_meet_the_written_out_torque_current_and_voltage(leaf):
@@ -195,10 +199,10 @@ def test_random_points_meet_the_written_out_torque_current_and_voltage(leaf):
         coulomb_torque_n_m=0.03, viscous_torque_n_m_s_per_rad=4e-5, friction_band_rad_s=40.0,
         supply_voltage_v=15.0, current_limit_a=6.0,
     )  # fmt: skip
-    probe = leaf.Probe(BldcPump(PARAMETERS, False, n), INPUTS, [(-0.5, 0.5)], spread=0.0)
+    probe = leaf.Probe(BldcPump(PARAMETERS, False, n), LIMITED_INPUTS, [(-0.5, 0.5)], spread=0.0)
     limits = set()
     for z in probe.points(100):
-        _, command, pressure, krad_s = z[:4]
+        _, command, pressure, torque_off, brake, krad_s = z[:6]
         speed = 1e3 * krad_s
         wanted = min(max((min(max(command, -LIMIT), LIMIT) - speed) / 0.010, -1e4), 1e4)
         load = 0.8e-6 / (2.0 * math.pi) * pressure / 5.0
@@ -210,11 +214,15 @@ def test_random_points_meet_the_written_out_torque_current_and_voltage(leaf):
             current = (math.copysign(15.0, 0.05 * speed + 0.4 * current) - 0.05 * speed) / 0.4
         if abs(current) > 6.0:
             limit, current = "current", math.copysign(6.0, current)
+        if torque_off > 0.5:
+            limit, current = "torque off", 0.0
+        if brake > 0.5:
+            limit, current = "brake", -0.05 * speed / 0.4
         limits.add(limit)
         expected = [current, 0.05 * speed + 0.4 * current, 1e-3 * (0.05 * current - load) / 3e-5]
         # The torque of the oil, up to 0.08 N·m, cancels in the acceleration.
         np.testing.assert_allclose(probe.results(z)[-3:], expected, rtol=1e-9, atol=1e-12)
-    assert limits == {"none", "supply", "current"}
+    assert limits == {"none", "supply", "current", "torque off", "brake"}
 
 
 def test_within_its_limits_the_motor_follows_the_speed_loop():
@@ -263,6 +271,38 @@ def test_a_dead_motor_coasts_down_by_its_friction():
 def test_a_dead_motor_is_driven_by_the_oil():
     rate = acceleration(limited(current_limit_a=0.0), command=0.0, pressure=2.0e6)
     assert rate == pytest.approx(-GEARED * 2.0e6 / 2e-5, rel=1e-12)
+
+
+def test_without_torque_the_motor_is_a_dead_motor():
+    dead = limited(current_limit_a=0.0)
+    for speed in (-300.0, 100.0):
+        values = {"command": LIMIT, "pressure": 1e6, "speed": speed}
+        off = values | {"torque_off": 1.0}
+        assert acceleration(limited(), **off) == acceleration(dead, **values)
+        assert output(limited(), "motor_current", **off) == 0.0
+        assert output(limited(), "motor_voltage", **off) == pytest.approx(0.04 * speed)
+
+
+def test_the_dynamic_brake_is_a_viscous_damper_that_no_limit_or_command_weakens():
+    """J dω/dt = −(k_t²/R + b) ω: the current may exceed the limit of the drive."""
+    motor = MotorParameters(coulomb_torque_n_m=0.0, current_limit_a=0.0, supply_voltage_v=0.0)
+    values = {"command": LIMIT, "dynamic_brake": 1.0, "torque_off": 1.0, "speed": 300.0}
+    current = -0.04 * 300.0 / 0.15
+    assert output(BldcPump(motor=motor), "motor_current", **values) == pytest.approx(current)
+    assert output(BldcPump(motor=motor), "motor_voltage", **values) == pytest.approx(0.0, abs=1e-12)
+    rate = -(0.04**2 / 0.15 + 1e-5) / 2e-5
+    assert acceleration(BldcPump(motor=motor), **values) == pytest.approx(300.0 * rate)
+    released = values | {"dynamic_brake": 0.0}
+    assert acceleration(BldcPump(motor=motor), **released) == pytest.approx(-300.0 * 1e-5 / 2e-5)
+
+
+def test_the_oil_turns_a_braked_motor_at_the_speed_of_its_damping():
+    """Without friction ω = −D_m P_L R/(gear k_t²), 67 rpm at the relief pressure."""
+    torque = GEARED * 3.5e6
+    values = {"pressure": 3.5e6, "dynamic_brake": 1.0, "speed": -torque * 0.15 / 0.04**2}
+    assert values["speed"] == pytest.approx(-67.0 * RPM, rel=0.01)
+    rate = acceleration(BldcPump(motor=MotorParameters(coulomb_torque_n_m=0.0, **DRY)), **values)
+    assert rate == pytest.approx(0.0, abs=1e-12 * torque / 2e-5)
 
 
 def test_a_locked_shaft_takes_the_current_limit_and_hardly_turns():

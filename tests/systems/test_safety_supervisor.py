@@ -3,6 +3,7 @@
 import ctypes
 import itertools
 import subprocess
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from kneexo.parameters.safety_states import (
     REASONS,
     STATES,
     TRANSITIONS,
+    SafeState,
     transitions,
 )
 from kneexo.systems import SafetySupervisor
@@ -26,9 +28,10 @@ T = 0.002
 RPM = 2 * np.pi / 60
 HEALTHY, OVERDUE = 3, 6  # samples
 STOP = 1000.0  # rad/s², 2 rad/s each sample
-SAFE_STATES = ("zero_speed", "bypass")
+SAFE_STATES = ("zero_speed", "dynamic_brake")
+RELEASES = ("dynamic_brake", "torque_off", "bypass")
 NAMES = ("motor_speed_command", "motor_speed", *DETECTORS, "emergency_stop", "reset")
-OUTPUTS = ("motor_speed_command", "safety_state", "safety_reason", "bypass")
+OUTPUTS = ("motor_speed_command", "safety_state", "safety_reason", "release")
 
 
 def supervisor(safe_state="zero_speed"):
@@ -46,7 +49,7 @@ class Machine:
     """The machine as plain statements, written from the documentation alone."""
 
     def __init__(self, safe_state):
-        self.bypass = safe_state == "bypass"
+        self.releases = safe_state != "zero_speed"
         self.state, self.reason, self.own = "starting", 0, 0.0
         self.samples = self.clear = 0
         self.before = 0.0
@@ -63,7 +66,7 @@ class Machine:
         self.samples += 1
         risen, self.before = reset and not self.before > 0.5, row[9]
         implausible, disobeyed, away = any(detected[:4]), detected[4] > 0, detected[5] > 0
-        state, safe = self.state, "released" if self.bypass else "stopped"
+        state, safe = self.state, "released" if self.releases else "stopped"
         standstill = self.own == 0.0 and speed < 10.0 * RPM
         overdue = self.samples >= OVERDUE
         if state == "starting":
@@ -77,11 +80,11 @@ class Machine:
             if emergency or implausible:
                 state = "stopping"
             elif disobeyed:
-                state = "released" if self.bypass else "stopping"
+                state = "released" if self.releases else "stopping"
             elif away:
                 state = "stopping"
         elif state == "stopping":
-            if (self.bypass and disobeyed) or standstill or overdue:
+            if (self.releases and disobeyed) or standstill or overdue:
                 state = safe
         elif risen and not (emergency or implausible):
             state = "starting"
@@ -163,7 +166,7 @@ def test_enumeration_each_state_is_reached_and_each_can_be_left_to_the_law(safe_
             found |= new
         return found
 
-    other = {"zero_speed": "released", "bypass": "stopped"}[safe_state]
+    other = {"zero_speed": "released", "dynamic_brake": "stopped"}[safe_state]
     assert reached("starting") == set(STATES) - {other}
     assert all("operating" in reached(state) for state in STATES)
     for row in rows:  # nothing but a reset lets the law act again after a stop
@@ -208,7 +211,12 @@ def test_the_first_reason_stays():
     assert REASONS[int(found[-1, 2])] == "speed"
 
 
-def test_a_motor_that_does_not_obey_opens_the_bypass_at_once():
+def test_all_releases_have_one_machine():
+    assert set(get_args(SafeState)) == {"zero_speed", *RELEASES}
+    assert {transitions(name) for name in RELEASES} == {transitions("dynamic_brake")}
+
+
+def test_a_motor_that_does_not_obey_is_released_at_once():
     rows = rows_of(8, motor_speed_command=5.0, speed=[0] * 4 + [1] * 4)
     found = leaf_run(rows, supervisor("bypass"))
     np.testing.assert_array_equal(found[:, 3], [0] * 5 + [1] * 3)

@@ -23,7 +23,7 @@ _MARKS = {
 
 
 def figures(result: FaultsResult) -> dict[str, Figure]:
-    """Draw the worst case, the margins, and motions with and without protection."""
+    """Draw the worst case, the margins, and deviations with and without protection."""
     return {
         "worst_case": plot_worst_case(result),
         "margins": plot_margins(result),
@@ -101,12 +101,12 @@ def plot_margins(result: FaultsResult) -> Figure:
 
 
 def plot_protection(result: FaultsResult) -> Figure:
-    """Draw the motion with protection over that without, with a mark for each case."""
+    """Draw the deviation with protection over that without, with a mark for each case."""
     figure, ax = plt.subplots(figsize=(6.0, 5.0), layout="constrained")
     figure.set_label(
-        "Each mark is a fault at one time: the largest motion of the knee before the motor is "
-        "safe, over the largest motion without protection. A run that leaves the range of motion "
-        "ends there."
+        "Each mark is a fault at one time: the largest deviation of the knee before the motor is "
+        "safe, over the largest deviation without protection. A run that leaves the range of "
+        "motion ends there."
     )
     largest = (max(r.alone.deviation_deg, r.protected.deviation_deg) for r in result.rows)
     high = 1.1 * max(*largest, result.settings.bound_deg)
@@ -121,8 +121,8 @@ def plot_protection(result: FaultsResult) -> Figure:
     ax.set(
         xlim=(0.0, high),
         ylim=(0.0, high),
-        xlabel="motion without protection (deg)",
-        ylabel="motion with protection (deg)",
+        xlabel="deviation without protection (deg)",
+        ylabel="deviation with protection (deg)",
     )
     legend_below(figure, [ax], 3)
     return figure

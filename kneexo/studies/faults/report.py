@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from itertools import product
 from typing import Any
 
 from kneexo.parameters.typical_faults import TYPICAL_FAULTS, typical_faults
@@ -24,8 +25,9 @@ _VERDICTS = (*FAILED, "in time", "harmless", "never active")
 
 def report(result: FaultsResult) -> str:
     """Return the Markdown report on all faults."""
-    groups = [min(rows, key=urgency) for rows in result.by_fault().values()]
+    groups = [min(rows, key=urgency) for rows in _by_fault(result.rows).values()]
     unfound = [row for row in result.rows if not row.detector]
+    compared = len(result.safe_states) > 1
     alarms = sum(result.alarms.values())
     worn = result.scenario.wearer.kind != "none"
     return filled(
@@ -47,11 +49,24 @@ def report(result: FaultsResult) -> str:
             if worn
             else "The torque is that of the actuator on the knee."
         ),
+        compared=_by_phase(result) if compared else [],
+        differing=_differing(result),
+        differing_columns={
+            name: name for name in ("cause", "fault", "controller", *result.safe_states)
+        },
         hazards=_hazards(result),
         evidence=_evidence(result),
         absent=_absent(result),
         peak=_peak,
     )
+
+
+def _by_fault(rows: Iterable[FaultRow]) -> dict[tuple[str, str, str], list[FaultRow]]:
+    """Return rows by controller, cause and fault."""
+    groups: dict[tuple[str, str, str], list[FaultRow]] = {}
+    for row in rows:
+        groups.setdefault((row.controller, row.cause, row.fault), []).append(row)
+    return groups
 
 
 def _line(row: FaultRow) -> dict[str, Any]:
@@ -89,13 +104,63 @@ def _absent(result: FaultsResult) -> list[str]:
     return [f"{t.cause} ({t.place})" for t in TYPICAL_FAULTS if t.cause not in present]
 
 
+def _by_phase(result: FaultsResult) -> list[dict[str, Any]]:
+    """Return a line for each time and safe state, over all faults and controllers."""
+    lines = []
+    for start_s, safe_state in product(
+        dict.fromkeys(stop.start_s for stop in result.stops), result.safe_states
+    ):
+        key = (start_s, safe_state)
+        rows = [row for row in result.all_rows if (row.start_s, row.safe_state) == key]
+        stops = [stop for stop in result.stops if (stop.start_s, stop.safe_state) == key]
+        failed = [row for row in rows if row.has_failed]
+        lines.append(
+            {
+                "start_s": start_s,
+                "knee_deg": stops[0].knee_deg,
+                "safe_state": safe_state,
+                "failed": f"{len(failed)} of {len(rows)}",
+                "deviation_deg": max((r.protected.deviation_deg for r in failed), default=math.nan),
+                "rest_turn_deg": _largest(row.rest.turn_deg for row in rows),
+                "stop_turn_deg": _largest(stop.rest.turn_deg for stop in stops),
+                "stop_torque_n_m": _largest(stop.rest.torque_n_m for stop in stops),
+            }
+        )
+    return lines
+
+
+def _differing(result: FaultsResult) -> list[dict[str, str]]:
+    """Return a line for each fault whose worst verdicts differ between the safe states."""
+    lines = []
+    for group in _by_fault(result.all_rows).values():
+        worst = {
+            safe_state: min((r for r in group if r.safe_state == safe_state), key=urgency)
+            for safe_state in result.safe_states
+        }
+        if len({row.verdict for row in worst.values()}) > 1:
+            first = group[0]
+            line = {"cause": first.cause, "fault": first.fault}
+            line["controller"] = first.controller.upper()
+            for safe_state, row in worst.items():
+                deviation = _peak("protected.deviation_deg")(vars(row))
+                line[safe_state] = f"{row.verdict}, {deviation}° at {row.start_s:g} s"
+            lines.append(line)
+    return lines
+
+
+def _largest(values: Iterable[float]) -> float:
+    """Return the largest value that is a number, or nan."""
+    return max((value for value in values if not math.isnan(value)), default=math.nan)
+
+
 def _evidence(result: FaultsResult) -> list[dict[str, str]]:
     """Return a line for each requirement of 21 CFR 890.3480(b)(5) that a simulation can inform."""
     counts = Counter(row.verdict for row in result.rows)
     relevant = [row for row in result.rows if row.has_failed or row.verdict == "in time"]
     delays_s = sorted(row.detected_after_s for row in relevant if row.detector) or [math.nan]
     median_s, worst_s = delays_s[len(delays_s) // 2], delays_s[-1]
-    stops, worst = result.stops, result.worst
+    worst = result.worst
+    stops = [stop for stop in result.stops if stop.safe_state == result.safe_states[0]]
     places: dict[str, Counter[str]] = {}
     for row in result.rows:
         place = row.fault.split(" ")[0].split(".")
@@ -110,7 +175,7 @@ def _evidence(result: FaultsResult) -> list[dict[str, str]]:
         "(iii) manual override": (
             f"{len(stops)} emergency stops: safe within "
             f"{number(max(stop.safe_after_s for stop in stops))} s, in which the knee turns by up "
-            f"to {number(max(stop.travel_deg for stop in stops))}° at up to "
+            f"to {number(max(stop.turn_deg for stop in stops))}° at up to "
             f"{number(max(stop.torque_n_m for stop in stops))} N·m"
         ),
         "(iv) accuracy of the safeguards": (

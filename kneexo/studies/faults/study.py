@@ -1,18 +1,19 @@
 """Effects of faults at several times of a motion, with and without the protection.
 
-The protection acts in time if the knee stays near its motion until the motor is in its safe state.
-The critical duration of a fault is that without protection, the fault-tolerant time interval.
+The protection acts in time if the knee stays near the run without the fault until the motor is in
+its safe state. The critical duration of a fault is that without protection, the fault-tolerant time
+interval. The safe states that the plant can have are compared.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import product
-from typing import Any, Literal, Unpack
+from typing import Any, Literal, Unpack, get_args
 
 import numpy as np
 
@@ -21,7 +22,6 @@ from kneexo.analysis.survival import fault_case, fault_name
 from kneexo.diagrams import available_signals
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import (
-    UNCERTAIN_KNEE,
     UNCERTAINTY,
     ProtectionParameters,
     Scenario,
@@ -31,7 +31,7 @@ from kneexo.parameters.criteria import TOLERATED_DEVIATION_DEG
 from kneexo.parameters.fault import OPERATOR_INPUTS, FaultParameters
 from kneexo.parameters.plant import RPM
 from kneexo.parameters.quantity import Parameters, choice, quantity
-from kneexo.parameters.safety_states import REASONS, STATES
+from kneexo.parameters.safety_states import REASONS, STATES, SafeState
 from kneexo.parameters.typical_faults import typical_faults
 from kneexo.parameters.uncertainty import applicable, draw, options_of, realize
 from kneexo.result import Array, Result, data_frame
@@ -43,10 +43,13 @@ class FaultsSettings(Parameters):
     """Settings of ``kneexo study faults``: faults, times, bound, and healthy runs."""
 
     faults: tuple[FaultParameters, ...] = choice(
-        (), "left out: typical faults; start_s and duration_s are replaced"
+        (), "left out: typical faults; start_s is replaced, and duration_s and mttf_s are left out"
     )
     controllers: tuple[Literal["smc", "pid"], ...] = choice(
         ("smc", "pid"), "controllers in place of the scenario's, unless it is torque or law"
+    )
+    safe_states: tuple[SafeState, ...] = choice(
+        (), "left out: that of the scenario first, then the others that its plant can have"
     )
     onsets: int = quantity(
         4, "1", "assumption: number of starts, evenly spaced over a period", ge=1, le=1000
@@ -86,10 +89,21 @@ class Peaks:
 
 
 @dataclass(frozen=True)
+class Rest:
+    """Largest values in the safe state, until ``observed_s`` after the start; nan if not safe."""
+
+    turn_deg: float
+    """Turn of the knee since the motor became safe."""
+    torque_n_m: float
+    """Torque, as in `Peaks`."""
+
+
+@dataclass(frozen=True)
 class FaultRow:
-    """Effect of a permanent fault that begins at ``start_s``."""
+    """Effect of a permanent fault that begins at ``start_s``, with a safe state."""
 
     controller: str
+    safe_state: str
     cause: str
     fault: str
     """Place, kind and size."""
@@ -104,21 +118,22 @@ class FaultRow:
     """Name of the detector that stopped the motor, or an empty text."""
     detected_after_s: float
     safe_after_s: float
-    """Time from the start of the fault until the motor stands or the bypass is open; else inf."""
+    """Time from the start of the fault until the motor stands or is released; else inf."""
     protected: Peaks
     """Largest values before the motor reaches the safe state."""
+    rest: Rest
 
     bound_deg: float
-    """Largest tolerated motion."""
+    """Largest tolerated deviation."""
 
     @property
     def margin_s(self) -> float:
         """Critical duration minus time to the safe state.
 
-        The margin is inf if the knee tolerates the fault without a time limit, or if the trigger of
-        the fault never occurs.
+        The margin is inf if the knee tolerates the fault without a time limit. It is nan if the
+        trigger of the fault never occurs.
         """
-        if not math.isfinite(self.critical_duration_s):
+        if math.isinf(self.critical_duration_s):
             return math.inf
         return self.critical_duration_s - self.safe_after_s
 
@@ -126,24 +141,24 @@ class FaultRow:
     def verdict(self) -> str:
         """One of ``never active, harmless, in time, late, missed, made worse``.
 
-        The protection acts in time if the knee stays within the bound until the motor is safe. It
-        is late if the knee does not. It makes the fault worse if the knee also moves farther than
-        without protection. A harmless or missed fault is not detected.
+        The protection acts in time if the deviation of the knee stays within the bound until the
+        motor is safe. It is late if it does not. It makes the fault worse if the deviation is also
+        larger than without protection. A harmless or missed fault is not detected.
         """
         if math.isnan(self.critical_duration_s) and not self.detector:
             return "never active"
-        moved_deg = self.protected.deviation_deg
-        is_within = self.protected.complete and moved_deg <= self.bound_deg
+        deviation_deg = self.protected.deviation_deg
+        is_within = self.protected.complete and deviation_deg <= self.bound_deg
         if not self.detector:
             return "harmless" if math.isinf(self.critical_duration_s) else "missed"
         if is_within and math.isfinite(self.safe_after_s):
             return "in time"
-        is_worse = moved_deg > max(self.alone.deviation_deg, self.bound_deg)
+        is_worse = deviation_deg > max(self.alone.deviation_deg, self.bound_deg)
         return "made worse" if is_worse and self.alone.complete else "late"
 
     @property
     def has_failed(self) -> bool:
-        """Whether the knee moved beyond the bound in spite of the protection, or by it."""
+        """Whether the deviation exceeds the bound in spite of the protection, or by it."""
         return self.verdict in FAILED
 
 
@@ -152,13 +167,17 @@ class EmergencyStop:
     """A press of ``emergency_stop`` at ``start_s``, in a run without a fault."""
 
     controller: str
+    safe_state: str
     start_s: float
+    knee_deg: float
+    """Knee angle at the press."""
     safe_after_s: float
-    """Time from the press until the motor stands or the bypass is open; inf if it never does."""
-    travel_deg: float
+    """Time from the press until the motor stands or is released; inf if it never does."""
+    turn_deg: float
     """Largest turn of the knee from the press on, before the motor reaches the safe state."""
     torque_n_m: float
     """Largest torque in this time, as in `Peaks`."""
+    rest: Rest
 
 
 @dataclass(frozen=True, repr=False)
@@ -167,9 +186,12 @@ class FaultsResult(Result):
 
     scenario: Scenario
     settings: FaultsSettings
-    rows: tuple[FaultRow, ...]
+    safe_states: tuple[str, ...]
+    """The safe states that are compared; the first one is assessed in detail."""
+    all_rows: tuple[FaultRow, ...]
+    """Faults by controller, safe state, cause, size and time."""
     stops: tuple[EmergencyStop, ...]
-    """Emergency stops at the times of the faults, for each controller."""
+    """Emergency stops at the times of the faults, for each controller and safe state."""
     alarms: dict[str, int]
     """Number of healthy runs that each detector stopped."""
     healthy_runs: int
@@ -178,8 +200,13 @@ class FaultsResult(Result):
     """Columns of the runs ``healthy``, ``alone`` and ``protected`` of the `worst` row."""
 
     @property
+    def rows(self) -> tuple[FaultRow, ...]:
+        """The rows with the first of the `safe_states`."""
+        return tuple(row for row in self.all_rows if row.safe_state == self.safe_states[0])
+
+    @property
     def worst(self) -> FaultRow:
-        """The row in which a fault moves the knee farthest in spite of the protection.
+        """The one of `rows` with the largest deviation in spite of the protection.
 
         If the protection acts in time on each fault, it is the row with the least margin.
         """
@@ -187,30 +214,23 @@ class FaultsResult(Result):
 
     @property
     def undetected(self) -> FaultRow | None:
-        """The row without detector that moves the knee farthest, or None if all are detected."""
+        """The row without detector that has the largest deviation, or None if all are detected."""
         rows = [row for row in self.rows if not row.detector]
         return max(rows, key=lambda row: row.alone.deviation_deg) if rows else None
-
-    def by_fault(self) -> dict[tuple[str, str, str], list[FaultRow]]:
-        """Return the rows of all times, by controller, cause and fault."""
-        groups: dict[tuple[str, str, str], list[FaultRow]] = {}
-        for row in self.rows:
-            groups.setdefault((row.controller, row.cause, row.fault), []).append(row)
-        return groups
 
     def to_dataframe(self) -> Any:
         """Return a `pandas.DataFrame` with a line for each row.
 
         Raises `PackageError` without pandas.
         """
-        lines = [_flat(row) for row in self.rows]
+        lines = [_flat(row) for row in self.all_rows]
         return data_frame({name: [line[name] for line in lines] for name in lines[0]})
 
     def results(self) -> dict[str, Any]:
         """Return plain data: all rows, the emergency stops and the false alarms."""
         return {
-            "rows": [_flat(row) for row in self.rows],
-            "emergency_stops": [asdict(stop) for stop in self.stops],
+            "rows": [_flat(row) for row in self.all_rows],
+            "emergency_stops": [_flat(stop) for stop in self.stops],
             "healthy": {
                 "runs": self.healthy_runs,
                 "hours": self.healthy_hours,
@@ -219,15 +239,17 @@ class FaultsResult(Result):
         }
 
 
-def _flat(row: FaultRow) -> dict[str, Any]:
-    """Return the values of a row, those of `Peaks` with their names before."""
+def _flat(row: FaultRow | EmergencyStop) -> dict[str, Any]:
+    """Return the values of a row, those of `Peaks` and `Rest` with their names before."""
     flat: dict[str, Any] = {}
     for name, value in asdict(row).items():
         if isinstance(value, dict):
             flat |= {f"{name}_{key}": number for key, number in value.items()}
         else:
             flat[name] = value
-    return flat | {"margin_s": row.margin_s, "verdict": row.verdict}
+    if isinstance(row, FaultRow):
+        flat |= {"margin_s": row.margin_s, "verdict": row.verdict}
+    return flat
 
 
 _SIGNALS = (
@@ -240,21 +262,22 @@ _STOPPED, _RELEASED = (list(STATES).index(state) for state in ("stopped", "relea
 
 
 def faults_study(
-    scenario: Scenario = UNCERTAIN_KNEE,
+    scenario: Scenario = Scenario.preset("protected"),
     settings: FaultsSettings = FaultsSettings(),
     uncertainty: UncertaintySet = UNCERTAINTY,
     **options: Unpack[SweepOptions],
 ) -> FaultsResult:
     """Run each fault at several times, for each controller, with and without protection.
 
-    The protection is that of the scenario, or the default one.
+    The protection is that of the scenario, or the default one. Its safe state is replaced by each
+    of those that the plant can have.
 
     Parameters
     ----------
     scenario
         The scenario without faults of its own.
     settings
-        Faults, controllers, times, and the number of healthy runs.
+        Faults, controllers, safe states, times, and the number of healthy runs.
     uncertainty
         Values that vary in the healthy runs.
     options
@@ -274,7 +297,10 @@ def faults_study(
         raise ParameterError(
             f"faults: place = {pressed}: must be left out; the study presses the emergency stop"
         )
+    if scenario.protection is None:
+        scenario = scenario.changed({"protection": {}})
     scenario, starts_s = _starts(scenario, settings)
+    safe_states = _safe_states(scenario, settings)
     kept, _ = applicable(scenario, uncertainty)
     faults = typical_faults(scenario)
     if settings.faults:
@@ -285,38 +311,43 @@ def faults_study(
         if scenario.controller.kind in ("smc", "pid")
         else ()
     )
-    rows: list[FaultRow] = []
+    cases: list[tuple[FaultRow, Scenario, FaultParameters]] = []
     stops: list[EmergencyStop] = []
-    cases: list[tuple[Scenario, FaultParameters]] = []
     with open_sweep(**options) as sweep:
         for loop in [_controlled(scenario, kind) for kind in kinds] or [scenario]:
             items = [
-                (cause, fault.changed({"start_s": start_s, "duration_s": None}))
+                (cause, fault.permanent(start_s))
                 for (cause, fault), start_s in product(given, starts_s)
             ]
-            _require_quiet(_with(loop))
-            assess = partial(_assess, loop, settings.bound_deg)
+            _require_quiet(loop)
+            assess = partial(_assess, loop, settings, safe_states)
             assessed = sweep.map(assess, items, "faults", group=_structure)
-            rows += [
-                _row(loop, settings.bound_deg, item, values)
-                for item, values in zip(items, assessed, strict=True)
+            for safe_state in safe_states:
+                for (cause, fault), values in zip(items, assessed, strict=True):
+                    row = _row(loop, settings.bound_deg, safe_state, cause, fault, values)
+                    cases.append((row, _ending(loop, safe_state), fault))
+            presses = list(product(safe_states, starts_s))
+            stopped = sweep.map(partial(_stop, loop, settings), presses, "emergency stops")
+            stops += [
+                EmergencyStop(
+                    loop.controller.kind, *press, **values | {"rest": Rest(**values["rest"])}
+                )
+                for press, values in zip(presses, stopped, strict=True)
             ]
-            cases += [(loop, fault) for _, fault in items]
-            stopped = sweep.map(partial(_stop, _with(loop)), starts_s, "emergency stops")
-            stops += [EmergencyStop(loop.controller.kind, **values) for values in stopped]
         points = draw(kept, settings.samples, settings.seed)
-        alarm = partial(_alarm, _with(scenario), kept)
+        alarm = partial(_alarm, scenario, kept)
         alarms = sweep.map(alarm, points, "healthy runs", group=options_of)
-    worst = min(range(len(rows)), key=lambda index: urgency(rows[index]))
+    own = [case for case in cases if case[0].safe_state == safe_states[0]]
     return FaultsResult(
         scenario=scenario,
         settings=settings,
-        rows=tuple(rows),
+        safe_states=safe_states,
+        all_rows=tuple(row for row, *_ in cases),
         stops=tuple(stops),
         alarms=dict(Counter(filter(None, alarms))),
         healthy_runs=settings.samples,
         healthy_hours=settings.samples * scenario.duration_s / 3600.0,
-        traces=_traces(*cases[worst]),
+        traces=_traces(*min(own, key=lambda case: urgency(case[0]))[1:]),
     )
 
 
@@ -327,9 +358,32 @@ def _controlled(scenario: Scenario, kind: str) -> Scenario:
 
 
 def urgency(row: FaultRow) -> tuple[float, float, float]:
-    """Return a key that is less for a worse row: the motion of failures, then the margin."""
-    moved_deg = row.protected.deviation_deg if row.has_failed else 0.0
-    return -moved_deg, row.margin_s, -row.alone.deviation_deg
+    """Return a key that is less for a worse row: the deviation of failures, then the margin."""
+    deviation_deg = row.protected.deviation_deg if row.has_failed else 0.0
+    margin_s = math.inf if math.isnan(row.margin_s) else row.margin_s
+    return -deviation_deg, margin_s, -row.alone.deviation_deg
+
+
+def _safe_states(scenario: Scenario, settings: FaultsSettings) -> tuple[SafeState, ...]:
+    """Return the safe states to compare; raise `ParameterError` for one that the plant refuses."""
+    if settings.safe_states:
+        for safe_state in settings.safe_states:
+            _ending(scenario, safe_state)
+        return tuple(dict.fromkeys(settings.safe_states))
+    assert scenario.protection is not None
+    found = [scenario.protection.safe_state]
+    for safe_state in get_args(SafeState):
+        try:
+            _ending(scenario, safe_state)
+        except ParameterError:
+            continue
+        found.append(safe_state)
+    return tuple(dict.fromkeys(found))
+
+
+def _ending(scenario: Scenario, safe_state: str) -> Scenario:
+    """Return the scenario with another safe state."""
+    return scenario.changed({"protection.safe_state": safe_state})
 
 
 def _starts(scenario: Scenario, settings: FaultsSettings) -> tuple[Scenario, list[float]]:
@@ -373,70 +427,113 @@ def _structure(item: tuple[str, FaultParameters]) -> tuple[str, str]:
 
 @needs_runs
 def _assess(
-    scenario: Scenario, bound_deg: float, item: tuple[str, FaultParameters]
+    scenario: Scenario,
+    settings: FaultsSettings,
+    safe_states: Sequence[str],
+    item: tuple[str, FaultParameters],
 ) -> dict[str, Any]:
-    """Return the effect of a fault as plain data; runs in a worker process."""
+    """Return the effect of a fault as plain data; runs in a worker process.
+
+    The data have a dictionary for each safe state.
+    """
     _, fault = item
-    alone, protected = _without(scenario), _with(scenario)
+    alone = _without(scenario)
     healthy = simulate(alone, signals=_signals(alone))
-    case = fault_case(alone, healthy, bound_deg, fault)
-    start = int(np.searchsorted(healthy.time_s, fault.start_s - 1e-9))
+    case = fault_case(alone, healthy, settings.bound_deg, fault)
+    start = _index(healthy, fault.start_s)
     run, complete = _run(alone, fault)
     deviation = _deviation_deg(run, healthy)
     found: dict[str, Any] = {
         "critical_duration_s": case.critical_duration_s,
         "flexes": bool(deviation[np.argmax(np.abs(deviation))] > 0.0),
-        "detector": "",
-        "detected_after_s": math.inf,
         "alone": _peaks(run, healthy, slice(start, None)) | {"complete": complete},
     }
-    run, complete = _run(protected, fault)
+    return found | {
+        safe_state: _protected(_ending(scenario, safe_state), settings, healthy, fault)
+        for safe_state in safe_states
+    }
+
+
+def _protected(
+    scenario: Scenario, settings: FaultsSettings, healthy: Run, fault: FaultParameters
+) -> dict[str, Any]:
+    """Return the effect of a fault with protection as plain data."""
+    run, complete = _run(scenario, fault)
+    found: dict[str, Any] = {"detector": "", "detected_after_s": math.inf}
     after = run.time_s - fault.start_s
     detected = np.flatnonzero((after >= 0.0) & (run["safety_reason"] > 0.0))
     if detected.size:
         found["detector"] = REASONS[int(run["safety_reason"][detected[0]])]
         found["detected_after_s"] = float(after[detected[0]])
-    found["safe_after_s"], end = _safe_after(run, protected, fault.start_s)
-    peaks = _peaks(run, healthy, slice(start, end))
+    found["safe_after_s"], end = _safe_after(run, scenario, fault.start_s)
+    peaks = _peaks(run, healthy, slice(_index(healthy, fault.start_s), end))
     found["protected"] = peaks | {"complete": complete or end is not None}
+    found["rest"] = _rest(run, end, fault.start_s + settings.observed_s)
     return found
 
 
 @needs_runs
-def _stop(protected: Scenario, start_s: float) -> dict[str, float]:
+def _stop(scenario: Scenario, settings: FaultsSettings, item: tuple[str, float]) -> dict[str, Any]:
     """Return the effect of an emergency stop as plain data; runs in a worker process."""
+    safe_state, start_s = item
+    protected = _ending(scenario, safe_state)
     press = FaultParameters(place="emergency_stop", kind="value", size=1.0, start_s=start_s)
     run, _ = _run(protected, press)
     safe_after_s, end = _safe_after(run, protected, start_s)
-    part = slice(int(np.searchsorted(run.time_s, start_s - 1e-9)), end)
+    part = slice(_index(run, start_s), end)
     angle = np.degrees(run["knee_angle_rad"][part])
     return {
-        "start_s": start_s,
+        "knee_deg": float(angle[0]),
         "safe_after_s": safe_after_s,
-        "travel_deg": float(np.max(np.abs(angle - angle[0]))),
+        "turn_deg": float(np.max(np.abs(angle - angle[0]))),
+        "torque_n_m": float(np.max(np.abs(_torque(run)[part]))),
+        "rest": _rest(run, end, start_s + settings.observed_s),
+    }
+
+
+def _rest(run: Run, end: int | None, end_s: float) -> dict[str, float]:
+    """Return the values of `Rest` from the sample before the index ``end`` until ``end_s``."""
+    if end is None:
+        return {"turn_deg": math.nan, "torque_n_m": math.nan}
+    part = slice(end - 1, max(end, _index(run, end_s)))
+    angle = np.degrees(run["knee_angle_rad"][part])
+    return {
+        "turn_deg": float(np.max(np.abs(angle - angle[0]))),
         "torque_n_m": float(np.max(np.abs(_torque(run)[part]))),
     }
 
 
+def _index(run: Run, time_s: float) -> int:
+    """Return the index of the sample at a time, which rounding may have changed a little."""
+    return int(np.searchsorted(run.time_s, time_s - 1e-9))
+
+
 def _row(
-    scenario: Scenario, bound_deg: float, item: tuple[str, FaultParameters], found: dict[str, Any]
+    scenario: Scenario,
+    bound_deg: float,
+    safe_state: str,
+    cause: str,
+    fault: FaultParameters,
+    found: dict[str, Any],
 ) -> FaultRow:
     """Return the row of a fault whose effect is ``found`` by `_assess`."""
-    cause, fault = item
-    found = found | {name: Peaks(**found[name]) for name in ("alone", "protected")}
+    values = found[safe_state]
     return FaultRow(
         controller=scenario.controller.kind,
+        safe_state=safe_state,
         cause=cause,
         fault=fault_name(fault),
         start_s=fault.start_s,
         bound_deg=bound_deg,
-        **found,
+        alone=Peaks(**found["alone"]),
+        flexes=found["flexes"],
+        critical_duration_s=found["critical_duration_s"],
+        detector=values["detector"],
+        detected_after_s=values["detected_after_s"],
+        safe_after_s=values["safe_after_s"],
+        protected=Peaks(**values["protected"]),
+        rest=Rest(**values["rest"]),
     )
-
-
-def _with(scenario: Scenario) -> Scenario:
-    """Return the scenario with its own protection, or with the default protection."""
-    return scenario if scenario.protection else scenario.changed({"protection": {}})
 
 
 def _without(scenario: Scenario) -> Scenario:
@@ -478,9 +575,10 @@ def _deviation_deg(run: Run, healthy: Run) -> Array:
 def _safe_after(run: Run, protected: Scenario, start_s: float) -> tuple[float, int | None]:
     """Return the time from ``start_s`` to the first safe sample, and the index behind this sample.
 
-    At a safe sample the bypass is open, or the motor has stopped and stands. A motor that does not
-    obey turns on in the state ``stopped``, which it reaches when the stop is overdue. Without a
-    safe sample the result is inf and None.
+    At a safe sample the motor has stopped and stands, or is released: its windings are shorted, it
+    has no torque, or the bypass is open. A motor that does not obey turns on in the state
+    ``stopped``, which it reaches when the stop is overdue. Without a safe sample the result is inf
+    and None.
     """
     protection = protected.protection or ProtectionParameters()
     stands = np.abs(run["motor_speed_rad_s"]) < protection.standstill_rpm * RPM
@@ -516,11 +614,11 @@ def _pressure(run: Run) -> Array:
 
 def _traces(scenario: Scenario, fault: FaultParameters) -> dict[str, dict[str, Array]]:
     """Return time in s, and knee and reference in deg, of three runs."""
-    alone, protected = _without(scenario), _with(scenario)
+    alone = _without(scenario)
     runs = {
         "healthy": simulate(alone, signals=_signals(alone)),
         "alone": _run(alone, fault)[0],
-        "protected": _run(protected, fault)[0],
+        "protected": _run(scenario, fault)[0],
     }
     return {
         name: {

@@ -106,7 +106,7 @@ const Numbers = (() => {
 
   function ofSafety({ isProtected, faults, metrics: { protection: { stop, safe_time_s: time } } }) {
     if (!isProtected) return ["no protection", "plain"];
-    if (time !== null) return ["released" in faults.states ? "the bypass is open" : "the motor stands", "good"];
+    if (time !== null) return [faults.safe, "good"];
     return [stop ? "the motor never stands" : "the motor is not stopped", "bad"];
   }
 

@@ -83,9 +83,41 @@ def test_an_emergency_stop_is_that_of_a_single_run(result):
         assert [run["safety_state"][n] for n in (first, last - 1, last)] == [1.0, 2.0, 3.0]
         assert abs(run["motor_speed_rad_s"][last]) < 30.0 * math.pi / 30.0
         angle = np.degrees(run["knee_angle_rad"][first : last + 1])
-        assert stop.travel_deg == pytest.approx(np.abs(angle - angle[0]).max(), rel=1e-12)
+        assert stop.turn_deg == pytest.approx(np.abs(angle - angle[0]).max(), rel=1e-12)
         torque = np.abs(run["rod_force_n"] * run["moment_arm_m"])[first : last + 1]
         assert stop.torque_n_m == pytest.approx(torque.max(), rel=1e-12)
+
+
+@pytest.mark.slow
+def test_the_safe_states_of_the_plant_are_compared_and_each_is_that_of_a_single_run():
+    """A drive adds 1,000 rpm; the oil at rest turns a released motor a little."""
+    adds = FaultParameters(place="command", kind="offset", size=1000.0)
+    settings = QUICK.changed({"faults": (adds,), "onsets": 1, "observed_s": 1.3})
+    base = FAST.changed({"plant.motor": {}, "protection": {"safe_state": "torque_off"}})
+    result = faults_study(base, settings)
+    assert result.safe_states == ("torque_off", "zero_speed", "dynamic_brake")
+    assert [row.safe_state for row in result.all_rows] == list(result.safe_states)
+    assert [stop.safe_state for stop in result.stops] == list(result.safe_states)
+    assert [row.safe_state for row in result.rows] == ["torque_off"]
+    adds = adds.changed({"start_s": 5.0})
+    press = FaultParameters(place="emergency_stop", kind="value", size=1.0, start_s=5.0)
+    for found, fault in ((result.rows[0], adds), (result.stops[0], press)):
+        values = {"faults": (fault,), "simulation.duration_s": 6.3}
+        run = simulate(base.changed(values))
+        safe = np.flatnonzero(run["safety_state"] == 4.0)[0]
+        assert found.safe_after_s == pytest.approx(run.time_s[safe] - 5.0)
+        rest = run.time_s[safe:] < 6.3 - 1e-9
+        angle = np.degrees(run["knee_angle_rad"][safe:])[rest]
+        turn, torque = found.rest.turn_deg, found.rest.torque_n_m
+        assert turn == pytest.approx(np.abs(angle - angle[0]).max(), rel=1e-12)
+        arms = (run["rod_force_n"] * run["moment_arm_m"])[safe:][rest]
+        assert torque == pytest.approx(np.abs(arms).max(), rel=1e-12)
+    assert math.isnan(result.all_rows[1].rest.turn_deg)  # at zero speed the motor turns on
+    assert result.all_rows[2].safe_after_s < 1.0
+    chosen = settings.changed({"safe_states": ("dynamic_brake",)})
+    assert faults_study(base, chosen).safe_states == ("dynamic_brake",)
+    with pytest.raises(ParameterError, match="safe_state = bypass: the plant has no bypass"):
+        faults_study(base, settings.changed({"safe_states": ("bypass",)}))
 
 
 def test_a_motor_is_safe_when_it_stands_in_the_state_stopped():
@@ -177,7 +209,7 @@ def test_a_protection_that_stops_the_healthy_run_is_refused():
         faults_study(nervous, QUICK)
 
 
-VERDICTS = [  # the bound is 5°, and without protection the knee moves by 23.45°
+VERDICTS = [  # the bound is 5°, and without protection the deviation is 23.45°
     (math.inf, "", math.inf, 4.9, "harmless", math.inf),
     (math.inf, "rate", 0.1, 4.9, "in time", math.inf),
     (0.5, "rate", 0.4, 5.0, "in time", 0.1),
@@ -186,7 +218,7 @@ VERDICTS = [  # the bound is 5°, and without protection the knee moves by 23.45
     (0.5, "rate", math.inf, 4.9, "late", -math.inf),
     (0.5, "rate", 0.4, 23.46, "made worse", 0.1),
     (0.5, "", math.inf, 23.45, "missed", -math.inf),
-    (math.nan, "", math.inf, 0.0, "never active", math.inf),
+    (math.nan, "", math.inf, 0.0, "never active", math.nan),
 ]
 
 
@@ -199,7 +231,7 @@ def test_the_verdict_is_that_of_the_motion_with_protection(
     found = row("cause", "fault", critical_s, detector, safe_s, moved_deg=moved_deg)
     assert found.verdict == verdict
     assert found.has_failed == (verdict in ("late", "missed", "made worse"))
-    assert found.margin_s == pytest.approx(margin_s)
+    assert found.margin_s == pytest.approx(margin_s, nan_ok=True)
 
 
 @pytest.mark.parametrize(("part", "verdict"), [("alone", "late"), ("protected", "late")])
@@ -215,16 +247,29 @@ def test_the_worst_row_is_the_failure_with_the_largest_motion_or_the_least_margi
     farther = row("b", "late", 0.5, "rate", 0.4, moved_deg=9.0)
     tight, loose = row("c", "tight", 0.5, "rate", 0.49), row("d", "loose", 0.5, "rate", 0.1)
     result = made_up()
-    assert replace(result, rows=(tight, missed, farther, loose)).worst == farther
-    assert replace(result, rows=(loose, tight)).worst == tight
+    assert replace(result, all_rows=(tight, missed, farther, loose)).worst == farther
+    assert replace(result, all_rows=(loose, tight)).worst == tight
 
 
 def test_each_fault_is_told_once_at_its_worst_time(tables):
     result = made_up()
     assert result.worst == result.rows[4]
     assert result.undetected == result.rows[0]
-    faults, harmless, hazards, _ = tables(report(result))
+    faults, harmless, phases, differing, hazards, _ = tables(report(result))
     column = faults[0].index("critical duration (s)")
     assert [line[column] for line in faults[1:]] == ["0.876", "0.321", "0.987"]
     assert [line[1] for line in harmless[1:]] == ["encoder offset 1 deg"]
     assert [line[-1] for line in hazards[1:]] == ["in time", "late", "missed"]
+    assert [line[:4] for line in phases[1:]] == [
+        ["10", "34.5", "zero_speed", "2 of 4"],
+        ["10", "34.5", "torque_off", "1 of 4"],
+        ["12.5", "45.6", "zero_speed", "1 of 1"],
+        ["12.5", "45.6", "torque_off", "0 of 1"],
+    ]
+    assert [line[4:] for line in phases[1:3]] == [
+        ["9.88", "0.876", "0.456", "4.56"],
+        ["9.88", "12.3", "6.78", "7.89"],
+    ]
+    fault = ["command lost", "command scale 0", "SMC"]
+    assert differing[1:] == [[*fault, "late, 5.68° at 10 s", "in time, 3.46° at 10 s"]]
+    assert "Which safe state" not in report(replace(result, safe_states=("zero_speed",)))
