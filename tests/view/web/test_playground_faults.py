@@ -1,14 +1,13 @@
 """The page with protection: a fault that is thrown there, and the same fault in kneexo."""
 
 import json
-import math
 
 import numpy as np
 import pytest
 
 from kneexo.analysis import track
 from kneexo.parameters import Scenario
-from kneexo.parameters.safety_states import REASONS, STATES, TRANSITIONS
+from kneexo.parameters.safety_states import REASONS, SAFE_STATES, STATES, TRANSITIONS
 from kneexo.parameters.scenario_file import load_scenario
 from kneexo.parameters.thrown_faults import RESET, THROWN_FAULTS
 from kneexo.view.playground import playground_page
@@ -148,10 +147,9 @@ def test_a_fault_does_on_the_page_what_it_does_in_kneexo(browser, page_file, tmp
 
 
 def check_peaks(metrics, scenario, run):
-    """Error and torque until the motor stands, by the columns of kneexo."""
+    """Error and torque until the windings are shorted, by the columns of kneexo."""
     first = np.searchsorted(run.time_s, scenario.faults[0].start_s - 1e-9) if scenario.faults else 0
-    stands = np.abs(run["motor_speed_rad_s"]) < scenario.protection.standstill_rpm * math.pi / 30
-    safe = np.flatnonzero(stands & (run["safety_state"] == list(STATES).index("stopped")))
+    safe = np.flatnonzero(run["safety_state"] == list(STATES).index("released"))
     safe = safe[safe >= first]
     part = slice(first, safe[0] + 1 if safe.size else None)
     error = run["knee_reference_rad"] - run["knee_angle_rad"]
@@ -163,18 +161,23 @@ def check_peaks(metrics, scenario, run):
 
 
 def test_the_diagram_is_the_table_and_the_present_state_is_lit(browser, page_file):
-    page = _Page(browser, page_file, "a.fault=command_weak")
+    page = _Page(browser, page_file, "a.fault=emergency_stop")
     edges = page.evaluate(
         "[...Page.parts.safety.edges].map(([key, edge]) => [key, edge.querySelector('text')"
         ".textContent.split(/, ?/).map((word) => word.trim())])"
     )
     drawn = {(*key.split(), event) for key, events in edges for event in events}
-    kept = [row for row in TRANSITIONS if row.safe_state != "bypass" and row.state != "released"]
+    kept = [row for row in TRANSITIONS if row.release is not False and row.state != "stopped"]
     assert drawn == {(row.state, row.next_state, row.event) for row in kept}
     lit = "[...document.querySelectorAll('#safety .state.lit text')].map((e) => e.textContent)"
     stop = page.run()["metrics"]["protection"]
-    times = (0.05, 1.0, stop["stop"]["time_s"] + 0.01, stop["safe_time_s"] + 0.01)
-    for time_s, state in zip(times, STATES, strict=False):
+    assert page.card("safe")[1] == SAFE_STATES["dynamic_brake"]
+    for time_s, state in (
+        (0.05, "starting"),
+        (1.0, "operating"),
+        (stop["stop"]["time_s"] + 0.01, "stopping"),
+        (stop["safe_time_s"] + 0.01, "released"),
+    ):
         page.evaluate(f"(Page.parts.stage.pause(), Page.parts.stage.seek({time_s}), 0)")
         page.browser.wait_for(f"{lit}.join() === '{state}'")
         assert page.text("safety").count(STATES[state]) >= 1
