@@ -48,11 +48,13 @@ def plot_worst_case(result: FaultsResult) -> Figure:
         if trace := result.traces.get(name):
             ax.plot(trace["time_s"], trace["knee_deg"], label=label, **style)
     ax.axvline(worst.start_s, color=RED, lw=1.0, label="start of the fault")
+    end_s = worst.start_s + result.settings.observed_s
     if math.isfinite(worst.safe_after_s):
         safe_s = worst.start_s + worst.safe_after_s
+        end_s = max(end_s, safe_s + 1.0)
         ax.axvline(safe_s, color=TEAL, lw=1.0, ls=":", label="motor safe")
     ax.set(
-        xlim=(worst.start_s - 1.0, worst.start_s + result.settings.observed_s),
+        xlim=(worst.start_s - 1.0, end_s),
         xlabel="time (s)",
         ylabel="knee flexion (deg)",
     )
