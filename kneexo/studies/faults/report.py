@@ -6,12 +6,14 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable
 from itertools import product
-from typing import Any
+from typing import Any, TypeVar
 
 from kneexo.parameters.typical_faults import TYPICAL_FAULTS, typical_faults
-from kneexo.studies.faults.study import FAILED, FaultRow, FaultsResult, urgency
+from kneexo.studies.faults.study import FAILED, EmergencyStop, FaultRow, FaultsResult, urgency
 from kneexo.studies.markdown import number
 from kneexo.studies.template import filled
+
+Case = TypeVar("Case", FaultRow, EmergencyStop)
 
 _HAZARDS = {
     "flexes": ("knee flexes on its own", "stance: the leg gives way", "fall"),
@@ -114,6 +116,7 @@ def _by_phase(result: FaultsResult) -> list[dict[str, Any]]:
         rows = [row for row in result.all_rows if (row.start_s, row.safe_state) == key]
         stops = [stop for stop in result.stops if (stop.start_s, stop.safe_state) == key]
         failed = [row for row in rows if row.has_failed]
+        turning = max(_safe(rows), key=lambda row: row.rest.turn_deg)
         lines.append(
             {
                 "start_s": start_s,
@@ -121,9 +124,10 @@ def _by_phase(result: FaultsResult) -> list[dict[str, Any]]:
                 "safe_state": safe_state,
                 "failed": f"{len(failed)} of {len(rows)}",
                 "deviation_deg": max((r.protected.deviation_deg for r in failed), default=math.nan),
-                "rest_turn_deg": _largest(row.rest.turn_deg for row in rows),
-                "stop_turn_deg": _largest(stop.rest.turn_deg for stop in stops),
-                "stop_torque_n_m": _largest(stop.rest.torque_n_m for stop in stops),
+                "rest_turn_deg": turning.rest.turn_deg,
+                "turning": turning.cause,
+                "stop_turn_deg": max(stop.rest.turn_deg for stop in _safe(stops)),
+                "stop_torque_n_m": max(stop.rest.torque_n_m for stop in _safe(stops)),
             }
         )
     return lines
@@ -148,9 +152,9 @@ def _differing(result: FaultsResult) -> list[dict[str, str]]:
     return lines
 
 
-def _largest(values: Iterable[float]) -> float:
-    """Return the largest value that is a number, or nan."""
-    return max((value for value in values if not math.isnan(value)), default=math.nan)
+def _safe(cases: list[Case]) -> list[Case]:
+    """Return the cases in which the motor becomes safe, or all if it does in none."""
+    return [case for case in cases if math.isfinite(case.safe_after_s)] or cases
 
 
 def _evidence(result: FaultsResult) -> list[dict[str, str]]:

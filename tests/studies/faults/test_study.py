@@ -267,8 +267,8 @@ def test_each_fault_is_told_once_at_its_worst_time(tables):
         ["12.5", "45.6", "torque_off", "0 of 1"],
     ]
     assert [line[4:] for line in phases[1:3]] == [
-        ["9.88", "0.876", "0.456", "4.56"],
-        ["9.88", "12.3", "6.78", "7.89"],
+        ["9.88", "0.876", "magnet slipped", "0.456", "4.56"],
+        ["9.88", "12.3", "command lost", "6.78", "7.89"],
     ]
     fault = ["command lost", "command scale 0", "SMC"]
     assert differing[1:] == [[*fault, "late, 5.68° at 10 s", "in time, 3.46° at 10 s"]]
