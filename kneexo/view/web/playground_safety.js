@@ -17,7 +17,7 @@ const Safety = (() => {
   const stateAt = (run, t) => run.faults.names[run.columns.state[rowAt(run, t)]];
 
   /** The changes of the state of a run: time, states before and after, event, and name of a detector. */
-  function changesOf({ time, columns: { state, reason }, faults }) {
+  function changesOf({ time, columns: { state, reason, speed }, faults }) {
     const changes = [];
     let since = 0;
     for (let k = 1; k < state.length; ++k) {
@@ -26,7 +26,9 @@ const Safety = (() => {
       const events = faults.transitions.filter(([a, , b]) => a === from && b === to).map(([, event]) => event);
       const cause = reason[k] && !reason[k - 1] ? faults.causes[reason[k]] : "";
       const overdue = events.includes("overdue") && time[k - 1] - since > faults.overdue_s - 1.5 * time[1];
-      const event = events.includes(cause) ? cause : overdue ? "overdue" : events.find((one) => one !== "overdue");
+      const stands = events.includes("standstill") && Math.abs(speed[k - 1]) < faults.standstill_rad_s;
+      const other = stands ? "standstill" : events.find((one) => one !== "overdue");
+      const event = events.includes(cause) ? cause : overdue ? "overdue" : other;
       changes.push({ time_s: time[k - 1], from, to, event, detector: cause ? faults.reasons[reason[k]] : "" });
       since = time[k - 1];
     }

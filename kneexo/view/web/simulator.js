@@ -374,7 +374,7 @@ const Simulator = (() => {
     const limits = limitsOf(model, values);
     const answerOf = (rows, end = null) => {
       const signals = signalsOf(instance, columns[0].slice(0, rows), limits.command_limit_rad_s);
-      const { time, shaft, hydraulic, chambers, rate, speed, kneeTorque, ...shown } = signals;
+      const { time, shaft, hydraulic, chambers, rate, kneeTorque, ...shown } = signals;
       const metrics = rows > 1 ? metricsOf(model, reference, values, limits, signals) : {};
       if (model.faults) metrics.protection = protectionMetrics(signals, model.faults, request.fault_s ?? 0);
       return { time, columns: shown, metrics, limits, end };

@@ -172,6 +172,9 @@ def test_the_diagram_is_the_table_and_the_present_state_is_lit(browser, page_fil
     lit = "[...document.querySelectorAll('#safety .state.lit text')].map((e) => e.textContent)"
     stop = page.run()["metrics"]["protection"]
     assert page.card("safe")[1] == SAFE_STATES["dynamic_brake"]
+    log = page.evaluate("[...document.querySelectorAll('#safety li')].map((e) => e.textContent)")
+    events = [line.split(" (")[1].rstrip(")") for line in log]
+    assert events == ["healthy", "emergency", "standstill"]
     for time_s, state in (
         (0.05, "starting"),
         (1.0, "operating"),
