@@ -17,7 +17,6 @@ SafeState = Literal["zero_speed", "dynamic_brake", "torque_off", "bypass"]
 The input of the plant that a release acts on has the name of the safe state.
 """
 
-
 SAFE_STATES: dict[SafeState, str] = {
     "zero_speed": "the motor stands",
     "dynamic_brake": "the windings are shorted",

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import product
-from typing import Any, Literal, Unpack, get_args
+from typing import Any, Literal, Unpack
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from kneexo.parameters.criteria import TOLERATED_DEVIATION_DEG
 from kneexo.parameters.fault import OPERATOR_INPUTS, FaultParameters
 from kneexo.parameters.plant import RPM
 from kneexo.parameters.quantity import Parameters, choice, quantity
-from kneexo.parameters.safety_states import REASONS, STATES, SafeState
+from kneexo.parameters.safety_states import REASONS, SAFE_STATES, STATES, SafeState
 from kneexo.parameters.typical_faults import typical_faults
 from kneexo.parameters.uncertainty import applicable, draw, options_of, realize
 from kneexo.result import Array, Result, data_frame
@@ -372,7 +372,7 @@ def _safe_states(scenario: Scenario, settings: FaultsSettings) -> tuple[SafeStat
         return tuple(dict.fromkeys(settings.safe_states))
     assert scenario.protection is not None
     found = [scenario.protection.safe_state]
-    for safe_state in get_args(SafeState):
+    for safe_state in SAFE_STATES:
         try:
             _ending(scenario, safe_state)
         except ParameterError:
