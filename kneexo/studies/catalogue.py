@@ -241,11 +241,12 @@ STUDIES = {
             "study faults",
             "what faults do, and whether the protection acts in time",
             "Typical faults at several times of the motion, critical durations, detectors, safe "
-            "state, false alarms of healthy knees.",
+            "states, false alarms of healthy knees.",
+            setup="the preset protected",
             uncertain=True,
             stages=(
-                Stage("faults", 140.0, repeats=True),
-                Stage("healthy runs", 3.0),
+                Stage("faults", 300.0, repeats=True),
+                Stage("healthy runs", 10.0),
                 Stage(FIGURES, 0.5),
                 Stage(FILES, 2.0),
             ),
