@@ -12,6 +12,7 @@ import pytest
 from kneexo.analysis import interaction_metrics, linearize_plant, simulate
 from kneexo.command_line.main import main
 from kneexo.parameters import Cia402Parameters, Scenario
+from kneexo.parameters.safety_states import SAFE_STATES
 from kneexo.parameters.scenario_file import load_scenario
 
 ROOT = Path(__file__).parents[1]
@@ -157,9 +158,10 @@ def test_the_examples_of_faults_run(tmp_path, capsys):
 @pytest.mark.slow
 def test_the_example_of_safe_states_runs(tmp_path, capsys):
     lines = output_of(block("python", section("Safe states")), tmp_path, capsys).splitlines()
-    assert [line.partition(":")[0] for line in lines] == ["zero_speed", "bypass"]
-    largest = [float(line.split()[3]) for line in lines]  # 120 and 9 N·m
-    assert largest[0] > 5.0 * largest[1] > 10.0
+    assert [line.partition(":")[0] for line in lines] == list(SAFE_STATES)
+    zero_speed, brake, torque_off, bypass = (float(line.split()[3]) for line in lines)
+    assert brake == pytest.approx(zero_speed, rel=0.05)  # 120, 120, 33 and 9 N·m
+    assert zero_speed > 2.0 * torque_off > 4.0 * bypass > 10.0
 
 
 @pytest.fixture
