@@ -12,9 +12,10 @@ from typing import Literal, NamedTuple
 from kneexo.parameters.plant import RPM
 
 SafeState = Literal["zero_speed", "dynamic_brake", "torque_off", "bypass"]
-"""Where a stop ends: at a speed command of zero, or also with a release beyond the drive's control.
+"""How a stop ends: zero_speed by the command alone, the others also by a release.
 
-The input of the plant that a release acts on has the name of the safe state.
+A release acts without the control of the drive, on the input of the plant that has the name of the
+safe state.
 """
 
 SAFE_STATES: dict[SafeState, str] = {
@@ -23,7 +24,7 @@ SAFE_STATES: dict[SafeState, str] = {
     "torque_off": "the motor has no torque",
     "bypass": "the bypass is open",
 }
-"""What is true of a knee in its safe state."""
+"""What a page tells when a safe state is reached."""
 
 
 class Detector(NamedTuple):
@@ -67,7 +68,7 @@ STATES = {
 """The states by their number, with what the supervisor does in them."""
 
 LAW_ACTS = ("starting", "operating")
-"""The states in which the command of the law passes. Only these can be left with a new reason."""
+"""The states in which the command of the law passes. A stop from one of these sets the reason."""
 
 EVENTS = {
     "emergency": "the input `emergency_stop` is 1",

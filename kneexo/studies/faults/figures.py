@@ -37,7 +37,7 @@ def plot_worst_case(result: FaultsResult) -> Figure:
     figure, ax = plt.subplots(figsize=(7.5, 3.6), layout="constrained")
     figure.set_label(
         f"The worst case: {worst.fault} ({worst.cause}) begins at {worst.start_s:g} s. A curve "
-        "ends early if the knee leaves its range of motion."
+        "ends early if the run ends with an error."
     )
     styles: dict[str, tuple[str, Any]] = {
         "healthy": ("without the fault", {"color": "0.6", "lw": 3.0}),
@@ -107,8 +107,8 @@ def plot_protection(result: FaultsResult) -> Figure:
     figure, ax = plt.subplots(figsize=(6.0, 5.0), layout="constrained")
     figure.set_label(
         "Each mark is a fault at one time: the largest deviation of the knee before the motor is "
-        "safe, over the largest deviation without protection. A run that leaves the range of "
-        "motion ends there."
+        "safe, over the largest deviation without protection, until the end of the run or its "
+        "error."
     )
     largest = (max(r.alone.deviation_deg, r.protected.deviation_deg) for r in result.rows)
     high = 1.1 * max(*largest, result.settings.bound_deg)

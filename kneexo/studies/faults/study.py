@@ -2,7 +2,7 @@
 
 The protection acts in time if the knee stays near the run without the fault until the motor is in
 its safe state. The critical duration of a fault is that without protection, the fault-tolerant time
-interval. The safe states that the plant can have are compared.
+interval.
 """
 
 from __future__ import annotations
@@ -141,9 +141,10 @@ class FaultRow:
     def verdict(self) -> str:
         """One of ``never active, harmless, in time, late, missed, made worse``.
 
-        The protection acts in time if the deviation of the knee stays within the bound until the
-        motor is safe. It is late if it does not. It makes the fault worse if the deviation is also
-        larger than without protection. A harmless or missed fault is not detected.
+        Without a detection a fault is harmless if the knee tolerates it without a time limit, else
+        missed. After a detection the protection is in time if the deviation stays within the bound
+        until the motor is safe. Otherwise it makes the fault worse if the deviation is larger than
+        without protection, else it is late.
         """
         if math.isnan(self.critical_duration_s) and not self.detector:
             return "never active"

@@ -14,7 +14,7 @@ from kneexo.parameters.safety_states import REASONS
 from kneexo.simulation import simulate
 from kneexo.studies.faults import FaultsSettings, faults_study
 from kneexo.studies.faults.report import report
-from kneexo.studies.faults.study import _controlled, _safe_after, _starts
+from kneexo.studies.faults.study import Rest, _controlled, _safe_after, _starts
 
 DEAD = FaultParameters(place="command", kind="scale", size=0.0)
 SWAPPED = FaultParameters(place="command", kind="scale", size=-1.0)
@@ -267,9 +267,14 @@ def test_each_fault_is_told_once_at_its_worst_time(tables):
         ["12.5", "45.6", "torque_off", "0 of 1"],
     ]
     assert [line[4:] for line in phases[1:3]] == [
-        ["9.88", "0.876", "magnet slipped", "0.456", "4.56"],
-        ["9.88", "12.3", "command lost", "6.78", "7.89"],
+        ["9.88", "0", "0.876", "magnet slipped", "0.456", "4.56"],
+        ["9.88", "0", "12.3", "command lost", "6.78", "7.89"],
     ]
     fault = ["command lost", "command scale 0", "SMC"]
     assert differing[1:] == [[*fault, "late, 5.68° at 10 s", "in time, 3.46° at 10 s"]]
+    never = replace(result.all_rows[1], safe_after_s=math.inf, rest=Rest(math.nan, math.nan))
+    _, _, phases, *_ = tables(
+        report(replace(result, all_rows=(result.all_rows[0], never, *result.all_rows[2:])))
+    )
+    assert phases[1][5:8] == ["1", "0.876", "command lost"]
     assert "Which safe state" not in report(replace(result, safe_states=("zero_speed",)))
