@@ -326,14 +326,11 @@ def _fault_notices(scenario: Scenario, run: Run) -> Iterator[str]:
         return
     active = run["active_faults"]
     samples = np.flatnonzero(active)
+    if later := [f.begin_s for f in scenario.faults if f.begin_s > scenario.duration_s]:
+        yield f"a fault begins after the run by its mttf_s: at {min(later):.4g} s"
+    elif not samples.size:
+        yield "no fault was active, because no signal passed its threshold; change above or below"
     if not samples.size:
-        later = [fault.begin_s for fault in scenario.faults if fault.begin_s > scenario.duration_s]
-        if later:
-            yield f"no fault was active; the first begins at {min(later):.4g} s by its mttf_s"
-        else:
-            yield (
-                "no fault was active, because no signal passed its threshold; change above or below"
-            )
         return
     first, last = run.time_s[samples[[0, -1]]]
     count = len(scenario.faults)

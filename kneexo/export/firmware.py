@@ -34,12 +34,13 @@ from kneexo.export.target import (
 )
 from kneexo.parameters import SampledReference, Scenario
 from kneexo.parameters.fault import OPERATOR_INPUTS
+from kneexo.parameters.safety_states import RELEASES
 from kneexo.parameters.scenario_file import dump_scenario
 from kneexo.result import Array
 from kneexo.rod_polynomial import completed
 from kneexo.simulation.compiled import compile_scenario, scenario_run
 
-OUTSIDE = ("disturbance_force", "knee_torque", "bypass", *OPERATOR_INPUTS)
+OUTSIDE = ("disturbance_force", "knee_torque", *RELEASES, *OPERATOR_INPUTS)
 """Names of the input ports that no part of the closed loop drives. The test vectors have zero."""
 
 VECTORS_S = 2.0

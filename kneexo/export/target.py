@@ -17,6 +17,7 @@ from kneexo.diagrams.protection import reading_range_rad
 from kneexo.diagrams.signals import SIGNALS
 from kneexo.errors import ParameterError
 from kneexo.parameters import SampledReference, Scenario, SimulationParameters
+from kneexo.parameters.fault import OPERATOR_INPUTS
 from kneexo.parameters.fields import limits_of
 from kneexo.systems import EncoderCount
 
@@ -35,8 +36,7 @@ _FIELDS = {
     "disturbance_force": ("disturbance_force_n",),
     "knee_torque": ("knee_torque_n_m",),
     "bypass": ("bypass_command",),
-    "emergency_stop": ("emergency_stop",),
-    "reset": ("reset",),
+    **{name: (name,) for name in ("torque_off", "dynamic_brake", "release", *OPERATOR_INPUTS)},
 }
 
 

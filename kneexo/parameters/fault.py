@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from typing import Literal
 
+import numpy as np
 from pydantic import model_validator
 
 from kneexo.errors import close_names, question, shown
 from kneexo.parameters.plant import RPM
 from kneexo.parameters.quantity import Parameters, choice, quantity
-from kneexo.parameters.torque import AS_183, generator_seeds
+from kneexo.parameters.torque import generator_seeds
 
 Kind = Literal[
     "frozen", "offset", "drift", "scale", "noise", "dropped", "late", "bit_flip", "value"
@@ -128,12 +129,13 @@ class FaultParameters(Parameters):
     def begin_s(self) -> float:
         """Time in s at which the fault begins, or from which on its signal starts it.
 
-        With ``mttf_s`` M it is ``start_s`` − M ln(1 − U), with a uniform random number U of AS 183.
+        With ``mttf_s`` M it is ``start_s`` − M ln(1 − U), with a uniform random number U that
+        place, kind and seed select.
         """
         if self.mttf_s is None:
             return self.start_s
-        pairs = zip(self.generator_seeds, AS_183, strict=True)
-        share = math.fsum(seed / modulus for seed, (modulus, _) in pairs) % 1.0
+        sequence = np.random.SeedSequence([self.seed, *f"{self.place} {self.kind}".encode()])
+        share = float(sequence.generate_state(1, np.uint64)[0] / 2.0**64)
         return self.start_s - self.mttf_s * math.log1p(-share)
 
     @property

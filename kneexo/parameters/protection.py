@@ -98,8 +98,8 @@ class ProtectionParameters(Parameters):
     safe_state: SafeState = choice(
         "zero_speed",
         "zero_speed: the oil holds the knee; dynamic_brake: shorted windings also hold a motor "
-        "that does not obey; torque_off: the motor turns freely; bypass: a valve joins the "
-        "chambers, and the knee is free",
+        "that does not obey; torque_off: the motor turns freely; bypass: a valve opens "
+        "both chambers to the reservoir, and the knee is free",
     )
 
     @model_validator(mode="after")

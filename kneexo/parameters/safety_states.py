@@ -26,6 +26,9 @@ SAFE_STATES: dict[SafeState, str] = {
 }
 """What a page tells when a safe state is reached."""
 
+RELEASES = tuple(name for name in SAFE_STATES if name != "zero_speed")
+"""The safe states with a release, and the inputs of the plant that a release acts on."""
+
 
 class Detector(NamedTuple):
     """A detector: the event that it causes, and the field and unit of its threshold."""

@@ -427,9 +427,9 @@ class Scenario(Parameters):
             raise ValueError("protection: needs controller.continuous = false")
         missing = ""
         if protection.safe_state == "bypass" and self.plant.bypass is None:
-            missing = "bypass; must be zero_speed; or add plant: {full_order: true, bypass: true}"
+            missing = "bypass; must be another one, or add plant: {full_order: true, bypass: true}"
         elif protection.safe_state in ("dynamic_brake", "torque_off") and self.plant.motor is None:
-            missing = "motor; must be zero_speed; or add plant: {motor: true}"
+            missing = "motor; must be another one, or add plant: {motor: true}"
         if missing:
             safe_state = protection.safe_state
             raise ValueError(f"protection.safe_state = {safe_state}: the plant has no {missing}")

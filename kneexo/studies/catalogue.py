@@ -245,7 +245,7 @@ STUDIES = {
             setup="the preset protected",
             uncertain=True,
             stages=(
-                Stage("faults", 300.0, repeats=True),
+                Stage("faults", 380.0, repeats=True),
                 Stage("healthy runs", 10.0),
                 Stage(FIGURES, 0.5),
                 Stage(FILES, 2.0),

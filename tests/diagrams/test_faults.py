@@ -173,7 +173,13 @@ def test_a_fault_begins_at_its_time_to_failure_or_after_the_run():
     result = track(with_faults(dead | {"mttf_s": 1e4}))
     assert not result.run["active_faults"].any()
     (line,) = [notice for notice in result.verdict.notices if "fault" in notice]
-    assert re.fullmatch(r"no fault was active; the first begins at \d+ s by its mttf_s", line)
+    assert re.fullmatch(r"a fault begins after the run by its mttf_s: at \d+ s", line)
+    drop = {"start_s": 0.05, "duration_s": 0.05}
+    result = track(with_faults(drop, dead | {"mttf_s": 1e4}))
+    lines = [notice for notice in result.verdict.notices if "fault" in notice]
+    assert [part for line in lines for part in line.split(":")[:1]] == [
+        "a fault begins after the run by its mttf_s", "2 faults"
+    ]  # fmt: skip
 
 
 @pytest.mark.slow

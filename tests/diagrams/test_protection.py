@@ -1,6 +1,7 @@
 """Loops with protection: what a fault does, both engines, laws of users, exports, the verdict."""
 
 import math
+import re
 from typing import get_args
 
 import numpy as np
@@ -230,6 +231,14 @@ def test_exports_have_the_protection(tmp_path):
         export_fmu(scenario, tmp_path, "loop").outputs
     )
     assert export_sil(BASE, tmp_path / "sil").replay.passed
+
+
+@pytest.mark.slow
+def test_an_exported_plant_has_the_inputs_of_the_releases(tmp_path):
+    scenario = Scenario.preset("protected").changed({"plant.bypass": {}})
+    assert export_firmware(scenario, tmp_path, "plant").replay.passed
+    (header,) = (path for path in tmp_path.glob("*.h") if "dynamic_brake" in path.read_text())
+    assert {"torque_off", "bypass_command"} <= set(re.findall(r"\w+", header.read_text()))
 
 
 @pytest.mark.slow

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from kneexo.parameters import FaultParameters
-from kneexo.parameters.torque import AS_183
 
 COUNT = 2000
 
@@ -27,11 +26,22 @@ def test_times_to_failure_are_exponentially_distributed_after_the_start():
     np.testing.assert_allclose(begins(80.0) - 3.0, 2.0 * (begins(40.0) - 3.0), rtol=1e-12)
 
 
-def test_the_time_to_failure_is_that_of_the_seeds_by_hand():
+def test_faults_with_one_seed_fail_independently():
+    """Place and kind select the number too, so that correlations are those of 2,000 numbers."""
+    kinds = ({"place": "encoder"}, {"place": "load_cell"}, {"place": "encoder", "kind": "dropped"})
+    faults = [
+        [FaultParameters(**{"size": 0.5 * (len(k) > 1)} | k, mttf_s=1.0, seed=s) for k in kinds]
+        for s in range(COUNT)
+    ]
+    times = np.array([[fault.begin_s - 10.0 for fault in row] for row in faults])
+    correlations = np.corrcoef(times.T)[np.triu_indices(3, 1)]
+    assert np.abs(correlations).max() < 5.0 / math.sqrt(COUNT)
+    assert np.ptp(times[0]) > 0.0
+
+
+def test_a_fault_ends_after_its_duration():
     fault = FaultParameters(start_s=1.0, mttf_s=5.0, seed=7, duration_s=2.0)
-    shares = (seed / m for seed, (m, _) in zip(fault.generator_seeds, AS_183, strict=True))
-    expected = 1.0 - 5.0 * math.log(1.0 - sum(shares) % 1.0)
-    assert fault.begin_s == pytest.approx(expected, rel=1e-12)
+    assert fault.begin_s > 1.0
     assert fault.end_s == fault.begin_s + 2.0
 
 

@@ -25,10 +25,10 @@ REFUSED = [
     (
         {"safe_state": "bypass"},
         {},
-        "safe_state = bypass: the plant has no bypass; must be zero_speed",
+        "safe_state = bypass: the plant has no bypass; must be another one, or add plant",
     ),
     *(
-        ({"safe_state": name}, {}, f"safe_state = {name}: the plant has no motor; must be zero_sp")
+        ({"safe_state": name}, {}, f"safe_state = {name}: the plant has no motor; must be anothe")
         for name in ("dynamic_brake", "torque_off")
     ),
     (

@@ -37,7 +37,9 @@ def row(
         detected_after_s=0.5 * safe_s,
         safe_after_s=safe_s,
         protected=Peaks(moved_deg, 6.789, 1.234, complete),
-        rest=Rest(turn_deg, 3.45) if math.isfinite(safe_s) else Rest(math.nan, math.nan),
+        rest=Rest(turn_deg, 3.45, True)
+        if math.isfinite(safe_s)
+        else Rest(math.nan, math.nan, False),
         bound_deg=5.0,
     )
 
@@ -51,7 +53,7 @@ def _without_torque(zero_speed):
         safe_state="torque_off",
         safe_after_s=0.0234,
         protected=Peaks(3.456, 4.321, 0.987, True),
-        rest=Rest(12.34, 3.21),
+        rest=Rest(12.34, 3.21, True),
     )
 
 
@@ -87,10 +89,18 @@ def made_up():
         safe_states=("zero_speed", "torque_off"),
         all_rows=(*rows, *(_without_torque(row) for row in rows)),
         stops=(
-            EmergencyStop("smc", "zero_speed", 10.0, 34.5, 0.0876, 1.23, 23.4, Rest(0.456, 4.56)),
-            EmergencyStop("smc", "zero_speed", 12.5, 45.6, 0.0543, 2.34, 12.3, Rest(0.567, 5.67)),
-            EmergencyStop("smc", "torque_off", 10.0, 34.5, 0.0321, 3.21, 32.1, Rest(6.78, 7.89)),
-            EmergencyStop("smc", "torque_off", 12.5, 45.6, 0.0432, 4.32, 21.0, Rest(8.91, 9.12)),
+            EmergencyStop(
+                "smc", "zero_speed", 10.0, 34.5, 0.0876, 1.23, 23.4, Rest(0.456, 4.56, True)
+            ),
+            EmergencyStop(
+                "smc", "zero_speed", 12.5, 45.6, 0.0543, 2.34, 12.3, Rest(0.567, 5.67, True)
+            ),
+            EmergencyStop(
+                "smc", "torque_off", 10.0, 34.5, 0.0321, 3.21, 32.1, Rest(6.78, 7.89, True)
+            ),
+            EmergencyStop(
+                "smc", "torque_off", 12.5, 45.6, 0.0432, 4.32, 21.0, Rest(8.91, 9.12, True)
+            ),
         ),
         alarms={"rate": 2, "speed": 1},
         healthy_runs=200,

@@ -83,12 +83,13 @@ def _line(row: FaultRow) -> dict[str, Any]:
 
 
 def _peak(path: str) -> Callable[[dict[str, Any]], str]:
-    """Return a cell rule for a value of `Peaks`; a run that ends early has the sign > before."""
+    """Return a cell rule for a value of `Peaks` or `Rest`; an incomplete one has the sign >."""
     part, name = path.split(".")
 
     def text(line: dict[str, Any]) -> str:
         peaks = line[part]
-        return ("" if peaks.complete else "> ") + number(getattr(peaks, name))
+        value = getattr(peaks, name)
+        return ("" if peaks.complete or math.isnan(value) else "> ") + number(value)
 
     return text
 
@@ -117,6 +118,8 @@ def _by_phase(result: FaultsResult) -> list[dict[str, Any]]:
         stops = [stop for stop in result.stops if (stop.start_s, stop.safe_state) == key]
         failed = [row for row in rows if row.has_failed]
         turning = max(_safe(rows), key=lambda row: row.rest.turn_deg)
+        turned = max(_safe(stops), key=lambda stop: stop.rest.turn_deg)
+        pressed = max(_safe(stops), key=lambda stop: stop.rest.torque_n_m)
         lines.append(
             {
                 "start_s": start_s,
@@ -125,10 +128,10 @@ def _by_phase(result: FaultsResult) -> list[dict[str, Any]]:
                 "failed": f"{len(failed)} of {len(rows)}",
                 "never_safe": sum(bool(r.detector) and math.isinf(r.safe_after_s) for r in rows),
                 "deviation_deg": max((r.protected.deviation_deg for r in failed), default=math.nan),
-                "rest_turn_deg": turning.rest.turn_deg,
+                "turn": _peak("rest.turn_deg")(vars(turning)),
                 "turning": turning.cause,
-                "stop_turn_deg": max(stop.rest.turn_deg for stop in _safe(stops)),
-                "stop_torque_n_m": max(stop.rest.torque_n_m for stop in _safe(stops)),
+                "stop_turn": _peak("rest.turn_deg")(vars(turned)),
+                "stop_torque": _peak("rest.torque_n_m")(vars(pressed)),
             }
         )
     return lines
@@ -154,8 +157,8 @@ def _differing(result: FaultsResult) -> list[dict[str, str]]:
 
 
 def _safe(cases: list[Case]) -> list[Case]:
-    """Return the cases in which the motor becomes safe, or all if it does in none."""
-    return [case for case in cases if math.isfinite(case.safe_after_s)] or cases
+    """Return the cases with a turn in the safe state, or all if there is none."""
+    return [case for case in cases if not math.isnan(case.rest.turn_deg)] or cases
 
 
 def _evidence(result: FaultsResult) -> list[dict[str, str]]:

@@ -90,12 +90,17 @@ class Peaks:
 
 @dataclass(frozen=True)
 class Rest:
-    """Largest values in the safe state, until ``observed_s`` after the start; nan if not safe."""
+    """Largest values from the safe motor on, until ``observed_s`` after the start.
+
+    They are nan if the motor is not safe before.
+    """
 
     turn_deg: float
     """Turn of the knee since the motor became safe."""
     torque_n_m: float
     """Torque, as in `Peaks`."""
+    complete: bool
+    """False if the run ends before."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +149,7 @@ class FaultRow:
         Without a detection a fault is harmless if the knee tolerates it without a time limit, else
         missed. After a detection the protection is in time if the deviation stays within the bound
         until the motor is safe. Otherwise it makes the fault worse if the deviation is larger than
-        without protection, else it is late.
+        without protection, else it is late. So it is also late if the motor never becomes safe.
         """
         if math.isnan(self.critical_duration_s) and not self.detector:
             return "never active"
@@ -159,7 +164,7 @@ class FaultRow:
 
     @property
     def has_failed(self) -> bool:
-        """Whether the deviation exceeds the bound in spite of the protection, or by it."""
+        """Whether the protection does not act in time on a fault that needs it."""
         return self.verdict in FAILED
 
 
@@ -492,15 +497,17 @@ def _stop(scenario: Scenario, settings: FaultsSettings, item: tuple[str, float])
     }
 
 
-def _rest(run: Run, end: int | None, end_s: float) -> dict[str, float]:
+def _rest(run: Run, end: int | None, end_s: float) -> dict[str, Any]:
     """Return the values of `Rest` from the sample before the index ``end`` until ``end_s``."""
-    if end is None:
-        return {"turn_deg": math.nan, "torque_n_m": math.nan}
-    part = slice(end - 1, max(end, _index(run, end_s)))
+    last = _index(run, end_s)
+    if end is None or end >= last:
+        return {"turn_deg": math.nan, "torque_n_m": math.nan, "complete": False}
+    part = slice(end - 1, last)
     angle = np.degrees(run["knee_angle_rad"][part])
     return {
         "turn_deg": float(np.max(np.abs(angle - angle[0]))),
         "torque_n_m": float(np.max(np.abs(_torque(run)[part]))),
+        "complete": bool(run.time_s[-1] > end_s - 1e-9),
     }
 
 

@@ -14,7 +14,7 @@ from kneexo.parameters.safety_states import REASONS
 from kneexo.simulation import simulate
 from kneexo.studies.faults import FaultsSettings, faults_study
 from kneexo.studies.faults.report import report
-from kneexo.studies.faults.study import Rest, _controlled, _safe_after, _starts
+from kneexo.studies.faults.study import Rest, _controlled, _rest, _safe_after, _starts
 
 DEAD = FaultParameters(place="command", kind="scale", size=0.0)
 SWAPPED = FaultParameters(place="command", kind="scale", size=-1.0)
@@ -118,6 +118,22 @@ def test_the_safe_states_of_the_plant_are_compared_and_each_is_that_of_a_single_
     assert faults_study(base, chosen).safe_states == ("dynamic_brake",)
     with pytest.raises(ParameterError, match="safe_state = bypass: the plant has no bypass"):
         faults_study(base, settings.changed({"safe_states": ("bypass",)}))
+
+
+def test_the_rest_is_that_from_the_safe_motor_until_the_end_of_the_observation():
+    """Safe at the sample 5.002; the knee then turns from 2° to 5° and back, against 3 N·m."""
+    columns = {
+        "knee_angle_rad": np.radians([1.0, 2.0, 5.0, 4.0, 9.0]),
+        "interaction_torque_n_m": np.array([9.0, 1.0, -3.0, 2.0, 9.0]),
+    }
+    run = SimpleRun(columns, time_s=5.0 + 0.002 * np.arange(5))
+    run.columns = columns
+    found = _rest(run, 2, 5.008)
+    assert found["turn_deg"] == pytest.approx(3.0)
+    assert (found["torque_n_m"], found["complete"]) == (3.0, True)
+    assert _rest(run, 2, 5.1)["complete"] is False
+    for end in (None, 4):  # never safe, or at the end of the observation
+        assert math.isnan(_rest(run, end, 5.008)["turn_deg"])
 
 
 def test_a_motor_is_safe_when_it_stands_in_the_state_stopped():
@@ -272,7 +288,7 @@ def test_each_fault_is_told_once_at_its_worst_time(tables):
     ]
     fault = ["command lost", "command scale 0", "SMC"]
     assert differing[1:] == [[*fault, "late, 5.68° at 10 s", "in time, 3.46° at 10 s"]]
-    never = replace(result.all_rows[1], safe_after_s=math.inf, rest=Rest(math.nan, math.nan))
+    never = replace(result.all_rows[1], safe_after_s=math.inf, rest=Rest(math.nan, math.nan, False))
     _, _, phases, *_ = tables(
         report(replace(result, all_rows=(result.all_rows[0], never, *result.all_rows[2:])))
     )
