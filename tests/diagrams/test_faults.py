@@ -354,6 +354,8 @@ def test_two_faults_that_exclude_each_other_are_refused():
         ParameterError, match=r"faults\.1: is at the same place and time as faults\.0"
     ):
         with_faults(fault, fault | {"start_s": 0.09})
+    later = fault | {"mttf_s": 1e6}  # begins after the run
+    with_faults(fault, later)
 
 
 def test_a_number_of_a_list_has_no_path():

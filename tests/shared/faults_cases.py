@@ -90,6 +90,9 @@ def made_up():
         all_rows=(*rows, *(_without_torque(row) for row in rows)),
         stops=(
             EmergencyStop(
+                "pid", "zero_speed", 10.0, 34.5, 0.0765, 1.1, 22.3, Rest(0.3, 5.43, True)
+            ),
+            EmergencyStop(
                 "smc", "zero_speed", 10.0, 34.5, 0.0876, 1.23, 23.4, Rest(0.456, 4.56, True)
             ),
             EmergencyStop(

@@ -112,6 +112,9 @@ def test_the_safe_states_of_the_plant_are_compared_and_each_is_that_of_a_single_
         assert turn == pytest.approx(np.abs(angle - angle[0]).max(), rel=1e-12)
         arms = (run["rod_force_n"] * run["moment_arm_m"])[safe:][rest]
         assert torque == pytest.approx(np.abs(arms).max(), rel=1e-12)
+    run = simulate(base.changed({"faults": (adds,), "simulation.duration_s": 6.3}))
+    drawn = result.traces["protected"]["knee_deg"]
+    np.testing.assert_array_equal(drawn, np.degrees(run["knee_angle_rad"]))
     assert math.isnan(result.all_rows[1].rest.turn_deg)  # at zero speed the motor turns on
     assert result.all_rows[2].safe_after_s < 1.0
     chosen = settings.changed({"safe_states": ("dynamic_brake",)})
@@ -283,7 +286,7 @@ def test_each_fault_is_told_once_at_its_worst_time(tables):
         ["12.5", "45.6", "torque_off", "0 of 1"],
     ]
     assert [line[4:] for line in phases[1:3]] == [
-        ["9.88", "0", "0.876", "magnet slipped", "0.456", "4.56"],
+        ["9.88", "0", "0.876", "magnet slipped", "0.456", "5.43"],
         ["9.88", "0", "12.3", "command lost", "6.78", "7.89"],
     ]
     fault = ["command lost", "command scale 0", "SMC"]
