@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from faults_cases import made_up, row
@@ -13,6 +14,7 @@ from kneexo.parameters import UNCERTAIN_KNEE, FaultParameters, PidParameters
 from kneexo.parameters.safety_states import REASONS
 from kneexo.simulation import simulate
 from kneexo.studies.faults import FaultsSettings, faults_study
+from kneexo.studies.faults.figures import plot_worst_case
 from kneexo.studies.faults.report import report
 from kneexo.studies.faults.study import Rest, _controlled, _rest, _safe_after, _starts
 
@@ -201,6 +203,14 @@ def test_faults_begin_in_the_second_period_or_late_in_the_run():
     assert (scenario.duration_s, starts_s) == (20.0, [4.0, 7.0, 10.0, 13.0])
     with pytest.raises(ParameterError, match="observed_s = 20 s: must be < 20 s, the duration"):
         _starts(step, FaultsSettings(observed_s=20.0))
+
+
+@pytest.mark.parametrize(("safe_s", "end_s"), [(1.5, 14.0), (6.0, 17.0), (math.inf, 14.0)])
+def test_the_worst_case_is_drawn_until_the_motor_is_safe(safe_s, end_s):
+    late = row("a", "late", 0.5, "rate", safe_s, moved_deg=9.0)
+    figure = plot_worst_case(replace(made_up(), all_rows=(late,)))
+    assert figure.axes[0].get_xlim() == (9.0, end_s)
+    plt.close(figure)
 
 
 @pytest.mark.parametrize(
