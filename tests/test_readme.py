@@ -164,6 +164,21 @@ def test_the_example_of_safe_states_runs(tmp_path, capsys):
     assert zero_speed > 2.0 * torque_off > 4.0 * bypass > 10.0
 
 
+@pytest.mark.slow
+def test_the_example_of_a_dead_motor_counts_the_runs_that_a_fault_stops(tmp_path):
+    """A share of 1 − exp(−15/20) = 0.53 of the runs has the fault."""
+    page = (ROOT / "docs/results.md").read_text(encoding="utf-8")
+    examples = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    (code,) = (code for code in examples if "mttf_s" in code)
+    path = tmp_path / "dead_motor.py"
+    path.write_text(code, encoding="utf-8")
+    command = [sys.executable, str(path)]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    count, total = re.match(r"(\d+) of (\d+) runs end", done.stdout).groups()
+    share = -math.expm1(-0.75)
+    assert int(count) / int(total) == pytest.approx(share, abs=4.0 * math.sqrt(0.25 / int(total)))
+
+
 @pytest.fixture
 def wearer_example(tmp_path):
     path = tmp_path / "scenario.yaml"

@@ -52,6 +52,10 @@ def report(result: FaultsResult) -> str:
             else "The torque is that of the actuator on the knee."
         ),
         compared=_by_phase(result) if compared else [],
+        failed_by_state=[
+            f"{sum(r.has_failed and r.safe_state == state for r in result.all_rows)} with {state}"
+            for state in result.safe_states
+        ],
         differing=_differing(result),
         differing_columns={
             name: name for name in ("cause", "fault", "controller", *result.safe_states)

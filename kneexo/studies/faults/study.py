@@ -46,7 +46,9 @@ class FaultsSettings(Parameters):
         (), "left out: typical faults; start_s is replaced, and duration_s and mttf_s are left out"
     )
     controllers: tuple[Literal["smc", "pid"], ...] = choice(
-        ("smc", "pid"), "controllers in place of the scenario's, unless it is torque or law"
+        ("smc", "pid"),
+        "controllers in place of the scenario's, unless it is torque or law; one of the same kind "
+        "has its gains",
     )
     safe_states: tuple[SafeState, ...] = choice(
         (), "left out: that of the scenario first, then the others that its plant can have"
@@ -310,7 +312,7 @@ def faults_study(
     kept, _ = applicable(scenario, uncertainty)
     faults = typical_faults(scenario)
     if settings.faults:
-        faults = {"given": settings.faults}
+        faults = {fault_name(fault): (fault,) for fault in settings.faults}
     given = [(cause, fault) for cause, sizes in faults.items() for fault in sizes]
     kinds = (
         tuple(dict.fromkeys(settings.controllers))
