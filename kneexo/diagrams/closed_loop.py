@@ -188,7 +188,7 @@ def make_closed_loop(
         release = scenario.protection.safe_state
         if plant.HasInputPort(release):
             connect(builder, controller, "release", plant, release)
-        connected.add("bypass")
+        connected.add("bypass")  # with another safe state the valve stays closed
     for name in ("disturbance_force", "knee_torque", "bypass"):
         if plant.HasInputPort(name) and name not in connected:
             builder.ExportInput(plant.GetInputPort(name), name)

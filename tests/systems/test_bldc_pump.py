@@ -288,12 +288,18 @@ def test_the_dynamic_brake_is_a_viscous_damper_that_no_limit_or_command_weakens(
     motor = MotorParameters(coulomb_torque_n_m=0.0, current_limit_a=0.0, supply_voltage_v=0.0)
     values = {"command": LIMIT, "dynamic_brake": 1.0, "torque_off": 1.0, "speed": 300.0}
     current = -0.04 * 300.0 / 0.15
-    assert output(BldcPump(motor=motor), "motor_current", **values) == pytest.approx(current)
+    found = output(BldcPump(motor=motor), "motor_current", **values)
+    assert found == pytest.approx(current, rel=1e-12)
     assert output(BldcPump(motor=motor), "motor_voltage", **values) == pytest.approx(0.0, abs=1e-12)
     rate = -(0.04**2 / 0.15 + 1e-5) / 2e-5
-    assert acceleration(BldcPump(motor=motor), **values) == pytest.approx(300.0 * rate)
+    assert acceleration(BldcPump(motor=motor), **values) == pytest.approx(300.0 * rate, rel=1e-12)
     released = values | {"dynamic_brake": 0.0}
     assert acceleration(BldcPump(motor=motor), **released) == pytest.approx(-300.0 * 1e-5 / 2e-5)
+
+
+def test_at_5000_rpm_the_brake_takes_140_a():
+    current = output(limited(), "motor_current", speed=LIMIT, dynamic_brake=1.0)
+    assert current == pytest.approx(-140.0, rel=0.01)
 
 
 def test_the_oil_turns_a_braked_motor_at_the_speed_of_its_damping():

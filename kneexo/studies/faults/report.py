@@ -130,7 +130,9 @@ def _by_phase(result: FaultsResult) -> list[dict[str, Any]]:
                 "knee_deg": stops[0].knee_deg,
                 "safe_state": safe_state,
                 "failed": f"{len(failed)} of {len(rows)}",
-                "never_safe": sum(bool(r.detector) and math.isinf(r.safe_after_s) for r in rows),
+                "never_safe": sum(
+                    row.detector != "" and row.safe_after_s == math.inf for row in rows
+                ),
                 "deviation_deg": max((r.protected.deviation_deg for r in failed), default=math.nan),
                 "turn": _peak("rest.turn_deg")(vars(turning)),
                 "turning": turning.cause,

@@ -125,7 +125,7 @@ class FaultRow:
     """Name of the detector that stopped the motor, or an empty text."""
     detected_after_s: float
     safe_after_s: float
-    """Time from the start of the fault until the motor stands or is released; else inf."""
+    """Time from the start of the fault until the motor stands or its release is on; else inf."""
     protected: Peaks
     """Largest values before the motor reaches the safe state."""
     rest: Rest
@@ -166,7 +166,7 @@ class FaultRow:
 
     @property
     def has_failed(self) -> bool:
-        """Whether the protection does not act in time on a fault that needs it."""
+        """Whether the verdict is one of `FAILED`."""
         return self.verdict in FAILED
 
 
@@ -180,7 +180,7 @@ class EmergencyStop:
     knee_deg: float
     """Knee angle at the press."""
     safe_after_s: float
-    """Time from the press until the motor stands or is released; inf if it never does."""
+    """Time from the press until the motor stands or its release is on; inf if it never is."""
     turn_deg: float
     """Largest turn of the knee from the press on, before the motor reaches the safe state."""
     torque_n_m: float
@@ -528,6 +528,7 @@ def _row(
 ) -> FaultRow:
     """Return the row of a fault whose effect is ``found`` by `_assess`."""
     values = found[safe_state]
+    values = values | {"protected": Peaks(**values["protected"]), "rest": Rest(**values["rest"])}
     return FaultRow(
         controller=scenario.controller.kind,
         safe_state=safe_state,
@@ -535,14 +536,10 @@ def _row(
         fault=fault_name(fault),
         start_s=fault.start_s,
         bound_deg=bound_deg,
-        alone=Peaks(**found["alone"]),
-        flexes=found["flexes"],
         critical_duration_s=found["critical_duration_s"],
-        detector=values["detector"],
-        detected_after_s=values["detected_after_s"],
-        safe_after_s=values["safe_after_s"],
-        protected=Peaks(**values["protected"]),
-        rest=Rest(**values["rest"]),
+        flexes=found["flexes"],
+        alone=Peaks(**found["alone"]),
+        **values,
     )
 
 
@@ -585,10 +582,9 @@ def _deviation_deg(run: Run, healthy: Run) -> Array:
 def _safe_after(run: Run, protected: Scenario, start_s: float) -> tuple[float, int | None]:
     """Return the time from ``start_s`` to the first safe sample, and the index behind this sample.
 
-    At a safe sample the motor has stopped and stands, or is released: its windings are shorted, it
-    has no torque, or the bypass is open. A motor that does not obey turns on in the state
-    ``stopped``, which it reaches when the stop is overdue. Without a safe sample the result is inf
-    and None.
+    At a safe sample the release is on, or the motor has stopped and stands. A motor that does not
+    obey keeps turning in the state ``stopped``, which it reaches when the stop is overdue. Without
+    a safe sample the result is inf and None.
     """
     protection = protected.protection or ProtectionParameters()
     stands = np.abs(run["motor_speed_rad_s"]) < protection.standstill_rpm * RPM

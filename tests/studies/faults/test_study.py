@@ -85,6 +85,7 @@ def test_an_emergency_stop_is_that_of_a_single_run(result):
         assert [run["safety_state"][n] for n in (first, last - 1, last)] == [1.0, 2.0, 3.0]
         assert abs(run["motor_speed_rad_s"][last]) < 30.0 * math.pi / 30.0
         angle = np.degrees(run["knee_angle_rad"][first : last + 1])
+        assert stop.knee_deg == angle[0]
         assert stop.turn_deg == pytest.approx(np.abs(angle - angle[0]).max(), rel=1e-12)
         torque = np.abs(run["rod_force_n"] * run["moment_arm_m"])[first : last + 1]
         assert stop.torque_n_m == pytest.approx(torque.max(), rel=1e-12)
