@@ -27,7 +27,9 @@ def test_the_screen_holds_all_contestants_of_the_default_settings(check_screen):
         other_reference=tested,
     )
     first_cells = [line.strip().partition("  ")[0] for line in check_screen(report(contest))]
-    assert [cell for cell in first_cells if cell in names] == names
+    cells = [cell for cell in first_cells if cell and any(name.startswith(cell) for name in names)]
+    for name, cell in zip(names, cells, strict=True):
+        assert name.startswith(cell)  # some versions of rich break the longest name
 
 
 def test_the_first_failed_run_of_each_controller_is_repeated_by_a_command():
