@@ -16,10 +16,10 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 import zipfile
 from contextlib import suppress
 from decimal import Decimal, InvalidOperation
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -31,6 +31,7 @@ import msgpack
 import numpy as np
 import pydrake.common.cpp_template
 import pytest
+from waiting import LOOK_S, wait_for
 
 from kneexo.compiler.native.cache import cache_directory
 
@@ -111,11 +112,27 @@ def pytest_terminal_summary(terminalreporter, config):
         terminalreporter.line(f"{time_s:5.2f} s  {name}")
 
 
+@pytest.hookimpl(tryfirst=True)  # before pytest selects by `-m`
 def pytest_collection_modifyitems(items):
-    """Give slow tests, which `timeout` in pyproject.toml would stop, a quarter of an hour each."""
+    """Mark tests of pages, and of each other slow test as many cases as the gate has; a limit."""
+    cases = {}
     for item in items:
-        if item.get_closest_marker("slow") and not item.get_closest_marker("timeout"):
-            item.add_marker(pytest.mark.timeout(900))
+        if item.get_closest_marker("slow"):
+            if not item.get_closest_marker("timeout"):  # that of pyproject.toml would stop it
+                item.add_marker(pytest.mark.timeout(900))
+            if "browser" in item.fixturenames:
+                item.add_marker("browser")
+            else:
+                cases.setdefault(item.nodeid.partition("[")[0], []).append(item)
+    for several in cases.values():
+        wanted = several[0].get_closest_marker("cases_in_gate")
+        for index in spread(len(several), wanted.args[0] if wanted else 1):
+            several[index].add_marker("gate")
+
+
+def spread(size, count):
+    """Return ``count`` indices below ``size`` at even distances, 0 first."""
+    return {k * size // count for k in range(count)}
 
 
 def pytest_collection_finish():
@@ -372,7 +389,7 @@ class _Browser:
         os.close(to_chromium)
         os.close(from_chromium)
         self._received, self._count, self._session = b"", 0, None
-        self._loaded = False
+        self._folder, self._loaded = profile, False
         self.console = []
         """Lines that tell of a fault: level or exception, and text."""
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
@@ -395,8 +412,7 @@ class _Browser:
 
     def _next(self):
         while b"\0" not in self._received:
-            ready, _, _ = select.select([self._in], [], [], 60.0)
-            assert ready, "Chromium has said nothing for 60 s"
+            wait_for(lambda: select.select([self._in], [], [], LOOK_S)[0])
             piece = os.read(self._in, 1 << 20)
             assert piece, "Chromium has ended"
             self._received += piece
@@ -428,15 +444,28 @@ class _Browser:
         while not self._loaded:
             self._next()
 
-    def open(self, path, width=800, height=600, phone=False):
-        """Load a file in a window of that size in CSS pixels; ``phone``: as a phone would."""
+    def open(self, path, width=800, height=600, phone=False, **wishes):
+        """Load a file in a window of that size in CSS pixels; ``phone``: as a phone would.
+
+        ``wishes`` of the user as in `emulate`: no page plays by itself if no test asks for motion.
+        """
         self.console, self.requests, self._width = [], [], width
         scale = 2 if phone else 1
         size = {"width": width, "height": height, "deviceScaleFactor": scale, "mobile": phone}
         self.call("Emulation.setDeviceMetricsOverride", **size)
+        self.emulate(**wishes)
         # Of 50 entries Chromium drops the first that a script has left, which may be this page's.
         self.call("Page.resetNavigationHistory")
         self.load(url=path.resolve().as_uri())
+
+    def emulate(self, motion=False, scheme="", media=""):
+        """What a user wishes: motion, a light or dark scheme, print as medium.
+
+        A page that plays takes a whole core to draw, which the tests beside it lack.
+        """
+        wishes = {"reduced-motion": "" if motion else "reduce", "color-scheme": scheme}
+        features = [{"name": f"prefers-{name}", "value": value} for name, value in wishes.items()]
+        self.call("Emulation.setEmulatedMedia", media=media, features=features)
 
     def evaluate(self, script):
         """The value of an expression in the page; promises are awaited."""
@@ -445,14 +474,17 @@ class _Browser:
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
-    def wait_for(self, condition, timeout_s=30.0):
-        """Wait until an expression in the page is true."""
-        end = time.monotonic() + timeout_s
-        while not self.evaluate(condition):
-            if time.monotonic() >= end:
-                shown = self.evaluate("[location.href, document.body?.innerText?.slice(0, 500)]")
-                pytest.fail(f"never true: {condition}; {self.console}; {shown}")
-            time.sleep(0.05)
+    def wait_for(self, condition):
+        """Wait until an expression in the page, or a function of Python, is true."""
+        test = condition if callable(condition) else partial(self.evaluate, condition)
+        try:
+            wait_for(test)
+        except TimeoutError as error:
+            shown = self.evaluate("[location.href, document.body?.innerText?.slice(0, 500)]")
+            picture = self._folder / "never_true.png"
+            picture.write_bytes(self._screenshot())
+            load = f"load {os.getloadavg()[0]:.1f}, {error}"
+            pytest.fail(f"never true: {condition}; {self.console}; {shown}; {load}; see {picture}")
 
     def require_health(self):
         """The page and its frames have told of no fault and asked for nothing outside the file."""
@@ -481,12 +513,14 @@ class _Browser:
         """What the window shows, (rows, columns, 3) from 0 to 1."""
         from matplotlib.image import imread
 
-        data = self.call("Page.captureScreenshot", format="png")["data"]
-        return imread(io.BytesIO(base64.b64decode(data)))[..., :3]
+        return imread(io.BytesIO(self._screenshot()))[..., :3]
+
+    def _screenshot(self):
+        return base64.b64decode(self.call("Page.captureScreenshot", format="png")["data"])
 
     def close(self):
         os.close(self._out)  # Chromium ends with its pipe
-        self._process.wait(30.0)
+        self._process.wait()
         os.close(self._in)
 
 

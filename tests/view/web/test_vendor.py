@@ -24,6 +24,7 @@ def test_each_file_has_its_hash_and_nothing_else_lies_there():
 
 
 @pytest.mark.slow
+@pytest.mark.cases_in_gate(0)  # needs npm's registry
 def test_npm_makes_the_same_files(tmp_path):
     if not (shutil.which("npm") and MAKE.exists()):
         pytest.skip("needs npm and .ci/vendor")
