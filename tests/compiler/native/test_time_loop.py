@@ -254,13 +254,16 @@ def test_an_interrupt_ends_a_run_of_hours(models, threads):
     def interrupt(number, frame):
         raise InterruptedError
 
+    def run_for_hours():
+        signal.setitimer(signal.ITIMER_REAL, 0.1)
+        model.simulate_batch(
+            np.zeros((16, 1)), state, 1e9, outputs=(), integrator="rk4", threads=threads
+        )
+
     before = signal.signal(signal.SIGALRM, interrupt)
     try:
         with pytest.raises(InterruptedError):
-            signal.setitimer(signal.ITIMER_REAL, 0.1)
-            model.simulate_batch(
-                np.zeros((16, 1)), state, 1e9, outputs=(), integrator="rk4", threads=threads
-            )
+            run_for_hours()
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
