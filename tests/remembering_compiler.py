@@ -10,6 +10,7 @@ import os
 import pickle
 import subprocess
 import sys
+from contextlib import suppress
 
 LIMIT = 1500
 """Compilations in a store; those that were used last stay."""
@@ -89,9 +90,13 @@ def _write(entry, content):
     with open(temporary, "wb") as file:
         file.write(content)
     os.replace(temporary, entry)
-    entries = sorted(os.scandir(os.path.dirname(entry)), key=lambda file: file.stat().st_mtime)
-    for old in entries[:-LIMIT]:
-        os.unlink(old.path)
+    used = []
+    for file in os.scandir(os.path.dirname(entry)):
+        with suppress(FileNotFoundError):  # another process has renamed or removed the file
+            used.append((file.stat().st_mtime, file.path))
+    for _, old in sorted(used)[:-LIMIT]:
+        with suppress(FileNotFoundError):
+            os.unlink(old)
 
 
 if __name__ == "__main__":

@@ -227,6 +227,7 @@ def test_heyoka_agrees_with_the_exact_hold(load):
 
 
 @pytest.mark.slow
+@pytest.mark.cases_in_gate(0)
 def test_the_command_prints_every_row(tmp_path):
     file = tmp_path / "figures.json"
     run = subprocess.run(
@@ -235,7 +236,6 @@ def test_the_command_prints_every_row(tmp_path):
         capture_output=True,
         text=True,
         check=False,
-        timeout=600,
     )
     assert run.returncode == 0, run.stderr
     data = json.loads(file.read_text(encoding="utf-8"))

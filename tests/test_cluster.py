@@ -203,14 +203,14 @@ def test_a_dask_worker_killed_in_the_middle_changes_nothing(cluster, tmp_path):
 
     from distributed import Client
 
-    with Client(address, timeout=30.0, set_as_default=False) as client:
-        client.wait_for_workers(2, timeout=30.0)
+    with Client(address, timeout="1 hour", set_as_default=False) as client:
+        client.wait_for_workers(2)
     killer = threading.Thread(target=kill, daemon=True)
     killer.start()
     with dask_cluster(address) as executor:
         there = sweep(executor=executor, checkpoint=checkpoint)
     killer.join()
-    assert workers[0].wait(10.0) == -signal.SIGKILL
+    assert workers[0].wait() == -signal.SIGKILL
     assert workers[1].poll() is None
     assert killed_at[0] < len(checkpoint)
     assert to_json(there.results()) == to_json(sweep().results())
@@ -226,7 +226,7 @@ def test_the_command_line_runs_on_a_dask_cluster(cluster, tmp_path):
     for name, option in where.items():
         command = [sys.executable, "-m", "kneexo", *SMALL_MAP, *option]
         done = subprocess.run(
-            [*command, "--out", str(tmp_path / name)], capture_output=True, text=True, timeout=300
+            [*command, "--out", str(tmp_path / name)], capture_output=True, text=True
         )
         assert done.returncode == 0, done.stderr
     texts = [(tmp_path / name / "bandwidth.json").read_bytes() for name in where]
@@ -249,8 +249,8 @@ def test_a_dask_scheduler_that_dies_is_one_line_and_resumes(cluster, tmp_path):
 
     from distributed import Client
 
-    with Client(address, timeout=30.0, set_as_default=False) as client:
-        client.wait_for_workers(2, timeout=30.0)
+    with Client(address, timeout="1 hour", set_as_default=False) as client:
+        client.wait_for_workers(2)
         scheduler = client.run_on_scheduler(os.getpid)
     threading.Thread(target=kill, daemon=True).start()
     with pytest.raises(WorkerError, match="was lost") as caught, dask_cluster(address) as executor:

@@ -28,9 +28,9 @@ def picture(browser: typing.Any, folder: Path) -> Image.Image:
     """The page of the preset ``leg`` when all numbers are there, paused at `MOMENT_S`."""
     page = kx.play(kx.Scenario.preset("leg"), names=["preset leg"]).write(folder / "knee.html")
     browser.call("Emulation.setScrollbarsHidden", hidden=True)
-    browser.open(page, width=WIDTH, height=HEIGHT)
+    browser.open(page, width=WIDTH, height=HEIGHT, motion=True)
     text = "document.querySelector('#numbers').textContent"
-    browser.wait_for(f"/Phase margin\\s*[0-9.]+\\s*deg/.test({text})", 60.0)
+    browser.wait_for(f"/Phase margin\\s*[0-9.]+\\s*deg/.test({text})")
     play = "document.querySelector('#stage .play').textContent"
     browser.wait_for(f"{play}.includes('Pause')")  # the whole run may come after the margins
     browser.evaluate(
@@ -76,6 +76,7 @@ def test_the_picture_is_small():
 
 
 @pytest.mark.slow
+@pytest.mark.cases_in_gate(0)  # fonts of the machine
 def test_the_picture_shows_the_page_of_today(browser, tmp_path):
     now = coarse(picture(browser, tmp_path))
     with Image.open(PICTURE) as image:
@@ -85,8 +86,10 @@ def test_the_picture_shows_the_page_of_today(browser, tmp_path):
 
 
 if __name__ == "__main__":
+    import sys
     import tempfile
 
+    sys.path.append(str(Path(__file__).with_name("shared")))
     from conftest import _Browser
 
     with tempfile.TemporaryDirectory() as folder:

@@ -1,21 +1,31 @@
-"""The time limit of each test."""
+"""The limits of each test, in wall time and in processor time."""
 
+import signal
 import time
 
 import pytest
 
 
-@pytest.mark.timeout(0.2)
-def test_a_test_that_does_not_end_fails():
+@pytest.mark.timeout(2, func_only=True)
+def test_a_test_that_waits_for_ever_fails():
     with pytest.raises(pytest.fail.Exception, match="Timeout"):
         time.sleep(60.0)
 
 
-def test_a_fast_test_has_the_limit_of_the_settings(request):
-    assert float(request.config.getini("timeout")) == 300.0
-    assert request.node.get_closest_marker("timeout") is None
+def test_a_test_that_works_for_ever_fails():
+    def work():
+        signal.setitimer(signal.ITIMER_PROF, 0.01)
+        while True:
+            pass
+
+    with pytest.raises(pytest.fail.Exception, match="s of processor time"):
+        work()
+
+
+def test_a_fast_test_has_a_minute_of_the_processor():
+    assert 50.0 < signal.getitimer(signal.ITIMER_PROF)[0] <= 61.0
 
 
 @pytest.mark.slow
-def test_a_slow_test_has_a_quarter_of_an_hour(request):
-    assert request.node.get_closest_marker("timeout").args == (900,)
+def test_a_slow_test_has_a_quarter_of_an_hour_of_the_processor():
+    assert 890.0 < signal.getitimer(signal.ITIMER_PROF)[0] <= 901.0

@@ -142,6 +142,7 @@ def test_monodromy_with_exact_states_is_that_of_the_simulator(loops):
 
 
 @pytest.mark.slow
+@pytest.mark.cases_in_gate(0)
 def test_monodromy_under_load_is_that_of_the_simulator(loops):
     monodromy = monodromy_by_differences(SCENARIOS["weight"], step=1e-4)
     assert compare_with_differences(loops["weight"], monodromy) < 2e-5  # 20 steps of 7e-7
@@ -149,6 +150,7 @@ def test_monodromy_under_load_is_that_of_the_simulator(loops):
 
 
 @pytest.mark.slow
+@pytest.mark.cases_in_gate(0)
 def test_the_unstable_loop_grows_as_its_eigenvalue_says(unstable):
     inner = make_closed_loop(at_rest(EQ_27_EXACT_STATES["13000"], 40.0), signals=())
     builder = DiagramBuilder()
@@ -224,6 +226,7 @@ def test_the_response_to_a_small_sine_is_that_of_the_simulator(frequency_hz, amp
 
 
 @pytest.mark.slow
+@pytest.mark.cases_in_gate(0)
 @pytest.mark.parametrize(
     ("name", "frequency_hz", "amplitude_deg", "settle_s", "window_s"),
     [

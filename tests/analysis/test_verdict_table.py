@@ -181,6 +181,7 @@ def check(name, preset):
 
 
 @pytest.mark.slow
+@pytest.mark.cases_in_gate(21)  # no divisor of 160: all presets
 @pytest.mark.parametrize("preset", ["paper", "bench", "leg", "wearer"])
 @pytest.mark.parametrize("name", CASES)
 def test_each_run_has_the_right_verdict(name, preset):

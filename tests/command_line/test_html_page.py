@@ -208,7 +208,7 @@ def test_a_browser_shows_a_report(command, report, figures, view, browser, tmp_p
     (page,) = out.glob("*.html")
     assert page.stat().st_size < 3e6
     for width, phone in ((1200, False), (390, True)):
-        browser.open(page, width, 800, phone=phone)
+        browser.open(page, width, 800, phone=phone, motion=view)
         browser.require_width()
         counts = "['.scroll tr', 'figure img'].map((tag) => document.querySelectorAll(tag).length)"
         rows, pictures = browser.evaluate(counts)
@@ -240,9 +240,9 @@ def test_a_report_on_paper_and_without_javascript(figure, browser, tmp_path):
     shown = "(what) => document.querySelector(what).getBoundingClientRect().height > 0"
     parts = [".view", "img", "table", "pre"]
     assert browser.evaluate(f"{parts}.map({shown})") == [True, True, True, True]
-    browser.call("Emulation.setEmulatedMedia", media="print")
+    browser.emulate(media="print")
     assert browser.evaluate(f"{parts}.map({shown})") == [True, True, True, True]
-    browser.call("Emulation.setEmulatedMedia", media="")
+    browser.emulate()
     browser.require_health()
     browser.call("Emulation.setScriptExecutionDisabled", value=True)
     try:

@@ -215,12 +215,12 @@ def test_an_interrupt_is_one_line_and_leaves_nothing(tmp_path, number, word, cod
         wait_for(lambda: len(alive(process.pid)) >= 3)  # workers are there, or are starting
         assert any(out.glob(".kneexo-*"))
         os.killpg(process.pid, number) if number == signal.SIGINT else process.send_signal(number)
-        error = process.communicate(timeout=20)[1]
+        error = process.communicate()[1]
         assert process.returncode == code
         assert "Traceback" not in error
         assert error.splitlines()[-1] == f"kneexo: {word}; nothing was written"
         assert not (tmp_path / "deep").exists()
-        wait_for(lambda: not alive(process.pid), 5.0)
+        wait_for(lambda: not alive(process.pid))
 
 
 @pytest.mark.slow
@@ -230,13 +230,13 @@ def test_a_killed_sweep_leaves_no_process_and_its_pieces(tmp_path):
         wait_for(lambda: path.exists() and path.read_bytes().count(b"\n") > 1)
         process.kill()
         process.wait()
-        wait_for(lambda: not alive(process.pid), 5.0)
+        wait_for(lambda: not alive(process.pid))
     pieces = path.read_bytes()
     assert [file.name for file in tmp_path.glob(".*")] == [next(tmp_path.glob(".kneexo-*")).name]
     with started("study", "bandwidth", "--workers", "1", "--out", tmp_path) as process:
         wait_for(lambda: path.stat().st_size > len(pieces))  # it has gone on
         process.terminate()
-        error = process.communicate(timeout=20)[1]
+        error = process.communicate()[1]
         assert process.returncode == 143
     last = error.splitlines()[-1]
     assert re.fullmatch(

@@ -23,7 +23,13 @@ from pydrake.examples import (
     QuadrotorPlant,
     VanDerPolOscillator,
 )
-from pydrake.geometry import Meshcat, MeshcatVisualizer, MeshcatVisualizerParams, SceneGraph
+from pydrake.geometry import (
+    Meshcat,
+    MeshcatParams,
+    MeshcatVisualizer,
+    MeshcatVisualizerParams,
+    SceneGraph,
+)
 from pydrake.math import BarycentricMesh
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import RevoluteJoint, SpatialInertia
@@ -194,7 +200,7 @@ def viewed_pendulum():
     PendulumGeometry.AddToBuilder(builder, pendulum.get_state_output_port(), scene)
     # A publish event ends a step in Drake, so the view follows the log.
     view = MeshcatVisualizerParams(publish_period=RECORD_S)
-    MeshcatVisualizer.AddToBuilder(builder, scene, Meshcat(), view)
+    MeshcatVisualizer.AddToBuilder(builder, scene, Meshcat(MeshcatParams(host="localhost")), view)
     logged(builder, pendulum.get_state_output_port(), "state")
     return builder.Build()
 

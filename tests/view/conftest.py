@@ -32,12 +32,12 @@ def stage_page(linkages, runs, *, flat=False, trace=True):
 
 @pytest.fixture
 def stage(browser, tmp_path):
-    """The function ``stage(linkages, runs, size=…, phone=…, **options)``, which opens a page."""
+    """``stage(linkages, runs, size=…, phone=…, motion=…, **options)``, which opens a page."""
 
-    def open_page(linkages, runs, size=(1440, 1000), phone=False, **options):
+    def open_page(linkages, runs, size=(1440, 1000), phone=False, motion=False, **options):
         page = tmp_path / "stage.html"
         page.write_text(stage_page(linkages, runs, **options), encoding="utf-8")
-        browser.open(page, *size, phone=phone)
+        browser.open(page, *size, phone=phone, motion=motion)
         browser.wait_for("stage.legs.length > 0")
         return browser
 

@@ -117,7 +117,7 @@ def test_a_page_plays_by_itself(size, phone, browser, tmp_path):
     leg, _ = leg_of_scenario("mine", scenario_of(simulation={"duration_s": 10.0}))
     page = tmp_path / "knee.html"
     page.write_text(view_page([leg, leg]), encoding="utf-8")
-    browser.open(page, *size, phone=phone)
+    browser.open(page, *size, phone=phone, motion=True)
     pictures = browser.views_of_playing()
     for picture in pictures:  # legs on white ground
         below = picture[picture.shape[0] // 4 :]  # the caption

@@ -98,12 +98,10 @@ def frames(browser):
 def frame_in(browser, file, **size):
     """Open a page; the calls of the browser reach its frame, which has a process of its own."""
     browser.load(url="about:blank")
-    while frames(browser):  # of the page before
-        pass
+    browser.wait_for(lambda: not frames(browser))  # of the page before
     browser.open(file, **size)
-    while not (found := frames(browser)):
-        pass
-    (frame,) = found
+    browser.wait_for(lambda: frames(browser))
+    (frame,) = frames(browser)
     outer = browser._session
     attached = browser.call("Target.attachToTarget", targetId=frame, flatten=True)
     browser._session = attached["sessionId"]
@@ -129,7 +127,7 @@ def test_the_page_runs_in_the_cell_of_a_notebook(notebook, cell, browser, tmp_pa
     outer.write_text(f"<!doctype html>{meta}{cell}", encoding="utf-8")
     numbers = "document.querySelector('#numbers')?.innerText"
     with frame_in(browser, outer, width=1000, height=950):
-        browser.wait_for(rf"/Largest error\s+[\d.]+\s+deg\s+follows/i.test({numbers})", 60.0)
+        browser.wait_for(rf"/Largest error\s+[\d.]+\s+deg\s+follows/i.test({numbers})")
         shown = browser.evaluate(numbers)
     (error_deg,) = re.findall(r"(?i)largest error\s+([\d.]+)", shown)
     expected = kx.track(kx.Scenario()).metrics.max_error_deg
@@ -150,7 +148,7 @@ def test_a_frame_shows_a_curve_and_a_slider_at_once(width, height, cell, browser
         .getBoundingClientRect();
       return [box.top, box.bottom]; })"""
     with frame_in(browser, outer, width=width, height=height):
-        browser.wait_for(ready, 60.0)
+        browser.wait_for(ready)
         places = browser.evaluate(boxes)
         assert browser.evaluate("document.getElementById('undo').checkVisibility()") is False
     for top, bottom in places:

@@ -252,7 +252,7 @@ def test_processes_store_load_shrink_and_clear_at_the_same_time(directory, monke
         for seed in range(4)
     ]
     for worker in workers:
-        hits, error = worker.communicate(timeout=60)
+        hits, error = worker.communicate()
         assert error == ""
         assert int(hits) > 0
     assert all(path.suffix == ".kneexo" for path in directory.iterdir())

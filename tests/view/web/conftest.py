@@ -60,7 +60,7 @@ class _Worker:
 
     def close(self):
         self._process.stdin.close()
-        self._process.wait(30.0)
+        self._process.wait()
         self._process.stdout.close()
 
 

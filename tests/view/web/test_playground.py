@@ -3,11 +3,7 @@
 import base64
 import json
 import math
-import os
 import re
-import shutil
-import subprocess
-import time
 from pathlib import Path
 
 import numpy as np
@@ -67,8 +63,7 @@ class _Page:
     def wait(self, index=0):
         """Wait for all results of a set-up at its present values."""
         self.browser.wait_for(
-            f"(({{fresh, linear, sweep}}) => fresh && linear && sweep)(Page.results[{index}])",
-            120.0,
+            f"(({{fresh, linear, sweep}}) => fresh && linear && sweep)(Page.results[{index}])"
         )
         self.evaluate("new Promise(requestAnimationFrame).then(() => 0)")
 
@@ -381,10 +376,7 @@ def test_the_saved_files_are_the_run_of_kneexo(browser, single, tmp_path):
 
     def saved(name, button):
         page.evaluate(f"document.getElementById('{button}').click()")
-        deadline = time.monotonic() + 30.0
-        while not (tmp_path / name).is_file():
-            assert time.monotonic() < deadline
-            time.sleep(0.05)
+        browser.wait_for((tmp_path / name).is_file)
         return tmp_path / name
 
     page.evaluate("document.getElementById('copy-yaml').click()")
@@ -457,7 +449,7 @@ def test_a_link_of_another_version_is_said_and_its_values_kept_where_they_fit(br
     fragment = f"a.{GEAR}=3.5&a.plant.gone=1&a.{FREQUENCY}=1000&kneexo=0.0.1"
     for url in ("about:blank", f"{single.resolve().as_uri()}#{fragment}"):
         browser.load(url=url)
-    browser.wait_for("Page.results[0].fresh", 120.0)
+    browser.wait_for("Page.results[0].fresh")
     words = f"The link is of kneexo 0.0.1, and this page of {__version__}. 2 values of the link do"
     assert browser.evaluate("document.getElementById('notice').textContent").startswith(words)
     assert browser.evaluate("Page.state.setups[0].values") == {GEAR: 3.5}
@@ -551,7 +543,7 @@ def test_the_other_controller_is_compared_in_the_present_task(browser, single):
 
 
 def test_a_choice_of_scenarios_leaves_one_stage_in_three_dimensions(browser, two):
-    page = _Page(browser, two)
+    page = _Page(browser, two, motion=True)
     page.wait(1)
     drawing = page.evaluate("Page.parts.stage._drawing.constructor.name")
     for turn in range(20):  # a browser has 16 WebGL contexts
@@ -617,7 +609,7 @@ def test_a_run_that_fails_shows_its_curve_to_the_end_and_the_reason(browser, sin
 
 def test_the_sweep_draws_its_points_and_the_bandwidth(browser, single):
     page = _Page(browser, single)
-    browser.wait_for("Page.results[0].swept", 120.0)
+    browser.wait_for("Page.results[0].swept")
     grid, gain = page.evaluate("Page.parts.bode.plots[0].chart.data.slice(0, 2)")
     phase = page.evaluate("Page.parts.bode.plots[1].chart.data[1]")
     points = page.evaluate("Page.parts.bode.points[0]")
@@ -637,7 +629,7 @@ def test_the_sweep_draws_its_points_and_the_bandwidth(browser, single):
 
 def test_phases_continue_and_low_gains_stay_in_sight(browser, single):
     page = _Page(browser, single)
-    browser.wait_for("Page.results[0].swept", 120.0)
+    browser.wait_for("Page.results[0].swept")
     falls = -144.0 * np.arange(1, 5)  # from point to point
     measured = (falls + 180.0) % 360.0 - 180.0
     points = [
@@ -802,14 +794,10 @@ def test_a_page_that_cannot_run_says_so_and_shows_no_half(browser, single, missi
         browser.call("Page.removeScriptToEvaluateOnNewDocument", identifier=call["identifier"])
 
 
-def test_reduced_motion_starts_no_animation(browser, single):
-    features = [{"name": "prefers-reduced-motion", "value": "reduce"}]
-    browser.call("Emulation.setEmulatedMedia", features=features)
-    try:
-        page = _Page(browser, single)
-        assert page.evaluate("Page.parts.stage.playing") is False
-    finally:
-        browser.call("Emulation.setEmulatedMedia", features=[])
+@pytest.mark.parametrize("motion", [False, True])
+def test_reduced_motion_starts_no_animation(browser, single, motion):
+    page = _Page(browser, single, motion=motion)
+    assert page.evaluate("Page.parts.stage.playing") is motion
 
 
 def test_a_dark_screen_has_a_dark_page_and_light_paper(browser, single):
@@ -835,18 +823,14 @@ def test_a_dark_screen_has_a_dark_page_and_light_paper(browser, single):
 
     assert ground() == "rgb(245, 246, 248)"
     assert is_drawn(light_blue)
-    features = [{"name": "prefers-color-scheme", "value": "dark"}]
-    browser.call("Emulation.setEmulatedMedia", features=features)
-    try:
-        browser.wait_for("matchMedia('(prefers-color-scheme: dark)').matches")
-        assert ground() == "rgb(20, 23, 27)"
-        assert is_drawn(dark_blue)
-        page.evaluate("dispatchEvent(new Event('beforeprint'))")
-        assert is_drawn(light_blue)
-        page.evaluate("dispatchEvent(new Event('afterprint'))")
-        assert is_drawn(dark_blue)
-    finally:
-        browser.call("Emulation.setEmulatedMedia", features=[])
+    browser.emulate(scheme="dark")
+    browser.wait_for("matchMedia('(prefers-color-scheme: dark)').matches")
+    assert ground() == "rgb(20, 23, 27)"
+    assert is_drawn(dark_blue)
+    page.evaluate("dispatchEvent(new Event('beforeprint'))")
+    assert is_drawn(light_blue)
+    page.evaluate("dispatchEvent(new Event('afterprint'))")
+    assert is_drawn(dark_blue)
 
 
 def test_paper_has_values_numbers_and_curves(browser, single):
@@ -859,47 +843,27 @@ def test_paper_has_values_numbers_and_curves(browser, single):
     )
     assert "gear ratio4.5" in rows
     assert "controllersliding mode" in rows
-    browser.call("Emulation.setEmulatedMedia", media="print")
-    try:
-        page.evaluate("dispatchEvent(new Event('beforeprint'))")
-        shown = """[...document.querySelectorAll(
-          "#panel, #values, #plots .plot:not([hidden]) canvas, #numbers, .stage-legend, #pin")]
-        .map(element => element.checkVisibility())"""
-        assert page.evaluate(shown) == [True, True, False, True, True, True, True, False, True]
-        caption = page.evaluate("document.querySelector('#values caption').textContent")
-        assert re.match(rf"Values of this page: kneexo {__version__}, \d{{4}}-\d\d-\d\d", caption)
-        assert caption.endswith(f"#a.{GEAR}=4.5&kneexo={__version__}")
-    finally:
-        browser.call("Emulation.setEmulatedMedia", media="")
+    browser.emulate(media="print")
+    page.evaluate("dispatchEvent(new Event('beforeprint'))")
+    shown = """[...document.querySelectorAll(
+      "#panel, #values, #plots .plot:not([hidden]) canvas, #numbers, .stage-legend, #pin")]
+    .map(element => element.checkVisibility())"""
+    assert page.evaluate(shown) == [True, True, False, True, True, True, True, False, True]
+    caption = page.evaluate("document.querySelector('#values caption').textContent")
+    assert re.match(rf"Values of this page: kneexo {__version__}, \d{{4}}-\d\d-\d\d", caption)
+    assert caption.endswith(f"#a.{GEAR}=4.5&kneexo={__version__}")
 
 
-@pytest.fixture(scope="module")
-def axe(tmp_path_factory):
-    """The text of axe-core, from the file `KNEEXO_AXE` or npm; skips without npm or network."""
-    if path := os.environ.get("KNEEXO_AXE"):
-        return Path(path).read_text(encoding="utf-8")
-    if shutil.which("npm") is None:
-        pytest.skip("needs npm")
-    folder = tmp_path_factory.mktemp("axe")
-    command = ["npm", "install", "--no-audit", "--no-fund", "--ignore-scripts", "axe-core@4.14.1"]
-    installed = subprocess.run(command, cwd=folder, capture_output=True, text=True)
-    if installed.returncode:
-        pytest.skip("axe-core cannot be had offline")
-    return (folder / "node_modules/axe-core/axe.min.js").read_text(encoding="utf-8")
+AXE = Path(__file__).with_name("vendor") / "axe.min.js"
 
 
 @pytest.mark.parametrize(("phone", "scheme"), [(False, ""), (True, ""), (False, "dark")])
-def test_axe_finds_nothing(browser, two, axe, phone, scheme, request):
-    browser.call(
-        "Emulation.setEmulatedMedia",
-        features=[{"name": "prefers-color-scheme", "value": scheme}],
-    )
-    request.addfinalizer(lambda: browser.call("Emulation.setEmulatedMedia", features=[]))
+def test_axe_finds_nothing(browser, two, phone, scheme):
     size = {"width": 390, "height": 844, "phone": True} if phone else {}
-    page = _Page(browser, two, **size)
+    page = _Page(browser, two, scheme=scheme, **size)
     page.wait()
     page.wait(1)
-    browser.call("Runtime.evaluate", expression=axe)
+    browser.call("Runtime.evaluate", expression=AXE.read_text(encoding="utf-8"))
     script = """axe.run({runOnly: ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa"]})
     .then(({violations, passes}) => [passes.length, violations.map(({id, nodes}) =>
       [id, ...nodes.map(({target}) => target.join(" "))])])"""

@@ -1,6 +1,7 @@
 """The page with protection: a fault that is thrown there, and the same fault in kneexo."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ pytestmark = pytest.mark.slow
 
 DURATION_S = 12.0
 START_S = 2.5
+LATE_S = 1.01 * Scenario.preset("protected").controller.sample_time_s
 COLUMNS = {
     "angle": "knee_angle_rad",
     "command": "motor_speed_command_rad_s",
@@ -48,7 +50,7 @@ class _Page:
         self.wait()
 
     def wait(self, index=0):
-        self.browser.wait_for(f"Page.results[{index}].fresh", 120.0)
+        self.browser.wait_for(f"Page.results[{index}].fresh")
         self.evaluate("new Promise(requestAnimationFrame).then(() => 0)")
 
     def run(self, index=0):
@@ -81,11 +83,54 @@ def in_kneexo(page, folder, index=0):
 
 
 def check_run(shown, result):
+    """Compare the curves; returns whether all states of the protection are equal too.
+
+    WebAssembly and machine code round the functions of their libraries differently. A detector
+    whose level crosses its threshold at a sample can act a sample later there. Then the curves are
+    compared until that sample.
+    """
     run = result.run
     np.testing.assert_array_equal(shown["time"], run.time_s)
+    same = run.time_s.size
+    for name in STATE_COLUMNS if result.scenario.protection else {}:
+        there, here = np.array(shown["columns"][name]), run[STATE_COLUMNS[name]]
+        changes, expected = (np.flatnonzero(np.diff(values)) for values in (there, here))
+        np.testing.assert_array_equal(there[changes + 1], here[expected + 1], err_msg=name)
+        assert np.abs(changes - expected).max(initial=0) <= 1, name
+        same = min(same, *np.flatnonzero(there != here))
     for name, column in COLUMNS.items():
         size = np.abs(run[column]).max()
-        np.testing.assert_allclose(shown["columns"][name], run[column], rtol=0, atol=1e-6 * size)
+        there, here = shown["columns"][name][:same], run[column][:same]
+        np.testing.assert_allclose(there, here, rtol=0, atol=1e-6 * size)
+    return same == run.time_s.size
+
+
+STATE_COLUMNS = {"state": "safety_state", "reason": "safety_reason"}
+
+
+class _OneColumn:
+    """A run whose columns are all the same."""
+
+    def __init__(self, values):
+        self.time_s = self.values = values
+
+    def __getitem__(self, name):
+        return self.values
+
+
+@pytest.mark.parametrize("late", [1, 2])
+def test_a_state_may_change_a_sample_late_but_no_more(late):
+    state = np.repeat([0, 1], 50)
+    moved = np.roll(state, late)
+    moved[:late] = 0
+    columns = dict.fromkeys([*COLUMNS, *STATE_COLUMNS], moved)
+    shown = {"time": state, "columns": columns}
+    result = SimpleNamespace(run=_OneColumn(state), scenario=SimpleNamespace(protection=True))
+    if late == 1:
+        assert not check_run(shown, result)
+    else:
+        with pytest.raises(AssertionError, match="state"):
+            check_run(shown, result)
 
 
 CASES = [
@@ -113,22 +158,22 @@ def test_a_fault_does_on_the_page_what_it_does_in_kneexo(browser, page_file, tmp
     assert [fault.place == "reset" for fault in scenario.faults].count(False) == ("fault=" in link)
     assert (scenario.protection is None) == ("protection=off" in link)
     shown, run = page.run(), result.run
-    check_run(shown, result)
+    equal = check_run(shown, result)
     if scenario.protection is None:
         assert page.card("detected")[1] == "no protection"
         return
-    for name, column in (("state", "safety_state"), ("reason", "safety_reason")):
-        np.testing.assert_array_equal(shown["columns"][name], run[column], err_msg=name)
     stop = shown["metrics"]["protection"]["stop"]
     samples = np.flatnonzero(run["safety_reason"])
     if not samples.size:
         assert stop is None
         return
-    assert stop["time_s"] == run.time_s[samples[0] - 1]
+    stop_s = run.time_s[samples[0] - 1]
+    assert abs(stop["time_s"] - stop_s) <= LATE_S
     reason = REASONS[int(run["safety_reason"][samples[0]])]
     (line,) = [line for line in result.verdict.notices if line.startswith("protection acted")]
-    assert line.startswith(f"protection acted at {stop['time_s']:.4g} s: {reason}")
-    check_peaks(shown["metrics"]["protection"], scenario, run)
+    assert line.startswith(f"protection acted at {stop_s:.4g} s: {reason}")
+    # A motor that stops a sample late changes the peaks by less than a percent.
+    check_peaks(shown["metrics"]["protection"], scenario, run, rel=1e-6 if equal else 1e-2)
     number, words = page.card("detected")
     time_s = float(f"{stop['time_s']:.5g}")
     assert words.endswith(f"by {reason} at {time_s:.10g} s")
@@ -137,16 +182,16 @@ def test_a_fault_does_on_the_page_what_it_does_in_kneexo(browser, page_file, tmp
         assert float(number) == pytest.approx(after_ms, rel=1e-3, abs=1e-6)
     else:
         assert words.startswith("false alarm")
-    changes = np.flatnonzero(np.diff(run["safety_state"]))
+    states = np.array(shown["columns"]["state"])
+    changes = np.flatnonzero(np.diff(states))
     rows = page.evaluate("[...document.querySelectorAll('#safety li')].map((li) => li.textContent)")
     names = list(STATES)
     assert [row.split(" (")[0] for row in rows] == [
-        f"{round(run.time_s[k], 4):.10g} s {names[int(run['safety_state'][k + 1])]}"
-        for k in changes
+        f"{round(run.time_s[k], 4):.10g} s {names[int(states[k + 1])]}" for k in changes
     ]
 
 
-def check_peaks(metrics, scenario, run):
+def check_peaks(metrics, scenario, run, rel):
     """Error and torque until the windings are shorted, by the columns of kneexo."""
     first = np.searchsorted(run.time_s, scenario.faults[0].start_s - 1e-9) if scenario.faults else 0
     safe = np.flatnonzero(run["safety_state"] == list(STATES).index("released"))
@@ -155,9 +200,9 @@ def check_peaks(metrics, scenario, run):
     error = run["knee_reference_rad"] - run["knee_angle_rad"]
     torque = run["rod_force_n"] * run["moment_arm_m"]
     for name, values in (("largest_error_rad", error), ("peak_torque_n_m", torque)):
-        assert metrics[name] == pytest.approx(np.abs(values[part]).max(), rel=1e-6), name
+        assert metrics[name] == pytest.approx(np.abs(values[part]).max(), rel=rel), name
     expected = run.time_s[safe[0] - 1] if safe.size else None
-    assert metrics["safe_time_s"] == expected
+    assert metrics["safe_time_s"] == pytest.approx(expected, rel=0.0, abs=LATE_S)
 
 
 def test_the_diagram_is_the_table_and_the_present_state_is_lit(browser, page_file):
@@ -254,7 +299,7 @@ def test_margins_and_bandwidth_are_those_without_protection(browser, page_file):
     found = []
     for link in ("", "a.fault=command_weak&a.fault.start_s=0.5&a.protection.speed_rpm=30"):
         page.go(link)
-        browser.wait_for("Page.results[0].linear && Page.results[0].sweep", 120.0)
+        browser.wait_for("Page.results[0].linear && Page.results[0].sweep")
         found.append(
             page.evaluate(
                 "[Page.results[0].linear.phase_margin_deg, Page.results[0].sweep.minus_3_db_hz]"

@@ -68,16 +68,21 @@ def in_kneexo(scenario, model, duration_s):
 
 
 def check_metrics(metrics, result):
+    """Rounding can move a crossing of a limit by a sample, and a share by one sample's."""
     expected = result.metrics
+    sample_s = result.scenario.controller.sample_time_s
+    share = 1.0 / result.run.time_s.size
     pairs = {name: math.radians(getattr(expected, other)) for name, other in DEGREES.items()}
     pairs |= {name: getattr(expected, other) * math.pi / 30.0 for name, other in RPM.items()}
     pairs |= {name: getattr(expected, name) for name in SAME}
     pairs["peak_pressure_pa"] = 1e6 * expected.peak_pressure_mpa
     pairs["saturated_share_overall"] = result.verdict.saturated_share
-    pairs["largest_error_time_s"] = result.verdict.max_error_time_s
     pairs["error_bound_rad"] = math.radians(result.verdict.error_bound_deg)
     for name, value in pairs.items():
-        assert metrics[name] == pytest.approx(value, rel=1e-6, abs=1e-12), name
+        least = 1.01 * share if name.endswith(("_share", "_share_overall")) else 1e-12
+        assert metrics[name] == pytest.approx(value, rel=1e-6, abs=least), name
+    late_s = metrics["largest_error_time_s"] - result.verdict.max_error_time_s
+    assert abs(late_s) < 1.01 * sample_s
     assert metrics["tracks"] == result.verdict.tracks
     cycle, expected = metrics["limit_cycle"], result.verdict.limit_cycle
     assert (cycle is None) == (expected is None)
@@ -85,7 +90,7 @@ def check_metrics(metrics, result):
         assert math.degrees(cycle["amplitude_rad"]) == pytest.approx(expected.amplitude_deg)
         assert cycle["highest_pressure_pa"] == pytest.approx(1e6 * expected.highest_pressure_mpa)
         for name in ("start_s", "period_s"):
-            assert cycle[name] == pytest.approx(getattr(expected, name), rel=1e-9)
+            assert cycle[name] == pytest.approx(getattr(expected, name), abs=1.01 * sample_s)
 
 
 def check_run(answer, result):
@@ -404,7 +409,8 @@ def test_a_push_on_a_page_is_that_of_kneexo(worker, name):
     metrics = answer["metrics"]["push"]
     largest = math.radians(result.push.largest_deviation_deg)
     assert metrics["largest_deviation_rad"] == pytest.approx(largest, rel=1e-6)
-    assert metrics["recovery_time_s"] == pytest.approx(result.push.recovery_time_s, abs=1e-9)
+    sample_s = 1.01 * scenario.controller.sample_time_s  # rounding can move a crossing
+    assert metrics["recovery_time_s"] == pytest.approx(result.push.recovery_time_s, abs=sample_s)
     assert 0.1 < metrics["recovery_time_s"] < 4.0
     assert answer["parts"][-1]["columns"] == answer["columns"]  # before the run without the push
     again = worker.ask(values=values, band_deg=RECOVERY_BAND_DEG, **request)
