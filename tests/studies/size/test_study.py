@@ -202,6 +202,7 @@ def test_a_knee_that_walks_by_formula_gets_the_hardware_of_the_formula(monkeypat
 
 
 @pytest.mark.slow
+@pytest.mark.cases_in_gate(0)
 def test_the_sized_hardware_is_the_smallest(study):
     result, _ = study
     (design,) = result.designs
@@ -283,6 +284,7 @@ def test_pressure_and_power_agree_at_half_the_step(study):
 
 
 @pytest.mark.slow
+@pytest.mark.cases_in_gate(0)
 def test_a_study_that_goes_on_from_a_checkpoint_is_the_same(study):
     result, path = study
     lines = path.read_bytes().splitlines(keepends=True)

@@ -303,6 +303,7 @@ def test_the_rows_are_those_of_their_cases(monkeypatch):
 
 
 @pytest.mark.slow
+@pytest.mark.cases_in_gate(0)
 def test_rows_are_those_of_their_own_runs(small, flat):
     by_name = designs(WEARER_KNEE, SMALL)
     motions = {"walking, 1 Hz": WALKING, "rising in 0.8 s": (math.nan, 0.8)}

@@ -97,7 +97,7 @@ def check_run(shown, result):
         changes, expected = (np.flatnonzero(np.diff(values)) for values in (there, here))
         np.testing.assert_array_equal(there[changes + 1], here[expected + 1], err_msg=name)
         assert np.abs(changes - expected).max(initial=0) <= 1, name
-        same = min(same, *np.flatnonzero(there != here))
+        same = min([same, *np.flatnonzero(there != here)])
     for name, column in COLUMNS.items():
         size = np.abs(run[column]).max()
         there, here = shown["columns"][name][:same], run[column][:same]
