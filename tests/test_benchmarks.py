@@ -257,6 +257,7 @@ def test_the_command_prints_every_row(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.cases_in_gate(0)
 def test_mutants_are_counted_and_tests_that_fail_anyway_say_nothing():
     module = "kneexo/systems/encoder_count.py"
     command = [sys.executable, BENCHMARKS / "mutation.py", module]
@@ -270,6 +271,7 @@ def test_mutants_are_counted_and_tests_that_fail_anyway_say_nothing():
 
 
 @pytest.mark.slow
+@pytest.mark.cases_in_gate(0)
 def test_the_rosenbrock_method_keeps_its_tolerance_on_stiff_presets(load, capsys):
     load("stiff").main(["--duration", "1", "--turns", "1"])
     _, *rows = (line.split(" | ") for line in capsys.readouterr().out.splitlines())
