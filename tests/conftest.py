@@ -155,18 +155,10 @@ def pytest_collection_modifyitems(items):
         if item.get_closest_marker("slow"):
             cases.setdefault(item.nodeid.partition("[")[0], []).append(item)
     for several in cases.values():
-        wanted = several[0].get_closest_marker("cases_in_gate")
-        if "browser" in several[0].fixturenames and not wanted:
-            mark, count = "browser", len(several)
-        else:
-            mark, count = "gate", wanted.args[0] if wanted else 1
-        for index in spread(len(several), count):
-            several[index].add_marker(mark)
-
-
-def spread(size, count):
-    """Return ``count`` indices below ``size`` at even distances, 0 first."""
-    return {k * size // count for k in range(count)}
+        size, page = len(several), "browser" in several[0].fixturenames
+        count = several[0].get_closest_marker("slow").kwargs.get("gate", size if page else 1)
+        for k in range(count):  # at even distances
+            several[k * size // count].add_marker("browser" if page else "gate")
 
 
 # -------------------------------------------------------------------------------- missing tools
