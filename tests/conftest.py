@@ -504,10 +504,11 @@ class _Browser:
         while not self._loaded:
             self._next()
 
-    def open(self, path, width=800, height=600, phone=False, **wishes):
+    def open(self, path, width=800, height=600, phone=False, script="", **wishes):
         """Load a file in a window of that size in CSS pixels; ``phone``: as a phone would.
 
-        ``wishes`` of the user as in `emulate`: no page plays by itself if no test asks for motion.
+        ``script`` runs before those of the page. ``wishes`` of the user are as in `emulate`: no
+        page plays by itself if no test asks for motion.
         """
         self.console, self.requests, self._width = [], [], width
         scale = 2 if phone else 1
@@ -516,7 +517,9 @@ class _Browser:
         self.emulate(**wishes)
         # Of 50 entries Chromium drops the first that a script has left, which may be this page's.
         self.call("Page.resetNavigationHistory")
+        before = self.call("Page.addScriptToEvaluateOnNewDocument", source=script)
         self.load(url=path.resolve().as_uri())
+        self.call("Page.removeScriptToEvaluateOnNewDocument", **before)
 
     def emulate(self, motion=False, scheme="", media=""):
         """What a user wishes: motion, a light or dark scheme, print as medium.
