@@ -342,6 +342,14 @@ def test_a_lasting_bad_value_stops_the_motor_and_a_short_one_does_nothing(
     np.testing.assert_array_equal(out[command], healthy[command])  # the held value is the same
 
 
+def test_a_bad_speed_is_no_standstill(standing):
+    """The stop ends by ``overdue``."""
+    out = standing.run(90, emergency_stop=1.0, motor_speed_rad_s=NAN)
+    overdue = round(SHORT["overdue_s"] / 0.002)
+    assert (out["safety_state"][20 : 20 + overdue] == 2.0).all()
+    assert (out["safety_state"][20 + overdue :] == 4.0).all()
+
+
 def test_a_start_with_bad_inputs_keeps_the_knee_where_it_is(standing):
     """Before the first good reference the knee angle is the reference. Without a reading the
     motor stops before it has moved, and can be reset when there are readings.

@@ -134,7 +134,7 @@ def random_rows(count, seed=0):
     rows[:, 2:8] = random.random((count, 6)) < 0.03
     rows[:, 8] = random.random(count) < 0.03
     rows[:, 9] = random.random(count) < 0.3
-    odd = random.choice([np.nan, np.inf, -np.inf, -1.0, -0.5, 0.5, 0.51, 1e308], (count, 3))
+    odd = random.choice([np.nan, np.inf, -np.inf, -0.51, -0.5, 0.5, 0.51, 1e308], (count, 3))
     for column, values, share in zip((1, 8, 9), odd.T, (0.05, 0.01, 0.1), strict=True):
         rows[:, column] = np.where(random.random(count) < share, values, rows[:, column])
     lasting = np.repeat(random.random((count // 8 + 1, 6)) < 0.05, 8, axis=0)[:count]
@@ -234,6 +234,12 @@ def test_a_start_that_does_not_become_healthy_ends():
     assert REASONS[int(found[-1, 2])] == "following"
     rows = rows_of(8, emergency_stop=[1] + [0] * 7)
     assert REASONS[int(leaf_run(rows, supervisor())[-1, 2])] == "emergency stop"
+
+
+def test_the_emergency_stop_is_pressed_unless_it_is_a_clear_zero():
+    for value in (np.nan, np.inf, -np.inf, 0.51, -0.51, 1e308, 0.5, -0.5):
+        found = leaf_run(rows_of(6, emergency_stop=[0] * 4 + [value] * 2), supervisor())
+        assert found[-1, 1] == (1.0 if abs(value) == 0.5 else 2.0)
 
 
 def test_inputs_of_the_operator_may_be_unconnected():
