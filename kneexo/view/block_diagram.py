@@ -220,6 +220,7 @@ def _words(scenario: Scenario) -> dict[str, str]:
         "bypass": "opens to the reservoir",
         "temperature": "winding and case",
         "load_cell": "on the rod",
+        "guard": "of the inputs",
         "detectors": "of faults",
         "supervisor": "stops the motor",
         "cuff": "straps and flesh",

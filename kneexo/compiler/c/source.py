@@ -161,7 +161,8 @@ class CSource:
                     f"output {shown(repr(port))} is unknown; known: "
                     f"{', '.join(self.equations.outputs)}"
                 )
-        self.interface.require_ports(self.equations.inputs, self.equations.outputs)
+        sizes = {port: len(nodes) for port, nodes in self.equations.outputs.items()}
+        self.interface.require_ports(self.equations.inputs, sizes)
         _ = self.plan
 
     @property
@@ -206,6 +207,8 @@ class CSource:
             for element, member in enumerate(inputs)
             if member.is_integer and (ends := member.limits(real))
         }
+        if self.interface.accepts_inputs:  # a table has no row for an input out of its range
+            ranges = {}
         tables: list[Table] = []
         if self.look_up:
             roots = [*step_nodes(equations, output_nodes), *equations.initial_discrete]
@@ -295,6 +298,8 @@ class CSource:
             "first_line": self.first_line,
             "inputs": self.plan.inputs,
             "outputs": self.plan.outputs,
+            "accepts_inputs": self.interface.accepts_inputs,
+            "failing": [output for output in self.plan.outputs if output.failed is not None],
             "schedule": self.plan.schedule,
             "sums": len(self.plan.sums),
             "checks_steps": self.checks_steps and self.rk4_steps > 0,
