@@ -17,6 +17,8 @@ _PACKAGE = f"{Path(__file__).parent}{os.sep}"
 _LIBRARIES = tuple(
     f"{sysconfig.get_path(name)}{os.sep}" for name in ("stdlib", "purelib", "platlib")
 )
+NOT_OF_USERS = (_PACKAGE, *_LIBRARIES)
+"""Beginnings of the paths of code that the versions of kneexo and of the libraries identify."""
 
 
 @contextmanager

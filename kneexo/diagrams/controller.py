@@ -12,7 +12,7 @@ from kneexo import systems
 from kneexo.diagrams.law import (
     connect_inputs,
     held_command,
-    known_to_controller,
+    known_text,
     law_inputs,
     maker_arguments,
     port_sizes,
@@ -172,7 +172,7 @@ def has_unknown_parts(scenario: Scenario) -> bool:
 def _parts(scenario: Scenario, replacement: System | None = None) -> list[Part]:
     """Return the leaf systems of a controller; ``replacement`` replaces the scenario's law."""
     believed, polynomial = scenario.believed_plant, controller_polynomial(scenario)
-    law, offset = scenario.controller, encoder_offset_rad(scenario)
+    law, offset = scenario.with_loaded_law().controller, encoder_offset_rad(scenario)
     if law.command_limit_rad_s != scenario.command_limit_rad_s:
         law = law.model_copy(update={"command_limit_rad_s": scenario.command_limit_rad_s})
     if replacement is not None and not isinstance(law, LawParameters):
@@ -294,6 +294,6 @@ def controller_outputs(scenario: Scenario) -> dict[str, int]:
     """Return the size of each output port of a controller with a law of the user, by its name."""
     return remembered(
         users_law(scenario),
-        ("outputs", known_to_controller(scenario).model_dump_json()),
+        ("outputs", known_text(scenario)),
         lambda: port_sizes(make_controller(scenario, held_command(scenario))),
     )

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Hashable, Mapping
+from collections.abc import Callable, Collection, Hashable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any, NamedTuple, TypeVar, cast
 
 from pydrake.systems.framework import System
@@ -27,7 +29,7 @@ def why_python(scenario: Scenario) -> str:
         return ""
     if law.function.is_system:
         return _system_law(scenario).why_python
-    return trace(law.function, len(law.initial_state)).why_not_compiled
+    return trace(law.function, len(law.loaded().initial_state)).why_not_compiled
 
 
 def runs_as_python(scenario: Scenario) -> bool:
@@ -42,17 +44,37 @@ def users_law(scenario: Scenario) -> Law:
 
 
 def remembered(law: Law, question: Hashable, answer: Callable[[], T]) -> T:
-    """Return ``answer()``, or its earlier result if the law of a user has not changed since.
+    """Return ``answer()`` about a law of the user, or its earlier result.
 
-    A Drake system does not change. Any other law has not changed if its fingerprint is the same. An
-    answer about a law without fingerprint is not kept.
+    A Drake system and the arguments of a function do not change. A class or function that makes a
+    system may make another one whenever a value that it reads has changed. So answers about it are
+    kept only while `makers_called_once` lasts.
     """
-    present_law = law.target if isinstance(law.target, System) else law.fingerprint
-    answered_law, value = law.memo.get(question, (None, None))
-    if present_law is None or present_law != answered_law:
-        value = answer()
-        law.memo[question] = present_law, value
-    return cast(T, value)
+    makes_systems = law.is_system and not isinstance(law.target, System)
+    memo = _answers.get() if makes_systems else law.memo
+    if memo is None:
+        return answer()
+    key = id(law), question
+    if key not in memo:
+        memo[key] = law, answer()  # with the law, so that no other law gets its id
+    return cast(T, memo[key][1])
+
+
+_answers: ContextVar[dict[Any, Any] | None] = ContextVar("answers", default=None)
+"""The answers of `remembered` about laws that make systems, within `makers_called_once`."""
+
+
+@contextmanager
+def makers_called_once() -> Iterator[None]:
+    """Context manager, also a decorator: the body asks a law that makes systems each question once.
+
+    Making and reading a system takes some 10 ms. A body inside another shares its answers.
+    """
+    token = _answers.set({} if (answers := _answers.get()) is None else answers)
+    try:
+        yield
+    finally:
+        _answers.reset(token)
 
 
 def maker_arguments(scenario: Scenario) -> dict[str, Any]:
@@ -61,7 +83,7 @@ def maker_arguments(scenario: Scenario) -> dict[str, Any]:
     assert isinstance(law, LawParameters)
     if not law.function.takes_scenario:
         return {}
-    return {"scenario": known_to_controller(scenario), **law.values}
+    return {"scenario": known_to_controller(scenario), **law.loaded().values}
 
 
 def known_to_controller(scenario: Scenario) -> Scenario:
@@ -80,6 +102,12 @@ def known_to_controller(scenario: Scenario) -> Scenario:
     )
 
 
+def known_text(scenario: Scenario) -> str:
+    """Return a text of `known_to_controller`, without the law, as part of a question."""
+    without_law = {"controller": {"function"}}
+    return known_to_controller(scenario).model_dump_json(exclude=without_law)
+
+
 class _SystemLaw(NamedTuple):
     """What the controller has to know of a law that is or makes a Drake system."""
 
@@ -92,7 +120,7 @@ class _SystemLaw(NamedTuple):
 def _system_law(scenario: Scenario) -> _SystemLaw:
     """Return what is known of the system of a law. Raises `ParameterError` if a port is wrong."""
     law = users_law(scenario)
-    known = known_to_controller(scenario).model_dump_json() if law.takes_scenario else ""
+    known = known_text(scenario) if law.takes_scenario else ""
     return remembered(law, ("system", known), lambda: _read(law, maker_arguments(scenario)))
 
 

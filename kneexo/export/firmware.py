@@ -35,7 +35,7 @@ from kneexo.export.target import (
 from kneexo.parameters import SampledReference, Scenario
 from kneexo.parameters.fault import OPERATOR_INPUTS
 from kneexo.parameters.safety_states import RELEASES
-from kneexo.parameters.scenario_file import dump_scenario
+from kneexo.parameters.scenario_file import scenario_files
 from kneexo.result import Array
 from kneexo.rod_polynomial import completed
 from kneexo.simulation.compiled import compile_scenario, scenario_run
@@ -165,6 +165,7 @@ def _firmware(
             "protection accepts; leave out look_up or protection"
         )
     target = make_target(scenario, what, counts=True)
+    files: dict[str, Any] = scenario_files(completed(scenario), "scenario.yaml")
     source = source_of(
         read_diagram(target.diagram, inputs=target.inputs),
         target.what if name is None else name,
@@ -177,7 +178,8 @@ def _firmware(
         step_s=step_s,
         look_up=look_up,
         subject=f"{target.what} in {precision} precision",
-        origin=("scenario.yaml", dump_scenario(completed(scenario))),
+        origin=("scenario.yaml", files.pop("scenario.yaml")),
+        beside=files,
     )
     steps = round(vectors_s / source.plan.schedule.tick_s)
     inputs = loop_inputs(scenario, target, source, steps, **integrator_options)

@@ -247,6 +247,16 @@ class Scenario(Parameters):
             raise ParameterError(text) from None
         return self.model_copy(update={"controller": controller})
 
+    def with_loaded_law(self) -> Scenario:
+        """Return the scenario with all gains of its law, which imports the file of the law.
+
+        Without a law of the user the scenario itself is returned. For errors see
+        `LawParameters.loaded`.
+        """
+        before = self.controller
+        after = before.loaded() if isinstance(before, LawParameters) else before
+        return self if after is before else self.model_copy(update={"controller": after})
+
     def undisturbed(self) -> Scenario:
         """Return the scenario for the measurement of a response.
 

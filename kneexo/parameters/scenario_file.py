@@ -24,7 +24,14 @@ from yaml.reader import ReaderError
 
 from kneexo.errors import ParameterError, ScenarioError, shortened, shown
 from kneexo.files.reading import MIB, file_error, read_text
-from kneexo.parameters import UNCERTAIN_KNEE, Law, Scenario, Uncertainty, UncertaintySet
+from kneexo.parameters import (
+    UNCERTAIN_KNEE,
+    Law,
+    LawParameters,
+    Scenario,
+    Uncertainty,
+    UncertaintySet,
+)
 from kneexo.parameters.faults import one_line
 from kneexo.parameters.fields import allowed_range, source_of, unit_of
 from kneexo.parameters.presets import with_preset
@@ -150,6 +157,27 @@ def dump_scenario(scenario: Scenario) -> str:
     Floats have all their digits, so `load_scenario` reads an equal scenario from the text.
     """
     return "\n".join(_dumped(scenario, "")) + "\n"
+
+
+def scenario_files(
+    scenario: Scenario, name: str, folder: Path | None = None
+) -> dict[str, str | bytes]:
+    """Return a scenario file called ``name``, and the files of the law that lie beside it.
+
+    So the folder repeats the run, also elsewhere. The files of the law lie in a subfolder if
+    ``folder`` has other files with their names, such as a law that the user goes on to change.
+    """
+    controller = scenario.controller
+    if not isinstance(controller, LawParameters) or not controller.function.sources:
+        return {name: dump_scenario(scenario)}
+    law, below = controller.function, ""
+    paths = {} if folder is None else {folder / path: data for path, data in law.sources.items()}
+    if any(path.exists() and path.read_bytes() != data for path, data in paths.items()):
+        below = f"law_{law.digest[:12]}/"
+    copies = {f"{below}{path}": data for path, data in law.sources.items()}
+    place = f"{next(iter(copies))}:{law.name.rpartition(':')[2]}"
+    controller = controller.model_copy(update={"function": Law(law.target, place)})
+    return {name: dump_scenario(scenario.model_copy(update={"controller": controller})), **copies}
 
 
 def read_value(name: str, text: str) -> Any:
@@ -308,7 +336,7 @@ def _text_of(value: Any) -> str:
     if isinstance(value, str):
         return value
     if isinstance(value, Law):
-        return json.dumps(str(value), ensure_ascii=False)  # a path may have spaces or colons
+        return json.dumps(value.written, ensure_ascii=False)  # a path may have spaces or colons
     return re.sub(r"(?<![.\d])(\d+)e", r"\1.0e", json.dumps(value))
 
 

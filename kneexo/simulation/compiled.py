@@ -47,12 +47,14 @@ from kneexo.diagrams.controller import (
 from kneexo.diagrams.faults import fault_structure
 from kneexo.diagrams.law import (
     held_command,
-    known_to_controller,
+    known_text,
     law_inputs,
+    makers_called_once,
     port_sizes,
     remembered,
     runs_as_python,
     users_law,
+    why_python,
 )
 from kneexo.diagrams.signals import SIGNALS, columns
 from kneexo.diagrams.wearer import moment_of, moment_spline
@@ -66,7 +68,7 @@ from kneexo.parameters import (
 from kneexo.parameters.fields import models_of
 from kneexo.parameters.quantity import Parameters
 from kneexo.result import Array
-from kneexo.simulation.python_law import PythonLaw
+from kneexo.simulation.python_law import PythonLaw, commands_at_points
 from kneexo.simulation.run import Run
 from kneexo.systems import knee_reference
 from kneexo.systems.function_law import LAW_COMMAND, trace
@@ -147,7 +149,7 @@ def structure_key(scenario: Scenario) -> str:
         # Its numbers may be constants of its equations, so the key contains the equations.
         fields["controller"] = law.sample_time_s, _unknown_parts(scenario).key
     elif isinstance(law, LawParameters):
-        key = trace(law.function, len(law.initial_state)).key
+        key = trace(law.function, len(law.loaded().initial_state)).key
         fields["controller"] = law.sample_time_s, key
     return _key(tuple(fields.items()))
 
@@ -250,7 +252,7 @@ class _UnknownParts(NamedTuple):
 
 
 def _unknown_parts(scenario: Scenario) -> _UnknownParts:
-    question = "read", known_to_controller(scenario).model_dump_json()
+    question = "read", known_text(scenario)
     with _lock:
         return remembered(users_law(scenario), question, lambda: _read_controller(scenario))
 
@@ -268,6 +270,25 @@ def _read_controller(scenario: Scenario) -> _UnknownParts:
         named(read.parameter_names, read.parameters()),
         named(read.state_names, state.continuous) | named(read.discrete_names, state.discrete),
     )
+
+
+def law_key(scenario: Scenario) -> str | None:
+    """Return a text by which a later process recognizes the law of the user in a scenario.
+
+    A compiled law is known by its equations. A law that is called as Python is known by the files
+    of its code, and by the commands that it gives at some points, because the values that it reads
+    may come from elsewhere. Returns None for a law whose name in a file does not lead to it.
+    """
+    law = users_law(scenario)
+    try:
+        if why_python(scenario):
+            at_points = commands_at_points(scenario)
+            return f"{law.digest} {law.name.rpartition(':')[2]} {at_points}" if law.digest else None
+        if law.is_system:
+            return repr(_unknown_parts(scenario))
+        return structure_key(scenario)
+    except KneexoError as error:  # the run will fail alike
+        return str(error)
 
 
 # --------------------------------------------------------------- parameters, state, inputs
@@ -387,6 +408,7 @@ def simulate_compiled(
     return result
 
 
+@makers_called_once()
 def simulate_together(
     scenarios: Sequence[Scenario],
     signals: Sequence[str] | None = None,

@@ -8,7 +8,7 @@ from typing import Any
 
 from kneexo.compiler import ROUGH_STEP_S, Reduction
 from kneexo.diagrams import SIGNALS, available_signals, columns, make_closed_loop
-from kneexo.diagrams.law import runs_as_python
+from kneexo.diagrams.law import makers_called_once, runs_as_python
 from kneexo.errors import (
     KneexoError,
     ParameterError,
@@ -207,6 +207,7 @@ def simulate(
     return _run(RunRequest(scenario, signals, progress))
 
 
+@makers_called_once()
 def _run(request: RunRequest) -> Run:
     """Return the answer to a request. An error says so if the law seems to have a wrong sign."""
     try:

@@ -42,7 +42,7 @@ class PythonLaw:
 
     def __init__(self, scenario: Scenario, *, announce: bool = True) -> None:
         """Start the law anew. ``announce``: whether the line may be printed."""
-        law = scenario.controller
+        law = scenario.with_loaded_law().controller
         assert isinstance(law, LawParameters)
         self._law = law
         self._limit = scenario.command_limit_rad_s
@@ -117,6 +117,45 @@ def _announce(law: Law, reason: str) -> None:
     sys.stderr.write(line)
 
 
+def commands_at_points(scenario: Scenario) -> list[float]:
+    """Return the limited commands in rad/s of a law at some samples, from its first sample on.
+
+    The knee is at random angles within a degree of its reference, which moves at random.
+    """
+    random = np.random.default_rng(0)
+    call, commands = PythonLaw(scenario, announce=False), []
+    for sample in range(_POINTS):
+        reference = start_angle_rad(scenario.reference) + 0.1 * random.uniform(-1.0, 1.0)
+        knee = reference + _DISPLACEMENT_RAD * random.uniform(-1.0, 1.0)
+        rates = random.uniform(-0.1, 0.1, 3)
+        signals = _signals_at(scenario, knee, reference, rates)
+        commands.append(call(sample * scenario.controller.sample_time_s, signals))
+    return commands
+
+
+_POINTS = 16  # some of which reach no limit of the command
+
+
+def _signals_at(
+    scenario: Scenario, knee: float, reference: float, rates: Array
+) -> dict[str, Array]:
+    """Return the signals that a law can read at a knee angle and its reference in rad.
+
+    ``rates`` are the derivatives of both references to the third.
+    """
+    extension_at = partial(polynomial, controller_polynomial(scenario).p_si)
+    encoder = float(encoder_angle(scenario.believed_plant.linkage, knee))
+    values = {
+        "rod_extension": [extension_at(knee)],
+        "knee_angle": [knee],
+        "rod_reference": [extension_at(reference), *rates],
+        "knee_reference": [reference, *rates],
+        "estimated_state": [extension_at(knee), 0.0, 0.0],
+        "encoder_reading": [encoder - encoder_offset_rad(scenario)],
+    }
+    return {SIGNAL_OF[name]: np.array(value) for name, value in values.items()}
+
+
 _CALLS = 50  # enough for an integral to act
 _DISPLACEMENT_RAD = 0.02  # about a degree, many counts of the encoder
 
@@ -133,21 +172,10 @@ def sign_hint(scenario: Scenario) -> str:
     if not isinstance(law, LawParameters):
         return ""
     angle = start_angle_rad(scenario.reference)
-    extension_at = partial(polynomial, controller_polynomial(scenario).p_si)
-    linkage = scenario.believed_plant.linkage
     last_commands = []
     try:
         for displaced in (angle - _DISPLACEMENT_RAD, angle + _DISPLACEMENT_RAD):
-            reading = float(encoder_angle(linkage, displaced)) - encoder_offset_rad(scenario)
-            values = {
-                "rod_extension": [extension_at(displaced)],
-                "knee_angle": [displaced],
-                "rod_reference": [extension_at(angle), 0.0, 0.0, 0.0],
-                "knee_reference": [angle, 0.0, 0.0, 0.0],
-                "estimated_state": [extension_at(displaced), 0.0, 0.0],
-                "encoder_reading": [reading],
-            }
-            signals = {SIGNAL_OF[name]: np.array(value) for name, value in values.items()}
+            signals = _signals_at(scenario, displaced, angle, np.zeros(3))
             call = PythonLaw(scenario, announce=False)
             for sample in range(_CALLS):
                 command = call(sample * law.sample_time_s, signals)

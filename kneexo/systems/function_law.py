@@ -9,6 +9,7 @@ from itertools import chain
 from numbers import Real
 from typing import Any, NamedTuple
 
+import cloudpickle
 import numpy as np
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.symbolic import Expression, Variable
@@ -381,7 +382,7 @@ def hides_state(law: Law, states: int) -> bool:
 def _hides_state(law: Law, states: int) -> bool:
     function = law.copy_of_target()
     is_object = function is not law.target
-    before, of_original = Law(function).fingerprint, law.fingerprint
+    before, of_original = _attributes(function), _attributes(law.target)
     random = np.random.default_rng(1)
     changed = False
     try:
@@ -391,15 +392,23 @@ def _hides_state(law: Law, states: int) -> bool:
             changed |= not np.array_equal(first, again, equal_nan=True)
     except ParameterError:
         return False  # the run or the trace reports the cause
-    after = Law(function).fingerprint
-    changed |= before != after or (is_object and before is None)
-    if changed and (not is_object or law.fingerprint != of_original):
+    changed |= before is None or before != _attributes(function)
+    if changed and (not is_object or _attributes(law.target) != of_original):
         raise ParameterError(
             f"law {law.short_name}: hides state: it changes outer variables, or returns two "
             f"commands for equal arguments; must take the argument state and return "
             f"(command, next_state)"
         )
     return changed
+
+
+def _attributes(function: Any) -> bytes | None:
+    """Return the pickled attributes of an object; None if they cannot be pickled."""
+    try:
+        pickled: bytes = cloudpickle.dumps(getattr(function, "__dict__", None))
+    except Exception:  # pickling a user's object may raise any error
+        return None
+    return pickled
 
 
 def _sizes(law: Law, states: int) -> dict[str, int]:
