@@ -106,7 +106,8 @@ class Law:
         ``text`` names a Python file in ``directory`` or below; a link must not lead out of it.
         """
         law = cls._named(text, directory)
-        if law._file is None or not law._file.is_relative_to(Path(directory).resolve()):
+        file, folder = vars(law).get("file"), Path(directory).resolve()
+        if file is None or not file.is_relative_to(folder):
             raise ParameterError(
                 f"law {shortened(text)!r}: must be NAME.py:function, in a file beside or below the "
                 f"scenario file; copy the law there, or name a law that you trust with --law"
@@ -128,17 +129,16 @@ class Law:
         if not place or not path or ".py:" in place:
             raise ParameterError(f"{subject}: must be FILE.py:NAME, such as my.py:law")
         law = cls.__new__(cls)
-        law.memo, law._file, law._digest, law._subject = {}, None, digest, subject
+        law.memo, law._digest, law._subject = {}, digest, subject
         if place.endswith(".py"):
             with user_code(f"{subject}: the file cannot be read"):
-                law._file = file = Path(directory, place).resolve()
+                law.file = file = Path(directory, place).resolve()
                 if not file.is_file():
                     raise ParameterError(f"{subject}: there is no file {shortened(str(file), 200)}")
             name = f"{file}:{path}"
         law.name = law.written = name
         return law
 
-    _file: Path | None = None  # of a law that a text names; None for an object, or in a module
     _subject = _digest = ""  # begin of messages, and the digest that a text requires
     _is_announced = False  # whether a line on stderr says that the file of the law runs
 
@@ -148,13 +148,14 @@ class Law:
         path = self.name.rpartition(":")[2]
         if self._is_announced:
             announce(self.short_name)
-        if self._file is None:
+        file: Path | None = vars(self).get("file")
+        if file is None:
             target = function_at(self.name, self._subject)
         else:
             with user_code(f"{self._subject}: the file cannot be read"):
-                self.sources = _sources(self._file)
+                self.sources = _sources(file)
             with user_code(f"{self._subject}: the file fails"):
-                module = _module(self._file, self._subject, self.digest)
+                module = _module(file, self._subject, self.digest)
             if not hasattr(module, path):
                 known = [n for n, v in vars(module).items() if callable(v) and n[:1] != "_"]
                 hint = question(close_names(path, known) or known[:4])
@@ -174,20 +175,23 @@ class Law:
         return "target" in vars(self)
 
     @cached_property
-    def sources(self) -> dict[str, bytes]:
-        """Contents of the law's file and of the files that it imports from its folder.
-
-        The keys are paths relative to the folder, the law's file first. In a package, the folder is
-        that which contains the package. Empty if no name in a user's file leads to this very law.
-        """
-        if self._file is not None:
-            return _sources(self._file)
+    def file(self) -> Path | None:
+        """File of a user in which the name of the law leads to this very law, or None."""
         module = sys.modules.get(getattr(self.target, "__module__", None) or "")
         file = getattr(module, "__file__", None) or ""
         known = vars(module or self).get(self.name.rpartition(":")[2])
         if known is None or _checked(known) is not self.target or not file.endswith(".py"):
-            return {}
-        return {} if file.startswith(NOT_OF_USERS) else _sources(Path(file).resolve())
+            return None
+        return None if file.startswith(NOT_OF_USERS) else Path(file).resolve()
+
+    @cached_property
+    def sources(self) -> dict[str, bytes]:
+        """Contents of `file` and of the files that it imports from its folder.
+
+        The keys are paths relative to the folder, the law's file first. In a package, the folder is
+        that which contains the package. Empty without `file`.
+        """
+        return {} if self.file is None else _sources(self.file)
 
     @property
     def digest(self) -> str:
@@ -385,8 +389,7 @@ class Law:
 
     def identity(self) -> str:
         """Return ``NAME#DIGEST`` with the begin of `digest`; only the name without `sources`."""
-        digest = "" if self._file is None and not self.is_loaded else self.digest
-        return f"{self.name}#{digest[:_DIGITS]}" if digest else self.name
+        return f"{self.name}#{self.digest[:_DIGITS]}" if self.digest else self.name
 
     def __reduce__(self) -> tuple[Callable[..., Law], tuple[Any, ...]]:
         """Pickle the code and its values, or else the name if it leads to this law."""
