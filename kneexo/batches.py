@@ -62,12 +62,8 @@ class BatchRow(Result):
             raise ParameterError("the run of this row has not failed")
         if self.scenario is None:
             raise ParameterError(f"there is no run: the scenario refuses the values: {self.error}")
-        controller = self.scenario.controller
-        if isinstance(controller, LawParameters) and not controller.function.sources:
-            raise ParameterError(
-                f"law {controller.function.short_name}: its name in no file leads to this law; "
-                f"give the law as text, FILE.py:NAME"
-            )
+        if isinstance(controller := self.scenario.controller, LawParameters):
+            controller.function.require_name()
         file = Path(path)
         others: dict[str, Any] = scenario_files(self.scenario, file.name, file.parent)
         write_file(file, others.pop(file.name).encode(), others)

@@ -291,9 +291,9 @@ class ScenarioChoice:
         else:
             scenario = default or Scenario()
         if self.law is not None:
-            announce(self.law)
             with _argument():
                 scenario = scenario.with_law(self.law)
+            announce(self.law)
         scenario = with_values(scenario, self.values)
         if self.law is not None and scenario.controller.kind != "law":
             raise ParameterError(

@@ -20,7 +20,7 @@ from contextvars import ContextVar
 from functools import cached_property, lru_cache, partial
 from numbers import Real
 from pathlib import Path
-from types import CodeType, FunctionType, MethodType, ModuleType
+from types import CodeType, FunctionType, MethodType, ModuleType, SimpleNamespace
 from typing import Any, NamedTuple
 
 import cloudpickle
@@ -76,8 +76,9 @@ class Law:
     ``target`` is the function, the object or the system itself. It can also be a class or function
     without arguments, or a function with the argument ``scenario``, that returns a Drake system.
     ``name`` is ``FILE.py:NAME`` or ``MODULE:NAME``, and ``written`` is the name that a scenario
-    file gets. Two laws are equal if their names are equal, and their targets are the same object.
-    ``memo`` holds results that other modules have computed about this law.
+    file gets. Two laws are equal if their targets are the same object, or if texts name them alike
+    in files of equal contents. ``memo`` holds results that other modules have computed about this
+    law.
     """
 
     def __init__(self, target: Any, name: str | None = None) -> None:
@@ -122,10 +123,7 @@ class Law:
         place, _, path = name.rpartition(":")
         subject = f"law {shortened(name)!r}"
         if "<" in name or place == "__main__":
-            raise ParameterError(
-                f"{subject}: existed only in the Python session that made it; must be a function "
-                f"in a file, FILE.py:NAME"
-            )
+            raise _session_error(subject)
         if not place or not path or ".py:" in place:
             raise ParameterError(f"{subject}: must be FILE.py:NAME, such as my.py:law")
         law = cls.__new__(cls)
@@ -173,6 +171,20 @@ class Law:
     def is_loaded(self) -> bool:
         """Whether `target` is there; False for a law of a scenario file that nothing has used."""
         return "target" in vars(self)
+
+    def require_name(self) -> None:
+        """Raise `ParameterError` unless the name of the law leads to this law in a file.
+
+        No name leads to a lambda. The name of an object leads to its class.
+        """
+        place = self.name.rpartition(":")[0]
+        if "<" in self.name or place == "__main__":
+            raise _session_error(f"law {self.short_name}")
+        if not self.sources:
+            raise ParameterError(
+                f"law {self.short_name}: this name leads to other code or values; give the law as "
+                f"text, FILE.py:NAME"
+            )
 
     @cached_property
     def file(self) -> Path | None:
@@ -366,18 +378,18 @@ class Law:
                 )
 
     def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Law) or self.name != other.name:
+        if not isinstance(other, Law):
             return False
-        if not (self.is_loaded or other.is_loaded):
-            return True
+        if self._subject and other._subject and self.digest:  # also in a copy of a run's folder
+            return hash(self) == hash(other) and self.digest == other.digest
         one, two = self.target, other.target
         if isinstance(one, MethodType) and isinstance(two, MethodType):
             return one.__self__ is two.__self__ and one.__func__ is two.__func__
         return one is two
 
     def __hash__(self) -> int:
-        """Return a hash of the name."""
-        return hash(self.name)
+        """Return a hash of the name without file or module."""
+        return hash(self.name.rpartition(":")[2])
 
     def __str__(self) -> str:
         """Return the name, as scenario files have it."""
@@ -397,7 +409,8 @@ class Law:
             return type(self).from_text, (self.identity(),)
         token = _pickling.set(_pickling.get() | {id(self.target)})
         try:
-            return _unpickled, (cloudpickle.dumps(self.target), self.name)
+            sources = tuple(self.sources.items()) if self._subject else ()
+            return _unpickled, (cloudpickle.dumps(self.target), self.name, sources, self._subject)
         except Exception as error:  # pickling a user's object may raise any error
             if self.sources and "<" not in self.name:
                 return type(self).from_text, (self.identity(),)
@@ -444,8 +457,18 @@ class Law:
 
 
 @lru_cache(maxsize=64)  # a worker process gets the same law with each unit of work
-def _unpickled(data: bytes, name: str) -> Law:
-    return Law(cloudpickle.loads(data), name)
+def _unpickled(data: bytes, name: str, sources: Any, subject: str) -> Law:
+    law = Law(cloudpickle.loads(data), name)
+    if subject:
+        law._subject, law.sources = subject, dict(sources)
+    return law
+
+
+def _session_error(subject: str) -> ParameterError:
+    return ParameterError(
+        f"{subject}: existed only in the Python session that made it; must be a function in a "
+        f"file, FILE.py:NAME"
+    )
 
 
 def _checked(target: Any) -> Any:
@@ -501,6 +524,8 @@ def _sources(file: Path) -> dict[str, bytes]:
         ):  # the import reports it
             for node in ast.walk(ast.parse(found[name])):
                 for parts in _imports(node, path.parent.parts):
+                    if parts and parts[0] in sys.stdlib_module_names:  # which Python prefers
+                        continue
                     for stem in (root.joinpath(*parts[:n]) for n in range(1, len(parts) + 1)):
                         files = (stem.with_name(f"{stem.name}.py"), stem / "__init__.py")
                         waiting += [f for f in files if _is_helper(f, root)]
@@ -576,14 +601,20 @@ def _own_modules(file: Path) -> Iterator[None]:
             if other is not None and place != path:
                 others[name] = other
     _imported.update(contents.values())
-    sys.path.insert(0, str(root))
-    importlib.invalidate_caches()
+
+    def find_spec(name: str, *_: Any) -> Any:
+        if name in contents:
+            return importlib.util.spec_from_file_location(name, contents[name][0])
+        return None
+
+    finder: Any = SimpleNamespace(find_spec=find_spec)
+    sys.meta_path.insert(0, finder)
+    if str(root) not in sys.path:  # from which functions and worker processes import later
+        sys.path.append(str(root))
     try:
         yield
     finally:
-        sys.path.remove(str(root))
-        if str(root) not in sys.path:  # where functions and worker processes import from later
-            sys.path.append(str(root))
+        sys.meta_path.remove(finder)
         for name in contents.keys() & sys.modules.keys():
             cloudpickle.register_pickle_by_value(sys.modules[name])
         sys.modules.update(others)

@@ -21,6 +21,7 @@ from kneexo.parameters.control import (
 )
 from kneexo.parameters.fault import OPERATOR_INPUTS, FaultParameters
 from kneexo.parameters.fields import Words
+from kneexo.parameters.law import Law
 from kneexo.parameters.names import searched_for_names
 from kneexo.parameters.plant import RPM, PlantParameters, RodPolynomialParameters
 from kneexo.parameters.presets import with_preset
@@ -236,7 +237,7 @@ class Scenario(Parameters):
         states: Any = initial_state  # pydantic converts a list, an array or a number
         try:
             controller = LawParameters(
-                function=law,
+                function=Law.from_text(law) if isinstance(law, str) else law,
                 initial_state=states,
                 values=dict(values),
                 sample_time_s=sample_time_s or self.controller.sample_time_s,

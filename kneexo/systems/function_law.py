@@ -382,7 +382,7 @@ def hides_state(law: Law, states: int) -> bool:
 def _hides_state(law: Law, states: int) -> bool:
     function = law.copy_of_target()
     is_object = function is not law.target
-    before, of_original = _attributes(function), _attributes(law.target)
+    before, of_original = _values(function), _values(law.target)
     random = np.random.default_rng(1)
     changed = False
     try:
@@ -392,8 +392,8 @@ def _hides_state(law: Law, states: int) -> bool:
             changed |= not np.array_equal(first, again, equal_nan=True)
     except ParameterError:
         return False  # the run or the trace reports the cause
-    changed |= before is None or before != _attributes(function)
-    if changed and (not is_object or _attributes(law.target) != of_original):
+    changed |= before != _values(function) or (is_object and before is None)
+    if changed and (not is_object or _values(law.target) != of_original):
         raise ParameterError(
             f"law {law.short_name}: hides state: it changes outer variables, or returns two "
             f"commands for equal arguments; must take the argument state and return "
@@ -402,10 +402,11 @@ def _hides_state(law: Law, states: int) -> bool:
     return changed
 
 
-def _attributes(function: Any) -> bytes | None:
-    """Return the pickled attributes of an object; None if they cannot be pickled."""
+def _values(function: Any) -> bytes | None:
+    """Return the pickled attributes and closure of a law; None if they cannot be pickled."""
+    values = [getattr(function, name, None) for name in ("__dict__", "__closure__")]
     try:
-        pickled: bytes = cloudpickle.dumps(getattr(function, "__dict__", None))
+        pickled: bytes = cloudpickle.dumps(values)
     except Exception:  # pickling a user's object may raise any error
         return None
     return pickled
