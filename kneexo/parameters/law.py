@@ -13,14 +13,16 @@ import importlib.util
 import inspect
 import math
 import multiprocessing
+import re
 import sys
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 from numbers import Real
 from pathlib import Path
-from types import CodeType, FunctionType, MethodType, ModuleType, SimpleNamespace
+from types import MethodType, ModuleType, SimpleNamespace
 from typing import Any, NamedTuple
 
 import cloudpickle
@@ -106,34 +108,32 @@ class Law:
         stranger's, so it cannot name what this system has installed. Raises `ParameterError` unless
         ``text`` names a Python file in ``directory`` or below; a link must not lead out of it.
         """
-        law = cls._named(text, directory)
-        file, folder = vars(law).get("file"), Path(directory).resolve()
-        if file is None or not file.is_relative_to(folder):
-            raise ParameterError(
-                f"law {shortened(text)!r}: must be NAME.py:function, in a file beside or below the "
-                f"scenario file; copy the law there, or name a law that you trust with --law"
-            )
+        law = cls._named(text, directory, is_data=True)
         law.written, law._is_announced = text, True
         return law
 
     @classmethod
-    def _named(cls, text: str, directory: str | Path) -> Law:
+    def _named(cls, text: str, directory: str | Path, *, is_data: bool = False) -> Law:
         """Return a law whose `target` is imported when it is first read."""
         name, _, digest = text.partition("#")
         place, _, path = name.rpartition(":")
         subject = f"law {shortened(name)!r}"
-        if "<" in name or place == "__main__":
-            raise _session_error(subject)
+        _require_no_session(name, repr(shortened(name)))
         if not place or not path or ".py:" in place:
             raise ParameterError(f"{subject}: must be FILE.py:NAME, such as my.py:law")
         law = cls.__new__(cls)
         law.memo, law._digest, law._subject = {}, digest, subject
-        if place.endswith(".py"):
-            with user_code(f"{subject}: the file cannot be read"):
-                law.file = file = Path(directory, place).resolve()
+        with user_code(f"{subject}: the file cannot be read"):
+            file = Path(directory, place).resolve() if place.endswith(".py") else None
+            if is_data and not (file and file.is_relative_to(Path(directory).resolve())):
+                raise ParameterError(
+                    f"{subject}: must be NAME.py:function, in a file beside or below the scenario "
+                    f"file; copy the law there, or name a law that you trust with --law"
+                )
+            if file is not None:
                 if not file.is_file():
                     raise ParameterError(f"{subject}: there is no file {shortened(str(file), 200)}")
-            name = f"{file}:{path}"
+                law.file, name = file, f"{file}:{path}"
         law.name = law.written = name
         return law
 
@@ -150,8 +150,7 @@ class Law:
         if file is None:
             target = function_at(self.name, self._subject)
         else:
-            with user_code(f"{self._subject}: the file cannot be read"):
-                self.sources = _sources(file)
+            vars(self).pop("sources", None)  # of an earlier content
             with user_code(f"{self._subject}: the file fails"):
                 module = _module(file, self._subject, self.digest)
             if not hasattr(module, path):
@@ -177,9 +176,7 @@ class Law:
 
         No name leads to a lambda. The name of an object leads to its class.
         """
-        place = self.name.rpartition(":")[0]
-        if "<" in self.name or place == "__main__":
-            raise _session_error(f"law {self.short_name}")
+        _require_no_session(self.name, self.short_name)
         if not self.sources:
             raise ParameterError(
                 f"law {self.short_name}: this name leads to other code or values; give the law as "
@@ -203,39 +200,26 @@ class Law:
         The keys are paths relative to the folder, the law's file first. In a package, the folder is
         that which contains the package. Empty without `file`.
         """
-        return {} if self.file is None else _sources(self.file)
+        with user_code(f"law {self.short_name}: the file cannot be read"):
+            return {} if self.file is None else _sources(self.file)
 
     @property
     def digest(self) -> str:
         """Digest of `sources`; an empty text without sources."""
-        sums = [f"{p} {hashlib.sha256(data).hexdigest()}" for p, data in self.sources.items()]
-        return hashlib.sha256("\n".join(sums).encode()).hexdigest() if sums else ""
+        return hashlib.sha256(repr(self.sources).encode()).hexdigest() if self.sources else ""
 
     @cached_property
     def names(self) -> frozenset[str]:
-        """Names of globals and attributes that the law reads, and the functions that it calls."""
-        names: set[str] = set()
-        waiting, seen = [self.target, type(self.target).__call__], set[CodeType]()
-        while waiting:
-            value = waiting.pop()
-            value = value.func if isinstance(value, partial) else value
-            value = value.__func__ if isinstance(value, MethodType) else value
-            if not isinstance(value, FunctionType) or value.__code__ in seen:
-                continue
-            seen.add(value.__code__)
-            if value.__code__.co_filename.startswith(NOT_OF_USERS):
-                continue
-            read = _names(value.__code__)
-            names.update(read)
-            cells = [c.cell_contents for c in value.__closure__ or () if _filled(c)]
-            found = [value.__globals__.get(name) for name in read]
-            modules = [vars(m) for m in found if isinstance(m, ModuleType)]
-            members = vars(type(self.target))  # methods that it calls
-            found += [
-                space[name] for space in (*modules, members) for name in read if name in space
-            ]
-            waiting += [v for v in (*cells, *found) if callable(v)]
-        return frozenset(names)
+        """Words in the file of the law's code and in the files that it imports from its folder.
+
+        Code without a file, such as code that was typed in, might have `if_then_else`.
+        """
+        code = getattr(self.target, "func", self.target)  # of a functools.partial
+        code = code if inspect.isroutine(code) or inspect.isclass(code) else type(code)
+        with suppress(TypeError, OSError):
+            texts = _sources(Path(inspect.getsourcefile(code) or "")).values()
+            return frozenset(re.findall(r"\w+", b" ".join(texts).decode(errors="replace")))
+        return frozenset({"if_then_else"})
 
     def copy_of_target(self) -> Any:
         """Return a copy of an object that can be called, or else the function itself.
@@ -464,11 +448,12 @@ def _unpickled(data: bytes, name: str, sources: Any, subject: str) -> Law:
     return law
 
 
-def _session_error(subject: str) -> ParameterError:
-    return ParameterError(
-        f"{subject}: existed only in the Python session that made it; must be a function in a "
-        f"file, FILE.py:NAME"
-    )
+def _require_no_session(name: str, shown_name: str) -> None:
+    if "<" in name or name.startswith("__main__:"):
+        raise ParameterError(
+            f"law {shown_name}: existed only in the Python session that made it; must be a "
+            f"function in a file, FILE.py:NAME"
+        )
 
 
 def _checked(target: Any) -> Any:
@@ -516,36 +501,38 @@ def _sources(file: Path) -> dict[str, bytes]:
     root, found, waiting = _root(file), dict[str, bytes](), [file]
     while waiting:
         path = waiting.pop().relative_to(root)
-        if (name := path.as_posix()) in found:
-            continue
-        found[name] = (root / path).read_bytes()
-        with suppress(
-            SyntaxError, ValueError, RecursionError, MemoryError
-        ):  # the import reports it
-            for node in ast.walk(ast.parse(found[name])):
-                for parts in _imports(node, path.parent.parts):
-                    if parts and parts[0] in sys.stdlib_module_names:  # which Python prefers
-                        continue
-                    for stem in (root.joinpath(*parts[:n]) for n in range(1, len(parts) + 1)):
-                        files = (stem.with_name(f"{stem.name}.py"), stem / "__init__.py")
-                        waiting += [f for f in files if _is_helper(f, root)]
+        if (name := path.as_posix()) not in found:
+            found[name] = (root / path).read_bytes()
+            waiting += _imports(found[name], root, path.parent.parts)
     return found
 
 
-def _imports(node: ast.AST, package: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
-    """Yield the parts of each dotted name that a statement in a module of ``package`` imports."""
-    if isinstance(node, ast.Import):
-        yield from (tuple(alias.name.split(".")) for alias in node.names)
-    elif isinstance(node, ast.ImportFrom):
-        above = package[: len(package) + 1 - node.level] if node.level else ()
-        base = (*above, *(node.module or "").split(".")) if node.module else above
-        yield from ((*base, alias.name) for alias in node.names)
+def _imports(source: bytes, root: Path, package: tuple[str, ...]) -> list[Path]:
+    """Return the files below ``root`` that a module of ``package`` imports, if it is Python."""
+    files = []
+    with warnings.catch_warnings(action="ignore"), suppress(*_NO_PYTHON):
+        for node in ast.walk(ast.parse(source)):
+            if isinstance(node, ast.Import | ast.ImportFrom):
+                level = getattr(node, "level", 0)  # the number of dots of a relative import
+                above = package[: len(package) + 1 - level] if level else ()
+                base = ".".join([*above, getattr(node, "module", None) or ""])
+                for parts in (f"{base}.{alias.name}".strip(".").split(".") for alias in node.names):
+                    for stem in (root.joinpath(*parts[:n]) for n in range(1, len(parts) + 1)):
+                        files += [stem.with_name(f"{stem.name}.py"), stem / "__init__.py"]
+        return [file for file in files if _is_helper(file, root)]
+    return []
+
+
+_NO_PYTHON = (SyntaxError, ValueError, RecursionError, MemoryError, OSError)
+"""Errors for a file that is no Python or imports impossible names; its import reports them."""
 
 
 def _is_helper(file: Path, root: Path) -> bool:
     """Return whether a file of the user is there, and no link leads to it out of ``root``."""
-    path = file.resolve()
-    return path.is_file() and path.is_relative_to(root) and not str(path).startswith(NOT_OF_USERS)
+    path, name = file.resolve(), file.relative_to(root).parts[0].removesuffix(".py")
+    if name in sys.stdlib_module_names or str(path).startswith(NOT_OF_USERS):  # Python prefers them
+        return False
+    return path.is_file() and path.is_relative_to(root)
 
 
 @lru_cache(maxsize=64)
@@ -641,20 +628,3 @@ def _name_of(target: Any) -> str:
         except TypeError:  # a class that was typed into an interpreter
             pass
     return f"{module}:{target.__qualname__}"
-
-
-def _filled(cell: Any) -> bool:
-    try:
-        cell.cell_contents  # noqa: B018  (raises ValueError before the variable has a value)
-    except ValueError:
-        return False
-    return True
-
-
-def _names(code: CodeType) -> list[str]:
-    """Return the names of globals and attributes that a code and its nested functions read."""
-    names = list(code.co_names)
-    for constant in code.co_consts:
-        if isinstance(constant, CodeType):
-            names += _names(constant)
-    return names

@@ -280,15 +280,15 @@ def law_key(scenario: Scenario) -> str | None:
     may come from elsewhere. Returns None for a law whose name in a file does not lead to it.
     """
     law = users_law(scenario)
+    code = f"{law.digest} {law.name.rpartition(':')[2]}"
     try:
         if why_python(scenario):
-            at_points = commands_at_points(scenario)
-            return f"{law.digest} {law.name.rpartition(':')[2]} {at_points}" if law.digest else None
+            return f"{code} {commands_at_points(scenario)}" if law.digest else None
         if law.is_system:
             return repr(_unknown_parts(scenario))
         return structure_key(scenario)
     except KneexoError as error:  # the run will fail alike
-        return str(error)
+        return f"{code} {error}"
 
 
 # --------------------------------------------------------------- parameters, state, inputs
