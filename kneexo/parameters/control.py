@@ -200,9 +200,9 @@ class LawParameters(Parameters):
     """A control law of the user in place of kneexo's laws.
 
     ``function`` is a function, a Drake system, or a class or function that makes a Drake system.
-    ``function`` can also be the name ``FILE.py:NAME`` of a law beside or below the scenario file,
-    or the working directory in Python. Then the law is imported, and its values are checked, when
-    it is used first, by `loaded`.
+    ``function`` can also be the name ``FILE.py:NAME`` of a law. In a scenario file, FILE.py lies
+    beside or below that file. Then the law is imported, and its values are checked, when the law is
+    used first, by `loaded`.
 
     The law reads the signals of `kneexo.parameters.law.LAW_INPUTS` whose names are arguments of the
     function, or input ports of the system. A function may have the arguments ``time_s`` and

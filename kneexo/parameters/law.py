@@ -118,7 +118,7 @@ class Law:
         name, _, digest = text.partition("#")
         place, _, path = name.rpartition(":")
         subject = f"law {shortened(name)!r}"
-        _require_no_session(name, repr(shortened(name)))
+        _require_no_session(name)
         if not place or not path or ".py:" in place:
             raise ParameterError(f"{subject}: must be FILE.py:NAME, such as my.py:law")
         law = cls.__new__(cls)
@@ -176,7 +176,7 @@ class Law:
 
         No name leads to a lambda. The name of an object leads to its class.
         """
-        _require_no_session(self.name, self.short_name)
+        _require_no_session(self.name)
         if not self.sources:
             raise ParameterError(
                 f"law {self.short_name}: this name leads to other code or values; give the law as "
@@ -414,16 +414,19 @@ class Law:
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Return pydantic's schema: accept a text or a target; write name and digest.
 
-        A text is data, so nothing is imported: see `from_data`.
+        A text of a scenario file is data, so its law is not imported yet: see `from_data`.
         """
 
         def validate(value: Any, info: core_schema.ValidationInfo) -> Law:
             if isinstance(value, Law):
                 return value
             try:
-                if isinstance(value, str):
-                    return cls.from_data(value, (info.context or {}).get("directory", "."))
-                return cls(value)
+                if not isinstance(value, str):
+                    return cls(value)
+                directory = (info.context or {}).get("directory")  # of a scenario file
+                return (
+                    cls.from_text(value) if directory is None else cls.from_data(value, directory)
+                )
             except ParameterError as error:
                 raise ValueError(str(error)) from None
 
@@ -448,10 +451,10 @@ def _unpickled(data: bytes, name: str, sources: Any, subject: str) -> Law:
     return law
 
 
-def _require_no_session(name: str, shown_name: str) -> None:
+def _require_no_session(name: str) -> None:
     if "<" in name or name.startswith("__main__:"):
         raise ParameterError(
-            f"law {shown_name}: existed only in the Python session that made it; must be a "
+            f"law {shortened(name)!r}: existed only in the Python session that made it; must be a "
             f"function in a file, FILE.py:NAME"
         )
 

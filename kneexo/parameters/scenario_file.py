@@ -138,6 +138,10 @@ def load_uncertainty(
         if any(isinstance(part, dict) for part in value.values()):
             message = f"{place}: must be a dotted path, such as plant.cylinder.mass_kg"
             raise file_error(name, lines[place,], message)
+        parts = [part for part in value.get("options") or () if isinstance(part, dict)]
+        if place == "controller.function" or any("function" in part for part in parts):
+            message = f"{place}: must name no law; vary its gains, such as controller.values.gain"
+            raise file_error(name, lines[place,], message)
         try:
             values[place] = Uncertainty.__pydantic_validator__.validate_python(value)
             require_applicable(scenario, place, values[place], data)

@@ -213,8 +213,11 @@ def test_a_scenario_file_names_no_code_elsewhere(name: str, tmp_path: Path, monk
     with pytest.raises(ScenarioError, match=r"must be NAME.py:function, .* with --law$"):
         load_scenario(path)
     path.write_text(f"controller.function: {{options: [{text}]}}\n")
-    with pytest.raises(ScenarioError, match=r"must be NAME.py:function, .* with --law$"):
+    with pytest.raises(ScenarioError, match=r"controller.function: must name no law"):
         load_uncertainty(path, Scenario().with_law(law))
+    path.write_text(f"controller: {{options: [{{kind: law, function: {text}}}]}}\n")
+    with pytest.raises(ScenarioError, match=r"controller: must name no law; vary its gains"):
+        load_uncertainty(path)
     assert not (tmp_path / "ran").exists()
 
 
