@@ -285,7 +285,7 @@ class ScenarioChoice:
             with _argument():
                 with_preset(self.preset, {})
         if self.path is not None:
-            scenario = load_scenario(self.path, self.preset)
+            scenario = load_scenario(self.path, self.preset, without_law=self.law is not None)
         elif self.preset is not None:
             scenario = Scenario.preset(self.preset)
         else:

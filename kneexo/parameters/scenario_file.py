@@ -45,7 +45,9 @@ _MOST_VALUES = 100_000  # read in two seconds; aliases can multiply a short text
 _DEEPEST = 20
 
 
-def load_scenario(path: str | os.PathLike[str], preset: str | None = None) -> Scenario:
+def load_scenario(
+    path: str | os.PathLike[str], preset: str | None = None, *, without_law: bool = False
+) -> Scenario:
     """Read a scenario from a YAML file. A preset gives the values that the file lacks.
 
     Parameters
@@ -56,6 +58,9 @@ def load_scenario(path: str | os.PathLike[str], preset: str | None = None) -> Sc
     preset
         Name of the preset (`kneexo.parameters.presets.PRESETS`). If it is None, the entry
         ``preset`` of the file has the name; a file without this entry starts from the defaults.
+    without_law
+        True: leave out a law of the user, which the caller does not need or replaces, so that it
+        may also be one that a file cannot name. Only its sample time and its limit are kept.
 
     Raises
     ------
@@ -75,6 +80,10 @@ def load_scenario(path: str | os.PathLike[str], preset: str | None = None) -> Sc
             raise file_error(name, _line(lines, ("preset",)), str(error)) from None
     else:
         data = with_preset(preset, data)
+    law = data.get("controller")
+    if without_law and isinstance(law, Mapping) and law.get("kind") == "law":
+        kept = law.keys() & {"sample_time_s", "command_limit_rad_s"}
+        data = {**data, "controller": {name: law[name] for name in kept}}
     try:
         validator = Scenario.__pydantic_validator__
         scenario: Scenario = validator.validate_python(

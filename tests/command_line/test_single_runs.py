@@ -342,3 +342,5 @@ def test_a_scenario_file_cannot_name_a_module(name, scenario_file, tmp_path, cap
     assert line.count("\n") == 1
     assert f"law {name!r}: must be NAME.py:function" in line
     assert "--law" in line
+    law = f"{Path(__file__).parents[2] / 'examples' / 'own_law.py'}:law"
+    assert main(["params", path, "--law", law, "--find", "controller.function"]) == 0
