@@ -20,9 +20,7 @@ from kneexo.diagrams.controller import has_unknown_parts
 from kneexo.diagrams.law import (
     known_text,
     makers_called_once,
-    remembered,
     runs_as_python,
-    users_law,
 )
 from kneexo.diagrams.wearer import moment_of, moment_spline
 from kneexo.errors import LinearizationError, NoEquilibriumError
@@ -34,7 +32,7 @@ from kneexo.parameters import (
     StepReference,
 )
 from kneexo.result import Array
-from kneexo.simulation.compiled import structure_key
+from kneexo.simulation.compiled import law_key, structure_key
 from kneexo.systems.function_law import hides_state
 
 _NO_LIMIT = 1e12
@@ -110,8 +108,7 @@ def _shared_equations(scenario: Scenario, law: LawTangent | None) -> DiagramEqua
     if law is not None:  # such laws share a structure, but for the numbers of states
         return recent_equations.of(f"{key} {law.sizes}", read)
     if has_unknown_parts(scenario):  # whose Context parameters cannot be set by name
-        key += known_text(scenario)
-        return remembered(users_law(scenario), key, read)
+        key += f"{known_text(scenario)} {law_key(scenario)}"
     return recent_equations.of(key, read)
 
 

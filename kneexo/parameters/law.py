@@ -217,8 +217,8 @@ class Law:
         code = getattr(self.target, "func", self.target)  # of a functools.partial
         code = code if inspect.isroutine(code) or inspect.isclass(code) else type(code)
         with suppress(TypeError, OSError):
-            texts = _sources(Path(inspect.getsourcefile(code) or "")).values()
-            return frozenset(re.findall(r"\w+", b" ".join(texts).decode(errors="replace")))
+            file = Path(inspect.getsourcefile(code) or "")
+            return _words(file, file.stat().st_mtime_ns)
         return frozenset({"if_then_else"})
 
     def copy_of_target(self) -> Any:
@@ -508,6 +508,13 @@ def _sources(file: Path) -> dict[str, bytes]:
             found[name] = (root / path).read_bytes()
             waiting += _imports(found[name], root, path.parent.parts)
     return found
+
+
+@lru_cache(maxsize=64)
+def _words(file: Path, time_ns: int) -> frozenset[str]:
+    """Return the words in `_sources` of a file that was changed last at ``time_ns``."""
+    text = b" ".join(_sources(file).values()).decode(errors="replace")
+    return frozenset(re.findall(r"\w+", text))
 
 
 def _imports(source: bytes, root: Path, package: tuple[str, ...]) -> list[Path]:
