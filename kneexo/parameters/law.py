@@ -390,6 +390,7 @@ class Law:
     def __reduce__(self) -> tuple[Callable[..., Law], tuple[Any, ...]]:
         """Pickle the code and its values, or else the name if it leads to this law."""
         if id(self.target) in _pickling.get():  # a law may read a scenario that contains the law
+            self.require_name()
             return type(self).from_text, (self.identity(),)
         token = _pickling.set(_pickling.get() | {id(self.target)})
         try:
