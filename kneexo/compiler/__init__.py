@@ -46,7 +46,7 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
     from .compiled_system import CompiledSystem as CompiledSystem
     from .diagram_equations import (
         DiagramEquations as DiagramEquations,
-        expressions_key as expressions_key,
+        ExpressionGraph as ExpressionGraph,
         read_diagram as read_diagram,
     )
     from .equations.truth import truth_of_scalars as truth_of_scalars
@@ -128,7 +128,7 @@ else:
         "c.vectors": ("Vectors", "recorded_vectors"),
         "c.wasm": ("WasmModule", "wasm_files", "wasm_module", "wasm_table"),
         "compiled_system": ("CompiledSystem",),
-        "diagram_equations": ("DiagramEquations", "expressions_key", "read_diagram"),
+        "diagram_equations": ("DiagramEquations", "ExpressionGraph", "read_diagram"),
         "equations.truth": ("truth_of_scalars",),
         "errors": (
             *("CompilationError", "Error", "LinearizationError", "NoEquilibriumError"),

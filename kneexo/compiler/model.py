@@ -556,7 +556,11 @@ def compile_diagram(diagram: Any, *, inputs: Iterable[str] = ()) -> DiagramModel
 
 
 def compile_by_key(
-    key: str, make_diagram: Callable[[], Any], *, inputs: Sequence[str] = ()
+    key: str,
+    make_diagram: Callable[[], Any],
+    *,
+    inputs: Sequence[str] = (),
+    outputs: Sequence[str] = (),
 ) -> CompiledModel:
     """Return a compiled model. The diagram is built later, and only if it is needed.
 
@@ -572,10 +576,14 @@ def compile_by_key(
         can be pickled.
     inputs
         Names of the input ports that stay open: see `compile_diagram`.
+    outputs
+        Names of ports inside the diagram that become outputs too: see `read_diagram`.
     """
-    code = MachineCode(key, partial(_equations, make_diagram, tuple(inputs)))
+    code = MachineCode(key, partial(_equations, make_diagram, tuple(inputs), tuple(outputs)))
     return CompiledModel(code, partial(_context_at, make_diagram))
 
 
-def _equations(make_diagram: Callable[[], Any], inputs: Sequence[str]) -> Equations:
-    return read_diagram(make_diagram(), inputs=inputs).equations
+def _equations(
+    make_diagram: Callable[[], Any], inputs: Sequence[str], outputs: Sequence[str]
+) -> Equations:
+    return read_diagram(make_diagram(), inputs=inputs, outputs=outputs).equations
