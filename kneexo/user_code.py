@@ -73,7 +73,7 @@ def function_at(name: str, subject: str) -> Any:
                 found = getattr(found, attribute)
             except AttributeError as error:
                 raise ParameterError(
-                    f"{subject}: {shortened(str(error), 300)}; must be module:function on the "
+                    f"{subject}: {shortened(text_of(error), 300)}; must be module:function on the "
                     f"Python path"
                 ) from None
     return found

@@ -13,7 +13,7 @@ from itertools import chain
 from numbers import Real
 from time import process_time
 from types import FunctionType, MethodType
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from pydrake.autodiffutils import AutoDiffXd
@@ -25,6 +25,8 @@ from kneexo.parameters import LAW_INPUTS, CylinderParameters, KneeParameters, La
 from kneexo.result import Array
 from kneexo.systems._leaf import NamedLeaf, clip, discrete_state, fill, leaf_template
 from kneexo.user_code import place_in_user_code, text_of, user_code
+
+T = TypeVar("T")
 
 LAW_COMMAND = "law_command"
 """Name of the input port of `HeldCommand`."""
@@ -443,13 +445,13 @@ def replay(
     traced = _memo(law)["trace", states]
     traced.replayed = True
     columns = np.hstack([*arguments.values(), command_and_state])
-    rows = np.linspace(0, len(columns) - 1, min(_SAMPLES, len(columns))).astype(int)
+    even = np.linspace(0, len(columns) - 1, min(_SAMPLES, len(columns))).astype(int)
     extremes = np.concatenate([columns.argmin(axis=0), columns.argmax(axis=0)])
-    rows = np.unique(np.concatenate([rows, extremes]))
+    # A set, because numpy.unique imports numpy.ma, which takes 10 ms.
+    rows = _affordable(law, sorted({*even.tolist(), *extremes.tolist()}))
     points = [{name: values[row] for name, values in arguments.items()} for row in rows]
-    points, found = _affordable(law, points), _affordable(law, command_and_state[rows])
     hides, numbers = _find_hidden_state(law, states, points)
-    if not hides and _differ(law, points, found, numbers, command_limit_rad_s):
+    if not hides and _differ(law, points, command_and_state[[*rows]], numbers, command_limit_rad_s):
         traced.why_not_compiled = _DIFFER
 
 
@@ -500,24 +502,18 @@ def _values(law: Law, points: Sequence[Mapping[str, Array]]) -> Array:
     """
     function = law.copy_of_target()
     rows = []
-    for point in points:
-        states = point["state"].size if "state" in point else 0
-        try:
-            with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"):
+        for point in points:
+            try:
                 rows.append(call_law(law, function, point))
-        except ParameterError:
-            rows.append([math.nan] * (1 + states))
+            except ParameterError:
+                rows.append([math.nan] * (1 + len(point.get("state", ()))))
     return np.array(rows)
 
 
-def _affordable(law: Law, points: Any) -> Any:
+def _affordable(law: Law, points: Sequence[T]) -> Sequence[T]:
     """Return as many of the points as a slow function can be called for, evenly chosen."""
     memo = _memo(law)
-    if "call_s" not in memo:
-        _values(law, points[:1])  # the first call may take longer
-        start = process_time()
-        _values(law, points[:1])
-        memo["call_s"] = process_time() - start
     return points[:: max(1, math.ceil(memo["call_s"] * len(points) / _MOST_TIME_S))]
 
 
@@ -529,8 +525,12 @@ def hides_state(law: Law, states: int) -> bool:
     """
     memo = _memo(law)
     if ("hides_state", states) not in memo:
-        before = _outer_values(law.target)
-        _find_hidden_state(law, states, _affordable(law, _points(law, states)))
+        before, points = _outer_values(law.target), _points(law, states)
+        _values(law, points[:1])  # the first call may take longer
+        start = process_time()
+        _values(law, points[:1])
+        memo["call_s"] = process_time() - start
+        _find_hidden_state(law, states, _affordable(law, points))
         if before != _outer_values(law.target):
             memo["hides_state", states] = _HIDES
     hides = memo["hides_state", states]
@@ -575,7 +575,8 @@ def _outer_values(function: Any) -> list[bytes]:
     functions of this module. A value that pickle cannot write is left out.
     """
     if not isinstance(function, FunctionType):
-        function = getattr(function, "__func__", type(function).__call__)
+        is_method = isinstance(function, MethodType)
+        function = function.__func__ if is_method else type(function).__call__
     pending, seen, pickled = [function], set(), []
     while pending:
         function = pending.pop()

@@ -29,6 +29,7 @@ from ..errors import CompilationError
 from .equations import Equations, Limit, Section, Update
 from .events import refuse_witness_functions, symbolic_value, to_symbolic
 from .names import numbered_names, parameter_groups, state_names
+from .periods import timing_of
 from .ports import find_port, route_of, size_of
 from .symbolic import Conversion, Steps, completed
 from .tree import Node, Port
@@ -180,12 +181,7 @@ class _Reader:
                 lambda: system.EvalTimeDerivatives(context).CopyToVector().tolist(),
             )
         if context.num_discrete_state_groups():
-            timing = system.GetUniquePeriodicDiscreteUpdateAttribute()
-            if timing is None:
-                raise CompilationError(
-                    f"{leaf.node.name}: has a discrete state but not exactly one sample period; "
-                    f"split it"
-                )
+            timing = timing_of(leaf.node)
             nodes = self._evaluated(
                 "discrete update",
                 leaf,
