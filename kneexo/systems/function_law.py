@@ -323,6 +323,7 @@ _SAMPLES = 300  # a difference in 1 % of the samples is missed by 5 % of such ra
 _MOST_TIME_S = 0.02  # processor time of one pass through the points
 _ZERO = Expression(0.0)
 _TOLERANCE = 1e-9  # sums in another order; conditioning of a law with gains up to 1e6
+_CHANGES = "the object changes when it is called"
 _DIFFER = "the equations that were read off differ from calls with numbers"
 
 
@@ -370,7 +371,7 @@ def trace(law: Law, states: int) -> Trace:
     be copied.
     """
     if hides_state(law, states):
-        return Trace("the object changes when it is called")
+        return Trace(_CHANGES)
     memo = _memo(law)
     try:
         graph = _symbolic_call(law, states)
@@ -451,7 +452,9 @@ def replay(
     rows = _affordable(law, sorted({*even.tolist(), *extremes.tolist()}))
     points = [{name: values[row] for name, values in arguments.items()} for row in rows]
     hides, numbers = _find_hidden_state(law, states, points)
-    if not hides and _differ(law, points, command_and_state[[*rows]], numbers, command_limit_rad_s):
+    if hides:
+        traced.why_not_compiled = _CHANGES
+    elif _differ(law, points, command_and_state[[*rows]], numbers, command_limit_rad_s):
         traced.why_not_compiled = _DIFFER
 
 
