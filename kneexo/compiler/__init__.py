@@ -49,10 +49,12 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
         ExpressionGraph as ExpressionGraph,
         read_diagram as read_diagram,
     )
+    from .equations.comparison import differ as differ
     from .equations.periods import holders_of as holders_of, sample_timings as sample_timings
     from .equations.truth import truth_of_scalars as truth_of_scalars
     from .errors import (
         CompilationError as CompilationError,
+        DifferenceError as DifferenceError,
         Error as Error,
         LinearizationError as LinearizationError,
         NoEquilibriumError as NoEquilibriumError,
@@ -130,10 +132,12 @@ else:
         "c.wasm": ("WasmModule", "wasm_files", "wasm_module", "wasm_table"),
         "compiled_system": ("CompiledSystem",),
         "diagram_equations": ("DiagramEquations", "ExpressionGraph", "read_diagram"),
+        "equations.comparison": ("differ",),
         "equations.periods": ("holders_of", "sample_timings"),
         "equations.truth": ("truth_of_scalars",),
         "errors": (
-            *("CompilationError", "Error", "LinearizationError", "NoEquilibriumError"),
+            *("CompilationError", "DifferenceError", "Error", "LinearizationError"),
+            "NoEquilibriumError",
             *("OutputError", "ParameterError", "ResultError", "SimulationError"),
             *("StiffnessError", "UnstableStepError", "escaped", "shortened", "shown"),
         ),

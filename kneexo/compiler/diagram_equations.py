@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from functools import cached_property
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -72,6 +73,7 @@ def read_diagram(
     inputs: Iterable[str] = (),
     outputs: Iterable[str] = (),
     bypass: Iterable[str] = (),
+    trusted: Sequence[str | Path] = (),
 ) -> DiagramEquations:
     """Return the equations of a diagram of floats.
 
@@ -88,6 +90,8 @@ def read_diagram(
         output ports of the diagram. The signal includes the perturbations of the same port.
     bypass
         Paths of systems, such as quantizers, whose output becomes their first input.
+    trusted
+        Folders whose leaf systems are not compared: see `compile_diagram`.
 
     Errors: see `compile_diagram`.
     """
@@ -103,13 +107,14 @@ def read_diagram(
             root,
             {port: find_port(root, port, "input") for port in in_names},
             {port: find_port(root, port, "output") for port in out_names},
+            trusted,
         )
     except CompilationError as error:
         # The path of a single leaf system is empty, and a user may not know of `inputs`.
         text = f"{name}{error}" if str(error).startswith(": ") else str(error)
         if "is not connected" in text:
             text += "; connect it, or name the diagram's port in inputs"
-        raise CompilationError(text) from error
+        raise type(error)(text) from error
     return DiagramEquations(diagram, equations, root)
 
 

@@ -9,6 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
+from pathlib import Path
 from threading import Event, local
 from typing import Any
 
@@ -530,11 +531,16 @@ def _context_at(make_diagram: Callable[[], Any], parameters: Array) -> tuple[Nod
     return root, context
 
 
-def compile_diagram(diagram: Any, *, inputs: Iterable[str] = ()) -> DiagramModel:
+def compile_diagram(
+    diagram: Any, *, inputs: Iterable[str] = (), trusted: Sequence[str | Path] = ()
+) -> DiagramModel:
     """Compile a diagram of floats whose leaves convert to Drake's Expression.
 
     A leaf on which no state, margin or output depends, such as a logger, need not convert. The
     machine code is made when it is first used, and stored on disk in `cache_directory`.
+
+    The equations of a leaf that is written in Python are compared with calls of the leaf of floats,
+    at the default Context and at eight points around it.
 
     Parameters
     ----------
@@ -545,14 +551,18 @@ def compile_diagram(diagram: Any, *, inputs: Iterable[str] = ()) -> DiagramModel
         Names of the diagram's input ports that stay open. Each run gives the values of the open
         ports. All other input ports of the diagram count as unconnected. A name
         ``path/of/system:port`` stands for a port inside the diagram: see `read_diagram`.
+    trusted
+        Folders of Python files whose leaf systems are not compared.
 
     Raises
     ------
     CompilationError
         ``diagram`` is no system of floats, or a subsystem cannot be converted. The message names
         the subsystem and the port.
+    DifferenceError
+        A leaf in Python computes otherwise than its symbolic form, such as a leaf that hides state.
     """
-    return DiagramModel(read_diagram(diagram, inputs=inputs))
+    return DiagramModel(read_diagram(diagram, inputs=inputs, trusted=trusted))
 
 
 def compile_by_key(
@@ -561,6 +571,7 @@ def compile_by_key(
     *,
     inputs: Sequence[str] = (),
     outputs: Sequence[str] = (),
+    trusted: Sequence[str | Path] = (),
 ) -> CompiledModel:
     """Return a compiled model. The diagram is built later, and only if it is needed.
 
@@ -578,12 +589,13 @@ def compile_by_key(
         Names of the input ports that stay open: see `compile_diagram`.
     outputs
         Names of ports inside the diagram that become outputs too: see `read_diagram`.
+    trusted
+        Folders whose leaf systems are not compared: see `compile_diagram`.
     """
-    code = MachineCode(key, partial(_equations, make_diagram, tuple(inputs), tuple(outputs)))
+    arguments = {"inputs": tuple(inputs), "outputs": tuple(outputs), "trusted": tuple(trusted)}
+    code = MachineCode(key, partial(_equations, make_diagram, **arguments))
     return CompiledModel(code, partial(_context_at, make_diagram))
 
 
-def _equations(
-    make_diagram: Callable[[], Any], inputs: Sequence[str], outputs: Sequence[str]
-) -> Equations:
-    return read_diagram(make_diagram(), inputs=inputs, outputs=outputs).equations
+def _equations(make_diagram: Callable[[], Any], **arguments: Any) -> Equations:
+    return read_diagram(make_diagram(), **arguments).equations

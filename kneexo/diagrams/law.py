@@ -10,10 +10,11 @@ from pydrake.systems.framework import System
 
 from kneexo import systems
 from kneexo.compiler import holders_of, read_diagram, sample_timings
-from kneexo.errors import CompilationError, KneexoError, ParameterError
+from kneexo.errors import CompilationError, DifferenceError, KneexoError, ParameterError
 from kneexo.parameters import LAW_INPUTS, Law, LawParameters, Scenario
 from kneexo.rod_polynomial import controller_polynomial
 from kneexo.systems.function_law import trace
+from kneexo.user_code import PACKAGE
 
 T = TypeVar("T")
 
@@ -138,7 +139,9 @@ def _read(law: Law, arguments: Mapping[str, Any]) -> _SystemLaw:
         raise ParameterError(f"law {law.short_name}: {error}") from None
     # `any_system` accepts a system that runs as Python only, `make_system` one that can be cloned.
     try:
-        read_diagram(law.make_system(arguments), inputs=inputs)
+        read_diagram(law.make_system(arguments), inputs=inputs, trusted=[PACKAGE])
+    except DifferenceError as error:
+        raise ParameterError(f"law {law.short_name}: {error}") from None
     except KneexoError as error:
         return _SystemLaw(str(error), inputs, timings, holders)
     return _SystemLaw("", inputs, timings, holders)

@@ -13,6 +13,7 @@ from kneexo.errors import CompilationError
 from kneexo.parameters import Scenario
 from kneexo.parameters.scenario_file import as_scenario
 from kneexo.simulation.compiled import compile_scenario, why_python_in_run
+from kneexo.user_code import PACKAGE
 
 
 @overload
@@ -60,7 +61,7 @@ def compile(
     after 10 s: 0.04 rad
     """
     if not isinstance(system, Scenario | str | PathLike):
-        return compile_diagram(system, inputs=inputs)
+        return compile_diagram(system, inputs=inputs, trusted=[PACKAGE])
     if isinstance(inputs, str) or tuple(inputs):
         raise CompilationError(
             "inputs: must be left out for a scenario; compile a diagram to choose them"

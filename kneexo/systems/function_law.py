@@ -19,7 +19,7 @@ import numpy as np
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.symbolic import Expression, Variable
 
-from kneexo.compiler import ExpressionGraph, truth_of_scalars
+from kneexo.compiler import ExpressionGraph, differ, truth_of_scalars
 from kneexo.errors import CompilationError, ParameterError, SimulationError, shortened
 from kneexo.parameters import LAW_INPUTS, CylinderParameters, KneeParameters, Law, LawParameters
 from kneexo.result import Array
@@ -322,7 +322,6 @@ States can be flags, counters or integrals. Small inputs leave a command within 
 _SAMPLES = 300  # a difference in 1 % of the samples is missed by 5 % of such random choices
 _MOST_TIME_S = 0.02  # processor time of one pass through the points
 _ZERO = Expression(0.0)
-_TOLERANCE = 1e-9  # sums in another order; conditioning of a law with gains up to 1e6
 _CHANGES = "the object changes when it is called"
 _DIFFER = "the equations that were read off differ from calls with numbers"
 
@@ -467,35 +466,22 @@ def _differ(
 ) -> bool:
     """Return whether equations gave other values ``found`` than the function, ``numbers``.
 
-    Equations round differently, which decides at a branch. So values between those that the
-    function returns near the point count as equal too. Flags and counters are whole numbers, which
-    do not change near the point, because they have no rounding error.
+    `kneexo.compiler.differ` says which values count as equal.
     """
+    names, ends = [*points[0]], np.cumsum([values.size for values in points[0].values()])
 
     def limited(values: Array) -> Array:
         command = np.clip(values[:, :1], -command_limit_rad_s, command_limit_rad_s)
         return np.hstack([command, values[:, 1:]])
 
-    random = np.random.default_rng(0)
-    close = np.isclose(found, limited(numbers), _TOLERANCE, _TOLERANCE, equal_nan=True)
-    for row in np.nonzero(~close.all(axis=1))[0].tolist():
-        nearby = []
-        for _ in range(_NEAR):
-            changed = {}
-            for name, values in points[row].items():
-                signs = random.choice([-_TOLERANCE, _TOLERANCE], len(values))
-                exact = (values == np.rint(values)) & (name != "time_s")
-                changed[name] = values * (1.0 + np.where(exact, 0.0, signs))
-            nearby.append(changed)
-        near = limited(np.vstack([numbers[row], _values(law, nearby)]))
-        slack = _TOLERANCE * (1.0 + np.abs(near).max(axis=0))
-        inside = (near.min(axis=0) - slack <= found[row]) & (found[row] <= near.max(axis=0) + slack)
-        if not inside.all():
-            return True
-    return False
+    def function(row: Array) -> Array:
+        point = dict(zip(names, np.split(row, ends[:-1]), strict=True))
+        values: Array = limited(_values(law, [point]))[0]
+        return values
 
-
-_NEAR = 16  # random signs of the rounding errors of the inputs; as many as the signs of four inputs
+    rows = np.array([np.concatenate([*point.values()]) for point in points])
+    inexact = [ends[names.index("time_s")] - 1] if "time_s" in names else []
+    return differ(function, rows, found, limited(numbers), inexact)
 
 
 def _values(law: Law, points: Sequence[Mapping[str, Array]]) -> Array:

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,9 +26,13 @@ from pydrake.symbolic import Expression, Variable
 from pydrake.systems.framework import PortDataType
 from pydrake.systems.primitives import TrajectorySource
 
-from ..errors import CompilationError
+from ..errors import CompilationError, DifferenceError
+from ..run_data import Array
+from .comparison import LeafPoints, differing_part, is_compared, points_around
+from .contexts import parameters_of, state_of
 from .equations import Equations, Limit, Section, Update
 from .events import refuse_witness_functions, symbolic_value, to_symbolic
+from .graph_values import values_of
 from .names import numbered_names, parameter_groups, state_names
 from .periods import timing_of
 from .ports import find_port, route_of, size_of
@@ -57,6 +62,11 @@ class _Leaf:
         """Dictionary from the index of an output port to its nodes, or to None during reading."""
         self.inputs: dict[int, list[int]] = {}
         """Dictionary from the index of an input port to its nodes; only ports read so far."""
+        self.sources: dict[str, range] = {}
+        """Indices of the leaf's parameters and states among those of the diagram, by the kind."""
+        self.parts: dict[str, list[int]] = {}
+        """Nodes of what was read of the leaf, by the name of an output port, of the derivatives or
+        of the update."""
         graph = equations.graph
 
         if context.num_abstract_states() or context.num_abstract_parameters():
@@ -65,6 +75,7 @@ class _Leaf:
                 f"compile"
             )
         context.SetTime(self._variables("time", [graph.source("time")])[0])
+        first_parameter = len(equations.parameters)
         for group, names in enumerate(parameter_groups(node, context_of_floats)):
             first = len(equations.parameters)
             sources = [graph.source("parameter", first + i) for i in range(len(names))]
@@ -78,6 +89,8 @@ class _Leaf:
             variables = self._variables("state", sources)
             context.get_mutable_continuous_state_vector().SetFromVector(variables)
             equations.states += state_names(node, context_of_floats)
+        self.sources = {"parameter": range(first_parameter, len(equations.parameters))}
+        self.sources["state"] = range(len(equations.states) - size, len(equations.states))
         self.first_discrete = len(equations.discrete)
         for group in range(context.num_discrete_state_groups()):
             vector = context.get_mutable_discrete_state(group)
@@ -85,6 +98,7 @@ class _Leaf:
             sources = [graph.source("discrete", first + i) for i in range(vector.size())]
             vector.SetFromVector(self._variables("discrete", sources))
             equations.discrete += numbered_names(node.path, group, vector.size())
+        self.sources["discrete"] = range(self.first_discrete, len(equations.discrete))
         for index in range(self.system.num_input_ports()):
             port = self.system.get_input_port(index)
             *inner, source = node.route(index)
@@ -96,6 +110,7 @@ class _Leaf:
             if is_open and open_inputs.keys().isdisjoint(inner):
                 first = open_inputs[source]
                 elements = [graph.source("input", first + i) for i in range(port.size())]
+                self.inputs[index] = elements
             port.FixValue(context, self._variables("input", elements))
 
     def _variables(self, name: str, meanings: Sequence[Any]) -> Any:
@@ -165,7 +180,8 @@ class _Reader:
                     f"input_table(trajectory)"
                 )
             values = symbolic_value(where, lambda: port.Eval(leaf.context))
-            leaf.outputs[index] = yield self._section(where, leaf, values)
+            read = yield self._section(where, leaf, values)
+            leaf.outputs[index] = leaf.parts[f"output port {port.get_name()}"] = read
         nodes = leaf.outputs[index]
         if nodes is None:
             raise CompilationError(f"{where}: depends on itself (algebraic loop)")
@@ -231,7 +247,9 @@ class _Reader:
         ``purpose``: text that the section and error messages use as the name of the expressions.
         """
         where = f"{leaf.node.name}: {purpose}"
-        return completed(self._section(where, leaf, symbolic_value(where, evaluate)))
+        nodes = completed(self._section(where, leaf, symbolic_value(where, evaluate)))
+        leaf.parts[purpose] = nodes
+        return nodes
 
     def _section(self, where: str, leaf: _Leaf, values: Sequence[Any]) -> Steps[list[int]]:
         """Add the expressions ``values`` to the equations as a `Section`; return their nodes."""
@@ -252,6 +270,49 @@ class _Reader:
         if index not in leaf.inputs:
             leaf.inputs[index] = yield self._signal(list(leaf.node.route(index)))
         return leaf.inputs[index][element]
+
+    def compare(self, root: Node, trusted: Sequence[str | Path]) -> None:
+        """Compare the equations of each leaf that is written in Python with the leaf of floats.
+
+        Raises `DifferenceError`, which names the leaf and the port.
+        """
+        leaves = [v for v in self.leaves.values() if is_compared(v.node.system, trusted)]
+        if not leaves:
+            return
+        random = np.random.default_rng(0)
+        context, graph = root.system.CreateDefaultContext(), self.equations.graph
+        state = state_of(root, context)
+        zeros = np.zeros(sum(self.equations.inputs.values()))
+        sources = {
+            "parameter": points_around(parameters_of(root, context), random, spread=False),
+            "time": np.abs(points_around(np.zeros(1), random)),
+            "state": points_around(state.continuous, random),
+            "discrete": points_around(state.discrete, random),
+            "input": points_around(zeros, random),
+        }
+        for leaf in leaves:
+            nodes = [node for nodes in leaf.inputs.values() for node in nodes]
+            nodes += [node for nodes in leaf.parts.values() for node in nodes]
+            count = sources["time"].shape[1:]
+            values = [np.broadcast_to(v, count) for v in values_of(graph, nodes, sources)]
+            columns = iter(values)
+
+            def taken(groups: Mapping[Any, list[int]], columns: Any = columns) -> dict[Any, Array]:
+                return {
+                    name: np.array([next(columns) for _ in nodes]) for name, nodes in groups.items()
+                }
+
+            own = {kind: sources[kind][[*places]] for kind, places in leaf.sources.items()}
+            inputs = taken(leaf.inputs)
+            points = LeafPoints(
+                sources["time"][0], own["parameter"], own["state"], own["discrete"], inputs
+            )
+            if part := differing_part(leaf.node.system, points, taken(leaf.parts)):
+                raise DifferenceError(
+                    f"{leaf.node.name}: {part}: the equations that were read off differ from "
+                    f"{leaf.node.type_name} called with numbers; its symbolic form must compute "
+                    f"the same, from states and parameters alone"
+                )
 
 
 def _discrete_values(values: Any) -> list[Any]:
@@ -287,7 +348,12 @@ def read_equations(diagram: Any, inputs: Sequence[str] = ()) -> Equations:
     return read_tree(root, {name: find_port(root, name, "input") for name in inputs}, {})
 
 
-def read_tree(root: Node, inputs: Mapping[str, Port], outputs: Mapping[str, Port]) -> Equations:
+def read_tree(
+    root: Node,
+    inputs: Mapping[str, Port],
+    outputs: Mapping[str, Port],
+    trusted: Sequence[str | Path] = (),
+) -> Equations:
     """Return all equations of the diagram at the root of a tree.
 
     Parameters
@@ -301,6 +367,8 @@ def read_tree(root: Node, inputs: Mapping[str, Port], outputs: Mapping[str, Port
     outputs
         Dictionary from name to port of more outputs, besides the output ports of the root. The
         signal of a port includes the perturbations at this port and on the way to it.
+    trusted
+        Folders whose leaf systems are not compared with their equations.
 
     Errors: see `read_equations`.
     """
@@ -314,6 +382,7 @@ def read_tree(root: Node, inputs: Mapping[str, Port], outputs: Mapping[str, Port
         reader.equations.outputs[name] = reader.signal(root.output_route(index))
     for name, route in routes.items():
         reader.equations.outputs[name] = reader.signal(route)
+    reader.compare(root, trusted)
     for leaf in reader.leaves.values():
         reader.read_initial(leaf)
     return reader.equations
