@@ -395,9 +395,9 @@ def why_python_in_run(scenario: Scenario) -> str:
         record = {name: run[SIGNAL_OF[name]] for name in law_inputs(scenario)}
         record |= {name: np.full((run.time_s.size, 1), v) for name, v in law.values.items()}
         record |= {"time_s": run.time_s[:, None], "state": run[_COMMAND_AND_STATE][:, 1:]}
-        arguments = {name: record[name][:-1] for name in argument_sizes(law.function, 0)}
-        limit = scenario.command_limit_rad_s
-        replay(law.function, arguments, run[_COMMAND_AND_STATE][1:], limit)
+        samples = np.hstack([record[name][:-1] for name in argument_sizes(law.function, 0)])
+        found, limit = run[_COMMAND_AND_STATE][1:], scenario.command_limit_rad_s
+        replay(law.function, samples, found, limit)
     return traced.why_not_compiled
 
 

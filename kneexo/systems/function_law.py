@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import pickle
-from collections import OrderedDict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -12,8 +11,9 @@ from inspect import getclosurevars
 from itertools import chain
 from numbers import Real
 from time import process_time
-from types import FunctionType, MethodType
-from typing import Any, TypeVar
+from types import FunctionType
+from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from pydrake.autodiffutils import AutoDiffXd
@@ -25,8 +25,6 @@ from kneexo.parameters import LAW_INPUTS, CylinderParameters, KneeParameters, La
 from kneexo.result import Array
 from kneexo.systems._leaf import NamedLeaf, clip, discrete_state, fill, leaf_template
 from kneexo.user_code import place_in_user_code, text_of, user_code
-
-T = TypeVar("T")
 
 LAW_COMMAND = "law_command"
 """Name of the input port of `HeldCommand`."""
@@ -320,7 +318,7 @@ _SCALES = (
 States can be flags, counters or integrals. Small inputs leave a command within its limits.
 """
 _SAMPLES = 300  # a difference in 1 % of the samples is missed by 5 % of such random choices
-_MOST_TIME_S = 0.02  # processor time of one pass through the points
+_MOST_TIME_S = 0.02  # processor time of a pass through the points, for a slow function
 _ZERO = Expression(0.0)
 _CHANGES = "the object changes when it is called"
 _DIFFER = "the equations that were read off differ from calls with numbers"
@@ -343,22 +341,13 @@ class Trace:
         return "" if self.why_not_compiled or self.graph is None else self.graph.key
 
 
-_memos: OrderedDict[tuple[int, ...], tuple[Any, dict[Any, Any]]] = OrderedDict()
-_MOST_MEMOS = 64
+_memos: WeakKeyDictionary[Any, dict[Any, Any]] = WeakKeyDictionary()
 
 
 def _memo(law: Law) -> dict[Any, Any]:
     """Return what this process knows about the function of a law, whatever `Law` it comes in."""
-    target = law.target
-    is_method = isinstance(target, MethodType)  # a new object at each access
-    parts = (target.__self__, target.__func__) if is_method else (target,)
-    # The target is kept, because Python uses the id of a freed object again.
-    key = tuple(map(id, parts))
-    _, memo = _memos.setdefault(key, (target, {}))
-    _memos.move_to_end(key)
-    if len(_memos) > _MOST_MEMOS:
-        _memos.popitem(last=False)
-    return memo
+    is_function = isinstance(law.target, FunctionType)
+    return _memos.setdefault(law.target, law.memo) if is_function else law.memo
 
 
 def trace(law: Law, states: int) -> Trace:
@@ -405,32 +394,28 @@ def _compared(law: Law, states: int, graph: ExpressionGraph) -> Trace:
     """
     if _symbolic_call(law, states) != graph:
         return Trace(_DIFFER, graph)
-    points = _affordable(law, _points(law, states))
-    found = graph.values(np.array([np.concatenate([*point.values()]) for point in points]).T).T
-    numbers = _values(law, points)
+    points = _points(law, states)
+    numbers = _values(law, states, points)
+    points = points[: len(numbers)]
     finite = np.isfinite(numbers).all(axis=1)
     if not finite.any():
         return Trace("the function fails for numbers within the usual range", graph)
-    kept = [point for point, is_finite in zip(points, finite, strict=True) if is_finite]
-    return Trace(_DIFFER if _differ(law, kept, found[finite], numbers[finite]) else "", graph)
+    found = graph.values(points.T).T
+    differs = _differ(law, states, points[finite], found[finite], numbers[finite])
+    return Trace(_DIFFER if differs else "", graph)
 
 
-def replay(
-    law: Law,
-    arguments: Mapping[str, Array],
-    command_and_state: Array,
-    command_limit_rad_s: float,
-) -> None:
+def replay(law: Law, samples: Array, command_and_state: Array, command_limit_rad_s: float) -> None:
     """Compare the equations of a law with calls of its function at samples of a run.
 
-    The first trace of the law with these equations gets the result, so that `trace` knows it.
+    `trace` has read the equations, and knows the result of the comparison from then on.
 
     Parameters
     ----------
     law
         A law that is a function.
-    arguments
-        Dictionary from each argument of the function to its values, (samples, size).
+    samples
+        Values of all `argument_sizes`, (samples, size).
     command_and_state
         Command and next state that the equations gave for each sample, (samples, 1 + states).
     command_limit_rad_s
@@ -442,24 +427,25 @@ def replay(
         The function hides state that cannot be copied.
     """
     states = command_and_state.shape[1] - 1
+    columns = np.hstack([samples, command_and_state])
+    extremes = np.concatenate([columns.argmin(axis=0), columns.argmax(axis=0)])
+    even = np.linspace(0, len(columns) - 1, min(_SAMPLES, len(columns))).astype(int)
+    rows = np.concatenate([extremes, np.random.default_rng(0).permutation(even)])
+    hides, numbers = _find_hidden_state(law, states, samples[rows])
+    rows = rows[: len(numbers)]
     traced = _memo(law)["trace", states]
     traced.replayed = True
-    columns = np.hstack([*arguments.values(), command_and_state])
-    even = np.linspace(0, len(columns) - 1, min(_SAMPLES, len(columns))).astype(int)
-    extremes = np.concatenate([columns.argmin(axis=0), columns.argmax(axis=0)])
-    # A set, because numpy.unique imports numpy.ma, which takes 10 ms.
-    rows = _affordable(law, sorted({*even.tolist(), *extremes.tolist()}))
-    points = [{name: values[row] for name, values in arguments.items()} for row in rows]
-    hides, numbers = _find_hidden_state(law, states, points)
     if hides:
+        _memo(law)["hides_state", states] = True
         traced.why_not_compiled = _CHANGES
-    elif _differ(law, points, command_and_state[[*rows]], numbers, command_limit_rad_s):
+    elif _differ(law, states, samples[rows], command_and_state[rows], numbers, command_limit_rad_s):
         traced.why_not_compiled = _DIFFER
 
 
 def _differ(
     law: Law,
-    points: Sequence[Mapping[str, Array]],
+    states: int,
+    points: Array,
     found: Array,
     numbers: Array,
     command_limit_rad_s: float = math.inf,
@@ -468,42 +454,42 @@ def _differ(
 
     `kneexo.compiler.differ` says which values count as equal.
     """
-    names, ends = [*points[0]], np.cumsum([values.size for values in points[0].values()])
 
     def limited(values: Array) -> Array:
         command = np.clip(values[:, :1], -command_limit_rad_s, command_limit_rad_s)
         return np.hstack([command, values[:, 1:]])
 
-    def function(row: Array) -> Array:
-        point = dict(zip(names, np.split(row, ends[:-1]), strict=True))
-        values: Array = limited(_values(law, [point]))[0]
-        return values
+    sizes = argument_sizes(law, states)
+    names = [name for name, size in sizes.items() for _ in range(size)]
+    return differ(
+        lambda row: limited(_values(law, states, row[None]))[0],
+        points,
+        found,
+        limited(numbers),
+        inexact=[names.index("time_s")] if "time_s" in names else [],
+    )
 
-    rows = np.array([np.concatenate([*point.values()]) for point in points])
-    inexact = [ends[names.index("time_s")] - 1] if "time_s" in names else []
-    return differ(function, rows, found, limited(numbers), inexact)
 
+def _values(law: Law, states: int, points: Array) -> Array:
+    """Return command and next state for the first points, (≤ points, 1 + states).
 
-def _values(law: Law, points: Sequence[Mapping[str, Array]]) -> Array:
-    """Return command and next state for each point, (points, 1 + states).
-
-    A copy of the function is called. Where the function fails, the values are nan.
+    A copy of the function is called, until the time for one pass is over. Where the function fails,
+    the values are nan.
     """
-    function = law.copy_of_target()
-    rows = []
+    function, sizes = law.copy_of_target(), argument_sizes(law, states)
+    ends = np.cumsum([*sizes.values()])[:-1]
+    rows: list[Any] = []
+    until = process_time() + _MOST_TIME_S
     with np.errstate(all="ignore"):
         for point in points:
+            arguments = dict(zip(sizes, np.split(point, ends), strict=True))
             try:
-                rows.append(call_law(law, function, point))
+                rows.append(call_law(law, function, arguments))
             except ParameterError:
-                rows.append([math.nan] * (1 + len(point.get("state", ()))))
+                rows.append([math.nan] * (1 + states))
+            if process_time() > until:
+                break
     return np.array(rows)
-
-
-def _affordable(law: Law, points: Sequence[T]) -> Sequence[T]:
-    """Return as many of the points as a slow function can be called for, evenly chosen."""
-    memo = _memo(law)
-    return points[:: max(1, math.ceil(memo["call_s"] * len(points) / _MOST_TIME_S))]
 
 
 def hides_state(law: Law, states: int) -> bool:
@@ -514,71 +500,51 @@ def hides_state(law: Law, states: int) -> bool:
     """
     memo = _memo(law)
     if ("hides_state", states) not in memo:
-        before, points = _outer_values(law.target), _points(law, states)
-        _values(law, points[:1])  # the first call may take longer
-        start = process_time()
-        _values(law, points[:1])
-        memo["call_s"] = process_time() - start
-        _find_hidden_state(law, states, _affordable(law, points))
+        before = _outer_values(law.target)
+        hides, _ = _find_hidden_state(law, states, _points(law, states))
         if before != _outer_values(law.target):
-            memo["hides_state", states] = _HIDES
+            raise _hidden_state(law)
+        memo["hides_state", states] = hides
     hides = memo["hides_state", states]
-    if hides == _HIDES:
-        raise ParameterError(f"law {law.short_name}: {_HIDES}")
-    return bool(hides)
+    return hides
 
 
-_HIDES = (
-    "hides state: it changes outer variables, or returns two commands for equal arguments; must "
-    "take the argument state and return (command, next_state)"
-)
-
-
-def _find_hidden_state(
-    law: Law, states: int, points: Sequence[Mapping[str, Array]]
-) -> tuple[bool, Array]:
-    """Call a law at points, then in reverse order; return and note whether the values differ.
+def _find_hidden_state(law: Law, states: int, points: Array) -> tuple[bool, Array]:
+    """Call a law at points, then in reverse order; return whether the values differ.
 
     The second result has the values of the first calls. An object hides state, and its copies can
     start runs. Raises `ParameterError` for a law whose copies do not start afresh, such as a
     function.
     """
+    first = _values(law, states, points)
+    points = points[: len(first)]
+    again = _values(law, states, points[::-1])[::-1]
+    hides = not np.array_equal(first[len(first) - len(again) :], again, equal_nan=True)
+    if hides:
+        copies = law.copy_of_target() is not law.target
+        if not copies or not np.array_equal(_values(law, states, points), first, equal_nan=True):
+            raise _hidden_state(law)
+    return hides, first
 
-    first, again = _values(law, points), _values(law, points[::-1])[::-1]
-    hides: Any = not np.array_equal(first, again, equal_nan=True)
-    if hides and (
-        law.copy_of_target() is law.target
-        or not np.array_equal(_values(law, points), first, equal_nan=True)
-    ):
-        hides = _HIDES
-    _memo(law)["hides_state", states] = hides
-    if hides == _HIDES:
-        raise ParameterError(f"law {law.short_name}: {_HIDES}")
-    return bool(hides), first
+
+def _hidden_state(law: Law) -> ParameterError:
+    return ParameterError(
+        f"law {law.short_name}: hides state: it changes outer variables, or returns two commands "
+        f"for equal arguments; must take the argument state and return (command, next_state)"
+    )
 
 
 def _outer_values(function: Any) -> list[bytes]:
-    """Return the pickled variables outside a function, or outside an object's ``__call__``.
+    """Return the pickled variables outside a function: of its closure, and globals that it names.
 
-    The variables are those of the closures and of the module that the code names, also by other
-    functions of this module. A value that pickle cannot write is left out.
+    A value that pickle cannot write is left out. The list of an object is empty.
     """
-    if not isinstance(function, FunctionType):
-        is_method = isinstance(function, MethodType)
-        function = function.__func__ if is_method else type(function).__call__
-    pending, seen, pickled = [function], set(), []
-    while pending:
-        function = pending.pop()
-        if not isinstance(function, FunctionType) or function in seen:
-            continue
-        seen.add(function)
-        with suppress(Exception):  # an empty cell, or a user's object, which may raise any error
-            variables = getclosurevars(function)
-            for value in (*variables.nonlocals.values(), *variables.globals.values()):
-                if getattr(value, "__module__", None) == function.__module__:
-                    pending.append(value)
-                with suppress(Exception):
-                    pickled.append(pickle.dumps(value))
+    pickled = []
+    with suppress(Exception):  # no function, or an empty cell
+        variables = getclosurevars(function)
+        for value in (*variables.nonlocals.values(), *variables.globals.values()):
+            with suppress(Exception):  # a user's object may raise any error
+                pickled.append(pickle.dumps(value))
     return pickled
 
 
@@ -594,31 +560,30 @@ def argument_sizes(law: Law, states: int) -> dict[str, int]:
     return sizes
 
 
-def _points(law: Law, states: int) -> list[dict[str, Array]]:
-    """Return points of comparison: default gains, other values over their whole range.
+def _points(law: Law, states: int) -> Array:
+    """Return points of comparison in random order, with a column for each argument's element.
 
-    A point has an array for each argument. Each element of an input, a state and the time has one
-    value in each of n equal parts of its range, at random (Latin hypercube).
+    Gains have their defaults. Each other element has one value in each of n equal parts of its
+    range, at random (Latin hypercube).
     """
     random = np.random.default_rng(0)
-    points: list[dict[str, Array]] = []
+    points = []
     for count, scale, largest_state, largest_time_s in _SCALES:
-        columns = {}
+        columns = []
         for name, size in argument_sizes(law, states).items():
             parts = random.permuted(np.tile(np.arange(count), (size, 1)), axis=1).T
             shares = (parts + random.uniform(size=(count, size))) / count
             if name in law.arguments.gains:
-                columns[name] = np.full((count, 1), law.arguments.gains[name])
+                columns.append(np.full((count, 1), law.arguments.gains[name]))
             elif name == "time_s":
-                columns[name] = largest_time_s * shares
+                columns.append(largest_time_s * shares)
             elif name == "state":
-                columns[name] = largest_state * (2.0 * shares - 1.0)
+                columns.append(largest_state * (2.0 * shares - 1.0))
             else:
-                largest = scale * np.array(_LARGEST[name])
-                columns[name] = largest * (2.0 * shares - 1.0)
-                columns[name][:, 0] = largest[0] * shares[:, 0]  # positions are positive
-        points += [{name: v[row] for name, v in columns.items()} for row in range(count)]
-    return points
+                shares[:, 1:] = 2.0 * shares[:, 1:] - 1.0  # positions are positive
+                columns.append(scale * np.array(_LARGEST[name]) * shares)
+        points.append(np.hstack(columns))
+    return random.permutation(np.vstack(points))
 
 
 def _reason(error: ParameterError) -> str:

@@ -248,10 +248,8 @@ def replayed(function, extensions, commands, states=None):
     size = 0 if states is None else 1
     assert trace(law, size).why_not_compiled == ""
     found = np.column_stack([commands] if states is None else [commands, states[1:]])
-    arguments = {"rod_extension": np.reshape(extensions, (-1, 1))}
-    if states is not None:
-        arguments["state"] = np.reshape(states[:-1], (-1, 1))
-    replay(law, arguments, found, 500.0)
+    samples = np.column_stack([extensions] if states is None else [extensions, states[:-1]])
+    replay(law, samples, found, 500.0)
     return trace(law, size).why_not_compiled
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from os import sep
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,9 @@ from typing import Any
 import numpy as np
 import pydrake
 
-from ..run_data import Array
+from ..run_data import Array, State
+from .contexts import discrete_values, parameters_of, set_parameters, set_state, state_of
+from .tree import Node
 
 TOLERANCE = 1e-9  # sums in another order; conditioning of a law with gains up to 1e6
 _NEAR = 16  # random signs of the rounding errors of the inputs; as many as the signs of four inputs
@@ -60,24 +61,6 @@ def differ(
     return False
 
 
-@dataclass(frozen=True)
-class LeafPoints:
-    """Points at which a leaf system is evaluated. Each array has a column for each point."""
-
-    time_s: Array
-    parameters: Array
-    continuous: Array
-    discrete: Array
-    inputs: Mapping[int, Array]
-    """Values of the connected input ports, by their index."""
-
-    @property
-    def rows(self) -> Array:
-        """All values in one array, (points, size), with the time first."""
-        parts = self.time_s[None], self.parameters, self.continuous, self.discrete
-        return np.concatenate([*parts, *self.inputs.values()]).T
-
-
 def is_compared(system: Any, trusted: Iterable[str | Path]) -> bool:
     """Return whether a leaf system is written in Python by a user.
 
@@ -89,17 +72,19 @@ def is_compared(system: Any, trusted: Iterable[str | Path]) -> bool:
     return not file.startswith(tuple(f"{Path(folder)}{sep}" for folder in folders))
 
 
-def points_around(values: Array, random: np.random.Generator, spread: bool = True) -> Array:
+def points_around(values: Array, random: np.random.Generator, scale: float = 1.0) -> Array:
     """Return values (size,) at the Context, and at eight points around it, (size, 9).
 
-    Without ``spread`` the values change by a tenth at most, so that a zero stays zero.
+    With the ``scale`` 0 the values change by a tenth at most, so that a zero stays zero.
     """
     changes = random.uniform(-1.0, 1.0, (2, values.size, len(_SCALES)))
-    around = values[:, None] * (1.0 + 0.1 * np.sign(_SCALES) * changes[0])
-    return around + (np.array(_SCALES) * changes[1] if spread else 0.0)
+    relative = 0.1 * np.sign(_SCALES) * changes[0]
+    return values[:, None] * (1.0 + relative) + scale * np.array(_SCALES) * changes[1]
 
 
-def differing_part(system: Any, points: LeafPoints, read: Mapping[str, Array]) -> str:
+def differing_part(
+    system: Any, points: Array, inputs: Mapping[int, int], read: Mapping[str, Array]
+) -> str:
     """Return what a leaf of floats computes otherwise than its equations; empty if nothing.
 
     The leaf is called at each point, without cached values, and once more in reverse order, which
@@ -110,57 +95,45 @@ def differing_part(system: Any, points: LeafPoints, read: Mapping[str, Array]) -
     system
         The leaf system of floats.
     points
-        The points.
+        Time, parameters, continuous and discrete states, and inputs at each point, (points, size).
+    inputs
+        Number of elements of each input port that has a value, by its index.
     read
-        Values of the equations (values, points), by the name of what was read: the name of an
+        Values of the equations (points, values), by the name of what was read: the name of an
         output port after ``output port``, or ``time derivatives`` or ``discrete update``.
     """
-    rows = points.rows
     for part, found in read.items():
 
-        def value(row: Array, part: str = part, size: int = len(found)) -> Array:
-            return _value(system, points, part, row, size)
+        def value(row: Array, part: str = part, size: int = found.shape[1]) -> Array:
+            try:
+                return _value(system, part, row, inputs)
+            except (Exception, SystemExit):  # a user's code may raise any error, and Drake exits
+                return np.full(size, np.nan)
 
-        forward = np.array([value(row) for row in rows])
-        backward = np.array([value(row) for row in rows[::-1]])[::-1]
+        forward = np.array([value(row) for row in points])
+        backward = np.array([value(row) for row in points[::-1]])[::-1]
         for numbers in (forward, backward):
             counts = np.isfinite(numbers).all(axis=1)
-            if differ(value, rows[counts], found.T[counts], numbers[counts], inexact=[0]):
+            if differ(value, points[counts], found[counts], numbers[counts], inexact=[0]):
                 return part
     return ""
 
 
-def _value(system: Any, points: LeafPoints, part: str, row: Array, size: int) -> Array:
-    """Return the values (size,) of a part of a leaf at a row of points; nan where it fails."""
-    context = system.CreateDefaultContext()
+def _value(system: Any, part: str, row: Array, inputs: Mapping[int, int]) -> Array:
+    """Return the values of a part of a leaf at a point: see `differing_part`."""
+    node, context = Node(system), system.CreateDefaultContext()
     context.DisableCaching()
-    values = row.tolist()
-
-    def taken(count: int) -> list[float]:
-        first = values[:count]
-        del values[:count]
-        return first
-
-    try:
-        context.SetTime(taken(1)[0])
-        for group in range(context.num_numeric_parameter_groups()):
-            vector = context.get_mutable_numeric_parameter(group)
-            vector.SetFromVector(taken(vector.size()))
-        if context.num_continuous_states():
-            context.SetContinuousState(taken(context.num_continuous_states()))
-        for group in range(context.num_discrete_state_groups()):
-            vector = context.get_mutable_discrete_state(group)
-            vector.SetFromVector(taken(vector.size()))
-        for index, elements in points.inputs.items():
-            system.get_input_port(index).FixValue(context, taken(len(elements)))
-        if part == "time derivatives":
-            result = system.EvalTimeDerivatives(context).CopyToVector()
-        elif part == "discrete update":
-            updated = system.EvalUniquePeriodicDiscreteUpdate(context)
-            groups = range(updated.num_groups())
-            result = np.concatenate([updated.get_vector(group).CopyToVector() for group in groups])
-        else:
-            result = system.GetOutputPort(part.removeprefix("output port ")).Eval(context)
-        return np.array(result, dtype=float)
-    except (Exception, SystemExit):  # a user's code may raise any error, and Drake exits
-        return np.full(size, np.nan)
+    state = state_of(node, context)
+    sizes = [1, parameters_of(node, context).size, state.continuous.size, state.discrete.size]
+    ends = np.cumsum([*sizes, *inputs.values()])[:-1]
+    (time_s,), parameters, continuous, discrete, *values = np.split(row, ends)
+    context.SetTime(time_s)
+    set_parameters(node, context, parameters)
+    set_state(node, context, State(continuous, discrete))
+    for index, value in zip(inputs, values, strict=True):
+        system.get_input_port(index).FixValue(context, value)
+    if part == "time derivatives":
+        return system.EvalTimeDerivatives(context).CopyToVector()
+    if part == "discrete update":
+        return np.array(discrete_values(system.EvalUniquePeriodicDiscreteUpdate(context)))
+    return np.array(system.GetOutputPort(part.removeprefix("output port ")).Eval(context))

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +29,8 @@ from pydrake.systems.primitives import TrajectorySource
 
 from ..errors import CompilationError, DifferenceError
 from ..run_data import Array
-from .comparison import LeafPoints, differing_part, is_compared, points_around
-from .contexts import parameters_of, state_of
+from .comparison import differing_part, is_compared, points_around
+from .contexts import discrete_values, parameters_of, state_of
 from .equations import Equations, Limit, Section, Update
 from .events import refuse_witness_functions, symbolic_value, to_symbolic
 from .graph_values import values_of
@@ -62,8 +63,8 @@ class _Leaf:
         """Dictionary from the index of an output port to its nodes, or to None during reading."""
         self.inputs: dict[int, list[int]] = {}
         """Dictionary from the index of an input port to its nodes; only ports read so far."""
-        self.sources: dict[str, range] = {}
-        """Indices of the leaf's parameters and states among those of the diagram, by the kind."""
+        self.own: list[int] = []
+        """Nodes of the time, of all parameters and of all states of the leaf, in this order."""
         self.parts: dict[str, list[int]] = {}
         """Nodes of what was read of the leaf, by the name of an output port, of the derivatives or
         of the update."""
@@ -75,7 +76,6 @@ class _Leaf:
                 f"compile"
             )
         context.SetTime(self._variables("time", [graph.source("time")])[0])
-        first_parameter = len(equations.parameters)
         for group, names in enumerate(parameter_groups(node, context_of_floats)):
             first = len(equations.parameters)
             sources = [graph.source("parameter", first + i) for i in range(len(names))]
@@ -89,8 +89,6 @@ class _Leaf:
             variables = self._variables("state", sources)
             context.get_mutable_continuous_state_vector().SetFromVector(variables)
             equations.states += state_names(node, context_of_floats)
-        self.sources = {"parameter": range(first_parameter, len(equations.parameters))}
-        self.sources["state"] = range(len(equations.states) - size, len(equations.states))
         self.first_discrete = len(equations.discrete)
         for group in range(context.num_discrete_state_groups()):
             vector = context.get_mutable_discrete_state(group)
@@ -98,7 +96,7 @@ class _Leaf:
             sources = [graph.source("discrete", first + i) for i in range(vector.size())]
             vector.SetFromVector(self._variables("discrete", sources))
             equations.discrete += numbered_names(node.path, group, vector.size())
-        self.sources["discrete"] = range(self.first_discrete, len(equations.discrete))
+        self.own = [*self.meaning.values()]  # type: ignore[list-item]
         for index in range(self.system.num_input_ports()):
             port = self.system.get_input_port(index)
             *inner, source = node.route(index)
@@ -201,7 +199,7 @@ class _Reader:
             nodes = self._evaluated(
                 "discrete update",
                 leaf,
-                lambda: _discrete_values(system.EvalUniquePeriodicDiscreteUpdate(context)),
+                lambda: discrete_values(system.EvalUniquePeriodicDiscreteUpdate(context)),
             )
             self._add_update(timing, list(enumerate(nodes, leaf.first_discrete)))
         if callable(margin := getattr(system, "margin", None)):
@@ -228,7 +226,7 @@ class _Reader:
         before, after = symbolic_value(where, initialized)
         if not all(a.EqualTo(b) for a, b in zip(before, after, strict=True)):
             raise CompilationError(f"{where}: changes the continuous state; only discrete ones may")
-        values = _discrete_values(context.get_discrete_state())
+        values = discrete_values(context.get_discrete_state())
         self.equations.initial_discrete += completed(self._section(where, leaf, values))
 
     def _add_update(self, timing: Any, values: list[tuple[int, int]]) -> None:
@@ -280,48 +278,31 @@ class _Reader:
         if not leaves:
             return
         random = np.random.default_rng(0)
-        context, graph = root.system.CreateDefaultContext(), self.equations.graph
+        context = root.system.CreateDefaultContext()
         state = state_of(root, context)
-        zeros = np.zeros(sum(self.equations.inputs.values()))
         sources = {
-            "parameter": points_around(parameters_of(root, context), random, spread=False),
+            "parameter": points_around(parameters_of(root, context), random, scale=0.0),
             "time": np.abs(points_around(np.zeros(1), random)),
             "state": points_around(state.continuous, random),
             "discrete": points_around(state.discrete, random),
-            "input": points_around(zeros, random),
+            "input": points_around(np.zeros(sum(self.equations.inputs.values())), random),
         }
+
+        def values(nodes: Iterable[int]) -> Array:
+            values = values_of(self.equations.graph, nodes, sources)
+            columns = [np.broadcast_to(value, sources["time"].shape[1:]) for value in values]
+            return np.array(columns).T
+
         for leaf in leaves:
-            nodes = [node for nodes in leaf.inputs.values() for node in nodes]
-            nodes += [node for nodes in leaf.parts.values() for node in nodes]
-            count = sources["time"].shape[1:]
-            values = [np.broadcast_to(v, count) for v in values_of(graph, nodes, sources)]
-            columns = iter(values)
-
-            def taken(groups: Mapping[Any, list[int]], columns: Any = columns) -> dict[Any, Array]:
-                return {
-                    name: np.array([next(columns) for _ in nodes]) for name, nodes in groups.items()
-                }
-
-            own = {kind: sources[kind][[*places]] for kind, places in leaf.sources.items()}
-            inputs = taken(leaf.inputs)
-            points = LeafPoints(
-                sources["time"][0], own["parameter"], own["state"], own["discrete"], inputs
-            )
-            if part := differing_part(leaf.node.system, points, taken(leaf.parts)):
+            points = values([*leaf.own, *chain(*leaf.inputs.values())])
+            inputs = {index: len(nodes) for index, nodes in leaf.inputs.items()}
+            read = {part: values(nodes) for part, nodes in leaf.parts.items() if nodes}
+            if part := differing_part(leaf.node.system, points, inputs, read):
                 raise DifferenceError(
                     f"{leaf.node.name}: {part}: the equations that were read off differ from "
                     f"{leaf.node.type_name} called with numbers; its symbolic form must compute "
                     f"the same, from states and parameters alone"
                 )
-
-
-def _discrete_values(values: Any) -> list[Any]:
-    """Return the elements of all groups of Drake's DiscreteValues."""
-    return [
-        element
-        for group in range(values.num_groups())
-        for element in values.get_vector(group).CopyToVector().tolist()
-    ]
 
 
 def read_equations(diagram: Any, inputs: Sequence[str] = ()) -> Equations:
