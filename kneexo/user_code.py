@@ -14,9 +14,7 @@ from typing import Any
 
 from kneexo.errors import KneexoError, ParameterError, shortened, shown
 
-PACKAGE = Path(__file__).parent
-"""The folder of kneexo, whose leaf systems the compiler need not compare with their equations."""
-_PACKAGE = f"{PACKAGE}{os.sep}"
+_PACKAGE = f"{Path(__file__).parent}{os.sep}"
 _LIBRARIES = tuple(
     f"{sysconfig.get_path(name)}{os.sep}" for name in ("stdlib", "purelib", "platlib")
 )

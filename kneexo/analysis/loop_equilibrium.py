@@ -30,7 +30,6 @@ from kneexo.parameters import (
 from kneexo.result import Array
 from kneexo.simulation.compiled import structure_key
 from kneexo.systems.function_law import hides_state
-from kneexo.user_code import PACKAGE
 
 _NO_LIMIT = 1e12
 """A speed or an acceleration that no motor reaches, in rad/s or rad/s²."""
@@ -100,8 +99,7 @@ def _shared_equations(scenario: Scenario, law: LawTangent | None) -> DiagramEqua
         inputs = [_reference_port(diagram), command, "knee_reference"]
         if diagram.HasInputPort("biological_moment"):
             inputs.append("biological_moment")
-        inputs = [*dict.fromkeys(inputs)]
-        return read_diagram(diagram, inputs=inputs, outputs=[command], trusted=[PACKAGE])
+        return read_diagram(diagram, inputs=dict.fromkeys(inputs), outputs=[command])
 
     if law is not None:  # such laws share a structure, but for the numbers of states
         return recent_equations.of(f"{key} {law.sizes}", read)

@@ -21,7 +21,6 @@ from kneexo.errors import LinearizationError, NoEquilibriumError
 from kneexo.parameters import PlantParameters
 from kneexo.result import Array, Result
 from kneexo.simulation.compiled import structure
-from kneexo.user_code import PACKAGE
 
 Complex = NDArray[np.complex128]
 """Type of an array of complex numbers."""
@@ -156,9 +155,7 @@ def _operating_point(diagram: Any, context: Any) -> OperatingPoint:
 def _read(diagram: Any, outputs: Sequence[str]) -> DiagramEquations:
     """Return the equations of a plant with open inputs, first the motor speed command."""
     inputs = [diagram.get_input_port(i).get_name() for i in range(diagram.num_input_ports())]
-    return read_diagram(
-        diagram, inputs=dict.fromkeys([_COMMAND, *inputs]), outputs=outputs, trusted=[PACKAGE]
-    )
+    return read_diagram(diagram, inputs=dict.fromkeys([_COMMAND, *inputs]), outputs=outputs)
 
 
 @dataclass(frozen=True, repr=False)

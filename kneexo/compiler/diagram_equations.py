@@ -7,7 +7,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import fields
 from functools import cached_property
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -73,7 +72,6 @@ def read_diagram(
     inputs: Iterable[str] = (),
     outputs: Iterable[str] = (),
     bypass: Iterable[str] = (),
-    trusted: Sequence[str | Path] = (),
 ) -> DiagramEquations:
     """Return the equations of a diagram of floats.
 
@@ -90,8 +88,6 @@ def read_diagram(
         output ports of the diagram. The signal includes the perturbations of the same port.
     bypass
         Paths of systems, such as quantizers, whose output becomes their first input.
-    trusted
-        Folders whose leaf systems are not compared: see `compile_diagram`.
 
     Errors: see `compile_diagram`.
     """
@@ -107,7 +103,6 @@ def read_diagram(
             root,
             {port: find_port(root, port, "input") for port in in_names},
             {port: find_port(root, port, "output") for port in out_names},
-            trusted,
         )
     except CompilationError as error:
         # The path of a single leaf system is empty, and a user may not know of `inputs`.

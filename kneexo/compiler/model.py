@@ -9,7 +9,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
 from threading import Event, local
 from typing import Any
 
@@ -531,16 +530,14 @@ def _context_at(make_diagram: Callable[[], Any], parameters: Array) -> tuple[Nod
     return root, context
 
 
-def compile_diagram(
-    diagram: Any, *, inputs: Iterable[str] = (), trusted: Sequence[str | Path] = ()
-) -> DiagramModel:
+def compile_diagram(diagram: Any, *, inputs: Iterable[str] = ()) -> DiagramModel:
     """Compile a diagram of floats whose leaves convert to Drake's Expression.
 
     A leaf on which no state, margin or output depends, such as a logger, need not convert. The
     machine code is made when it is first used, and stored on disk in `cache_directory`.
 
     The equations of a leaf that is written in Python are compared with calls of the leaf of floats,
-    at the default Context and at eight points around it.
+    at the default Context and at eight points around it. Leaves from a folder with `trust` are not.
 
     Parameters
     ----------
@@ -551,8 +548,6 @@ def compile_diagram(
         Names of the diagram's input ports that stay open. Each run gives the values of the open
         ports. All other input ports of the diagram count as unconnected. A name
         ``path/of/system:port`` stands for a port inside the diagram: see `read_diagram`.
-    trusted
-        Folders of Python files whose leaf systems are not compared.
 
     Raises
     ------
@@ -562,7 +557,7 @@ def compile_diagram(
     DifferenceError
         A leaf in Python computes otherwise than its symbolic form, such as a leaf that hides state.
     """
-    return DiagramModel(read_diagram(diagram, inputs=inputs, trusted=trusted))
+    return DiagramModel(read_diagram(diagram, inputs=inputs))
 
 
 def compile_by_key(
@@ -571,7 +566,6 @@ def compile_by_key(
     *,
     inputs: Sequence[str] = (),
     outputs: Sequence[str] = (),
-    trusted: Sequence[str | Path] = (),
 ) -> CompiledModel:
     """Return a compiled model. The diagram is built later, and only if it is needed.
 
@@ -589,13 +583,12 @@ def compile_by_key(
         Names of the input ports that stay open: see `compile_diagram`.
     outputs
         Names of ports inside the diagram that become outputs too: see `read_diagram`.
-    trusted
-        Folders whose leaf systems are not compared: see `compile_diagram`.
     """
-    arguments = {"inputs": tuple(inputs), "outputs": tuple(outputs), "trusted": tuple(trusted)}
-    code = MachineCode(key, partial(_equations, make_diagram, **arguments))
+    code = MachineCode(key, partial(_equations, make_diagram, tuple(inputs), tuple(outputs)))
     return CompiledModel(code, partial(_context_at, make_diagram))
 
 
-def _equations(make_diagram: Callable[[], Any], **arguments: Any) -> Equations:
-    return read_diagram(make_diagram(), **arguments).equations
+def _equations(
+    make_diagram: Callable[[], Any], inputs: Sequence[str], outputs: Sequence[str]
+) -> Equations:
+    return read_diagram(make_diagram(), inputs=inputs, outputs=outputs).equations

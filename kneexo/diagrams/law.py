@@ -14,7 +14,6 @@ from kneexo.errors import CompilationError, DifferenceError, KneexoError, Parame
 from kneexo.parameters import LAW_INPUTS, Law, LawParameters, Scenario
 from kneexo.rod_polynomial import controller_polynomial
 from kneexo.systems.function_law import trace
-from kneexo.user_code import PACKAGE
 
 T = TypeVar("T")
 
@@ -139,7 +138,7 @@ def _read(law: Law, arguments: Mapping[str, Any]) -> _SystemLaw:
         raise ParameterError(f"law {law.short_name}: {error}") from None
     # `any_system` accepts a system that runs as Python only, `make_system` one that can be cloned.
     try:
-        read_diagram(law.make_system(arguments), inputs=inputs, trusted=[PACKAGE])
+        read_diagram(law.make_system(arguments), inputs=inputs)
     except DifferenceError as error:
         raise ParameterError(f"law {law.short_name}: {error}") from None
     except KneexoError as error:

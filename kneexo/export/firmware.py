@@ -39,7 +39,6 @@ from kneexo.parameters.scenario_file import dump_scenario
 from kneexo.result import Array
 from kneexo.rod_polynomial import completed
 from kneexo.simulation.compiled import compile_scenario, scenario_run
-from kneexo.user_code import PACKAGE
 
 OUTSIDE = ("disturbance_force", "knee_torque", *RELEASES, *OPERATOR_INPUTS)
 """Names of the input ports that no part of the closed loop drives. The test vectors have zero."""
@@ -167,7 +166,7 @@ def _firmware(
         )
     target = make_target(scenario, what, counts=True)
     source = source_of(
-        read_diagram(target.diagram, inputs=target.inputs, trusted=[PACKAGE]),
+        read_diagram(target.diagram, inputs=target.inputs),
         target.what if name is None else name,
         precision=precision,
         outputs=target.outputs if outputs is None else outputs,

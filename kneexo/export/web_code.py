@@ -47,7 +47,6 @@ from kneexo.parameters.paths import value_at
 from kneexo.parameters.presets import with_preset
 from kneexo.simulation.compiled import why_python_in_run
 from kneexo.systems import IntervalReference, make_knee_reference
-from kneexo.user_code import PACKAGE
 
 PERTURBATION = "plant:motor_speed_command"
 """Name of the port at which an input of the module perturbs the loop."""
@@ -151,7 +150,7 @@ def loop_source(scenario: Scenario, *, smooth: bool = False) -> CSource:
         tolerance = _SMOOTH_TOLERANCE if smooth else _TOLERANCE
         method = {"integrator": "rosenbrock", "tolerance": tolerance}
     return source_of(
-        read_diagram(diagram, inputs=[*inputs], trusted=[PACKAGE]),
+        read_diagram(diagram, inputs=[*inputs]),
         "loop",
         outputs=names,
         interface=Interface({name: SIGNALS[name] for name in names} | inputs),
@@ -248,9 +247,7 @@ def reference_source(kind: str, sample_time_s: float) -> CSource:
     """Return one of the `REFERENCES` in C, which outputs the reference at each sample."""
     system = make_knee_reference(REFERENCES[kind]())
     interface = Interface({"knee_reference": SIGNALS["knee_reference"]})
-    return source_of(
-        read_diagram(system, trusted=[PACKAGE]), kind, tick_s=sample_time_s, interface=interface
-    )
+    return source_of(read_diagram(system), kind, tick_s=sample_time_s, interface=interface)
 
 
 def module_key(source: CSource) -> str:

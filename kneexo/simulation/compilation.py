@@ -13,7 +13,6 @@ from kneexo.errors import CompilationError
 from kneexo.parameters import Scenario
 from kneexo.parameters.scenario_file import as_scenario
 from kneexo.simulation.compiled import compile_scenario, why_python_in_run
-from kneexo.user_code import PACKAGE
 
 
 @overload
@@ -61,7 +60,7 @@ def compile(
     after 10 s: 0.04 rad
     """
     if not isinstance(system, Scenario | str | PathLike):
-        return compile_diagram(system, inputs=inputs, trusted=[PACKAGE])
+        return compile_diagram(system, inputs=inputs)
     if isinstance(inputs, str) or tuple(inputs):
         raise CompilationError(
             "inputs: must be left out for a scenario; compile a diagram to choose them"

@@ -79,7 +79,6 @@ from kneexo.systems.function_law import (
     replay,
     trace,
 )
-from kneexo.user_code import PACKAGE
 
 _PACKAGE = Path(__file__).parents[1]
 _SOURCES = (
@@ -223,7 +222,7 @@ def _model(key: str, scenario: Scenario) -> CompiledModel:
         is_traced = (traced := _function_trace(scenario)) and not traced.why_not_compiled
         outputs = [_COMMAND_AND_STATE] if is_traced else []
         diagram = partial(_diagram, key, scenario)
-        return compile_by_key(key, diagram, inputs=inputs, outputs=outputs, trusted=[PACKAGE])
+        return compile_by_key(key, diagram, inputs=inputs, outputs=outputs)
 
     return _models.of(key, make)
 
@@ -281,9 +280,7 @@ def _unknown_parts(scenario: Scenario) -> _UnknownParts:
 
 def _read_controller(scenario: Scenario) -> _UnknownParts:
     controller = make_controller(scenario, held_command(scenario))
-    read = read_diagram(
-        controller, inputs=list(port_sizes(controller, inputs=True)), trusted=[PACKAGE]
-    )
+    read = read_diagram(controller, inputs=list(port_sizes(controller, inputs=True)))
 
     def named(names: Sequence[str], values: Array) -> dict[str, float]:
         return dict(zip((f"controller/{name}" for name in names), values.tolist(), strict=True))

@@ -505,8 +505,7 @@ def hides_state(law: Law, states: int) -> bool:
         if before != _outer_values(law.target):
             raise _hidden_state(law)
         memo["hides_state", states] = hides
-    hides = memo["hides_state", states]
-    return hides
+    return bool(memo["hides_state", states])
 
 
 def _find_hidden_state(law: Law, states: int, points: Array) -> tuple[bool, Array]:

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pydrake
 
 from ..run_data import Array, State
 from .contexts import discrete_values, parameters_of, set_parameters, set_state, state_of
@@ -61,15 +60,20 @@ def differ(
     return False
 
 
-def is_compared(system: Any, trusted: Iterable[str | Path]) -> bool:
-    """Return whether a leaf system is written in Python by a user.
+_trusted = [f"{Path(__file__).parents[1]}{sep}"]
 
-    Such a leaf lies outside pydrake, this compiler and the folders ``trusted``.
-    """
-    module = sys.modules.get(type(system).__module__)
-    file = getattr(module, "__file__", None) or ""
-    folders = Path(pydrake.__file__).parent, Path(__file__).parents[1], *trusted
-    return not file.startswith(tuple(f"{Path(folder)}{sep}" for folder in folders))
+
+def trust(folder: str | Path) -> None:
+    """Compile leaf systems from Python files of a folder without a comparison with their calls."""
+    _trusted.append(f"{folder}{sep}")
+
+
+def is_compared(system: Any) -> bool:
+    """Return whether a leaf system is written in Python, but not in a folder with `trust`."""
+    names = {kind.__module__ for kind in type(system).__mro__}
+    users = [name for name in names if not name.startswith(("builtins", "pydrake", "pybind11"))]
+    files = [getattr(sys.modules.get(name), "__file__", None) or "" for name in users]
+    return not all(file.startswith(tuple(_trusted)) for file in files)
 
 
 def points_around(values: Array, random: np.random.Generator, scale: float = 1.0) -> Array:

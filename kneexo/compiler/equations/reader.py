@@ -19,7 +19,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from itertools import chain
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -269,12 +268,12 @@ class _Reader:
             leaf.inputs[index] = yield self._signal(list(leaf.node.route(index)))
         return leaf.inputs[index][element]
 
-    def compare(self, root: Node, trusted: Sequence[str | Path]) -> None:
+    def compare(self, root: Node) -> None:
         """Compare the equations of each leaf that is written in Python with the leaf of floats.
 
         Raises `DifferenceError`, which names the leaf and the port.
         """
-        leaves = [v for v in self.leaves.values() if is_compared(v.node.system, trusted)]
+        leaves = [v for v in self.leaves.values() if is_compared(v.node.system)]
         if not leaves:
             return
         random = np.random.default_rng(0)
@@ -329,12 +328,7 @@ def read_equations(diagram: Any, inputs: Sequence[str] = ()) -> Equations:
     return read_tree(root, {name: find_port(root, name, "input") for name in inputs}, {})
 
 
-def read_tree(
-    root: Node,
-    inputs: Mapping[str, Port],
-    outputs: Mapping[str, Port],
-    trusted: Sequence[str | Path] = (),
-) -> Equations:
+def read_tree(root: Node, inputs: Mapping[str, Port], outputs: Mapping[str, Port]) -> Equations:
     """Return all equations of the diagram at the root of a tree.
 
     Parameters
@@ -348,8 +342,6 @@ def read_tree(
     outputs
         Dictionary from name to port of more outputs, besides the output ports of the root. The
         signal of a port includes the perturbations at this port and on the way to it.
-    trusted
-        Folders whose leaf systems are not compared with their equations.
 
     Errors: see `read_equations`.
     """
@@ -363,7 +355,7 @@ def read_tree(
         reader.equations.outputs[name] = reader.signal(root.output_route(index))
     for name, route in routes.items():
         reader.equations.outputs[name] = reader.signal(route)
-    reader.compare(root, trusted)
+    reader.compare(root)
     for leaf in reader.leaves.values():
         reader.read_initial(leaf)
     return reader.equations
