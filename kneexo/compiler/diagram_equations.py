@@ -139,7 +139,7 @@ class ExpressionGraph:
     """
 
     def __init__(self, expressions: Sequence[Any], variables: Sequence[Any]) -> None:
-        self._names = [variable.get_name() for variable in variables]
+        self._expressions, self._variables = expressions, variables
         self._graph = graph = Graph()
         places = {variable.get_id(): place for place, variable in enumerate(variables)}
 
@@ -149,21 +149,20 @@ class ExpressionGraph:
 
         conversion = Conversion(graph, "expression", node_of_variable)
         self._nodes = completed(conversion.nodes(expressions))
+        self._is_large = conversion.is_large
 
-    def __eq__(self, other: object) -> bool:
-        """Return whether both are equal functions of variables with equal names and order."""
-        return isinstance(other, ExpressionGraph) and self._content == other._content
-
-    __hash__ = None  # type: ignore[assignment]
-
-    @property
-    def _content(self) -> tuple[list[str], list[int], list[Any]]:
-        return self._names, self._nodes, self._graph.nodes
+    def is_of(self, expressions: Sequence[Any]) -> bool:
+        """Return whether this is the graph of other expressions of the same variables."""
+        if self._is_large:  # Drake compares trees, which can be as large as 2ⁿ for n operations
+            return self.key == ExpressionGraph(expressions, self._variables).key
+        pairs = zip(self._expressions, expressions, strict=True)
+        return all(one.EqualTo(other) for one, other in pairs)
 
     @cached_property
     def key(self) -> str:
         """Hash (SHA-256) of the graph and the version of Drake; equal functions have one key."""
-        return _hash(self._content)
+        names = [variable.get_name() for variable in self._variables]
+        return _hash((names, self._nodes, self._graph.nodes))
 
     def values(self, points: Array) -> Array:
         """Return the values of the expressions (expressions, …) where the variables are ``points``.

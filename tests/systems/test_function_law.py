@@ -267,29 +267,29 @@ def test_samples_of_a_run_show_what_no_point_of_comparison_shows() -> None:
 
 
 def test_the_extremes_of_a_run_are_replayed_and_the_command_is_limited() -> None:
-    def last(rod_extension):
-        return 1e4 * (rod_extension if isinstance(rod_extension, Expression) else min(
-            rod_extension, 0.2))  # fmt: skip
+    def bounded(rod_extension):
+        is_number = not isinstance(rod_extension, Expression)
+        return 1e3 * (min(rod_extension, 0.2) if is_number else rod_extension)
 
     x = np.full(1000, 0.1)
-    limited = np.clip(1e4 * x, -500.0, 500.0)
-    assert replayed(last, x, limited) == ""
     x[707] = 0.3
-    assert "differ" not in replayed(lambda rod_extension: 1e4 * rod_extension, x, limited)
+    assert "differ" in replayed(bounded, x, 1e3 * x)
+    limited = np.clip(1e4 * x, -500.0, 500.0)
+    assert replayed(lambda rod_extension: 1e4 * rod_extension, x, limited) == ""
 
 
-def test_rounding_at_a_branch_is_no_difference() -> None:
-    def step(rod_extension, state=(0.0,)):
-        return if_then_else(rod_extension - 0.1 > 0.0, 400.0, -400.0), [state[0] + 1.0]
+def test_rounding_at_a_branch_is_no_difference_but_a_counter_is_exact() -> None:
+    def stepping():
+        def step(rod_extension, state=(0.0,)):
+            return if_then_else(rod_extension - 0.1 > 0.0, 400.0, -400.0), [state[0] + 1.0]
 
-    x = np.full(50, 0.1)
-    count = np.arange(51.0)
-    assert replayed(step, x, np.full(50, -400.0), count) == ""
-    assert replayed(lambda rod_extension, state=(0.0,): step(rod_extension, state), x,
-                    np.full(50, 400.0), count) == ""  # fmt: skip
-    count[20:] += 1e-6  # a counter has no rounding error
-    assert "differ" in replayed(lambda rod_extension, state=(0.0,): step(rod_extension, state), x,
-                                np.full(50, -400.0), count)  # fmt: skip
+        return step
+
+    x, commands, counter = np.full(50, 0.1), np.full(50, 400.0), np.arange(51.0)
+    assert replayed(stepping(), x, commands, counter) == ""
+    assert replayed(stepping(), x, -commands, counter) == ""
+    counter[20:] += 1e-6
+    assert "differ" in replayed(stepping(), x, commands, counter)
 
 
 class LateCounter:

@@ -78,6 +78,8 @@ class Conversion:
         self._graph, self._where = graph, where
         self._node_of_variable = node_of_variable
         self._size = 0
+        self.is_large = False
+        """Whether an expression is so large that the reading looks for parts used again."""
         self._known: dict[tuple[str, tuple[int, ...]], int] = {}
         """Dictionary from an operation and its arguments to its node.
 
@@ -144,7 +146,8 @@ class Conversion:
 
     def _used_before(self, name: str, expression: Any) -> int | None:
         """Return the node of an expression ``name`` that was converted before, else None."""
-        if name == "divide" or self._size > _LARGE:
+        self.is_large |= self._size > _LARGE
+        if name == "divide" or self.is_large:
             for known, node in self._latest.get(name, ()):
                 if known.EqualTo(expression):
                     return node
