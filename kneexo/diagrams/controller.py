@@ -253,7 +253,6 @@ def _law_part(scenario: Scenario, law: LawParameters, replacement: System | None
             lambda: function_law.context_values(law),
         )
     system = law.function.make_system(maker_arguments(scenario))
-    _require_period(system, law.sample_time_s, f"law {law.function.short_name}")
     return Part("law", lambda: system, dict)
 
 
@@ -268,16 +267,6 @@ def _estimator_parts(scenario: Scenario) -> Iterable[Part]:
         )
     elif estimator.kind == "difference":
         yield Part("estimator", lambda: systems.BackwardDifference(sample_time), dict)
-
-
-def _require_period(system: System, sample_time_s: float, subject: str) -> None:
-    """Raise `ParameterError` if a system updates its discrete state at another period."""
-    timing = system.GetUniquePeriodicDiscreteUpdateAttribute()
-    if timing is not None and timing.period_sec() != sample_time_s:
-        raise ParameterError(
-            f"controller.sample_time_s = {sample_time_s:g} s: must be {timing.period_sec():g} s, "
-            f"at which {subject} updates"
-        )
 
 
 def encoder_offset_rad(scenario: Scenario) -> float:

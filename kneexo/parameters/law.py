@@ -22,7 +22,7 @@ from contextvars import ContextVar
 from functools import cached_property, lru_cache
 from numbers import Real
 from pathlib import Path
-from types import MethodType, ModuleType, SimpleNamespace
+from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType, SimpleNamespace
 from typing import Any, NamedTuple
 
 import cloudpickle
@@ -32,7 +32,7 @@ from pydantic_core import CoreSchema, core_schema
 
 from kneexo.errors import ParameterError, close_names, question, shortened, shown
 from kneexo.parameters.faults import shown_value
-from kneexo.user_code import NOT_OF_USERS, function_at, user_code
+from kneexo.user_code import NOT_OF_USERS, function_at, text_of, user_code
 
 LAW_INPUTS = {
     "rod_extension": 1,
@@ -316,6 +316,10 @@ class Law:
         Raises `ParameterError` for an unknown argument without a number as default, and for an
         argument beside ``scenario`` that is no gain.
         """
+        with user_code(f"law {self.short_name}: has no readable arguments"):
+            return self._read_arguments()
+
+    def _read_arguments(self) -> LawArguments:
         inputs, gains = [], {}
         flags = {"time_s": False, "state": False}
         initial_state: tuple[float, ...] = ()
@@ -401,8 +405,8 @@ class Law:
                 return type(self).from_text, (self.identity(),)
             raise ParameterError(
                 f"law {self.short_name}: cannot be sent to worker processes "
-                f"({shortened(str(error), 100)}); give a function or the class of the system, or "
-                f"use one worker"
+                f"({shortened(text_of(error), 100)}); give a function or the class of the system, "
+                f"or use one worker"
             ) from None
         finally:
             _pickling.reset(token)
@@ -462,7 +466,8 @@ def _require_no_session(name: str) -> None:
 
 def _checked(target: Any) -> Any:
     """Return the target of a law. Raise `ParameterError` for one that cannot be a law."""
-    if hasattr(target, "get_instantiation"):  # a template of Drake: its class for floats
+    # Attributes are looked up in the type, because an object may run code at each look-up.
+    if hasattr(type(target), "get_instantiation"):  # a template of Drake: its class for floats
         target = target[None]
     if not (callable(target) or _is_system(target)):
         raise ParameterError(
@@ -474,7 +479,7 @@ def _checked(target: Any) -> Any:
 
 def _is_system(value: Any) -> bool:
     """Return True for an object of Drake's class System, without an import of Drake."""
-    return not isinstance(value, type) and hasattr(value, "CreateDefaultContext")
+    return not isinstance(value, type) and hasattr(type(value), "CreateDefaultContext")
 
 
 _making: ContextVar[frozenset[int]] = ContextVar("making", default=frozenset())
@@ -630,7 +635,7 @@ def announce(place: str) -> None:
 
 def _name_of(target: Any) -> str:
     """Return ``MODULE:NAME`` of a target, or ``FILE:NAME`` if its module is no importable one."""
-    if not hasattr(target, "__qualname__"):
+    if not isinstance(target, type | FunctionType | MethodType | BuiltinFunctionType):
         target = type(target)
     module = str(target.__module__)
     if module == "__main__" or "<" in target.__qualname__:

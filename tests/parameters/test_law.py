@@ -372,3 +372,20 @@ def test_numbers_of_numpy_are_gains_and_others_are_one_line() -> None:
 
 def law_with_gain(rod_extension, gain=1.0):
     return gain * rod_extension
+
+
+class Anything:
+    """An object that has every attribute."""
+
+    def __getattr__(self, name):
+        return self
+
+    def __call__(self, *arguments):
+        return self
+
+
+def test_an_object_that_has_every_attribute_is_one_line() -> None:
+    law = Law(Anything())
+    assert law.name.endswith(":Anything")
+    with pytest.raises(ParameterError, match="Anything: has no readable arguments: TypeError: "):
+        _ = law.is_system

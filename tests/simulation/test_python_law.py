@@ -8,13 +8,15 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from pydrake.symbolic import Expression
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import Gain, LinearSystem
 
 from kneexo.analysis import linearize_loop, track
+from kneexo.analysis.reduced_tracking import track_basic_metrics
 from kneexo.batches import batch
 from kneexo.diagrams.controller import encoder_offset_rad
-from kneexo.diagrams.law import runs_as_python
+from kneexo.diagrams.law import runs_as_python, why_python
 from kneexo.errors import LinearizationError, ParameterError, SimulationError
 from kneexo.linkage import encoder_angle
 from kneexo.parameters import (
@@ -276,6 +278,31 @@ def test_the_first_run_says_once_why_the_law_is_slow(capsys) -> None:
     assert "runs as Python" in line
     assert "the function branches on a value (line " in line
     assert "docs/your_controller.md" in line
+
+
+def weaker_near_the_reference():
+    """Return a law whose equations leave out a branch that only a run reaches."""
+
+    def weaker(rod_extension, rod_reference):
+        error = rod_reference[0] - rod_extension
+        is_number = not isinstance(error, Expression)
+        return (0.5 if is_number and rod_extension > 0.1 and abs(error) < 2e-5 else 1.0) * K * error
+
+    return weaker
+
+
+def test_equations_that_differ_in_a_run_are_replaced_by_the_function(capsys) -> None:
+    law, same = weaker_near_the_reference(), weaker_near_the_reference()
+    assert why_python(SHORT.with_law(law)) == ""
+    metrics = track_basic_metrics(SHORT.with_law(law))
+    assert "differ from calls" in why_python(SHORT.with_law(law))
+    run = simulate(SHORT, law=same)
+    recorded = zip(run["measured_rod_extension_m"], run["rod_reference_m"], strict=True)
+    commands = [same(x, [reference]) for x, reference in recorded]
+    limited = np.clip(commands, -SHORT.command_limit_rad_s, SHORT.command_limit_rad_s)
+    np.testing.assert_allclose(run["motor_speed_command_rad_s"][1:], limited[:-1], rtol=1e-9)
+    assert metrics == track_basic_metrics(SHORT.with_law(same))
+    assert len([t for t in capsys.readouterr().err.splitlines() if "differ from calls" in t]) == 1
 
 
 def test_the_command_is_limited() -> None:
