@@ -12,7 +12,7 @@ from kneexo import systems
 from kneexo.diagrams.law import (
     connect_inputs,
     held_command,
-    known_to_controller,
+    known_text,
     law_inputs,
     maker_arguments,
     port_sizes,
@@ -175,7 +175,7 @@ def has_unknown_parts(scenario: Scenario) -> bool:
 def _parts(scenario: Scenario, replacement: System | None = None) -> list[Part]:
     """Return the leaf systems of a controller; ``replacement`` replaces the scenario's law."""
     believed, polynomial = scenario.believed_plant, controller_polynomial(scenario)
-    law, offset = scenario.controller, encoder_offset_rad(scenario)
+    law, offset = scenario.with_loaded_law().controller, encoder_offset_rad(scenario)
     if law.command_limit_rad_s != scenario.command_limit_rad_s:
         law = law.model_copy(update={"command_limit_rad_s": scenario.command_limit_rad_s})
     if replacement is not None and not isinstance(law, LawParameters):
@@ -256,7 +256,6 @@ def _law_part(scenario: Scenario, law: LawParameters, replacement: System | None
             lambda: function_law.context_values(law),
         )
     system = law.function.make_system(maker_arguments(scenario))
-    _require_period(system, law.sample_time_s, f"law {law.function.short_name}")
     return Part("law", lambda: system, dict)
 
 
@@ -273,16 +272,6 @@ def _estimator_parts(scenario: Scenario) -> Iterable[Part]:
         yield Part("estimator", lambda: systems.BackwardDifference(sample_time), dict)
 
 
-def _require_period(system: System, sample_time_s: float, subject: str) -> None:
-    """Raise `ParameterError` if a system updates its discrete state at another period."""
-    timing = system.GetUniquePeriodicDiscreteUpdateAttribute()
-    if timing is not None and timing.period_sec() != sample_time_s:
-        raise ParameterError(
-            f"controller.sample_time_s = {sample_time_s:g} s: must be {timing.period_sec():g} s, "
-            f"at which {subject} updates"
-        )
-
-
 def encoder_offset_rad(scenario: Scenario) -> float:
     """Return the offset in rad that the controller adds to an encoder reading.
 
@@ -297,6 +286,6 @@ def controller_outputs(scenario: Scenario) -> dict[str, int]:
     """Return the size of each output port of a controller with a law of the user, by its name."""
     return remembered(
         users_law(scenario),
-        ("outputs", known_to_controller(scenario).model_dump_json()),
+        ("outputs", known_text(scenario)),
         lambda: port_sizes(make_controller(scenario, held_command(scenario))),
     )

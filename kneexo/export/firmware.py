@@ -36,7 +36,7 @@ from kneexo.export.target import (
 from kneexo.parameters import SampledReference, Scenario
 from kneexo.parameters.fault import OPERATOR_INPUTS
 from kneexo.parameters.safety_states import RELEASES
-from kneexo.parameters.scenario_file import dump_scenario
+from kneexo.parameters.scenario_file import scenario_files
 from kneexo.result import Array
 from kneexo.rod_polynomial import completed
 from kneexo.simulation.compiled import compile_scenario, scenario_run
@@ -166,6 +166,7 @@ def _firmware(
             "protection accepts; leave out look_up or protection"
         )
     target = make_target(scenario, what, counts=True)
+    files: dict[str, Any] = scenario_files(completed(scenario), "scenario.yaml")
     diagram = read_diagram(target.diagram, inputs=target.inputs)
     if step_s is None and integrator == "rk4":
         step_s = released_step_s(scenario, diagram)
@@ -181,7 +182,8 @@ def _firmware(
         step_s=step_s,
         look_up=look_up,
         subject=f"{target.what} in {precision} precision",
-        origin=("scenario.yaml", dump_scenario(completed(scenario))),
+        origin=("scenario.yaml", files.pop("scenario.yaml")),
+        beside=files,
     )
     steps = round(vectors_s / source.plan.schedule.tick_s)
     inputs = loop_inputs(scenario, target, source, steps, **integrator_options)

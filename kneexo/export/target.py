@@ -12,7 +12,6 @@ from pydrake.systems.primitives import Gain
 from kneexo.compiler import DiagramEquations, Interface, State, read_diagram, rk4_step_s
 from kneexo.diagrams.closed_loop import add_encoder, available_signals, make_closed_loop, plant_of
 from kneexo.diagrams.controller import make_controller
-from kneexo.diagrams.law import why_python
 from kneexo.diagrams.protection import reading_range_rad, reference_range_rad
 from kneexo.diagrams.signals import SIGNALS
 from kneexo.errors import ParameterError
@@ -20,6 +19,7 @@ from kneexo.parameters import SampledReference, Scenario, SimulationParameters
 from kneexo.parameters.fault import OPERATOR_INPUTS
 from kneexo.parameters.fields import limits_of
 from kneexo.parameters.safety_states import RELEASES, STATES
+from kneexo.simulation.compiled import why_python_in_run
 from kneexo.systems import EncoderCount
 
 What = Literal["controller", "plant", "loop"]
@@ -76,7 +76,7 @@ def make_target(scenario: Scenario, what: str, *, counts: bool = False) -> Targe
     """
     if what not in WHAT:
         raise ParameterError(f"what = {what!r}: must be one of {', '.join(WHAT)}")
-    if what != "plant" and (reason := why_python(scenario)):
+    if what != "plant" and (reason := why_python_in_run(scenario)):
         raise ParameterError(
             f"controller: the law cannot be exported, because it is called as Python: {reason}; "
             f"docs/your_controller.md says how to get it compiled"

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from numbers import Real
@@ -96,6 +96,8 @@ class CSource:
     origin
         Name and text of the file from which the diagram was made. The export gets a copy of the
         text, in which ``#`` begins a comment.
+    beside
+        Contents of other files, by name, which the export gets too because ``origin`` names them.
 
     Raises
     ------
@@ -120,6 +122,7 @@ class CSource:
     subject: str = ""
     checks_steps: bool = True
     origin: tuple[str, str] | None = None
+    beside: Mapping[str, bytes] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check the options."""
