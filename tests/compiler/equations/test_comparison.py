@@ -49,6 +49,7 @@ WRONG = {
     "beyond one": by_type(lambda x: min(x, 1.0), lambda x: x),
     "constant": by_type(lambda x: 1.0, lambda x: Expression(2.0)),
     "hidden counter": lambda x: x,
+    "random": lambda x: x + float(np.random.default_rng().normal()),
 }
 
 
