@@ -122,13 +122,3 @@ def test_a_system_with_other_samples_is_refused(periods, offset, message: str) -
     for form in (lambda: held(*periods, offset=offset), held(*periods, offset=offset)):
         with pytest.raises(ParameterError, match=message):
             why_python(Scenario().with_law(form, sample_time_s=0.002))
-
-
-def test_a_system_without_a_single_period_is_refused() -> None:
-    def without_period():
-        leaf = FloatsOnly()
-        leaf.DeclareDiscreteState(1)
-        return leaf
-
-    with pytest.raises(ParameterError, match="FloatsOnly: has a discrete state but not"):
-        why_python(Scenario().with_law(without_period))

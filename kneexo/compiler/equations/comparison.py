@@ -81,9 +81,10 @@ def points_around(values: Array, random: np.random.Generator, scale: float = 1.0
 
     With the ``scale`` 0 the values change by a tenth at most, so that a zero stays zero.
     """
-    changes = random.uniform(-1.0, 1.0, (2, values.size, len(_SCALES)))
-    relative = 0.1 * np.sign(_SCALES) * changes[0]
-    return values[:, None] * (1.0 + relative) + scale * np.array(_SCALES) * changes[1]
+    pairs = random.uniform(-1.0, 1.0, (2, values.size, len(_SCALES) // 2))
+    changes = np.zeros((2, values.size, len(_SCALES)))
+    changes[:, :, 1::2], changes[:, :, 2::2] = pairs, -pairs  # on both sides of each value
+    return values[:, None] * (1.0 + 0.1 * changes[0]) + scale * np.array(_SCALES) * changes[1]
 
 
 def differing_part(
@@ -116,10 +117,10 @@ def differing_part(
 
         forward = np.array([value(row) for row in points])
         backward = np.array([value(row) for row in points[::-1]])[::-1]
-        for numbers in (forward, backward):
-            counts = np.isfinite(numbers).all(axis=1)
-            if differ(value, points[counts], found[counts], numbers[counts], inexact=[0]):
-                return part
+        counts = np.isfinite(forward).all(axis=1)
+        hides = not np.array_equal(forward, backward, equal_nan=True)
+        if hides or differ(value, points[counts], found[counts], forward[counts], inexact=[0]):
+            return part
     return ""
 
 

@@ -46,9 +46,10 @@ RIGHT = {
 }  # fmt: skip
 WRONG = {
     "slip": by_type(math.sin, drake_math.cos),
-    "beyond one": by_type(lambda x: min(x, 1.0), lambda x: x),
+    "beyond a tenth": by_type(lambda x: min(x, 0.1), lambda x: x),
     "constant": by_type(lambda x: 1.0, lambda x: Expression(2.0)),
     "hidden counter": lambda x: x,
+    "random": lambda x: x + float(np.random.default_rng().normal()),
 }
 
 
