@@ -14,7 +14,7 @@ from ..run_data import Array, State
 from .contexts import discrete_values, parameters_of, set_parameters, set_state, state_of
 from .tree import Node
 
-TOLERANCE = 1e-9  # sums in another order; conditioning of a law with gains up to 1e6
+_TOLERANCE = 1e-9  # sums in another order; conditioning of a law with gains up to 1e6
 _NEAR = 16  # random signs of the rounding errors of the inputs; as many as the signs of four inputs
 _SCALES = (0.0, 1e-3, 1e-3, 0.1, 0.1, 1.0, 1.0, 10.0, 10.0)
 """Distance from the Context of each point where a leaf is compared."""
@@ -46,14 +46,14 @@ def differ(
         time.
     """
     random = np.random.default_rng(0)
-    close = np.isclose(found, numbers, TOLERANCE, TOLERANCE, equal_nan=True)
+    close = np.isclose(found, numbers, _TOLERANCE, _TOLERANCE, equal_nan=True)
     for row in np.nonzero(~close.all(axis=1))[0].tolist():
         point = points[row]
         exact = point == np.rint(point)
         exact[[*inexact]] = False
-        errors = np.where(exact, 0.0, random.choice([-TOLERANCE, TOLERANCE], (_NEAR, point.size)))
+        errors = np.where(exact, 0.0, random.choice([-_TOLERANCE, _TOLERANCE], (_NEAR, point.size)))
         near = np.array([numbers[row], *(function(point * (1.0 + error)) for error in errors)])
-        slack = TOLERANCE * (1.0 + np.abs(near).max(axis=0))
+        slack = _TOLERANCE * (1.0 + np.abs(near).max(axis=0))
         inside = (near.min(axis=0) - slack <= found[row]) & (found[row] <= near.max(axis=0) + slack)
         if not inside.all():
             return True
