@@ -253,7 +253,8 @@ def _limit(system: Transfer, frequency: float) -> complex:
     if math.isinf(frequency):
         return complex(system.d)
     value = complex(system.response(frequency)[0])
-    return value if abs(value) < 1.0 / _NO_FACTOR else complex(math.inf)
+    largest = max(abs(value.real), abs(value.imag))
+    return value if largest < 1.0 / _NO_FACTOR else complex(math.inf)
 
 
 def _disk(
