@@ -57,18 +57,21 @@ def _called(law: Law, function: Any, arguments: Mapping[str, Any]) -> list[Any]:
     """Do the work of `call_law`, without a guard against errors of the user's code."""
     kinds = {type(value) for values in arguments.values() for value in values}
     scalars = kinds & {AutoDiffXd, Expression}
+    memo = _memo(law)
     # With numbers, pydrake's if_then_else returns constant Expressions.
     has_scalars = bool(scalars) or "if_then_else" in law.names
     with _arithmetic(has_scalars):
+        if memo.get("needs_constants") and not scalars:
+            arguments = {name: _constants(values) for name, values in arguments.items()}
         try:
             result = function(**_plain(arguments))
         except TypeError as error:
-            # Drake 1.58 accepts no comparison of NumPy scalars, but one of Expressions.
-            one_type = scalars or "if_then_else()" not in text_of(error)
-            if one_type or function is not law.target:
+            # Drake 1.58 accepts no comparison of NumPy scalars, but one of Expressions. `trace`
+            # finds that out with copies of an object, so in a run no call is made twice.
+            if scalars or memo.get("needs_constants") or "if_then_else()" not in text_of(error):
                 raise
-            constants = {name: _constants(values) for name, values in arguments.items()}
-            result = function(**_plain(constants))
+            memo["needs_constants"] = True
+            return _called(law, function, arguments)
     return _checked_result(law, arguments, result, scalars)
 
 

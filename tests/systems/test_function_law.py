@@ -15,7 +15,7 @@ from pydrake.systems.analysis import Simulator
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import Law, LawParameters
 from kneexo.systems import FunctionLaw, FunctionLaw_, HeldCommand, LinearLaw
-from kneexo.systems.function_law import hides_state, replay, trace
+from kneexo.systems.function_law import call_law, hides_state, replay, trace
 
 
 def proportional(rod_extension, rod_reference, gain=1e3):
@@ -356,6 +356,25 @@ def test_a_linear_law_updates_by_its_matrix() -> None:
 
 def relay(rod_extension, rod_reference):
     return if_then_else(rod_reference[0] - rod_extension > 0, 500.0, -500.0)
+
+
+class Counting:
+    """A law with a state that hides, which compares a NumPy scalar as pydrake 1.58 does not."""
+
+    def __init__(self):
+        self.calls = 0
+
+    def __call__(self, rod_extension, rod_reference):
+        self.calls += 1
+        return if_then_else(rod_reference[0] - rod_extension > 0, 1.0, -1.0) * self.calls
+
+
+def test_an_object_with_if_then_else_counts_each_sample_once() -> None:
+    law = Law(Counting())
+    assert "changes" in trace(law, 0).why_not_compiled
+    function = law.copy_of_target()
+    arguments = {"rod_extension": np.array([0.1]), "rod_reference": np.array([0.2, 0.0, 0.0, 0.0])}
+    assert [call_law(law, function, arguments) for _ in range(3)] == [[1.0], [2.0], [3.0]]
 
 
 def test_if_then_else_gives_numbers() -> None:
