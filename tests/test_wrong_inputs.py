@@ -103,6 +103,8 @@ FILES = {
     "plant:\n  cylinder:\n    mass_kg: 1,6": r"= '1,6': must be a number with a decimal point",
     "plant: {cylinder: 2}": r"must be a mapping of names to values, such as {bore_m: …}$",
     "reference: {amplitude_deg: 46}": r"leaves the range of motion 0 … 90 deg; reduce it$",
+    "reference: {kind: samples, times_s: [0, 1, 2], angles_deg: [9, -5, 9]}": r"-5 … 9 deg leaves "
+    r"the range of motion 0 … 90 deg; reduce it, or set clip: true in reference: {…}$",
     "controller: law": r"controller.function: is missing; must be .* FILE.py:NAME",
     "controller: {kind: pid, anti_windup_s: 1e-3}": r"= 0.001 s must be at least sample_time_s = ",
     "reference: {kind: samples, times_s: [0, 1, 1e6], angles_deg: [1, 2, 3]}": r"±100000 s$",
@@ -119,8 +121,8 @@ FILES = {
     WORN + "moment: no.csv}": r"wearer.moment: no.csv: cannot be read: No such file",
     WORN + "moment: gate}": r"path of a .csv file or a mapping; did you mean gait\?$",
     WORN
-    + "moment: law.py}": r"wearer.moment = 'law.py': must be gait, the path of a .csv file or ",
-    WORN + "moment: .}": r"wearer.moment = '.': must be gait, the path of a .csv file or ",
+    + "moment: law.py}": r"wearer.moment = 'law.py': must be gait, csv, the path of a .csv file or ",
+    WORN + "moment: .}": r"wearer.moment = '.': must be gait, csv, the path of a .csv file or ",
     "load_cell: {noise_n: 2}": r"my.yaml:1: load_cell: noise_n = 2 N: seed .*; add seed: 1$",
     # units of angle
     WORN + "stiffness_n_m_per_deg: 1}": r"did you mean wearer.stiffness_n_m_per_rad\?$",

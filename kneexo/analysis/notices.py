@@ -7,6 +7,8 @@ import math
 import textwrap
 from collections.abc import Iterable, Iterator
 
+import numpy as np
+
 from kneexo.analysis.coupling import coupled_loop, stiffness_interval
 from kneexo.analysis.signals import period_s
 from kneexo.diagrams.plant import moving_masses_kg
@@ -32,6 +34,15 @@ LONGEST_HOLD = 0.1
 
 Assumption: an error of 0 in a tenth of the run lowers the root mean square by 5 %.
 """
+
+LARGEST_INTERVAL = 10.0
+"""Smallest interval between two samples of a reference, in medians of all, that is a gap."""
+
+LARGEST_IN_RAD_DEG = 2.6
+"""Assumption: samples within this angle may be in rad, since 150° are 2.6 rad."""
+
+SLOWEST_DEG_S, LONGEST_TRIAL_S = 0.5, 100.0
+"""Assumption: a longer reference that is always slower may have its times in ms."""
 
 LARGEST_MISFIT_MM = 0.3
 """Largest error in mm of a given polynomial over 0…90° without a notice.
@@ -119,7 +130,8 @@ def _reference_notices(scenario: Scenario) -> Iterator[str]:
 
     A line says that the run ends within the first period of a sine, before it has settled, or
     before the step or ramp. A line says that samples before 0 s are not run. A line says that the
-    run holds the first or the last sample for more than `LONGEST_HOLD` of its duration.
+    run holds the first or the last sample for more than `LONGEST_HOLD` of its duration. Lines say
+    what was done to the samples of a file, and that their units may be others.
     """
     reference, duration_s = scenario.reference, scenario.duration_s
     if (period := period_s(scenario)) >= duration_s:
@@ -134,6 +146,17 @@ def _reference_notices(scenario: Scenario) -> Iterator[str]:
         )
     if isinstance(reference, SampledReference):
         start_s, end_s = reference.times_s[0], reference.times_s[-1]
+        if reference.shift_s > 0.0:
+            yield (
+                f"the run begins at {reference.shift_s:g} s of the file of the reference, and of a "
+                f"file of wearer.moment: these times are 0 s of the run"
+            )
+        if reference.clipped_deg > 0.0:
+            yield (
+                f"reference.clip sets samples that are up to {reference.clipped_deg:.3g}° beyond "
+                f"the range of motion to its ends"
+            )
+        yield from _unit_notices(reference)
         if start_s < 0.0:
             yield (
                 f"the samples before 0 s, from {start_s:g} s on, are not run; add {-start_s:g} s "
@@ -150,6 +173,31 @@ def _reference_notices(scenario: Scenario) -> Iterator[str]:
                 f"simulation.duration_s = {duration_s:g} s; leave simulation.duration_s out to "
                 f"stop at the last sample"
             )
+
+
+def _unit_notices(reference: SampledReference) -> Iterator[str]:
+    """Yield a line if the samples seem to be in rad, or their times in ms."""
+    times_s, angles_deg = np.array(reference.times_s), np.array(reference.angles_deg)
+    if np.ptp(angles_deg) > 0.0 and (largest := np.max(np.abs(angles_deg))) < LARGEST_IN_RAD_DEG:
+        yield (
+            f"the reference stays within {largest:.3g}°; if its angles are in rad, multiply them "
+            f"by 57.3"
+        )
+    rate_deg_s = np.max(np.abs(np.diff(angles_deg) / np.diff(times_s)))
+    if times_s[-1] > LONGEST_TRIAL_S and 0.0 < rate_deg_s < SLOWEST_DEG_S:
+        yield (
+            f"the reference takes {times_s[-1]:g} s and moves at most {rate_deg_s:.2g} deg/s; if "
+            f"its times are in ms, divide them by 1000"
+        )
+
+
+def gaps_s(reference: SampledReference, duration_s: float) -> list[tuple[float, float]]:
+    """Return begin and end in s of each gap of the samples within a run, the longest first."""
+    starts, ends = np.array(reference.times_s[:-1]), np.array(reference.times_s[1:])
+    steps = ends - starts
+    long = steps >= LARGEST_INTERVAL * np.median(steps)
+    kept = np.flatnonzero(long & (ends > 0.0) & (starts < duration_s))
+    return [(float(starts[i]), float(ends[i])) for i in kept[np.argsort(-steps[kept])]]
 
 
 def _stiffness_notice(scenario: Scenario) -> Iterator[str]:

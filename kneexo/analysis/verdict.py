@@ -20,7 +20,14 @@ from kneexo.analysis.interaction import (
 )
 from kneexo.analysis.limit_cycle import LimitCycle, limit_cycle
 from kneexo.analysis.margins import Margins
-from kneexo.analysis.notices import model_lines, notices, omissions, wrapped
+from kneexo.analysis.notices import (
+    LARGEST_INTERVAL,
+    gaps_s,
+    model_lines,
+    notices,
+    omissions,
+    wrapped,
+)
 from kneexo.analysis.sampled_loop import SampledLoop, linearize_loop
 from kneexo.analysis.signals import period_s, rms, saturated_share, share_above, to_rpm
 from kneexo.diagrams.signals import columns
@@ -240,6 +247,7 @@ def verdict_of(scenario: Scenario, run: Run, *, step: tuple[bool, str] | None) -
     stability = Stability.of_scenario(scenario)
     notes = (
         *notices(scenario),
+        *_gap_notices(scenario, run),
         *_pressure_notices(scenario, run),
         *_fault_notices(scenario, run),
         *_protection_notices(scenario, run),
@@ -355,6 +363,24 @@ def _protection_notices(scenario: Scenario, run: Run) -> Iterator[str]:
         limit = getattr(scenario.protection, detector.field)
         text += f" was {size:.4g}, above {limit:g} {detector.unit}"
     yield f"{text}; the run ends in the state {list(STATES)[int(run['safety_state'][-1])]}"
+
+
+def _gap_notices(scenario: Scenario, run: Run) -> Iterator[str]:
+    """Yield a line if samples of the reference are missing, with the errors there and elsewhere."""
+    reference, gap = scenario.reference, np.zeros(run.time_s.size, bool)
+    found = gaps_s(reference, scenario.duration_s) if reference.kind == "samples" else []
+    for start_s, end_s in found:
+        gap |= (start_s < run.time_s) & (run.time_s < end_s)
+    if not gap.any() or gap.all():
+        return
+    error_deg = np.degrees(np.abs(run["knee_reference_rad"] - run["knee_angle_rad"]))
+    start_s, end_s = found[0]
+    many = "" if len(found) == 1 else f" and in {len(found) - 1} more gaps"
+    yield (
+        f"the reference has no samples from {start_s:.6g} to {end_s:.6g} s{many}, at least "
+        f"{LARGEST_INTERVAL:g} times the median interval, and its curve there is a guess: largest "
+        f"error {error_deg[gap].max():.3g}° there, {error_deg[~gap].max():.3g}° elsewhere"
+    )
 
 
 def _pressure_notices(scenario: Scenario, run: Run) -> Iterator[str]:

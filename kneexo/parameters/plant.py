@@ -413,12 +413,15 @@ class KneeParameters(Parameters):
                 f"{self.flexion_min_deg:g} and <= {self.flexion_max_deg:g} deg"
             )
 
-    def require_in_range(self, low_deg: float, high_deg: float) -> None:
-        """Raise `ParameterError` if a reference with this range leaves the range of motion."""
+    def require_in_range(self, low_deg: float, high_deg: float, remedy: str = "reduce it") -> None:
+        """Raise `ParameterError` if a reference with this range leaves the range of motion.
+
+        The message ends with ``remedy``.
+        """
         if low_deg < self.flexion_min_deg or high_deg > self.flexion_max_deg:
             raise ParameterError(
                 f"reference = {low_deg:.4g} … {high_deg:.4g} deg leaves the range of motion "
-                f"{self.flexion_min_deg:g} … {self.flexion_max_deg:g} deg; reduce it"
+                f"{self.flexion_min_deg:g} … {self.flexion_max_deg:g} deg; {remedy}"
             )
 
 

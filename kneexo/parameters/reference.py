@@ -36,6 +36,8 @@ SHORTEST_RUN_S = 1e-3
 """Duration of the shortest run in s."""
 LONGEST_TIME_S = 1e5
 """Largest absolute value of a sample's time in s. Times can be negative."""
+TIMES_IN_MS = "; divide all times by 1000 if they are in ms"
+"""Remedy for a time out of range."""
 
 
 class _KneeReference(Parameters):
@@ -116,6 +118,8 @@ _INTERPOLATION = (
     "shape-preserving cubic, which stays within neighbouring samples; linear: straight lines"
 )
 
+_CLIP = "true: samples beyond the range of motion are set to its ends, as in hyperextension"
+
 
 class SampledReference(_KneeReference):
     """Knee angle that passes through samples.
@@ -133,6 +137,17 @@ class SampledReference(_KneeReference):
         min_length=_FEWEST_SAMPLES, json_schema_extra={"unit": "deg", "source": "given by the user"}
     )
     interpolation: Interpolation = choice("cubic", _INTERPOLATION)
+    clip: bool = choice(False, _CLIP)
+    clipped_deg: float = quantity(
+        0.0,
+        "deg",
+        "result: how far samples lay beyond the range of motion before clip",
+        ge=0,
+        le=1e9,
+    )
+    shift_s: float = quantity(
+        0.0, "s", "result: time in the file at which the run begins", ge=0, le=LONGEST_TIME_S
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> SampledReference:
@@ -159,12 +174,16 @@ class SampledReference(_KneeReference):
         """Smallest and largest sample in deg. The spline between the samples can go beyond them."""
         return min(self.angles_deg), max(self.angles_deg)
 
+    def clipped(self, low_deg: float, high_deg: float) -> SampledReference:
+        """Return the reference with its samples clipped to a range, and how far they were off."""
+        angles = tuple(min(max(angle, low_deg), high_deg) for angle in self.angles_deg)
+        off = max(abs(a - b) for a, b in zip(angles, self.angles_deg, strict=True))
+        update = {"angles_deg": angles, "clipped_deg": max(off, self.clipped_deg)}
+        return self.model_copy(update=update)
 
-class CsvReference(Parameters):
-    """A CSV file, or a .mot or .sto file of OpenSim, with the samples of a reference.
 
-    `samples` reads the file. A scenario made with a file stores the samples, not the file name.
-    """
+class CsvTable(Parameters):
+    """A CSV file, or a .mot or .sto file of OpenSim, with a quantity of the knee over time."""
 
     kind: Literal["csv"] = "csv"
     file: str = Field(
@@ -176,11 +195,35 @@ class CsvReference(Parameters):
         },
     )
     time: str = choice("time_s", "name of the column of times in s; in OpenSim's files time")
-    angle: str = choice(
-        "knee_angle_deg", "name of the column of knee angles in deg; OpenSim's may be in rad"
-    )
     flexion: Literal["positive", "negative"] = choice(
         "positive", "sign of flexion in the file; negative in OpenSim's gait2392"
+    )
+    shift_s: float | None = quantity(
+        None,
+        "s",
+        "left out: the first time of the reference's file if it is after 0 s; is subtracted from "
+        "the times of the files of reference and wearer.moment",
+        ge=0,
+        le=LONGEST_TIME_S,
+    )
+
+
+def shifted(times_s: Sequence[float], shift_s: float) -> tuple[float, ...]:
+    """Return times minus a shift, rounded to 1 ns, so that 14.3 s − 12.3 s is 2 s.
+
+    Without a shift the times stay as they are.
+    """
+    return tuple(round(time - shift_s, 9) for time in times_s) if shift_s else tuple(times_s)
+
+
+class CsvReference(CsvTable):
+    """A file with the samples of a reference.
+
+    `samples` reads the file. A scenario made with a file stores the samples, not the file name.
+    """
+
+    angle: str = choice(
+        "knee_angle_deg", "name of the column of knee angles in deg; OpenSim's may be in rad"
     )
     period_s: float | None = quantity(
         None,
@@ -191,6 +234,7 @@ class CsvReference(Parameters):
     )
     cycles: int = quantity(1, "1", "the file once; how often the samples are run", ge=1, le=1000)
     interpolation: Interpolation = choice("cubic", _INTERPOLATION)
+    clip: bool = choice(False, _CLIP)
 
     def samples(self, directory: str | os.PathLike[str] = ".") -> SampledReference:
         """Read the samples from the file. A relative file path starts at ``directory``.
@@ -201,12 +245,13 @@ class CsvReference(Parameters):
         """
         path = Path(directory, self.file)
         table = read_table(path, (self.time, self.angle), "; give its names as time: and angle:")
+        table = table.without_repeats()
         times, angles = table.columns[self.time], table.degrees(self.angle)
         if len(times) < _FEWEST_SAMPLES:
             message = f"has {len(times)} rows; must have at least {_FEWEST_SAMPLES}"
             raise file_error(path, None, message)
         unit, scale = ("s", 1.0) if self.period_s is None else ("%", self.period_s / 100.0)
-        table.require(self.time, -LONGEST_TIME_S, LONGEST_TIME_S, unit)
+        table.require(self.time, -LONGEST_TIME_S, LONGEST_TIME_S, unit, TIMES_IN_MS)
         table.require_increase(self.time, _SHORTEST_SAMPLE_S, unit)
         if self.period_s is not None and (times[0], times[-1]) != (0.0, 100.0):
             message = (
@@ -214,6 +259,7 @@ class CsvReference(Parameters):
                 f"period_s out if it is in s"
             )
             raise file_error(path, None, message)
+        shift_s = max(scale * times[0], 0.0) if self.shift_s is None else self.shift_s
         if self.flexion == "negative":
             angles = [-angle for angle in angles]
         low, high = min(angles), max(angles)
@@ -235,9 +281,13 @@ class CsvReference(Parameters):
         span, cycles = times[-1] - times[0], range(self.cycles)
         try:
             return SampledReference(
-                times_s=tuple(scale * (t + n * span) for n in cycles for t in times[n > 0 :]),
+                times_s=shifted(
+                    [scale * (t + n * span) for n in cycles for t in times[n > 0 :]], shift_s
+                ),
                 angles_deg=tuple(angle for n in cycles for angle in angles[n > 0 :]),
                 interpolation=self.interpolation,
+                clip=self.clip,
+                shift_s=shift_s,
             )
         except ParameterError as error:
             reason = str(error).removeprefix("SampledReference: ")

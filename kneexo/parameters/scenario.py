@@ -43,6 +43,7 @@ from kneexo.parameters.wearer import (
     NoWearer,
     Wearer,
     gait_moment_stride_n_m,
+    moment_file,
 )
 
 DEFAULT_DURATION_S = 30.0
@@ -327,9 +328,29 @@ class Scenario(Parameters):
     def _named_reference(cls, reference: Any, info: ValidationInfo) -> Any:
         return read_reference(reference, (info.context or {}).get("directory", "."))
 
+    @field_validator("reference", mode="after")
+    @classmethod
+    def _clipped_reference(cls, reference: Any, info: ValidationInfo) -> Any:
+        plant = info.data.get("plant")
+        if plant is None or not isinstance(reference, SampledReference) or not reference.clip:
+            return reference
+        return reference.clipped(plant.knee.flexion_min_deg, plant.knee.flexion_max_deg)
+
+    @field_validator("wearer", mode="before")
+    @classmethod
+    def _on_the_clock_of_the_reference(cls, wearer: Any, info: ValidationInfo) -> Any:
+        """Give a file of the moment the shift of the reference, since both are of one trial."""
+        shift_s = getattr(info.data.get("reference"), "shift_s", 0.0)
+        moment = moment_file(wearer.get("moment")) if isinstance(wearer, dict) else None
+        if shift_s and isinstance(moment, dict) and moment.get("kind") == "csv":
+            return wearer | {"moment": {"shift_s": shift_s} | moment}
+        return wearer
+
     @model_validator(mode="after")
     def _compatible(self) -> Scenario:
-        self.plant.knee.require_in_range(*self.reference.range_deg)
+        sampled = isinstance(self.reference, SampledReference)
+        remedy = "reduce it" + ", or set clip: true in reference: {…}" * sampled
+        self.plant.knee.require_in_range(*self.reference.range_deg, remedy)
         continuous = self.controller.kind == "smc" and self.controller.continuous
         if continuous and self.estimator.kind != "exact":
             raise ValueError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -15,7 +16,14 @@ from kneexo.files.table import SUFFIXES, read_table
 from kneexo.gait import gait_moment_cycle, gait_start_percent
 from kneexo.parameters.fields import Words
 from kneexo.parameters.quantity import Parameters, choice, quantities, quantity
-from kneexo.parameters.reference import LONGEST_TIME_S, GaitReference, gait_reference
+from kneexo.parameters.reference import (
+    LONGEST_TIME_S,
+    TIMES_IN_MS,
+    CsvTable,
+    GaitReference,
+    gait_reference,
+    shifted,
+)
 from kneexo.result import Array
 
 MAXWELL_BANK = (
@@ -87,6 +95,32 @@ class GaitMoment(GaitReference):
     )
 
 
+class CsvMoment(CsvTable):
+    """A file with the biological moment of the knee, such as one of OpenSim's inverse dynamics."""
+
+    column: str = choice(
+        "knee_moment_nm", "name of the column of moments in N·m; OpenSim's knee_angle_r_moment"
+    )
+
+    def moments(self, directory: str | os.PathLike[str] = ".") -> MomentTable:
+        """Read the moments from the file. A relative file path starts at ``directory``.
+
+        Raises `ScenarioError` for a faulty file, as `CsvReference.samples` does.
+        """
+        path, sign = Path(directory, self.file), -1.0 if self.flexion == "negative" else 1.0
+        remedy = "; give its names: moment: {file: …, time: …, column: …}"
+        table = read_table(path, (self.time, self.column), remedy).without_repeats()
+        table.require(self.time, -LONGEST_TIME_S, LONGEST_TIME_S, "s", TIMES_IN_MS)
+        table.require(self.column, -LARGEST_MOMENT_N_M, LARGEST_MOMENT_N_M, "N·m")
+        try:
+            return MomentTable(
+                times_s=shifted(table.columns[self.time], self.shift_s or 0.0),
+                moments_n_m=tuple(sign * moment for moment in table.columns[self.column]),
+            )
+        except ParameterError as error:
+            raise file_error(path, None, str(error).removeprefix("MomentTable: ")) from None
+
+
 @cache
 def gait_moment_stride_n_m() -> Array:
     """Return the moment of one stride of `gait_moment` in N·m, (n,), without the last sample."""
@@ -127,31 +161,33 @@ def leg_of_body(mass_kg: float, height_m: float) -> dict[str, float]:
 def read_moment(value: Any, directory: Any) -> Any:
     """Return the table of a moment of walking or of a file. Return other values unchanged.
 
-    ``value`` is an object, a mapping, or the path of a file that `read_table` reads, with the
-    columns ``time_s`` and ``knee_moment_nm``. A relative path starts at ``directory``. Raises
-    `ParameterError` for a faulty file or value.
+    ``value`` is an object, a mapping, or the path of a file of `CsvMoment`. A relative path starts
+    at ``directory``. Raises `ParameterError` for a faulty file or value.
     """
-    if isinstance(value, dict) and value.get("kind") == "gait":
+    value = moment_file(value)
+    if isinstance(value, dict) and value.get("kind") in ("csv", "gait"):
+        cls = CsvMoment if value["kind"] == "csv" else GaitMoment
         try:
-            value = GaitMoment(**value)
+            value = cls(**value)
         except ParameterError as error:
-            raise ParameterError(str(error).removeprefix("GaitMoment: ")) from None
+            raise ParameterError(str(error).removeprefix(f"{cls.__name__}: ")) from None
+    if isinstance(value, CsvMoment):
+        return value.moments(directory)
     if isinstance(value, GaitMoment):
         mass_kg = value.body_mass_kg
         return gait_moment(value.frequency_hz, value.cycles, body_mass_kg=mass_kg)
-    if not (isinstance(value, str) and value.endswith(SUFFIXES)):
-        return value
-    path = Path(directory, value)
-    table = read_table(path, ("time_s", "knee_moment_nm"), "; rename its columns")
-    table.require("time_s", -LONGEST_TIME_S, LONGEST_TIME_S, "s")
-    table.require("knee_moment_nm", -LARGEST_MOMENT_N_M, LARGEST_MOMENT_N_M, "N·m")
-    try:
-        return MomentTable(
-            times_s=tuple(table.columns["time_s"]),
-            moments_n_m=tuple(table.columns["knee_moment_nm"]),
-        )
-    except ParameterError as error:
-        raise file_error(path, None, str(error).removeprefix("MomentTable: ")) from None
+    return value
+
+
+def moment_file(value: Any) -> Any:
+    """Return the path of a file, or a mapping with ``file``, as the mapping of a `CsvMoment`.
+
+    Any other moment is returned unchanged.
+    """
+    if isinstance(value, str) and value.endswith(SUFFIXES):
+        value = {"file": value}
+    is_file = isinstance(value, dict) and "file" in value
+    return {"kind": "csv"} | value if is_file else value
 
 
 class CuffParameters(Parameters):
@@ -240,7 +276,8 @@ class LegParameters(Parameters):
         le=2,
     )
     moment: Annotated[
-        MomentTable | None, Words(models=(GaitMoment,), others=("the path of a .csv file",))
+        MomentTable | None,
+        Words(models=(GaitMoment, CsvMoment), others=("the path of a .csv file",)),
     ] = choice(
         None, "given by the user: biological moment, a table, gait, or the path of a CSV file"
     )

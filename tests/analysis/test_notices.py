@@ -52,6 +52,31 @@ def test_samples_before_the_run_are_one_notice():
     assert lines == ["the samples before 0 s, from -2 s on, are not run; add 2 s to all times"]
 
 
+def sampled_notices(times_s, angles_deg, **values):
+    reference = SampledReference(times_s=times_s, angles_deg=angles_deg, **values)
+    return list(notices(Scenario(reference=reference)))
+
+
+def test_what_was_done_to_the_samples_of_a_file_is_a_notice():
+    shift, clip = sampled_notices((0, 4, 10), (20, -5, 30), clip=True, shift_s=12.3)
+    assert shift.startswith("the run begins at 12.3 s of the file of the reference, and of a file")
+    assert clip == (
+        "reference.clip sets samples that are up to 5° beyond the range of motion to its ends"
+    )
+
+
+def test_units_that_may_be_others_are_notices():
+    times_s, angles = np.linspace(0.0, 2.0, 101), 35.0 - 33.0 * np.cos(np.linspace(0.0, 12.0, 101))
+    assert sampled_notices(times_s, angles) == []
+    (line,) = sampled_notices(times_s, np.radians(angles))
+    assert line == (
+        "the reference stays within 1.19°; if its angles are in rad, multiply them by 57.3"
+    )
+    (line,) = sampled_notices(1e3 * times_s, angles)  # at most 33 deg · 6 rad/s
+    assert line.startswith("the reference takes 2000 s and moves at most 0.2 deg/s; if its times")
+    assert sampled_notices((0, 50, 101), (0.0, 0.0, 0.0)) == []  # a knee that stands still
+
+
 @pytest.mark.parametrize("kind", ["step", "ramp"])
 def test_a_motion_after_the_run_is_a_notice(kind):
     reference = {"kind": kind, "time_s": 30.0}
