@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import kneexo as kx
-from kneexo.analysis import linearize_loop
+from kneexo.analysis import detector_thresholds, fault_survival, linearize_loop, linearize_plant
 from kneexo.command_line import parser
 from kneexo.command_line.main import main
-from kneexo.diagrams import make_closed_loop
+from kneexo.diagrams import make_closed_loop, make_plant
 from kneexo.diagrams.signals import SIGNALS, columns
 from kneexo.errors import KneexoError
 from kneexo.parameters import (
@@ -26,8 +26,9 @@ from kneexo.parameters import (
     Uncertainty,
     gait_reference,
 )
-from kneexo.simulation import Run
+from kneexo.simulation import Run, simulate
 from kneexo.studies.bandwidth import BandwidthSettings
+from kneexo.systems import BldcPump
 
 LONGEST = 300
 MASS = "plant.cylinder.mass_kg"
@@ -121,7 +122,7 @@ FILES = {
     WORN + "moment: no.csv}": r"wearer.moment: no.csv: cannot be read: No such file",
     WORN + "moment: gate}": r"path of a .csv file or a mapping; did you mean gait\?$",
     WORN
-    + "moment: law.py}": r"wearer.moment = 'law.py': must be gait, csv, the path of a .csv file or ",
+    + "moment: law.py}": r"wearer.moment = 'law.py': must be gait, csv, the path of a .csv file",
     WORN + "moment: .}": r"wearer.moment = '.': must be gait, csv, the path of a .csv file or ",
     "load_cell: {noise_n: 2}": r"my.yaml:1: load_cell: noise_n = 2 N: seed .*; add seed: 1$",
     # units of angle
@@ -260,6 +261,10 @@ def assigned(part, name, value):
     return lambda: setattr(part, name, value)
 
 
+async def later(rod_extension):
+    return 0.0
+
+
 CALLS = {
     "attribute of a part": (lambda: SCENARIO.plant.cylinder.mass, r"did you mean mass_kg\?$"),
     "assignment to the scenario": (
@@ -306,6 +311,41 @@ CALLS = {
         lambda: make_closed_loop(signals=["chamber_pressures"]),
         r"needs plant.full_order = true$",
     ),
+    "signal as text": (
+        lambda: simulate(SCENARIO, signals="knee_angle"),
+        r"signals = 'knee_angle': must be a list, such as \[\"knee_angle\"\]$",
+    ),
+    "preset as scenario": (
+        lambda: kx.track("bench"),
+        r"'bench': must be an object of Scenario, such as Scenario.preset\(\"bench\"\)$",
+    ),
+    "preset as loop": (lambda: make_closed_loop("leg"), r"such as Scenario.preset\(\"leg\"\)$"),
+    "preset as plant": (lambda: make_plant("leg"), r"such as Scenario.preset\(\"leg\"\).plant$"),
+    "mapping as parameters": (
+        lambda: BldcPump({"lag_s": 0.01}),
+        r"^BldcPump: parameters = .*: must be an object of BldcPumpParameters, such as BldcPumpPa",
+    ),
+    "scenario as plant": (lambda: linearize_plant(SCENARIO), r"must be an object of PlantParamet"),
+    "plant as scenario": (lambda: linearize_loop(SCENARIO.plant), r"must be an object of Scenario"),
+    "number as scenario": (lambda: detector_thresholds(3), r"scenario = 3: must be an object of S"),
+    "scenario of faults": (lambda: fault_survival("leg", [], []), r"must be an object of Scenario"),
+    "posture as text": (
+        lambda: linearize_plant(knee_angle_deg="40"),
+        r"knee_angle_deg = '40': must be a number in deg$",
+    ),
+    "misspelt kind": (
+        lambda: kx.Scenario(reference={"kind": "cvs"}),
+        r"must be 'sine', 'step', 'ramp', 'samples', 'gait' or 'csv'; did you mean csv\?$",
+    ),
+    "bound that is rounded up": (
+        lambda: kx.Scenario(encoder={"phase_rad": 6.28319}),
+        r"6.28319 rad is out of range: must be finite and >= 0 and <= 6.283185 rad$",
+    ),
+    "start beyond full extension": (
+        lambda: make_closed_loop(SCENARIO.changed({"initial_offset_m": 0.01})),
+        r"^initial_offset_m = 0.01 m: the knee starts at -1.* deg, outside .* 0 … 90 deg; reduce",
+    ),
+    "async law": (lambda: SCENARIO.with_law(later), r"later: is async; remove the word async$"),
     "file": (lambda: kx.track("my.yml"), r"my.yml: cannot be read: .*; did you mean my.yaml\?$"),
     "no scenario": (lambda: kx.track({}), r"must be a Scenario or the path of a scenario file"),
     "no list": (lambda: kx.batch(SCENARIO, {MASS: 2}), r"must be a list of values$"),

@@ -26,6 +26,7 @@ from kneexo.parameters import (
 from kneexo.parameters.fields import unit_of
 from kneexo.parameters.labels import value_text
 from kneexo.parameters.quantity import Parameters
+from kneexo.progress import line_width
 from kneexo.rod_polynomial import controller_polynomial, largest_error_mm
 from kneexo.systems.knee_reference import run_middle_deg, run_range_deg
 
@@ -86,19 +87,19 @@ def omissions(scenario: Scenario) -> tuple[str, ...]:
 def model_lines(scenario: Scenario, notes: Iterable[str]) -> list[str]:
     """Return one line that names the `omissions` of a scenario, and a line for each of ``notes``.
 
-    A line of more than 100 characters goes on below, indented.
+    A line of more than `line_width` characters goes on below, indented.
     """
     left_out = ", ".join(omissions(scenario)) or "nothing that kneexo can compute"
     return [wrapped(line) for line in (f"Left out: {left_out}.", *(f"Note: {n}." for n in notes))]
 
 
 def wrapped(line: str) -> str:
-    """Return ``line`` in lines of at most 100 characters, indented from the second on.
+    """Return ``line`` in lines of at most `line_width` characters, indented from the second on.
 
     A longer word, such as a path, stays whole.
     """
     return textwrap.fill(
-        line, 100, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
+        line, line_width(), subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
     )
 
 

@@ -205,7 +205,7 @@ class Verdict(Result):
 
     @property
     def text(self) -> str:
-        """The ``lines`` wrapped to 100 columns, and the `model_lines`."""
+        """The ``lines`` wrapped to the width of the terminal, and the `model_lines`."""
         return "\n".join((*map(wrapped, self.lines), *self.model_lines))
 
     def results(self) -> dict[str, Any]:

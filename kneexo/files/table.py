@@ -88,9 +88,16 @@ class Table:
         return replace(self, lines=[self.lines[i] for i in kept], columns=columns)
 
     def require(self, name: str, low: float, high: float, unit: str, remedy: str = "") -> None:
-        """Raise `ScenarioError` if a column has a value outside ``low`` … ``high``, in ``unit``.
+        """Raise `ScenarioError` if a column has a value out of range.
 
-        The message ends with ``remedy``.
+        Parameters
+        ----------
+        name
+            Name of the column.
+        low, high, unit
+            Range of the values, and the unit of all three.
+        remedy
+            End of the message.
         """
         for line, value in zip(self.lines, self.columns[name], strict=True):
             if not low <= value <= high:

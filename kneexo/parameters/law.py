@@ -102,6 +102,8 @@ class Law:
                 f"law = {shown_value(target)}: must be a function, a Drake system, or "
                 f"their name as text, FILE.py:NAME"
             )
+        if inspect.iscoroutinefunction(target):
+            raise ParameterError(f"law = {shown_value(target)}: is async; remove the word async")
         self.target = target
         self.name = name or _name_of(target)
         self.memo: dict[Any, Any] = {}

@@ -16,7 +16,7 @@ from kneexo.errors import ParameterError
 from kneexo.files.reading import file_error
 from kneexo.files.table import SUFFIXES, read_table
 from kneexo.gait import gait_knee_flexion
-from kneexo.parameters.fields import Words
+from kneexo.parameters.fields import Words, kind_of
 from kneexo.parameters.quantity import Parameters, choice, quantity
 from kneexo.result import Array
 
@@ -399,6 +399,20 @@ def sit_to_stand_reference(
     return SampledReference(times_s=tuple(times.tolist()), angles_deg=tuple(angles.tolist()))
 
 
+def object_of_kind(value: Any, *classes: type[Parameters]) -> Any:
+    """Return a mapping whose ``kind`` is that of a class as an object of this class.
+
+    Any other value is returned unchanged. Raises `ParameterError` for a faulty value.
+    """
+    for cls in classes:
+        if isinstance(value, dict) and value.get("kind") == kind_of(cls):
+            try:
+                return cls(**value)
+            except ParameterError as error:
+                raise ParameterError(str(error).removeprefix(f"{cls.__name__}: ")) from None
+    return value
+
+
 def read_reference(value: Any, directory: Any) -> Any:
     """Return a gait or CSV reference as a `SampledReference`, any other reference unchanged.
 
@@ -408,12 +422,7 @@ def read_reference(value: Any, directory: Any) -> Any:
     """
     if isinstance(value, str) and value.endswith(SUFFIXES):
         value = CsvReference(file=value)
-    if isinstance(value, dict) and value.get("kind") in ("csv", "gait"):
-        cls = CsvReference if value["kind"] == "csv" else GaitReference
-        try:
-            value = cls(**value)
-        except ParameterError as error:
-            raise ParameterError(str(error).removeprefix(f"{cls.__name__}: ")) from None
+    value = object_of_kind(value, CsvReference, GaitReference)
     if isinstance(value, CsvReference):
         return value.samples(directory)
     if isinstance(value, GaitReference):

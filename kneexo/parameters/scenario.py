@@ -23,10 +23,10 @@ from kneexo.parameters.fault import OPERATOR_INPUTS, FaultParameters
 from kneexo.parameters.fields import Words
 from kneexo.parameters.names import searched_for_names
 from kneexo.parameters.plant import RPM, PlantParameters, RodPolynomialParameters
-from kneexo.parameters.presets import with_preset
+from kneexo.parameters.presets import PRESETS, with_preset
 from kneexo.parameters.protection import ProtectionParameters
 from kneexo.parameters.push import PushParameters
-from kneexo.parameters.quantity import Parameters, choice, quantity
+from kneexo.parameters.quantity import Parameters, choice, quantity, require_object
 from kneexo.parameters.reference import (
     SHORTEST_RUN_S,
     Reference,
@@ -119,6 +119,12 @@ class SimulationParameters(Parameters):
         There radau3 replaces an integrator of the compiled engine.
         """
         return self.model_copy(update={"integrator": "radau3"}) if self.compiled else self
+
+
+def require_scenario(value: Any) -> None:
+    """Raise `ParameterError` if the argument ``scenario`` of a function is no `Scenario`."""
+    name = value if isinstance(value, str) and value in PRESETS else "leg"
+    require_object("scenario", value, Scenario, f'Scenario.preset("{name}")')
 
 
 @searched_for_names

@@ -27,8 +27,9 @@ from kneexo.files.reading import MIB, file_error, read_text
 from kneexo.parameters import UNCERTAIN_KNEE, Law, Scenario, Uncertainty, UncertaintySet
 from kneexo.parameters.faults import one_line
 from kneexo.parameters.fields import allowed_range, source_of, unit_of
-from kneexo.parameters.presets import with_preset
+from kneexo.parameters.presets import PRESETS, with_preset
 from kneexo.parameters.quantity import Parameters
+from kneexo.parameters.scenario import require_scenario
 from kneexo.parameters.uncertainty import require_applicable
 
 _Path = tuple[str | int, ...]
@@ -89,6 +90,8 @@ def as_scenario(
     ``law`` replaces the control law of the scenario: see `Scenario.with_law`.
     Raises `ParameterError` if ``scenario`` has another type, and the errors of `load_scenario`.
     """
+    if isinstance(scenario, str) and scenario in PRESETS and not os.path.exists(scenario):
+        require_scenario(scenario)
     if isinstance(scenario, str | os.PathLike):
         scenario = load_scenario(scenario)
     if not isinstance(scenario, Scenario):

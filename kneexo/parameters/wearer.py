@@ -22,6 +22,7 @@ from kneexo.parameters.reference import (
     CsvTable,
     GaitReference,
     gait_reference,
+    object_of_kind,
     shifted,
 )
 from kneexo.result import Array
@@ -164,13 +165,7 @@ def read_moment(value: Any, directory: Any) -> Any:
     ``value`` is an object, a mapping, or the path of a file of `CsvMoment`. A relative path starts
     at ``directory``. Raises `ParameterError` for a faulty file or value.
     """
-    value = moment_file(value)
-    if isinstance(value, dict) and value.get("kind") in ("csv", "gait"):
-        cls = CsvMoment if value["kind"] == "csv" else GaitMoment
-        try:
-            value = cls(**value)
-        except ParameterError as error:
-            raise ParameterError(str(error).removeprefix(f"{cls.__name__}: ")) from None
+    value = object_of_kind(moment_file(value), CsvMoment, GaitMoment)
     if isinstance(value, CsvMoment):
         return value.moments(directory)
     if isinstance(value, GaitMoment):

@@ -7,6 +7,7 @@ import sys
 from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
+from inspect import signature
 from numbers import Real
 from typing import TYPE_CHECKING, Any, Self
 
@@ -16,6 +17,7 @@ from pydrake.systems.framework import BasicVector_, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 from kneexo.errors import SimulationError
+from kneexo.parameters.quantity import Parameters, require_object
 
 if TYPE_CHECKING:
     from pydrake.systems.framework import LeafSystem
@@ -177,6 +179,8 @@ def leaf_template(component: type[NamedLeaf]) -> Any:
     need no template. An explicit scope avoids 40 ms of stack inspection.
     """
 
+    _, *parameters = signature(component.__init__).parameters.values()
+
     @TemplateSystem.define(f"{component.__name__}_", scope=sys.modules[component.__module__])
     def template(scalar: Any) -> Any:
         # mypy does not accept a base class that is a variable.
@@ -191,6 +195,12 @@ def leaf_template(component: type[NamedLeaf]) -> Any:
                 fault_names: tuple[str, ...] = (),
                 **named: Any,
             ) -> None:
+                for expected, value in zip(parameters, values, strict=False):
+                    if isinstance(expected.default, Parameters) and not isinstance(
+                        value, Parameters
+                    ):
+                        kind, subject = type(expected.default), component.__name__
+                        require_object(f"{subject}: {expected.name}", value, kind)
                 LeafSystem_[scalar].__init__(self, converter)
                 self._arguments = values, named | {"fault_names": fault_names}
                 self._fault_names = fault_names

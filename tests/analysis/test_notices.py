@@ -272,10 +272,12 @@ def test_a_nominal_plant_that_differs_is_a_notice():
     assert list(model_notices(Scenario(nominal=Scenario().plant))) == []
 
 
-def test_no_line_is_wider_than_100_columns_unless_it_is_one_word():
+@pytest.mark.parametrize(("columns", "width"), [("", 100), ("140", 100), ("60", 60)])
+def test_no_line_is_wider_than_the_terminal_unless_it_is_one_word(monkeypatch, columns, width):
+    monkeypatch.setenv("COLUMNS", columns)
     words = " ".join(30 * ["plant.load"])
     lines = wrapped(f"{words} {130 * 'x'}").split("\n")
-    assert all(len(line) <= 100 for line in lines[:-1])
+    assert width - 10 < max(len(line) for line in lines[:-1]) <= width
     assert lines[-1] == f"  {130 * 'x'}"
     assert " ".join(" ".join(lines).split()) == f"{words} {130 * 'x'}"
     assert model_lines(Scenario(), ["a", "b"])[1:] == ["Note: a.", "Note: b."]

@@ -96,6 +96,8 @@ def test_faults_that_differ_by_seed_or_trigger_have_lines_of_their_own():
     [
         (([], [1.0]), "must have at least one fault and one start"),
         (([DEAD], []), "must have at least one fault and one start"),
+        ((DEAD, [1.0]), r"faults = FaultParameters.*: must be a list$"),
+        (([DEAD], ["a"]), r"starts_s.0 = 'a': must be a number, >= 0 and"),
         (([DEAD], [2.0]), r"start_s = 2 s: must be <= 1.998 s, the last sample"),
     ],
 )
