@@ -317,13 +317,13 @@ CALLS = {
     ),
     "preset as scenario": (
         lambda: kx.track("bench"),
-        r"'bench': must be an object of Scenario, such as Scenario.preset\(\"bench\"\)$",
+        r"'bench': must be an object of Scenario, such as Scenario.preset\(\"bench\"\) or load",
     ),
-    "preset as loop": (lambda: make_closed_loop("leg"), r"such as Scenario.preset\(\"leg\"\)$"),
+    "preset as loop": (lambda: make_closed_loop("leg"), r"such as Scenario.preset\(\"leg\"\) or"),
     "preset as plant": (lambda: make_plant("leg"), r"such as Scenario.preset\(\"leg\"\).plant$"),
     "mapping as parameters": (
         lambda: BldcPump({"lag_s": 0.01}),
-        r"^BldcPump: parameters = .*: must be an object of BldcPumpParameters, such as BldcPumpPa",
+        r"^parameters = .*: must be an object of BldcPumpParameters, such as BldcPumpPa",
     ),
     "scenario as plant": (lambda: linearize_plant(SCENARIO), r"must be an object of PlantParamet"),
     "plant as scenario": (lambda: linearize_loop(SCENARIO.plant), r"must be an object of Scenario"),
@@ -343,18 +343,21 @@ CALLS = {
     ),
     "start beyond full extension": (
         lambda: make_closed_loop(SCENARIO.changed({"initial_offset_m": 0.01})),
-        r"^initial_offset_m = 0.01 m: the knee starts at -1.* deg, outside .* 0 … 90 deg; reduce",
+        r"^initial_offset_m = 0.01 m: starts at -1.67 deg, outside 0 … 90 deg; reduce",
     ),
     "async law": (lambda: SCENARIO.with_law(later), r"later: is async; remove the word async$"),
     "file": (lambda: kx.track("my.yml"), r"my.yml: cannot be read: .*; did you mean my.yaml\?$"),
-    "no scenario": (lambda: kx.track({}), r"must be a Scenario or the path of a scenario file"),
+    "no scenario": (
+        lambda: kx.track({}),
+        r"{}: must be an object of Scenario, such as Sc.*path\)$",
+    ),
     "no list": (lambda: kx.batch(SCENARIO, {MASS: 2}), r"must be a list of values$"),
     "path of a batch": (lambda: kx.batch(SCENARIO, {"mass_kg": [2.0]}), rf"did you mean {MASS}\?"),
     "posture": (
         lambda: linearize_loop(SCENARIO, knee_angle_deg=200),
         r"knee_angle_deg = 200 deg is out of range: must be >= 0 and <= 90 deg$",
     ),
-    "frequency": (lambda: gait_reference(20), r"must be > 0 and <= 10 Hz$"),
+    "frequency": (lambda: gait_reference(20), r"must be finite and > 0 and <= 10 Hz$"),
     "interval": (lambda: Uncertainty(low=1.0), r"must have either low and high, or options$"),
 }
 

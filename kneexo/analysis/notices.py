@@ -36,9 +36,6 @@ LONGEST_HOLD = 0.1
 Assumption: an error of 0 in a tenth of the run lowers the root mean square by 5 %.
 """
 
-LARGEST_INTERVAL = 10.0
-"""Smallest interval between two samples of a reference, in medians of all, that is a gap."""
-
 LARGEST_IN_RAD_DEG = 2.6
 """Assumption: samples within this angle may be in rad, since 150° are 2.6 rad."""
 
@@ -148,15 +145,9 @@ def _reference_notices(scenario: Scenario) -> Iterator[str]:
     if isinstance(reference, SampledReference):
         start_s, end_s = reference.times_s[0], reference.times_s[-1]
         if reference.shift_s > 0.0:
-            yield (
-                f"the run begins at {reference.shift_s:g} s of the file of the reference, and of a "
-                f"file of wearer.moment: these times are 0 s of the run"
-            )
+            yield f"the run begins at {reference.shift_s:g} s of the files of reference and moment"
         if reference.clipped_deg > 0.0:
-            yield (
-                f"reference.clip sets samples that are up to {reference.clipped_deg:.3g}° beyond "
-                f"the range of motion to its ends"
-            )
+            yield f"samples up to {reference.clipped_deg:.3g}° beyond the stops are clipped"
         yield from _unit_notices(reference)
         if start_s < 0.0:
             yield (
@@ -178,27 +169,12 @@ def _reference_notices(scenario: Scenario) -> Iterator[str]:
 
 def _unit_notices(reference: SampledReference) -> Iterator[str]:
     """Yield a line if the samples seem to be in rad, or their times in ms."""
-    times_s, angles_deg = np.array(reference.times_s), np.array(reference.angles_deg)
-    if np.ptp(angles_deg) > 0.0 and (largest := np.max(np.abs(angles_deg))) < LARGEST_IN_RAD_DEG:
-        yield (
-            f"the reference stays within {largest:.3g}°; if its angles are in rad, multiply them "
-            f"by 57.3"
-        )
-    rate_deg_s = np.max(np.abs(np.diff(angles_deg) / np.diff(times_s)))
-    if times_s[-1] > LONGEST_TRIAL_S and 0.0 < rate_deg_s < SLOWEST_DEG_S:
-        yield (
-            f"the reference takes {times_s[-1]:g} s and moves at most {rate_deg_s:.2g} deg/s; if "
-            f"its times are in ms, divide them by 1000"
-        )
-
-
-def gaps_s(reference: SampledReference, duration_s: float) -> list[tuple[float, float]]:
-    """Return begin and end in s of each gap of the samples within a run, the longest first."""
-    starts, ends = np.array(reference.times_s[:-1]), np.array(reference.times_s[1:])
-    steps = ends - starts
-    long = steps >= LARGEST_INTERVAL * np.median(steps)
-    kept = np.flatnonzero(long & (ends > 0.0) & (starts < duration_s))
-    return [(float(starts[i]), float(ends[i])) for i in kept[np.argsort(-steps[kept])]]
+    changes = np.abs(np.diff(reference.angles_deg))
+    if changes.any() and (largest := np.max(np.abs(reference.angles_deg))) < LARGEST_IN_RAD_DEG:
+        yield f"the reference stays within {largest:.3g}°; if it is in rad, multiply it by 57.3"
+    rate = np.max(changes / np.diff(reference.times_s))
+    if 0.0 < rate < SLOWEST_DEG_S and reference.times_s[-1] > LONGEST_TRIAL_S:
+        yield f"the reference moves at most {rate:.2g} deg/s; divide its times by 1000 if in ms"
 
 
 def _stiffness_notice(scenario: Scenario) -> Iterator[str]:

@@ -125,9 +125,7 @@ class SurvivalArguments(Parameters):
     """Two arguments of `fault_survival`."""
 
     faults: tuple[FaultParameters, ...] = ()
-    starts_s: tuple[float, ...] = quantities(
-        (), "s", "given by the user", ge=0, le=1e5, min_length=None
-    )
+    starts_s: tuple[float, ...] = quantities((), "s", "given", ge=0, le=1e5, min_length=None)
 
 
 def fault_survival(

@@ -102,9 +102,7 @@ class ThresholdArguments(Parameters):
     uncertainty: UncertaintySet
     runs: int = quantity(1000, "1", "given by the user", ge=1, le=1_000_000)
     seed: int = quantity(1, "1", "given by the user", ge=0)
-    trips_s: tuple[float, ...] = quantities(
-        (), "s", "given by the user", ge=0, le=1e5, min_length=None
-    )
+    trips_s: tuple[float, ...] = quantities((), "s", "given", ge=0, le=1e5, min_length=None)
 
 
 def detector_thresholds(

@@ -20,14 +20,7 @@ from kneexo.analysis.interaction import (
 )
 from kneexo.analysis.limit_cycle import LimitCycle, limit_cycle
 from kneexo.analysis.margins import Margins
-from kneexo.analysis.notices import (
-    LARGEST_INTERVAL,
-    gaps_s,
-    model_lines,
-    notices,
-    omissions,
-    wrapped,
-)
+from kneexo.analysis.notices import model_lines, notices, omissions, wrapped
 from kneexo.analysis.sampled_loop import SampledLoop, linearize_loop
 from kneexo.analysis.signals import period_s, rms, saturated_share, share_above, to_rpm
 from kneexo.diagrams.signals import columns
@@ -58,6 +51,9 @@ _VALUES = ("tracks", "max_error_deg", "max_error_time_s", "error_bound_deg", "sa
     "pressure_over_rating_share", "relief_share", "power_over_rating_share", "torque_error_rms_n_m",
 )  # fmt: skip
 """Names of the fields of `Verdict` that its plain data contain as they are."""
+
+LARGEST_INTERVAL = 10.0
+"""Smallest interval between two samples of a reference, in medians of all, that is a gap."""
 
 _UNLIMITED_RPM = 1e6
 """Motors are slower, so a higher limit of the command means no limit."""
@@ -367,19 +363,21 @@ def _protection_notices(scenario: Scenario, run: Run) -> Iterator[str]:
 
 def _gap_notices(scenario: Scenario, run: Run) -> Iterator[str]:
     """Yield a line if samples of the reference are missing, with the errors there and elsewhere."""
-    reference, gap = scenario.reference, np.zeros(run.time_s.size, bool)
-    found = gaps_s(reference, scenario.duration_s) if reference.kind == "samples" else []
-    for start_s, end_s in found:
-        gap |= (start_s < run.time_s) & (run.time_s < end_s)
-    if not gap.any() or gap.all():
+    if scenario.reference.kind != "samples":
         return
+    times, time_s = np.array(scenario.reference.times_s), run.time_s
+    steps = np.diff(times)
+    place = np.clip(np.searchsorted(times, time_s) - 1, 0, steps.size - 1)
+    is_gap = steps[place] >= LARGEST_INTERVAL * np.median(steps)
+    is_gap &= (times[0] < time_s) & (time_s < times[-1])
+    if not is_gap.any() or is_gap.all():
+        return
+    longest = place[is_gap][np.argmax(steps[place[is_gap]])]
     error_deg = np.degrees(np.abs(run["knee_reference_rad"] - run["knee_angle_rad"]))
-    start_s, end_s = found[0]
-    many = "" if len(found) == 1 else f" and in {len(found) - 1} more gaps"
     yield (
-        f"the reference has no samples from {start_s:.6g} to {end_s:.6g} s{many}, at least "
-        f"{LARGEST_INTERVAL:g} times the median interval, and its curve there is a guess: largest "
-        f"error {error_deg[gap].max():.3g}° there, {error_deg[~gap].max():.3g}° elsewhere"
+        f"samples of the reference are missing, at most from {times[longest]:.6g} to "
+        f"{times[longest + 1]:.6g} s, and the curve between them is a guess: largest error "
+        f"{error_deg[is_gap].max():.3g}° there, {error_deg[~is_gap].max():.3g}° elsewhere"
     )
 
 

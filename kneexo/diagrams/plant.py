@@ -339,9 +339,8 @@ def _start_extension_and_force(
     slack = parameters.knee.overshoot_deg
     if initial_offset_m and not low - slack <= math.degrees(angle) <= high + slack:
         raise ParameterError(
-            f"initial_offset_m = {initial_offset_m:g} m: the knee starts at "
-            f"{math.degrees(angle):.3g} deg, outside the range of motion {low:g} … {high:g} deg; "
-            f"reduce it, or change the start of the reference"
+            f"initial_offset_m = {initial_offset_m:g} m: starts at {math.degrees(angle):.3g} deg, "
+            f"outside {low:g} … {high:g} deg; reduce it, or change the start of the reference"
         )
     force = parameters.cylinder.stiffness_n_per_m * extension
     if isinstance(parameters.load, KneeLoadParameters):

@@ -57,10 +57,7 @@ class Table:
         """
         what = self.opensim_header.partition("\n")[0].strip(" \t,;")
         if what.lower().endswith(_NO_ANGLES):
-            message = (
-                f"is a file of {shortened(what)}, which has no angles; must be a file of "
-                f"Coordinates, such as NAME_Kinematics_q.sto"
-            )
+            message = f"is a file of {shortened(what)}; must be of Coordinates (_Kinematics_q.sto)"
             raise file_error(self.path, 1, message)
         unit = _IN_DEGREES.search(self.opensim_header)
         if self.opensim_header and unit is None:
@@ -69,9 +66,8 @@ class Table:
         if unit is not None and unit[1].lower() == "no":
             if (largest := max(map(abs, self.columns[name]), default=0.0)) > 2.0 * math.pi:
                 message = (
-                    f"{name} reaches {largest:.4g} rad by the flag inDegrees=no: must be within "
-                    f"±6.28 rad; if the numbers are in deg, 57.3 times as large, write "
-                    f"inDegrees=yes"
+                    f"{name} reaches {largest:.4g} rad by the flag inDegrees=no: must be <= 6.28 "
+                    f"rad; write inDegrees=yes if it is in deg, 57.3 times as large"
                 )
                 raise file_error(self.path, None, message)
             return [math.degrees(value) for value in self.columns[name]]

@@ -139,7 +139,7 @@ def read_anatomical_knee(path: str | os.PathLike[str]) -> AnatomicalKneeParamete
     if 0.0 < span_mm < SHORTEST_PATH_MM:  # the place of a hinge may not move at all
         warnings.warn(
             f"{shown(os.fspath(path))}: {' and '.join(names)} change by {span_mm:.2g} mm at most; "
-            f"multiply them by 10 if they are in cm, by 1000 if in m",
+            f"are they in cm?",
             stacklevel=2,
         )
     angles = np.radians(angles_deg)

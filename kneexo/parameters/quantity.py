@@ -209,10 +209,8 @@ def require_object(name: str, value: Any, kind: type[Any], example: str = "") ->
         Code that makes an object. Empty: a call of the class.
     """
     if not isinstance(value, kind):
-        raise ParameterError(
-            f"{name} = {shown_value(value)}: must be an object of {kind.__name__}, such as "
-            f"{example or f'{kind.__name__}()'}"
-        )
+        kind_name = f"{kind.__name__}, such as {example or f'{kind.__name__}()'}"
+        raise ParameterError(f"{name} = {shown_value(value)}: must be an object of {kind_name}")
 
 
 class _Short:

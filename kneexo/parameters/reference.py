@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Sequence
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -111,6 +112,29 @@ class RampReference(_KneeReference):
         return min(self.start_deg, self.end_deg), max(self.start_deg, self.end_deg)
 
 
+def require_samples(
+    times_s: Sequence[float], name: str, values: Sequence[float], fewest: int
+) -> None:
+    """Raise `ValueError` unless times increase and there are as many values.
+
+    Parameters
+    ----------
+    times_s
+        The times in s.
+    name, values
+        The values at these times.
+    fewest
+        Smallest number of values.
+    """
+    if not len(times_s) == len(values) >= fewest:
+        raise ValueError(
+            f"times_s has {len(times_s)} values and {name} has {len(values)}: must be as many, at "
+            f"least {fewest}"
+        )
+    if any(b - a < _SHORTEST_SAMPLE_S for a, b in pairwise(times_s)):
+        raise ValueError("times_s must increase by at least 1e-6 s from sample to sample")
+
+
 Interpolation = Literal["cubic", "pchip", "linear"]
 """Name of the curve that connects the samples of a reference."""
 _INTERPOLATION = (
@@ -138,27 +162,12 @@ class SampledReference(_KneeReference):
     )
     interpolation: Interpolation = choice("cubic", _INTERPOLATION)
     clip: bool = choice(False, _CLIP)
-    clipped_deg: float = quantity(
-        0.0,
-        "deg",
-        "result: how far samples lay beyond the range of motion before clip",
-        ge=0,
-        le=1e9,
-    )
-    shift_s: float = quantity(
-        0.0, "s", "result: time in the file at which the run begins", ge=0, le=LONGEST_TIME_S
-    )
+    clipped_deg: float = quantity(0.0, "deg", "result: largest change by clip", ge=0, le=1e9)
+    shift_s: float = quantity(0.0, "s", "result: time in the file at 0 s", ge=0, le=LONGEST_TIME_S)
 
     @model_validator(mode="after")
     def _consistent(self) -> SampledReference:
-        if len(self.times_s) != len(self.angles_deg):
-            raise ValueError(
-                f"times_s has {len(self.times_s)} values and angles_deg has "
-                f"{len(self.angles_deg)}: must be as many"
-            )
-        steps = zip(self.times_s, self.times_s[1:], strict=False)
-        if any(b - a < _SHORTEST_SAMPLE_S for a, b in steps):
-            raise ValueError("times_s must increase by at least 1e-6 s from sample to sample")
+        require_samples(self.times_s, "angles_deg", self.angles_deg, _FEWEST_SAMPLES)
         if max(abs(self.times_s[0]), abs(self.times_s[-1])) > LONGEST_TIME_S:
             raise ValueError(f"times_s must lie within ±{LONGEST_TIME_S:g} s")
         if self.times_s[-1] < SHORTEST_RUN_S:
@@ -176,10 +185,9 @@ class SampledReference(_KneeReference):
 
     def clipped(self, low_deg: float, high_deg: float) -> SampledReference:
         """Return the reference with its samples clipped to a range, and how far they were off."""
-        angles = tuple(min(max(angle, low_deg), high_deg) for angle in self.angles_deg)
-        off = max(abs(a - b) for a, b in zip(angles, self.angles_deg, strict=True))
-        update = {"angles_deg": angles, "clipped_deg": max(off, self.clipped_deg)}
-        return self.model_copy(update=update)
+        angles = np.clip(self.angles_deg, low_deg, high_deg)
+        off = max(float(np.max(np.abs(angles - self.angles_deg))), self.clipped_deg)
+        return self.model_copy(update={"angles_deg": tuple(angles.tolist()), "clipped_deg": off})
 
 
 class CsvTable(Parameters):
@@ -199,21 +207,17 @@ class CsvTable(Parameters):
         "positive", "sign of flexion in the file; negative in OpenSim's gait2392"
     )
     shift_s: float | None = quantity(
-        None,
-        "s",
-        "left out: the first time of the reference's file if it is after 0 s; is subtracted from "
-        "the times of the files of reference and wearer.moment",
-        ge=0,
-        le=LONGEST_TIME_S,
+        None, "s", "left out: first time of the reference's file, if > 0", ge=0, le=LONGEST_TIME_S
     )
+    """Is subtracted from the times, so that a trial within a recording begins at 0 s."""
 
 
-def shifted(times_s: Sequence[float], shift_s: float) -> tuple[float, ...]:
+def shifted(times_s: list[float], shift_s: float) -> list[float]:
     """Return times minus a shift, rounded to 1 ns, so that 14.3 s − 12.3 s is 2 s.
 
     Without a shift the times stay as they are.
     """
-    return tuple(round(time - shift_s, 9) for time in times_s) if shift_s else tuple(times_s)
+    return [round(time - shift_s, 9) for time in times_s] if shift_s else times_s
 
 
 class CsvReference(CsvTable):
@@ -259,7 +263,9 @@ class CsvReference(CsvTable):
                 f"period_s out if it is in s"
             )
             raise file_error(path, None, message)
-        shift_s = max(scale * times[0], 0.0) if self.shift_s is None else self.shift_s
+        times = [scale * time for time in times]
+        shift_s = max(times[0], 0.0) if self.shift_s is None else self.shift_s
+        times = shifted(times, shift_s)
         if self.flexion == "negative":
             angles = [-angle for angle in angles]
         low, high = min(angles), max(angles)
@@ -281,9 +287,7 @@ class CsvReference(CsvTable):
         span, cycles = times[-1] - times[0], range(self.cycles)
         try:
             return SampledReference(
-                times_s=shifted(
-                    [scale * (t + n * span) for n in cycles for t in times[n > 0 :]], shift_s
-                ),
+                times_s=tuple(time + n * span for n in cycles for time in times[n > 0 :]),
                 angles_deg=tuple(angle for n in cycles for angle in angles[n > 0 :]),
                 interpolation=self.interpolation,
                 clip=self.clip,
@@ -348,10 +352,7 @@ def gait_reference(frequency_hz: float = 1.0, cycles: int = 3) -> SampledReferen
     ParameterError
         A value is out of range.
     """
-    if not 0.0 < frequency_hz <= 10.0:
-        raise ParameterError(f"frequency_hz = {frequency_hz:g} Hz: must be > 0 and <= 10 Hz")
-    if not 1 <= cycles <= 1000:
-        raise ParameterError(f"cycles = {cycles}: must be >= 1 and <= 1000")
+    GaitReference(frequency_hz=frequency_hz, cycles=cycles)  # raises the error
     stride = gait_stride_deg()
     angles = np.append(np.tile(stride, cycles), stride[0])
     times = np.arange(angles.size) / (stride.size * frequency_hz)

@@ -124,7 +124,7 @@ class SimulationParameters(Parameters):
 def require_scenario(value: Any) -> None:
     """Raise `ParameterError` if the argument ``scenario`` of a function is no `Scenario`."""
     name = value if isinstance(value, str) and value in PRESETS else "leg"
-    require_object("scenario", value, Scenario, f'Scenario.preset("{name}")')
+    require_object("scenario", value, Scenario, f'Scenario.preset("{name}") or load_scenario(path)')
 
 
 @searched_for_names
@@ -329,18 +329,14 @@ class Scenario(Parameters):
         """The plant for which the controller is designed: ``nominal``, or ``plant`` without it."""
         return self.plant if self.nominal is None else self.nominal
 
-    @field_validator("reference", mode="before")
+    @field_validator("reference", mode="wrap")
     @classmethod
-    def _named_reference(cls, reference: Any, info: ValidationInfo) -> Any:
-        return read_reference(reference, (info.context or {}).get("directory", "."))
-
-    @field_validator("reference", mode="after")
-    @classmethod
-    def _clipped_reference(cls, reference: Any, info: ValidationInfo) -> Any:
-        plant = info.data.get("plant")
-        if plant is None or not isinstance(reference, SampledReference) or not reference.clip:
-            return reference
-        return reference.clipped(plant.knee.flexion_min_deg, plant.knee.flexion_max_deg)
+    def _named_reference(cls, reference: Any, validated: Any, info: ValidationInfo) -> Any:
+        reference = validated(read_reference(reference, (info.context or {}).get("directory", ".")))
+        plant = info.data.get("plant")  # None if it is faulty
+        if plant and isinstance(reference, SampledReference) and reference.clip:
+            return reference.clipped(plant.knee.flexion_min_deg, plant.knee.flexion_max_deg)
+        return reference
 
     @field_validator("wearer", mode="before")
     @classmethod

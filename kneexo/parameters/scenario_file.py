@@ -90,15 +90,11 @@ def as_scenario(
     ``law`` replaces the control law of the scenario: see `Scenario.with_law`.
     Raises `ParameterError` if ``scenario`` has another type, and the errors of `load_scenario`.
     """
-    if isinstance(scenario, str) and scenario in PRESETS and not os.path.exists(scenario):
-        require_scenario(scenario)
     if isinstance(scenario, str | os.PathLike):
+        if scenario in PRESETS and not os.path.exists(scenario):
+            require_scenario(scenario)
         scenario = load_scenario(scenario)
-    if not isinstance(scenario, Scenario):
-        raise ParameterError(
-            f"scenario: must be a Scenario or the path of a scenario file, not a "
-            f"{type(scenario).__name__}"
-        )
+    require_scenario(scenario)
     return scenario if law is None else scenario.with_law(law, initial_state=initial_state)
 
 

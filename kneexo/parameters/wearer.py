@@ -23,6 +23,7 @@ from kneexo.parameters.reference import (
     GaitReference,
     gait_reference,
     object_of_kind,
+    require_samples,
     shifted,
 )
 from kneexo.result import Array
@@ -78,13 +79,7 @@ class MomentTable(Parameters):
 
     @model_validator(mode="after")
     def _consistent(self) -> MomentTable:
-        if not len(self.times_s) == len(self.moments_n_m) >= 2:
-            raise ValueError(
-                f"times_s has {len(self.times_s)} values and moments_n_m has "
-                f"{len(self.moments_n_m)}: must be as many, at least 2"
-            )
-        if any(b - a < 1e-6 for a, b in zip(self.times_s, self.times_s[1:], strict=False)):
-            raise ValueError("times_s must increase by at least 1e-6 s from sample to sample")
+        require_samples(self.times_s, "moments_n_m", self.moments_n_m, 2)
         return self
 
 
@@ -115,7 +110,7 @@ class CsvMoment(CsvTable):
         table.require(self.column, -LARGEST_MOMENT_N_M, LARGEST_MOMENT_N_M, "N·m")
         try:
             return MomentTable(
-                times_s=shifted(table.columns[self.time], self.shift_s or 0.0),
+                times_s=tuple(shifted(table.columns[self.time], self.shift_s or 0.0)),
                 moments_n_m=tuple(sign * moment for moment in table.columns[self.column]),
             )
         except ParameterError as error:

@@ -199,8 +199,7 @@ def leaf_template(component: type[NamedLeaf]) -> Any:
                     if isinstance(expected.default, Parameters) and not isinstance(
                         value, Parameters
                     ):
-                        kind, subject = type(expected.default), component.__name__
-                        require_object(f"{subject}: {expected.name}", value, kind)
+                        require_object(expected.name, value, type(expected.default))
                 LeafSystem_[scalar].__init__(self, converter)
                 self._arguments = values, named | {"fault_names": fault_names}
                 self._fault_names = fault_names

@@ -59,21 +59,17 @@ def sampled_notices(times_s, angles_deg, **values):
 
 def test_what_was_done_to_the_samples_of_a_file_is_a_notice():
     shift, clip = sampled_notices((0, 4, 10), (20, -5, 30), clip=True, shift_s=12.3)
-    assert shift.startswith("the run begins at 12.3 s of the file of the reference, and of a file")
-    assert clip == (
-        "reference.clip sets samples that are up to 5° beyond the range of motion to its ends"
-    )
+    assert shift == "the run begins at 12.3 s of the files of reference and moment"
+    assert clip == "samples up to 5° beyond the stops are clipped"
 
 
 def test_units_that_may_be_others_are_notices():
     times_s, angles = np.linspace(0.0, 2.0, 101), 35.0 - 33.0 * np.cos(np.linspace(0.0, 12.0, 101))
     assert sampled_notices(times_s, angles) == []
     (line,) = sampled_notices(times_s, np.radians(angles))
-    assert line == (
-        "the reference stays within 1.19°; if its angles are in rad, multiply them by 57.3"
-    )
+    assert line == "the reference stays within 1.19°; if it is in rad, multiply it by 57.3"
     (line,) = sampled_notices(1e3 * times_s, angles)  # at most 33 deg · 6 rad/s
-    assert line.startswith("the reference takes 2000 s and moves at most 0.2 deg/s; if its times")
+    assert line == "the reference moves at most 0.2 deg/s; divide its times by 1000 if in ms"
     assert sampled_notices((0, 50, 101), (0.0, 0.0, 0.0)) == []  # a knee that stands still
 
 

@@ -91,7 +91,9 @@ def test_a_path_of_three_mm_may_be_in_cm(tmp_path, recwarn):
     assert not recwarn.list
     in_cm = {name: [value / 10.0 for value in values] for name, values in GOOD.items()}
     columns = in_cm | {"knee_flexion_deg": GOOD["knee_flexion_deg"]}
-    with pytest.warns(UserWarning, match=r"anterior_mm and up_mm change by 2.7 mm at most; .* cm"):
+    with pytest.warns(
+        UserWarning, match=r"anterior_mm and up_mm change by 2.7 mm at most; are they in cm"
+    ):
         read_anatomical_knee(written(tmp_path / "knee.csv", columns))
 
 

@@ -358,8 +358,8 @@ FILES |= {
     "OpenSim, deg under inDegrees=no": File(
         opensim().replace("inDegrees=yes", "inDegrees=no"),
         COORDINATES,
-        message=": knee_angle_r reaches 61.06 rad by the flag inDegrees=no: must be within ±6.28 "
-        "rad; if the numbers are in deg, 57.3 times as large, write inDegrees=yes",
+        message=": knee_angle_r reaches 61.06 rad by the flag inDegrees=no: must be <= 6.28 rad; "
+        "write inDegrees=yes if it is in deg, 57.3 times as large",
     ),
     "logger, ms since 1970": File(
         plain(",", rows=[(1.7e12 + 20.0 * n, 5.0 + n) for n in range(5)]),
@@ -384,7 +384,7 @@ FILES |= {
     f"OpenSim, {what}": File(
         opensim().replace("Coordinates", what),
         COORDINATES,
-        message=f":1: is a file of {what}, which has no angles; must be a file of Coordinates",
+        message=f":1: is a file of {what}; must be of Coordinates (_Kinematics_q.sto)",
     )
     for what in ("Speeds", "Accelerations", "PositionErrors", "controls", "ActuatorForces")
 }
