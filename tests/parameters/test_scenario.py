@@ -110,16 +110,18 @@ def test_reference_and_moment_of_walking_have_one_frequency():
 
 
 def test_reference_and_moment_of_one_trial_have_one_clock(tmp_path):
-    rows = [(12.3 + 0.1 * n, 10.0 + n) for n in range(21)]
+    rows = [(12.3 + 0.1 * n, n - 5.0) for n in range(21)]
     for name, column in (("ik.csv", "knee_angle_deg"), ("id.csv", "knee_moment_nm")):
         lines = [f"time_s,{column}", *(f"{time:.1f},{value}" for time, value in rows)]
         (tmp_path / name).write_text("\n".join(lines), encoding="utf-8")
     path = tmp_path / "my.yaml"
-    text = "preset: wearer\nreference: ik.csv\nwearer: {moment: id.csv}"
+    reference = "{kind: csv, file: ik.csv, clip: true}"
+    text = f"preset: wearer\nreference: {reference}\nwearer: {{moment: id.csv}}"
     path.write_text(text, encoding="utf-8")
     scenario = load_scenario(path)
     assert scenario.duration_s == 2.0
-    assert scenario.reference.shift_s == 12.3
+    assert (scenario.reference.shift_s, scenario.reference.clipped_deg) == (12.3, 5.0)
+    assert scenario.reference.range_deg == (0.0, 15.0)
     assert scenario.reference.times_s == scenario.wearer.moment.times_s
     assert scenario.wearer.moment.times_s[:3] == (0.0, 0.1, 0.2)
     # A change of another value shifts nothing again, and a new file of the moment is shifted.
