@@ -365,19 +365,18 @@ def _gap_notices(scenario: Scenario, run: Run) -> Iterator[str]:
     """Yield a line if samples of the reference are missing, with the errors there and elsewhere."""
     if scenario.reference.kind != "samples":
         return
-    times, time_s = np.array(scenario.reference.times_s), run.time_s
-    steps = np.diff(times)
-    place = np.clip(np.searchsorted(times, time_s) - 1, 0, steps.size - 1)
-    is_gap = steps[place] >= LARGEST_INTERVAL * np.median(steps)
-    is_gap &= (times[0] < time_s) & (time_s < times[-1])
+    times = np.array(scenario.reference.times_s)
+    steps, after = np.diff(times), np.searchsorted(times, run.time_s)
+    step = np.pad(steps, 1)[after]  # 0 before the first and after the last sample
+    is_gap = step >= LARGEST_INTERVAL * np.median(steps)
     if not is_gap.any() or is_gap.all():
         return
-    longest = place[is_gap][np.argmax(steps[place[is_gap]])]
+    end = after[np.argmax(step)]
     error_deg = np.degrees(np.abs(run["knee_reference_rad"] - run["knee_angle_rad"]))
     yield (
-        f"samples of the reference are missing, at most from {times[longest]:.6g} to "
-        f"{times[longest + 1]:.6g} s, and the curve between them is a guess: largest error "
-        f"{error_deg[is_gap].max():.3g}° there, {error_deg[~is_gap].max():.3g}° elsewhere"
+        f"the reference has gaps, the longest from {times[end - 1]:.6g} to {times[end]:.6g} s, in "
+        f"which its curve is a guess: largest error {error_deg[is_gap].max():.3g}° there, "
+        f"{error_deg[~is_gap].max():.3g}° elsewhere"
     )
 
 

@@ -192,9 +192,7 @@ def _signal_of(fault: FaultParameters) -> tuple[str, int]:
         if fault.signal in names:
             return signal, names.index(fault.signal)
     known = [column for names in signals.values() for column in names]
-    advice = (
-        question(close_names(str(fault.signal), known)) or "; must be another column of signals.csv"
-    )
+    advice = question(close_names(str(fault.signal), known)) or "; take another of signals.csv"
     raise ParameterError(f"faults: signal {fault.signal!r} cannot start a fault{advice}")
 
 

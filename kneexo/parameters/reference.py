@@ -400,6 +400,17 @@ def sit_to_stand_reference(
     return SampledReference(times_s=tuple(times.tolist()), angles_deg=tuple(angles.tolist()))
 
 
+def table_mapping(value: Any) -> Any:
+    """Return the path of a file, or a mapping with ``file``, as the mapping of a `CsvTable`.
+
+    Any other value is returned unchanged.
+    """
+    if isinstance(value, str) and value.endswith(SUFFIXES):
+        value = {"file": value}
+    is_file = isinstance(value, dict) and "file" in value
+    return {"kind": "csv"} | value if is_file else value
+
+
 def object_of_kind(value: Any, *classes: type[Parameters]) -> Any:
     """Return a mapping whose ``kind`` is that of a class as an object of this class.
 
@@ -421,9 +432,7 @@ def read_reference(value: Any, directory: Any) -> Any:
     `CsvReference`. A relative path starts at ``directory``. Raises `ParameterError` for a faulty
     file or value.
     """
-    if isinstance(value, str) and value.endswith(SUFFIXES):
-        value = CsvReference(file=value)
-    value = object_of_kind(value, CsvReference, GaitReference)
+    value = object_of_kind(table_mapping(value), CsvReference, GaitReference)
     if isinstance(value, CsvReference):
         return value.samples(directory)
     if isinstance(value, GaitReference):

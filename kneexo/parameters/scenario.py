@@ -35,6 +35,7 @@ from kneexo.parameters.reference import (
     gait_stride_deg,
     read_reference,
     stride_frequency_hz,
+    table_mapping,
 )
 from kneexo.parameters.torque import LoadCellParameters, TorqueParameters
 from kneexo.parameters.wearer import (
@@ -43,7 +44,6 @@ from kneexo.parameters.wearer import (
     NoWearer,
     Wearer,
     gait_moment_stride_n_m,
-    moment_file,
 )
 
 DEFAULT_DURATION_S = 30.0
@@ -343,7 +343,7 @@ class Scenario(Parameters):
     def _on_the_clock_of_the_reference(cls, wearer: Any, info: ValidationInfo) -> Any:
         """Give a file of the moment the shift of the reference, since both are of one trial."""
         shift_s = getattr(info.data.get("reference"), "shift_s", 0.0)
-        moment = moment_file(wearer.get("moment")) if isinstance(wearer, dict) else None
+        moment = table_mapping(wearer.get("moment")) if isinstance(wearer, dict) else None
         if shift_s and isinstance(moment, dict) and moment.get("kind") == "csv":
             return wearer | {"moment": {"shift_s": shift_s} | moment}
         return wearer

@@ -12,7 +12,7 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from kneexo.errors import ParameterError
 from kneexo.files.reading import file_error
-from kneexo.files.table import SUFFIXES, read_table
+from kneexo.files.table import read_table
 from kneexo.gait import gait_moment_cycle, gait_start_percent
 from kneexo.parameters.fields import Words
 from kneexo.parameters.quantity import Parameters, choice, quantities, quantity
@@ -25,6 +25,7 @@ from kneexo.parameters.reference import (
     object_of_kind,
     require_samples,
     shifted,
+    table_mapping,
 )
 from kneexo.result import Array
 
@@ -160,24 +161,13 @@ def read_moment(value: Any, directory: Any) -> Any:
     ``value`` is an object, a mapping, or the path of a file of `CsvMoment`. A relative path starts
     at ``directory``. Raises `ParameterError` for a faulty file or value.
     """
-    value = object_of_kind(moment_file(value), CsvMoment, GaitMoment)
+    value = object_of_kind(table_mapping(value), CsvMoment, GaitMoment)
     if isinstance(value, CsvMoment):
         return value.moments(directory)
     if isinstance(value, GaitMoment):
         mass_kg = value.body_mass_kg
         return gait_moment(value.frequency_hz, value.cycles, body_mass_kg=mass_kg)
     return value
-
-
-def moment_file(value: Any) -> Any:
-    """Return the path of a file, or a mapping with ``file``, as the mapping of a `CsvMoment`.
-
-    Any other moment is returned unchanged.
-    """
-    if isinstance(value, str) and value.endswith(SUFFIXES):
-        value = {"file": value}
-    is_file = isinstance(value, dict) and "file" in value
-    return {"kind": "csv"} | value if is_file else value
 
 
 class CuffParameters(Parameters):

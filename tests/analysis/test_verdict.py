@@ -73,8 +73,8 @@ def test_a_gap_of_the_samples_is_a_notice_with_the_errors_inside_and_outside():
     error = np.where((TIME > 1.98) & (TIME < 3.0), 2.5, 0.5)
     notices = result(Scenario(reference=reference), error_deg=error).verdict.notices
     assert notices == (
-        "samples of the reference are missing, at most from 1.98 to 3 s, and the curve between "
-        "them is a guess: largest error 2.5° there, 0.5° elsewhere",
+        "the reference has gaps, the longest from 1.98 to 3 s, in which its curve is a guess: "
+        "largest error 2.5° there, 0.5° elsewhere",
     )
     whole = {"times_s": times[:100], "angles_deg": angles[:100]}
     assert not result(Scenario(reference=reference | whole), time_s=TIME[:990]).verdict.notices
