@@ -19,7 +19,7 @@ from kneexo.errors import ParameterError, close_names, failure_noted, question, 
 from kneexo.files.writing import write_file
 from kneexo.parameters import LawParameters, Scenario
 from kneexo.parameters.paths import has_path
-from kneexo.parameters.scenario_file import as_scenario, dump_scenario
+from kneexo.parameters.scenario_file import as_scenario, scenario_files
 from kneexo.plotting import PURPLE, RED, axes_or_new
 from kneexo.result import Result, data_frame
 from kneexo.simulation import needs_runs
@@ -53,9 +53,10 @@ class BatchRow(Result):
         """Write the scenario of the failed run to a file, such as ``failure_1.yaml``.
 
         ``kneexo simulate failure_1.yaml --out DIR`` repeats the run, which ends with the same
-        error. Raises `ParameterError` if the run has not failed, if the scenario refuses the
-        values, or if the control law has no name by which it is found again, such as a lambda.
-        Raises `OutputError` if the file cannot be written.
+        error. The files of a control law of yours are copied beside the file. Raises
+        `ParameterError` if the run has not failed, if the scenario refuses the values, or if the
+        control law has no name in a file, such as a lambda. Raises `OutputError` if a file cannot
+        be written.
         """
         if not self.error:
             raise ParameterError("the run of this row has not failed")
@@ -63,7 +64,9 @@ class BatchRow(Result):
             raise ParameterError(f"there is no run: the scenario refuses the values: {self.error}")
         if isinstance(controller := self.scenario.controller, LawParameters):
             controller.function.require_name()
-        write_file(Path(path), dump_scenario(self.scenario).encode())
+        file = Path(path)
+        others: dict[str, Any] = scenario_files(self.scenario, file.name, file.parent)
+        write_file(file, others.pop(file.name).encode(), others)
 
     def __str__(self) -> str:
         """Return the changed values as text, a line for each."""

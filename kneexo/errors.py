@@ -12,6 +12,7 @@ from typing import Any
 
 from kneexo.compiler import (
     CompilationError as CompilationError,
+    DifferenceError as DifferenceError,
     Error,
     LinearizationError as LinearizationError,
     NoEquilibriumError as NoEquilibriumError,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import sysconfig
 import traceback
 from collections.abc import Iterator
@@ -17,6 +18,8 @@ _PACKAGE = f"{Path(__file__).parent}{os.sep}"
 _LIBRARIES = tuple(
     f"{sysconfig.get_path(name)}{os.sep}" for name in ("stdlib", "purelib", "platlib")
 )
+NOT_OF_USERS = (_PACKAGE, *_LIBRARIES)
+"""Beginnings of the paths of code that the versions of kneexo and of the libraries identify."""
 
 
 @contextmanager
@@ -26,18 +29,23 @@ def user_code(failure: str) -> Iterator[None]:
     An error in the body becomes a `ParameterError`, and so does a call of ``sys.exit``. The message
     is one line that begins with ``failure`` and goes on with the text of ``cause_of``. A
     `KneexoError` and a `KeyboardInterrupt` are raised unchanged. If the body changes the working
-    directory, the directory is restored, because paths of kneexo may be relative to it.
+    directory or Python's limit of recursion, they are restored, because kneexo needs them. To close
+    ``sys.stdout`` is an error.
     """
-    directory = os.getcwd()
+    directory, limit = os.getcwd(), sys.getrecursionlimit()
     try:
         yield
+        if getattr(sys.stdout, "closed", False):
+            raise ValueError("the code closes sys.stdout")
     except (KneexoError, KeyboardInterrupt):
         raise
     except BaseException as error:
+        sys.setrecursionlimit(limit)
         raise ParameterError(
             f"{failure}: {cause_of(error)}; correct that code, or name another function"
         ) from error
     finally:
+        sys.setrecursionlimit(limit)
         if os.getcwd() != directory:
             os.chdir(directory)
 
@@ -67,7 +75,7 @@ def function_at(name: str, subject: str) -> Any:
                 found = getattr(found, attribute)
             except AttributeError as error:
                 raise ParameterError(
-                    f"{subject}: {shortened(str(error), 300)}; must be module:function on the "
+                    f"{subject}: {shortened(text_of(error), 300)}; must be module:function on the "
                     f"Python path"
                 ) from None
     return found
@@ -79,12 +87,16 @@ def cause_of(error: BaseException) -> str:
     if isinstance(error, SyntaxError):
         reason, place = error.msg, (error.filename, error.lineno)
     else:
-        # str(error) could raise an error itself.
-        _, _, reason = traceback.format_exception_only(error)[0].strip().partition(": ")
+        reason = text_of(error)
         place = place_in_user_code(error) or _innermost(error)
     message = ": ".join(part for part in (type(error).__name__, reason.partition("\n")[0]) if part)
     where = f" ({shown(place[0])}, line {place[1]})" if place and place[0] else ""
     return f"{shortened(message, 300)}{where}"
+
+
+def text_of(error: BaseException) -> str:
+    """Return the text of an error, also if ``str(error)`` raises an error itself."""
+    return traceback.format_exception_only(error)[0].strip().partition(": ")[2]
 
 
 def place_in_user_code(error: BaseException) -> tuple[str, int] | None:

@@ -156,18 +156,10 @@ def pytest_collection_modifyitems(items):
         if item.get_closest_marker("slow"):
             cases.setdefault(item.nodeid.partition("[")[0], []).append(item)
     for several in cases.values():
-        wanted = several[0].get_closest_marker("cases_in_gate")
-        if "browser" in several[0].fixturenames and not wanted:
-            mark, count = "browser", len(several)
-        else:
-            mark, count = "gate", wanted.args[0] if wanted else 1
-        for index in spread(len(several), count):
-            several[index].add_marker(mark)
-
-
-def spread(size, count):
-    """Return ``count`` indices below ``size`` at even distances, 0 first."""
-    return {k * size // count for k in range(count)}
+        size, page = len(several), "browser" in several[0].fixturenames
+        count = several[0].get_closest_marker("slow").kwargs.get("gate", size if page else 1)
+        for k in range(count):  # at even distances
+            several[k * size // count].add_marker("browser" if page else "gate")
 
 
 # -------------------------------------------------------------------------------- missing tools
@@ -513,10 +505,11 @@ class _Browser:
         while not self._loaded:
             self._next()
 
-    def open(self, path, width=800, height=600, phone=False, **wishes):
+    def open(self, path, width=800, height=600, phone=False, script="", **wishes):
         """Load a file in a window of that size in CSS pixels; ``phone``: as a phone would.
 
-        ``wishes`` of the user as in `emulate`: no page plays by itself if no test asks for motion.
+        ``script`` runs before those of the page. ``wishes`` of the user are as in `emulate`: no
+        page plays by itself if no test asks for motion.
         """
         self.console, self.requests, self._width = [], [], width
         scale = 2 if phone else 1
@@ -525,7 +518,9 @@ class _Browser:
         self.emulate(**wishes)
         # Of 50 entries Chromium drops the first that a script has left, which may be this page's.
         self.call("Page.resetNavigationHistory")
+        before = self.call("Page.addScriptToEvaluateOnNewDocument", source=script)
         self.load(url=path.resolve().as_uri())
+        self.call("Page.removeScriptToEvaluateOnNewDocument", **before)
 
     def emulate(self, motion=False, scheme="", media=""):
         """What a user wishes: motion, a light or dark scheme, print as medium.

@@ -92,8 +92,9 @@ def _write(entry, content):
     os.replace(temporary, entry)
     used = []
     for file in os.scandir(os.path.dirname(entry)):
-        with suppress(FileNotFoundError):  # another process has renamed or removed the file
-            used.append((file.stat().st_mtime, file.path))
+        with suppress(FileNotFoundError):  # another process has removed the file
+            if "." not in file.name:  # one that another process writes has its number
+                used.append((file.stat().st_mtime, file.path))
     for _, old in sorted(used)[:-LIMIT]:
         with suppress(FileNotFoundError):
             os.unlink(old)

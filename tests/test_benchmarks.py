@@ -226,8 +226,7 @@ def test_heyoka_agrees_with_the_exact_hold(load):
     assert relative_difference(record, in_kneexo(scenario, "exact_hold")) < 1e-9
 
 
-@pytest.mark.slow
-@pytest.mark.cases_in_gate(0)
+@pytest.mark.slow(gate=0)
 def test_the_command_prints_every_row(tmp_path):
     file = tmp_path / "figures.json"
     run = subprocess.run(
@@ -256,7 +255,7 @@ def test_the_command_prints_every_row(tmp_path):
     assert len(data["batches"]) == 2
 
 
-@pytest.mark.slow
+@pytest.mark.slow(gate=0)
 def test_mutants_are_counted_and_tests_that_fail_anyway_say_nothing():
     module = "kneexo/systems/encoder_count.py"
     command = [sys.executable, BENCHMARKS / "mutation.py", module]
@@ -269,7 +268,7 @@ def test_mutants_are_counted_and_tests_that_fail_anyway_say_nothing():
         assert text in run.stdout + run.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.slow(gate=0)
 def test_the_rosenbrock_method_keeps_its_tolerance_on_stiff_presets(load, capsys):
     load("stiff").main(["--duration", "1", "--turns", "1"])
     _, *rows = (line.split(" | ") for line in capsys.readouterr().out.splitlines())

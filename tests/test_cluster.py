@@ -186,7 +186,7 @@ def _address(file):
     return json.loads(file.read_text())["address"]
 
 
-@pytest.mark.slow
+@pytest.mark.slow(gate=0)
 def test_a_dask_worker_killed_in_the_middle_changes_nothing(cluster, tmp_path):
     address, workers = cluster
     checkpoint = Checkpoint(tmp_path / "checkpoint.jsonl")
@@ -220,7 +220,7 @@ SMALL_MAP = ["study", "bandwidth", "--set", "amplitudes_deg=[1.0, 2.0]"]
 SMALL_MAP += ["--set", "frequencies_hz=[4.0, 8.0, 16.0]"]
 
 
-@pytest.mark.slow
+@pytest.mark.slow(gate=0)
 def test_the_command_line_runs_on_a_dask_cluster(cluster, tmp_path):
     where = {"dask": ["--dask", cluster[0]], "here": ["--workers", "1"]}
     for name, option in where.items():

@@ -65,8 +65,7 @@ def test_the_tests_of_the_compiler_import_no_knee():
     assert len(imports(TESTS, r"kneexo\.compiler\b")) > 50
 
 
-@pytest.mark.slow
-@pytest.mark.cases_in_gate(0)
+@pytest.mark.slow(gate=0)
 def test_a_copy_passes_its_tests_without_the_package(copy):
     ended = run(copy, "-m", "not slow", "-n", "2", "tests")
     assert ended.returncode == 0, ended.stdout[-4000:]

@@ -491,7 +491,7 @@ def test_the_refits_of_fig_5_over_the_whole_range():
     assert unsaid("validation.md", *texts, f"at the same points, leaves {rms(residual):.3f}°") == []
 
 
-@pytest.mark.slow
+@pytest.mark.slow(gate=0)
 def test_the_page_of_the_controllers_has_the_numbers_of_their_study():
     study = controller_study()
     grid, (_, phi, eta) = study.settings, study.centre
@@ -591,7 +591,7 @@ def passed_on(package):
             yield f"{value.__module__}.{name}"
 
 
-@pytest.mark.slow
+@pytest.mark.slow(gate=0)
 def test_every_public_name_is_in_the_reference(tmp_path):
     pytest.importorskip("myst_nb", reason="needs pip install '.[docs]'")
     pages = tmp_path / "docs"

@@ -51,8 +51,7 @@ def cpu_seconds_of_children():
     return used.ru_utime + used.ru_stime
 
 
-@pytest.mark.slow
-@pytest.mark.cases_in_gate(0)
+@pytest.mark.slow(gate=0)
 @pytest.mark.parametrize("name", ["firmware", "wearer"])
 def test_a_notebook_runs_from_the_wheel(name, notebooks, wheel, tmp_path):
     """Those that read files of the package; the build of the site runs the code of all."""

@@ -75,8 +75,7 @@ def test_the_picture_is_small():
         assert image.size == (WIDTH, HEIGHT)
 
 
-@pytest.mark.slow
-@pytest.mark.cases_in_gate(0)  # fonts of the machine
+@pytest.mark.slow(gate=0)  # fonts of the machine
 def test_the_picture_shows_the_page_of_today(browser, tmp_path):
     now = coarse(picture(browser, tmp_path))
     with Image.open(PICTURE) as image:

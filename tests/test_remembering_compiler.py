@@ -1,6 +1,7 @@
 """The compiler of the tests that remembers, around a compiler that counts its calls."""
 
 import importlib.util
+import os
 from pathlib import Path
 
 import pytest
@@ -78,6 +79,19 @@ def test_errors_are_remembered_too(calls, compile_in):
     assert first == second
     assert first[0] == 1
     assert calls.read_text() == "\n"
+
+
+def test_files_that_other_processes_write_and_remove_meanwhile_do_not_matter(tmp_path, monkeypatch):
+    monkeypatch.setattr(remembering_compiler, "LIMIT", 1)
+    written, removed = tmp_path / "other.1", tmp_path / "removed"
+    for file in (written, removed):
+        file.touch()
+        os.utime(file, (0, 0))  # the oldest
+    entries = list(os.scandir(tmp_path))
+    removed.unlink()
+    monkeypatch.setattr(remembering_compiler.os, "scandir", lambda folder: entries)
+    remembering_compiler._write(str(tmp_path / "entry"), b"x")
+    assert set(os.listdir(tmp_path)) == {"entry", "other.1"}
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,10 @@
 """Errors of a user's code."""
 
+import io
 import json
+import os
+import sys
+from pathlib import Path
 
 import pytest
 
@@ -52,6 +56,17 @@ def test_every_error_becomes_one_of_ours(error):
     with pytest.raises(ParameterError, match=message) as info, user_code("it fails"):
         raise error
     assert info.value.__cause__ is error
+
+
+def test_what_the_code_changes_of_python_is_restored_or_an_error(monkeypatch, tmp_path):
+    limit, directory = sys.getrecursionlimit(), Path.cwd()
+    with user_code("it fails"):
+        sys.setrecursionlimit(limit + 7)
+        os.chdir(tmp_path)
+    assert (sys.getrecursionlimit(), Path.cwd()) == (limit, directory)
+    monkeypatch.setattr(sys, "stdout", io.StringIO())
+    with pytest.raises(ParameterError, match=r"the code closes sys\.stdout"), user_code("it fails"):
+        sys.stdout.close()
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), LinkageError("ours")])

@@ -26,7 +26,7 @@ class LawTangent:
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        law = scenario.controller
+        law = scenario.with_loaded_law().controller
         assert isinstance(law, LawParameters)
         self._name, self._sample_time_s = law.function.short_name, law.sample_time_s
         self._inputs = law_inputs(scenario)

@@ -17,7 +17,11 @@ from kneexo.compiler import DiagramEquations, read_diagram
 from kneexo.diagrams import make_closed_loop
 from kneexo.diagrams.closed_loop import loop_values, plant_start
 from kneexo.diagrams.controller import has_unknown_parts
-from kneexo.diagrams.law import known_to_controller, remembered, runs_as_python, users_law
+from kneexo.diagrams.law import (
+    known_text,
+    makers_called_once,
+    runs_as_python,
+)
 from kneexo.diagrams.wearer import moment_of, moment_spline
 from kneexo.errors import LinearizationError, NoEquilibriumError
 from kneexo.parameters import (
@@ -29,7 +33,7 @@ from kneexo.parameters import (
 )
 from kneexo.parameters.scenario import require_scenario
 from kneexo.result import Array
-from kneexo.simulation.compiled import structure_key
+from kneexo.simulation.compiled import law_key, structure_key
 from kneexo.systems.function_law import hides_state
 
 _NO_LIMIT = 1e12
@@ -105,8 +109,7 @@ def _shared_equations(scenario: Scenario, law: LawTangent | None) -> DiagramEqua
     if law is not None:  # such laws share a structure, but for the numbers of states
         return recent_equations.of(f"{key} {law.sizes}", read)
     if has_unknown_parts(scenario):  # whose Context parameters cannot be set by name
-        key += known_to_controller(scenario).model_dump_json()
-        return remembered(users_law(scenario), key, read)
+        key += f"{known_text(scenario)} {law_key(scenario)}"
     return recent_equations.of(key, read)
 
 
@@ -124,6 +127,7 @@ def _command_port(diagram: Any) -> str:
     return f"{system.get_name()}:{system.get_output_port(index).get_name()}"
 
 
+@makers_called_once()
 def find_equilibrium(scenario: Scenario, *, knee_angle_deg: float = MID_RANGE_DEG) -> Equilibrium:
     """Find the equilibrium of the sampled loop of a scenario by Newton's method.
 
@@ -142,7 +146,7 @@ def find_equilibrium(scenario: Scenario, *, knee_angle_deg: float = MID_RANGE_DE
         raise LinearizationError(f"controller.{what}: there is no linear sampled-data loop")
     if isinstance(controller, LawParameters) and not controller.function.is_system:
         function = controller.function
-        if hides_state(function, len(controller.initial_state)):
+        if hides_state(function, len(controller.loaded().initial_state)):
             raise LinearizationError(
                 f"law {function.short_name}: the object hides state, which no linear loop would "
                 f"have; write the law as a function with the argument state"

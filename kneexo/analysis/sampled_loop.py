@@ -23,6 +23,7 @@ from kneexo.analysis.loop_equilibrium import find_equilibrium
 from kneexo.analysis.margins import Margins, stability_margins
 from kneexo.analysis.plant_linearization import MID_RANGE_DEG, Complex, frequency_array
 from kneexo.compiler import LinearModel, Transfer, linearize
+from kneexo.diagrams.law import makers_called_once
 from kneexo.errors import LinearizationError
 from kneexo.parameters import Scenario
 from kneexo.plotting import BLUE, GOLD, RED, TEAL, axes_or_new, label_bode
@@ -355,6 +356,7 @@ class SampledLoop(Result):
         return ax
 
 
+@makers_called_once()
 def linearize_loop(
     scenario: Scenario = Scenario(),
     *,

@@ -18,6 +18,7 @@ from kneexo.analysis.reductions import all_metrics, reduce_signals, tracking_red
 from kneexo.analysis.signals import period_s, to_rpm
 from kneexo.analysis.verdict import Verdict, verdict_of
 from kneexo.diagrams import available_signals
+from kneexo.diagrams.law import makers_called_once
 from kneexo.diagrams.signals import PROTECTION_OUTPUTS
 from kneexo.parameters import Scenario
 from kneexo.parameters.scenario_file import as_scenario
@@ -411,6 +412,7 @@ def _verdict_signals(scenario: Scenario) -> tuple[str, ...]:
 
 
 @needs_runs
+@makers_called_once()
 def track(
     scenario: Scenario | str | PathLike[str] = Scenario(),
     *,

@@ -267,12 +267,15 @@ class ScenarioChoice:
     preset: str | None = None
     law: str | None = None
 
-    def load(self, default: Scenario | None = None) -> Scenario:
+    def load(self, default: Scenario | None = None, *, runs_law: bool = True) -> Scenario:
         """Return the scenario.
 
-        Without a file and a preset, start from ``default`` (None: the paper's setup).
+        Without a file and a preset, start from ``default`` (None: the paper's setup). The file of a
+        law that the scenario file names is imported unless ``runs_law`` is False. A line on stderr
+        says whose Python runs.
         """
         from kneexo.parameters import Scenario
+        from kneexo.parameters.law import announce
         from kneexo.parameters.presets import with_preset
         from kneexo.parameters.scenario_file import load_scenario
 
@@ -280,7 +283,7 @@ class ScenarioChoice:
             with _argument():
                 with_preset(self.preset, {})
         if self.path is not None:
-            scenario = load_scenario(self.path, self.preset)
+            scenario = load_scenario(self.path, self.preset, without_law=self.law is not None)
         elif self.preset is not None:
             scenario = Scenario.preset(self.preset)
         else:
@@ -288,13 +291,15 @@ class ScenarioChoice:
         if self.law is not None:
             with _argument():
                 scenario = scenario.with_law(self.law)
+            announce(self.law)
         scenario = with_values(scenario, self.values)
         if self.law is not None and scenario.controller.kind != "law":
             raise ParameterError(
                 f"--law: --set replaces the law by controller.kind = {scenario.controller.kind}; "
                 f"leave out one of them"
             )
-        return scenario.with_engine(self.engine)
+        scenario = scenario.with_engine(self.engine)
+        return scenario.with_loaded_law() if runs_law else scenario
 
 
 @contextmanager

@@ -55,7 +55,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
                     raise
                 raise interrupt from None
             finally:
-                if sys.stdout is not None:  # None if it was closed
+                # None if it was closed outside; the user's code can close it too
+                if sys.stdout is not None and not sys.stdout.closed:
                     sys.stdout.flush()
         except KeyboardInterrupt as interrupt:
             return _interrupted(interrupt, delivery)

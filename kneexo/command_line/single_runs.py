@@ -67,7 +67,7 @@ def simulate(choice: ScenarioChoice, out: Path, page: ReportPage | None = None) 
     from kneexo.analysis import track
     from kneexo.analysis.notices import wrapped
     from kneexo.command_line.output import to_json, write_csv
-    from kneexo.parameters.scenario_file import dump_scenario
+    from kneexo.parameters.scenario_file import scenario_files
     from kneexo.rod_polynomial import completed
     from kneexo.studies.markdown import number
 
@@ -83,7 +83,7 @@ def simulate(choice: ScenarioChoice, out: Path, page: ReportPage | None = None) 
     files: dict[str, Any] = {
         "signals.csv": lambda path: write_csv(path, result.run),
         "metrics.json": results,
-        "scenario.yaml": dump_scenario(completed(scenario)),
+        **scenario_files(completed(scenario), "scenario.yaml", out),
     }
     figures = {"tracking": result.plot()[0].figure}
     if page is not None:

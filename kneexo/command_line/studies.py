@@ -116,7 +116,7 @@ def run_study(
     scenario = choice.load(study.scenario)
     changed = arguments.with_values(study.settings(), settings)
     compute = study.compute
-    from kneexo.parameters.scenario_file import dump_scenario, load_uncertainty
+    from kneexo.parameters.scenario_file import load_uncertainty, scenario_files
 
     if uncertainty is not None:
         compute = partial(compute, uncertainty=load_uncertainty(uncertainty, scenario))
@@ -134,7 +134,7 @@ def run_study(
     document = to_json(origin | result.results())
     report = study.report(result)
     results_file, report_file = study.files
-    files = {
+    files: dict[str, str | bytes] = {
         results_file or f"{study.name}.json": document,
         report_file or f"{study.name}.md": report,
     }
@@ -143,9 +143,9 @@ def run_study(
     if page is not None:
         files |= page.file(report, figures, origin, study.motions(result))
     for number, failed in enumerate(study.failed_runs(result).values(), start=1):
-        files[failure_file(number)] = dump_scenario(failed)
+        files |= scenario_files(failed, failure_file(number), out)
     for file_name, made in study.scenarios(result).items():
-        files[file_name] = dump_scenario(made)
+        files |= scenario_files(made, file_name, out)
     text = f"{plain_text(head_of(report))}\n{files_line(out, files, figures)}"
     return Outcome(text, document, files=files, figures=figures)
 

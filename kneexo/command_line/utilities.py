@@ -72,7 +72,7 @@ def params(choice: ScenarioChoice, yaml: bool, schema: bool, find: str | None = 
     If no scenario is given, the list also has all kinds of parts, the settings of all studies and
     the uncertain values. If ``find`` is given, the list has only the parameters with this text.
     """
-    scenario = choice.load()
+    scenario = choice.load(runs_law=False)
     if yaml:
         from kneexo.parameters.scenario_file import dump_scenario
 
@@ -106,7 +106,7 @@ def params(choice: ScenarioChoice, yaml: bool, schema: bool, find: str | None = 
 
 def diagram(choice: ScenarioChoice, out: Path) -> Outcome:
     """Return the block diagram of a scenario as SVG and PNG."""
-    scenario = choice.load()
+    scenario = choice.load(runs_law=False)
     from kneexo.command_line.output import svg_text
     from kneexo.view.block_diagram import block_diagram
 

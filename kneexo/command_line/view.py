@@ -73,7 +73,7 @@ def view(
                 raise ParameterError(
                     f"{shown(run)}: has no scenario.yaml; must be a directory of kneexo simulate"
                 )
-            scenario = load_scenario(Path(run, "scenario.yaml"))
+            scenario = load_scenario(Path(run, "scenario.yaml"), without_law=True)
             legs.append(leg_of_results(name, Path(run), scenario))
             continue
         start = [f"preset {preset}"] if run and preset else []

@@ -46,12 +46,15 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
     from .compiled_system import CompiledSystem as CompiledSystem
     from .diagram_equations import (
         DiagramEquations as DiagramEquations,
-        expressions_key as expressions_key,
+        ExpressionGraph as ExpressionGraph,
         read_diagram as read_diagram,
     )
+    from .equations.comparison import differ as differ, trust as trust
+    from .equations.periods import holders_of as holders_of, sample_timings as sample_timings
     from .equations.truth import truth_of_scalars as truth_of_scalars
     from .errors import (
         CompilationError as CompilationError,
+        DifferenceError as DifferenceError,
         Error as Error,
         LinearizationError as LinearizationError,
         NoEquilibriumError as NoEquilibriumError,
@@ -128,10 +131,13 @@ else:
         "c.vectors": ("Vectors", "recorded_vectors"),
         "c.wasm": ("WasmModule", "wasm_files", "wasm_module", "wasm_table"),
         "compiled_system": ("CompiledSystem",),
-        "diagram_equations": ("DiagramEquations", "expressions_key", "read_diagram"),
+        "diagram_equations": ("DiagramEquations", "ExpressionGraph", "read_diagram"),
+        "equations.comparison": ("differ", "trust"),
+        "equations.periods": ("holders_of", "sample_timings"),
         "equations.truth": ("truth_of_scalars",),
         "errors": (
-            *("CompilationError", "Error", "LinearizationError", "NoEquilibriumError"),
+            *("CompilationError", "DifferenceError", "Error", "LinearizationError"),
+            "NoEquilibriumError",
             *("OutputError", "ParameterError", "ResultError", "SimulationError"),
             *("StiffnessError", "UnstableStepError", "escaped", "shortened", "shown"),
         ),

@@ -9,12 +9,14 @@ from functools import cached_property
 from importlib.metadata import version
 from typing import Any
 
+import numpy as np
 from pydrake.systems.framework import System
 
 from .arguments import names, quoted
 from .equations.contexts import parameters_of, state_of
 from .equations.equations import Equations
 from .equations.graph import Graph
+from .equations.graph_values import values_of
 from .equations.ports import bypass as bypass_system, find_port
 from .equations.reader import read_tree
 from .equations.symbolic import Conversion, Steps, completed
@@ -107,7 +109,7 @@ def read_diagram(
         text = f"{name}{error}" if str(error).startswith(": ") else str(error)
         if "is not connected" in text:
             text += "; connect it, or name the diagram's port in inputs"
-        raise CompilationError(text) from error
+        raise type(error)(text) from error
     return DiagramEquations(diagram, equations, root)
 
 
@@ -120,21 +122,55 @@ def require_system(diagram: Any) -> None:
         )
 
 
-def expressions_key(expressions: Sequence[Any], variables: Sequence[Any]) -> str:
-    """Return a hash (SHA-256) of the graph of symbolic expressions and the version of Drake.
+class ExpressionGraph:
+    """The graph of symbolic expressions, whose shared parts are one node each.
 
-    ``variables`` are all variables of the expressions. The hash depends on their names and order,
-    so that equal functions of other variables with these names have the same hash.
+    Parameters
+    ----------
+    expressions
+        The expressions.
+    variables
+        All variables of the expressions.
+
+    Raises
+    ------
+    CompilationError
+        An expression is too large or does not compile.
     """
-    graph = Graph()
-    places = {variable.get_id(): place for place, variable in enumerate(variables)}
 
-    def node_of_variable(variable: Any) -> Steps[int]:
-        return graph.source("input", places[variable.get_id()])
-        yield  # makes this function a generator, as `Conversion` requires
+    def __init__(self, expressions: Sequence[Any], variables: Sequence[Any]) -> None:
+        self._expressions, self._variables = expressions, variables
+        self._graph = graph = Graph()
+        places = {variable.get_id(): place for place, variable in enumerate(variables)}
 
-    nodes = completed(Conversion(graph, "expression", node_of_variable).nodes(expressions))
-    return _hash(([variable.get_name() for variable in variables], nodes, graph.nodes))
+        def node_of_variable(variable: Any) -> Steps[int]:
+            return graph.source("input", places[variable.get_id()])
+            yield  # makes this function a generator, as `Conversion` requires
+
+        conversion = Conversion(graph, "expression", node_of_variable)
+        self._nodes = completed(conversion.nodes(expressions))
+        self._is_large = conversion.is_large
+
+    def is_of(self, expressions: Sequence[Any]) -> bool:
+        """Return whether this is the graph of other expressions of the same variables."""
+        if self._is_large:  # Drake compares trees, which can be as large as 2ⁿ for n operations
+            return self.key == ExpressionGraph(expressions, self._variables).key
+        pairs = zip(self._expressions, expressions, strict=True)
+        return all(one.EqualTo(other) for one, other in pairs)
+
+    @cached_property
+    def key(self) -> str:
+        """Hash (SHA-256) of the graph and the version of Drake; equal functions have one key."""
+        names = [variable.get_name() for variable in self._variables]
+        return _hash((names, self._nodes, self._graph.nodes))
+
+    def values(self, points: Array) -> Array:
+        """Return the values of the expressions (expressions, …) where the variables are ``points``.
+
+        ``points`` has the shape (variables, …). An undefined value is nan or inf.
+        """
+        values = values_of(self._graph, self._nodes, {"input": points})
+        return np.array([np.broadcast_to(value, points.shape[1:]) for value in values])
 
 
 def equations_key(equations: Equations) -> str:

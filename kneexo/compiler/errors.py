@@ -75,6 +75,10 @@ class CompilationError(Error, TypeError):
     """A diagram cannot be compiled. The message names the subsystem and the port."""
 
 
+class DifferenceError(CompilationError):
+    """The equations of a leaf system differ from the leaf called with numbers."""
+
+
 class LinearizationError(Error, ArithmeticError):
     """A diagram has no linear model or no equilibrium. The message names the state or signal."""
 

@@ -131,6 +131,7 @@ def write_folder(folder: Path, files: Mapping[str, str]) -> None:
         with tempfile.TemporaryDirectory(dir=folder, prefix=_UNFINISHED) as new:
             _write_texts(Path(new), files)
             for name in files:
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
                 os.replace(Path(new, name), folder / name)
     except OSError as error:
         reason = error.strerror or error
@@ -141,4 +142,6 @@ def write_folder(folder: Path, files: Mapping[str, str]) -> None:
 
 def _write_texts(folder: Path, files: Mapping[str, str]) -> None:
     for name, text in files.items():
-        Path(folder, name).write_text(text, encoding="utf-8")
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8", errors="surrogateescape")  # a file may be Latin-1

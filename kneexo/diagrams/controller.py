@@ -12,7 +12,7 @@ from kneexo import systems
 from kneexo.diagrams.law import (
     connect_inputs,
     held_command,
-    known_to_controller,
+    known_text,
     law_inputs,
     maker_arguments,
     port_sizes,
@@ -20,7 +20,7 @@ from kneexo.diagrams.law import (
     users_law,
 )
 from kneexo.diagrams.part import Part, add_parts
-from kneexo.diagrams.protection import connect_protection, plausible_ports, protection_parts
+from kneexo.diagrams.protection import connect_protection, guarded_ports, protection_parts
 from kneexo.diagrams.signals import CONTROLLER_SIGNALS, SIGNALS
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
@@ -53,7 +53,7 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
     measured_force       2     N, s                  reading of the load cell, age; torque only
     biological_moment    1     N·m                   only with torque in the mode ``assist``
     motor_speed          1     rad/s                 as the drive reports it; only with protection
-    emergency_stop       1     1                     1 stops the motor; only with protection
+    emergency_stop       1     1                     0, or the motor stops; only with protection
     reset                1     1                     its rise resets a stop; only with protection
     **output port**
     motor_speed_command  1     rad/s                 motor side, held for a sample
@@ -64,9 +64,10 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
     not ``exact``. More outputs: ``measured_knee_angle``, ``measured_rod_extension`` and
     ``rod_reference``. An estimator adds ``estimated_state``, the sliding-mode law adds
     ``sliding_variable``, and the torque controller adds ``desired_torque``. Protection adds the
-    subsystems ``detectors`` (`FaultDetectors`), which replaces the coordinates of implausible
-    readings, and ``supervisor`` (`SafetySupervisor`), through which the command passes. Its
-    outputs are ``residuals``, ``safety_state``, ``safety_reason`` and ``release``.
+    subsystems ``guard`` (`InputGuard`) and ``detectors`` (`FaultDetectors`), which replace bad
+    inputs and implausible readings, and ``supervisor`` (`SafetySupervisor`), through which the
+    command passes. Its outputs are ``residuals``, ``safety_state``, ``safety_reason`` and
+    ``release``.
 
     The ports of a law of the user decide what the law is connected to: see `LawParameters`. A law
     that reads ``encoder_reading``, and nothing that kneexo computes from this reading, is the only
@@ -106,10 +107,12 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
             "rod_reference": rod_reference.get_output_port(),
         }
         reference, reading = rod_reference.get_input_port(), coordinates.get_input_port()
+        if "guard" in subsystems:
+            reference = subsystems["guard"].GetInputPort("knee_reference")
         inputs["knee_reference"] = builder.ExportInput(reference, "knee_reference")
         inputs["encoder_reading"] = builder.ExportInput(reading, "encoder_reading")
-        if "detectors" in subsystems:
-            sources |= plausible_ports(builder, subsystems["detectors"], sources, inputs)
+        if "guard" in subsystems:
+            sources |= guarded_ports(builder, subsystems, sources, inputs)
         outputs |= {
             "measured_knee_angle": sources["knee_angle"],
             "measured_rod_extension": sources["rod_extension"],
@@ -172,7 +175,7 @@ def has_unknown_parts(scenario: Scenario) -> bool:
 def _parts(scenario: Scenario, replacement: System | None = None) -> list[Part]:
     """Return the leaf systems of a controller; ``replacement`` replaces the scenario's law."""
     believed, polynomial = scenario.believed_plant, controller_polynomial(scenario)
-    law, offset = scenario.controller, encoder_offset_rad(scenario)
+    law, offset = scenario.with_loaded_law().controller, encoder_offset_rad(scenario)
     if law.command_limit_rad_s != scenario.command_limit_rad_s:
         law = law.model_copy(update={"command_limit_rad_s": scenario.command_limit_rad_s})
     if replacement is not None and not isinstance(law, LawParameters):
@@ -253,7 +256,6 @@ def _law_part(scenario: Scenario, law: LawParameters, replacement: System | None
             lambda: function_law.context_values(law),
         )
     system = law.function.make_system(maker_arguments(scenario))
-    _require_period(system, law.sample_time_s, f"law {law.function.short_name}")
     return Part("law", lambda: system, dict)
 
 
@@ -270,16 +272,6 @@ def _estimator_parts(scenario: Scenario) -> Iterable[Part]:
         yield Part("estimator", lambda: systems.BackwardDifference(sample_time), dict)
 
 
-def _require_period(system: System, sample_time_s: float, subject: str) -> None:
-    """Raise `ParameterError` if a system updates its discrete state at another period."""
-    timing = system.GetUniquePeriodicDiscreteUpdateAttribute()
-    if timing is not None and timing.period_sec() != sample_time_s:
-        raise ParameterError(
-            f"controller.sample_time_s = {sample_time_s:g} s: must be {timing.period_sec():g} s, "
-            f"at which {subject} updates"
-        )
-
-
 def encoder_offset_rad(scenario: Scenario) -> float:
     """Return the offset in rad that the controller adds to an encoder reading.
 
@@ -294,6 +286,6 @@ def controller_outputs(scenario: Scenario) -> dict[str, int]:
     """Return the size of each output port of a controller with a law of the user, by its name."""
     return remembered(
         users_law(scenario),
-        ("outputs", known_to_controller(scenario).model_dump_json()),
+        ("outputs", known_text(scenario)),
         lambda: port_sizes(make_controller(scenario, held_command(scenario))),
     )

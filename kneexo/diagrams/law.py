@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Hashable, Mapping
+import math
+from collections.abc import Callable, Collection, Hashable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any, NamedTuple, TypeVar, cast
 
 from pydrake.systems.framework import System
 
 from kneexo import systems
-from kneexo.compiler import read_diagram
-from kneexo.errors import KneexoError, ParameterError
+from kneexo.compiler import holders_of, read_diagram, sample_timings
+from kneexo.errors import CompilationError, DifferenceError, KneexoError, ParameterError
 from kneexo.parameters import LAW_INPUTS, Law, LawParameters, Scenario
 from kneexo.rod_polynomial import controller_polynomial
 from kneexo.systems.function_law import trace
@@ -27,7 +30,7 @@ def why_python(scenario: Scenario) -> str:
         return ""
     if law.function.is_system:
         return _system_law(scenario).why_python
-    return trace(law.function, len(law.initial_state)).why_not_compiled
+    return trace(law.function, len(law.loaded().initial_state)).why_not_compiled
 
 
 def runs_as_python(scenario: Scenario) -> bool:
@@ -42,17 +45,37 @@ def users_law(scenario: Scenario) -> Law:
 
 
 def remembered(law: Law, question: Hashable, answer: Callable[[], T]) -> T:
-    """Return ``answer()``, or its earlier result if the law of a user has not changed since.
+    """Return ``answer()`` about a law of the user, or its earlier result.
 
-    A Drake system does not change. Any other law has not changed if its fingerprint is the same. An
-    answer about a law without fingerprint is not kept.
+    A Drake system and the arguments of a function do not change. A class or function that makes a
+    system may make another one whenever a value that it reads has changed. So answers about it are
+    kept only while `makers_called_once` lasts.
     """
-    present_law = law.target if isinstance(law.target, System) else law.fingerprint
-    answered_law, value = law.memo.get(question, (None, None))
-    if present_law is None or present_law != answered_law:
-        value = answer()
-        law.memo[question] = present_law, value
-    return cast(T, value)
+    makes_systems = law.is_system and not isinstance(law.target, System)
+    memo = _answers.get() if makes_systems else law.memo
+    if memo is None:
+        return answer()
+    key = id(law), question
+    if key not in memo:
+        memo[key] = law, answer()  # with the law, so that no other law gets its id
+    return cast(T, memo[key][1])
+
+
+_answers: ContextVar[dict[Any, Any] | None] = ContextVar("answers", default=None)
+"""The answers of `remembered` about laws that make systems, within `makers_called_once`."""
+
+
+@contextmanager
+def makers_called_once() -> Iterator[None]:
+    """Context manager, also a decorator: the body asks a law that makes systems each question once.
+
+    Making and reading a system takes some 10 ms. A body inside another shares its answers.
+    """
+    token = _answers.set({} if (answers := _answers.get()) is None else answers)
+    try:
+        yield
+    finally:
+        _answers.reset(token)
 
 
 def maker_arguments(scenario: Scenario) -> dict[str, Any]:
@@ -61,7 +84,7 @@ def maker_arguments(scenario: Scenario) -> dict[str, Any]:
     assert isinstance(law, LawParameters)
     if not law.function.takes_scenario:
         return {}
-    return {"scenario": known_to_controller(scenario), **law.values}
+    return {"scenario": known_to_controller(scenario), **law.loaded().values}
 
 
 def known_to_controller(scenario: Scenario) -> Scenario:
@@ -80,6 +103,12 @@ def known_to_controller(scenario: Scenario) -> Scenario:
     )
 
 
+def known_text(scenario: Scenario) -> str:
+    """Return a text of `known_to_controller`, without the law, as part of a question."""
+    without_law = {"controller": {"function"}}
+    return known_to_controller(scenario).model_dump_json(exclude=without_law)
+
+
 class _SystemLaw(NamedTuple):
     """What the controller has to know of a law that is or makes a Drake system."""
 
@@ -87,25 +116,62 @@ class _SystemLaw(NamedTuple):
     """Why the system cannot be compiled, or an empty text for a system that compiles."""
     inputs: tuple[str, ...]
     """Names of the input ports of the system."""
+    timings: dict[str, tuple[float, float]]
+    """Period and offset in s of each leaf system with discrete states, by its name."""
+    holders: set[str]
+    """Names of the leaf systems that hold the command."""
 
 
 def _system_law(scenario: Scenario) -> _SystemLaw:
-    """Return what is known of the system of a law. Raises `ParameterError` if a port is wrong."""
+    """Return what is known of the system of a law.
+
+    Raises `ParameterError` if a port or a sample period is wrong.
+    """
     law = users_law(scenario)
-    known = known_to_controller(scenario).model_dump_json() if law.takes_scenario else ""
-    return remembered(law, ("system", known), lambda: _read(law, maker_arguments(scenario)))
+    known = known_text(scenario) if law.takes_scenario else ""
+    read = remembered(law, ("system", known), lambda: _read(law, maker_arguments(scenario)))
+    _require_periods(read, scenario.controller.sample_time_s, f"law {law.short_name}")
+    return read
+
+
+def _require_periods(read: _SystemLaw, sample_time_s: float, subject: str) -> None:
+    """Raise `ParameterError` unless the system of a law keeps to the samples of the controller.
+
+    The command must change at each sample, and any other discrete state at every n-th. ``subject``
+    is the name of the law in the message.
+    """
+    fastest_s = min((read.timings[name][0] for name in read.holders), default=sample_time_s)
+    if not math.isclose(fastest_s, sample_time_s):
+        raise ParameterError(
+            f"controller.sample_time_s = {sample_time_s:g} s: must be {fastest_s:g} s, at which "
+            f"{subject} updates"
+        )
+    for name, (period_s, offset_s) in read.timings.items():
+        samples = period_s / sample_time_s
+        if offset_s or not math.isclose(samples, max(1, round(samples))):
+            raise ParameterError(
+                f"{subject}: {name} updates every {period_s:g} s from {offset_s:g} s on; must "
+                f"update from 0 s on, every controller.sample_time_s = {sample_time_s:g} s or a "
+                f"whole multiple of it"
+            )
 
 
 def _read(law: Law, arguments: Mapping[str, Any]) -> _SystemLaw:
     system = law.any_system(arguments)
     require_ports(system, f"law {law.short_name}")
     inputs = tuple(port_sizes(system, inputs=True))
+    try:
+        timings, holders = sample_timings(system), holders_of(system, "motor_speed_command")
+    except CompilationError as error:
+        raise ParameterError(f"law {law.short_name}: {error}") from None
     # `any_system` accepts a system that runs as Python only, `make_system` one that can be cloned.
     try:
         read_diagram(law.make_system(arguments), inputs=inputs)
+    except DifferenceError as error:
+        raise ParameterError(f"law {law.short_name}: {error}") from None
     except KneexoError as error:
-        return _SystemLaw(str(error), inputs)
-    return _SystemLaw("", inputs)
+        return _SystemLaw(str(error), inputs, timings, holders)
+    return _SystemLaw("", inputs, timings, holders)
 
 
 def law_inputs(scenario: Scenario) -> tuple[str, ...]:

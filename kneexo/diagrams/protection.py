@@ -1,7 +1,8 @@
-"""Adds fault detectors and safety supervisor to the controller of a scenario."""
+"""Adds input guard, fault detectors and safety supervisor to the controller of a scenario."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from functools import lru_cache
 from typing import Any
@@ -9,17 +10,31 @@ from typing import Any
 import numpy as np
 
 from kneexo import linkage, systems
-from kneexo.diagrams.law import connect_inputs
+from kneexo.diagrams.law import connect_inputs, port_sizes
 from kneexo.diagrams.part import Part
-from kneexo.parameters import LinkageParameters, ProtectionParameters, Scenario
-from kneexo.systems import fault_detectors, safety_supervisor
+from kneexo.parameters import (
+    LinkageParameters,
+    ProtectionParameters,
+    Scenario,
+    TorqueParameters,
+)
+from kneexo.systems import fault_detectors, input_guard, safety_supervisor
 
 
 def protection_parts(scenario: Scenario, protection: ProtectionParameters) -> Iterator[Part]:
-    """Yield fault detectors and safety supervisor."""
+    """Yield input guard, fault detectors and safety supervisor."""
     believed, sample_time_s = scenario.believed_plant, scenario.controller.sample_time_s
     span = reading_range_rad(scenario)
     follows, has_load_cell = scenario.controller.kind != "torque", scenario.has_load_cell
+    reference_range = reference_range_rad(scenario)
+    law, others = scenario.controller, ("measured_force",) * has_load_cell
+    if isinstance(law, TorqueParameters) and law.mode == "assist":
+        others += ("biological_moment",)
+    yield Part(
+        "guard",
+        lambda: systems.InputGuard(reference_range, sample_time_s, others),
+        lambda: input_guard.context_values(reference_range),
+    )
     yield Part(
         "detectors",
         lambda: systems.FaultDetectors(
@@ -38,17 +53,26 @@ PLAUSIBLE = ("encoder_reading", "knee_angle", "rod_extension")
 """Names of the ports whose implausible values the detectors replace."""
 
 
-def plausible_ports(
-    builder: Any, detectors: Any, sources: Mapping[str, Any], inputs: Mapping[str, Any]
+def guarded_ports(
+    builder: Any,
+    subsystems: Mapping[str, Any],
+    sources: Mapping[str, Any],
+    inputs: dict[str, Any],
 ) -> dict[str, Any]:
-    """Connect the detectors to reading and coordinates; return the ports of plausible values.
+    """Connect guard and detectors to the coordinates; return the ports of good values by name.
 
-    ``sources`` has the ports of the coordinates, ``inputs`` the exported input of the reading.
+    ``sources`` has the ports of the coordinates. ``inputs`` are the exported inputs so far; those
+    of the guard are added to them.
     """
+    guard, detectors = subsystems["guard"], subsystems["detectors"]
     builder.ConnectInput(inputs["encoder_reading"], detectors.GetInputPort("encoder_reading"))
     for name in ("knee_angle", "rod_extension"):
         builder.Connect(sources[name], detectors.GetInputPort(name))
-    return {name: detectors.GetOutputPort(name) for name in PLAUSIBLE}
+    good = {name: detectors.GetOutputPort(name) for name in PLAUSIBLE}
+    connect_inputs(builder, guard, good, inputs, ("knee_reference",))
+    good |= {name: guard.GetOutputPort(name) for name in port_sizes(guard)}
+    builder.Connect(good["knee_reference"], subsystems["rod_reference"].get_input_port())
+    return good
 
 
 def connect_protection(
@@ -71,6 +95,7 @@ def connect_protection(
     }
     builder.Connect(command, supervisor.GetInputPort("motor_speed_command"))
     connect_inputs(builder, detectors, sources, inputs, PLAUSIBLE)
+    del sources["motor_speed"]  # the supervisor gets a bad speed as it is: that is no standstill
     connect_inputs(builder, supervisor, sources, inputs, ("motor_speed_command",))
     return {
         "motor_speed_command": sources["motor_speed_command"],
@@ -79,6 +104,19 @@ def connect_protection(
         "safety_reason": supervisor.GetOutputPort("safety_reason"),
         "release": supervisor.GetOutputPort("release"),
     }
+
+
+def reference_range_rad(scenario: Scenario) -> tuple[float, float]:
+    """Return the lowest and highest reference of the knee angle that the controller accepts.
+
+    The range is the range of motion, extended by the allowed overshoot, as in
+    `require_reference_in_range`. A reference far outside would wind up the integral of a PID.
+    """
+    knee = scenario.plant.knee
+    return (
+        math.radians(knee.flexion_min_deg - knee.overshoot_deg),
+        math.radians(knee.flexion_max_deg + knee.overshoot_deg),
+    )
 
 
 def reading_range_rad(scenario: Scenario) -> tuple[float, float]:

@@ -30,12 +30,13 @@ from kneexo.export.target import (
     Target,
     largest_step_s,
     make_target,
+    released_step_s,
     require_step,
 )
 from kneexo.parameters import SampledReference, Scenario
 from kneexo.parameters.fault import OPERATOR_INPUTS
 from kneexo.parameters.safety_states import RELEASES
-from kneexo.parameters.scenario_file import dump_scenario
+from kneexo.parameters.scenario_file import scenario_files
 from kneexo.result import Array
 from kneexo.rod_polynomial import completed
 from kneexo.simulation.compiled import compile_scenario, scenario_run
@@ -82,7 +83,7 @@ def make_firmware(
     tolerance
         Largest error estimate of a substep of ``rosenbrock``: see `CSource`.
     step_s
-        Largest step of RK4 in s; by default the value of `rk4_step_s`. A diagram without continuous
+        Largest step of RK4 in s; by default that of `largest_step_s`. A diagram without continuous
         states ignores ``step_s``.
     look_up
         If True, the code looks up knee angle and rod extension in tables by the encoder count, and
@@ -165,8 +166,12 @@ def _firmware(
             "protection accepts; leave out look_up or protection"
         )
     target = make_target(scenario, what, counts=True)
+    files: dict[str, Any] = scenario_files(completed(scenario), "scenario.yaml")
+    diagram = read_diagram(target.diagram, inputs=target.inputs)
+    if step_s is None and integrator == "rk4":
+        step_s = released_step_s(scenario, diagram)
     source = source_of(
-        read_diagram(target.diagram, inputs=target.inputs),
+        diagram,
         target.what if name is None else name,
         precision=precision,
         outputs=target.outputs if outputs is None else outputs,
@@ -177,7 +182,8 @@ def _firmware(
         step_s=step_s,
         look_up=look_up,
         subject=f"{target.what} in {precision} precision",
-        origin=("scenario.yaml", dump_scenario(completed(scenario))),
+        origin=("scenario.yaml", files.pop("scenario.yaml")),
+        beside=files,
     )
     steps = round(vectors_s / source.plan.schedule.tick_s)
     inputs = loop_inputs(scenario, target, source, steps, **integrator_options)

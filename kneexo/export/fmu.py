@@ -25,7 +25,7 @@ from kneexo.compiler import (
 from kneexo.diagrams.closed_loop import make_closed_loop, plant_states
 from kneexo.diagrams.controller import has_unknown_parts
 from kneexo.errors import KneexoError, ParameterError
-from kneexo.export.target import Target, make_target, require_step
+from kneexo.export.target import Target, make_target, released_step_s, require_step
 from kneexo.parameters import Scenario, SlidingModeParameters
 from kneexo.parameters.fields import limits_of, source_of as provenance_of
 from kneexo.parameters.paths import changed, value_at
@@ -126,7 +126,7 @@ def make_fmu(
     integrator, tolerance
         Method for the continuous states, and its tolerance, as in `make_firmware`.
     step_s
-        Largest step of RK4 in s; by default the value of `rk4_step_s`. A diagram without continuous
+        Largest step of RK4 in s; by default that of `largest_step_s`. A diagram without continuous
         states ignores ``step_s``.
 
     Raises
@@ -141,8 +141,11 @@ def make_fmu(
     require_step(step_s)
     scenario = completed(scenario)
     target = make_target(scenario, what)
+    diagram = read_diagram(target.diagram, inputs=target.inputs)
+    if step_s is None and integrator == "rk4":
+        step_s = released_step_s(scenario, diagram)
     source = source_of(
-        read_diagram(target.diagram, inputs=target.inputs),
+        diagram,
         f"knee_{target.what}",
         outputs=[name for name in target.outputs if name not in target.inputs],
         interface=target.interface,

@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
 from pydrake.systems.framework import DiagramBuilder, System
 from pydrake.systems.primitives import Gain
 
-from kneexo.compiler import Interface, read_diagram, rk4_step_s
+from kneexo.compiler import DiagramEquations, Interface, State, read_diagram, rk4_step_s
 from kneexo.diagrams.closed_loop import add_encoder, available_signals, make_closed_loop, plant_of
 from kneexo.diagrams.controller import make_controller
-from kneexo.diagrams.law import why_python
-from kneexo.diagrams.protection import reading_range_rad
+from kneexo.diagrams.protection import reading_range_rad, reference_range_rad
 from kneexo.diagrams.signals import SIGNALS
 from kneexo.errors import ParameterError
 from kneexo.parameters import SampledReference, Scenario, SimulationParameters
 from kneexo.parameters.fault import OPERATOR_INPUTS
 from kneexo.parameters.fields import limits_of
+from kneexo.parameters.safety_states import RELEASES, STATES
+from kneexo.simulation.compiled import why_python_in_run
 from kneexo.systems import EncoderCount
 
 What = Literal["controller", "plant", "loop"]
@@ -75,7 +76,7 @@ def make_target(scenario: Scenario, what: str, *, counts: bool = False) -> Targe
     """
     if what not in WHAT:
         raise ParameterError(f"what = {what!r}: must be one of {', '.join(WHAT)}")
-    if what != "plant" and (reason := why_python(scenario)):
+    if what != "plant" and (reason := why_python_in_run(scenario)):
         raise ParameterError(
             f"controller: the law cannot be exported, because it is called as Python: {reason}; "
             f"docs/your_controller.md says how to get it compiled"
@@ -90,13 +91,32 @@ def make_target(scenario: Scenario, what: str, *, counts: bool = False) -> Targe
 
 
 def largest_step_s(scenario: Scenario, what: str) -> float:
-    """Return the default step of RK4 in s of the exported code: see `rk4_step_s`.
+    """Return the default step of RK4 in s of the exported code.
 
-    ``what`` is ``controller``, ``plant`` or ``loop``. Raises the errors of `make_target`.
+    The step is the least `rk4_step_s` at the start and with each release that can act: the windings
+    are shorted, the motor has no torque, or the bypass is open. So the steps follow the modes of
+    all safety states. ``what`` is ``controller``, ``plant`` or ``loop``. Raises the errors of
+    `make_target`.
     """
     target = make_target(scenario, what)
-    diagram = read_diagram(target.diagram, inputs=target.inputs)
-    return rk4_step_s(diagram.equations, diagram.parameters(), diagram.state())
+    return released_step_s(scenario, read_diagram(target.diagram, inputs=target.inputs))
+
+
+def released_step_s(scenario: Scenario, diagram: DiagramEquations) -> float:
+    """Return the result of `largest_step_s` for the diagram of a target."""
+    equations, parameters, start = diagram.equations, diagram.parameters(), diagram.state()
+    steps = [rk4_step_s(equations, parameters, start)]
+    ports = [name for name, size in equations.inputs.items() for _ in range(size)]
+    acting = set(ports) if scenario.protection is None else {*ports, scenario.protection.safe_state}
+    for release in acting & {*RELEASES}:
+        state = State(start.continuous.copy(), start.discrete.copy())
+        is_valve = [name == "plant/bypass.x[0]" for name in equations.states]
+        state.continuous[is_valve] = release == "bypass"
+        is_number = [name == "controller/supervisor.0[0]" for name in equations.discrete]
+        state.discrete[is_number] = list(STATES).index("released")
+        inputs = np.array([float(name == release) for name in ports])
+        steps.append(rk4_step_s(equations, parameters, state, inputs))
+    return min(steps)
 
 
 def require_step(step_s: float | None) -> None:
@@ -119,6 +139,7 @@ def _controller(scenario: Scenario, counts: bool) -> Target:
     if scenario.protection is not None:
         outputs += ["residuals", "safety_state", "safety_reason", "release"]
     ranges = {}
+    failed = {_FIELDS["motor_speed_command"][0]: 0.0}
     if "knee_reference" in inputs:
         ranges[_FIELDS["knee_reference"][0]] = reference_range_rad(scenario)
     diagram = controller
@@ -137,7 +158,13 @@ def _controller(scenario: Scenario, counts: bool) -> Target:
         diagram = builder.Build()
         ranges[ENCODER_COUNT] = count_range(scenario)
     integers = frozenset(name for name in inputs if name == ENCODER_COUNT)
-    interface = Interface(_fields_of(diagram), integers, ranges)
+    if scenario.protection is not None:  # as in the state in which a stop ends
+        has_release = scenario.protection.safe_state in RELEASES
+        state = "released" if has_release else "stopped"
+        failed |= {"safety_state": list(STATES).index(state), "release": float(has_release)}
+    interface = Interface(
+        _fields_of(diagram), integers, ranges, failed, scenario.protection is not None
+    )
     return Target("controller", diagram, tuple(inputs), tuple(outputs), interface, None)
 
 
@@ -159,19 +186,6 @@ def count_range(scenario: Scenario) -> tuple[float, float]:
     low, high = (reading / resolution for reading in reading_range_rad(scenario))
     more = 0 if scenario.protection is None else scenario.encoder.counts_per_revolution
     return low - more, high + more
-
-
-def reference_range_rad(scenario: Scenario) -> tuple[float, float]:
-    """Return the lowest and highest reference of the knee angle that the controller accepts.
-
-    The range is the range of motion, extended by the allowed overshoot, as in
-    `require_reference_in_range`. A reference far outside would wind up the integral of a PID.
-    """
-    knee = scenario.plant.knee
-    return (
-        math.radians(knee.flexion_min_deg - knee.overshoot_deg),
-        math.radians(knee.flexion_max_deg + knee.overshoot_deg),
-    )
 
 
 def _plant(scenario: Scenario) -> Target:

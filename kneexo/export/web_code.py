@@ -30,7 +30,6 @@ from kneexo.compiler import (
     wasm_table,
 )
 from kneexo.diagrams.closed_loop import available_signals, make_closed_loop
-from kneexo.diagrams.law import why_python
 from kneexo.diagrams.plant import moving_masses_kg
 from kneexo.diagrams.signals import SIGNALS
 from kneexo.errors import ParameterError
@@ -46,6 +45,7 @@ from kneexo.parameters import (
 )
 from kneexo.parameters.paths import value_at
 from kneexo.parameters.presets import with_preset
+from kneexo.simulation.compiled import why_python_in_run
 from kneexo.systems import IntervalReference, make_knee_reference
 
 PERTURBATION = "plant:motor_speed_command"
@@ -133,7 +133,7 @@ def loop_source(scenario: Scenario, *, smooth: bool = False) -> CSource:
     the samples as an input. Raises `ParameterError` for a law that is called as Python, and for a
     motion of the wearer that a page cannot follow. Raises the errors of `make_closed_loop`.
     """
-    if reason := why_python(scenario):
+    if reason := why_python_in_run(scenario):
         raise ParameterError(
             f"controller: the law has no web module, because it is called as Python: {reason}"
         )

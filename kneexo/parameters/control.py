@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from pydantic import model_validator
 
-from kneexo.errors import shortened
+from kneexo.errors import ParameterError, shortened
 from kneexo.parameters.law import Law
 from kneexo.parameters.plant import RPM
 from kneexo.parameters.quantity import (
@@ -200,8 +200,9 @@ class LawParameters(Parameters):
     """A control law of the user in place of kneexo's laws.
 
     ``function`` is a function, a Drake system, or a class or function that makes a Drake system.
-    ``function`` can also be the name ``FILE.py:NAME`` of a law. In a scenario file, a relative path
-    starts at the directory of the file.
+    ``function`` can also be the name ``FILE.py:NAME`` of a law. In a scenario file, FILE.py lies
+    beside or below that file. Then the law is imported, and its values are checked, when the law is
+    used first, by `loaded`.
 
     The law reads the signals of `kneexo.parameters.law.LAW_INPUTS` whose names are arguments of the
     function, or input ports of the system. A function may have the arguments ``time_s`` and
@@ -244,8 +245,30 @@ class LawParameters(Parameters):
         values = (getattr(self, name) for name in type(self).model_fields)
         return hash(tuple(tuple(sorted(v.items())) if isinstance(v, dict) else v for v in values))
 
+    def loaded(self) -> LawParameters:
+        """Return the parameters with all gains and the initial state, after the law is imported.
+
+        Raises `ParameterError` if the file of the law fails, or if a value does not suit the law.
+        """
+        law = self.function
+        if law.takes_scenario or not law.is_system:
+            present = self.values.keys(), bool(self.initial_state)
+            if present == (law.arguments.gains.keys(), law.arguments.state):
+                return self
+        copy = self.model_copy()
+        try:
+            copy._complete()
+        except ValueError as error:
+            raise ParameterError(str(error)) from None
+        return copy
+
     @model_validator(mode="after")
     def _suits_the_function(self) -> LawParameters:
+        if self.function.is_loaded:  # else a scenario file names the law
+            self._complete()
+        return self
+
+    def _complete(self) -> None:
         law = self.function
         if law.is_system and not law.takes_scenario:
             if self.initial_state or self.values:
@@ -253,7 +276,7 @@ class LawParameters(Parameters):
                     f"law {law.short_name} is a Drake system: initial_state and values must be "
                     f"left out; the system has its states and parameters"
                 )
-            return self
+            return
         arguments = law.arguments
         if not self.initial_state:
             object.__setattr__(self, "initial_state", arguments.initial_state)
@@ -274,5 +297,4 @@ class LawParameters(Parameters):
                     f"values.{shortened(name)}: law {law.short_name} has no argument of this name "
                     f"with a number as default; known: {known}"
                 )
-        self.values.update(arguments.gains | self.values)
-        return self
+        object.__setattr__(self, "values", arguments.gains | self.values)

@@ -1,34 +1,28 @@
 """Control laws of the user: plain functions or Drake systems, named by file or module.
 
-A law is known by its object, or across processes by the fingerprint of its code and values.
+In a process a law is known by its object. A law that a scenario file names is data until its first
+use: only then the file of the law is imported.
 """
 
 from __future__ import annotations
 
+import ast
 import copy
-import copyreg
 import hashlib
 import importlib.util
 import inspect
 import math
+import multiprocessing
+import re
 import sys
-import sysconfig
-from collections.abc import Callable, Iterable, Mapping
-from contextlib import suppress
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from functools import cached_property, lru_cache
 from numbers import Real
 from pathlib import Path
-from types import (
-    BuiltinFunctionType,
-    CodeType,
-    FunctionType,
-    GetSetDescriptorType,
-    MappingProxyType,
-    MemberDescriptorType,
-    MethodType,
-    ModuleType,
-)
+from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType, SimpleNamespace
 from typing import Any, NamedTuple
 
 import cloudpickle
@@ -36,9 +30,9 @@ import numpy as np
 from pydantic import GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
-from kneexo.errors import ParameterError, close_names, question, shortened
+from kneexo.errors import ParameterError, close_names, question, shortened, shown
 from kneexo.parameters.faults import shown_value
-from kneexo.user_code import function_at, user_code
+from kneexo.user_code import NOT_OF_USERS, function_at, text_of, user_code
 
 LAW_INPUTS = {
     "rod_extension": 1,
@@ -61,11 +55,6 @@ acceleration of the rod, only with the estimator ``exact``.
 _RESERVED = ("_", "command_limit_rad_s", "initial_state_")
 """Beginnings of names that no gain can have, because parameters of the law's system have them."""
 _DIGITS = 12  # hexadecimal digits of a digest in a text
-_NOT_OF_USERS = (
-    str(Path(__file__).parents[1]),
-    *(sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")),
-)
-"""Directories of code that the versions of kneexo and of the libraries identify."""
 
 
 class LawArguments(NamedTuple):
@@ -88,24 +77,16 @@ class Law:
 
     ``target`` is the function, the object or the system itself. It can also be a class or function
     without arguments, or a function with the argument ``scenario``, that returns a Drake system.
-    ``name`` is ``FILE.py:NAME`` or ``MODULE:NAME``. Two laws are equal if their names are equal,
-    and their targets are the same object or have equal fingerprints (`fingerprint`). ``memo`` holds
-    results that other modules have computed about this law.
+    ``name`` is ``FILE.py:NAME`` or ``MODULE:NAME``, and ``written`` is the name that a scenario
+    file gets. Two laws are equal if their targets are the same object, or if texts name them alike
+    in files of equal contents. ``memo`` holds results that other modules have computed about this
+    law.
     """
 
     def __init__(self, target: Any, name: str | None = None) -> None:
         """Wrap a law. Raises `ParameterError` if ``target`` is neither callable nor a system."""
-        if hasattr(target, "get_instantiation"):  # a template of Drake: its class for floats
-            target = target[None]
-        if not (callable(target) or _is_system(target)):
-            raise ParameterError(
-                f"law = {shown_value(target)}: must be a function, a Drake system, or "
-                f"their name as text, FILE.py:NAME"
-            )
-        if inspect.iscoroutinefunction(target):
-            raise ParameterError(f"law = {shown_value(target)}: is async; remove the word async")
-        self.target = target
-        self.name = name or _name_of(target)
+        self.target = _checked(target)
+        self.name = self.written = name or _name_of(self.target)
         self.memo: dict[Any, Any] = {}
 
     @classmethod
@@ -115,75 +96,130 @@ class Law:
         A relative path of a file starts at ``directory``. ``#`` and a digest may follow the name.
         Raises `ParameterError` if there is no such law, or if the law has another digest.
         """
+        law = cls._named(text, directory)
+        _ = law.target
+        return law
+
+    @classmethod
+    def from_data(cls, text: str, directory: str | Path) -> Law:
+        """Return the law that a scenario file in ``directory`` names, without importing its file.
+
+        The file of the law is imported when `target` is read first. A scenario file may be a
+        stranger's, so it cannot name what this system has installed. Raises `ParameterError` unless
+        ``text`` names a Python file in ``directory`` or below; a link must not lead out of it.
+        """
+        law = cls._named(text, directory, is_data=True)
+        law.written, law._is_announced = text, True
+        return law
+
+    @classmethod
+    def _named(cls, text: str, directory: str | Path, *, is_data: bool = False) -> Law:
+        """Return a law whose `target` is imported when it is first read."""
         name, _, digest = text.partition("#")
         place, _, path = name.rpartition(":")
         subject = f"law {shortened(name)!r}"
-        if "<" in name or place == "__main__":
-            raise ParameterError(
-                f"{subject}: existed only in the Python session that made it; must be a function "
-                f"in a file, FILE.py:NAME"
-            )
+        _require_no_session(name)
         if not place or not path or ".py:" in place:
             raise ParameterError(f"{subject}: must be FILE.py:NAME, such as my.py:law")
-        if place.endswith(".py"):
-            file = Path(directory, place).resolve()
-            if not file.is_file():
-                raise ParameterError(f"{subject}: there is no file {shortened(str(file), 200)}")
-            name = f"{file}:{path}"
-            with user_code(f"{subject}: the file cannot be read"):
-                source = file.read_bytes()
-            if file in _importing:
+        law = cls.__new__(cls)
+        law.memo, law._digest, law._subject = {}, digest, subject
+        with user_code(f"{subject}: the file cannot be read"):
+            file = Path(directory, place).resolve() if place.endswith(".py") else None
+            if is_data and not (file and file.is_relative_to(Path(directory).resolve())):
                 raise ParameterError(
-                    f"{subject}: importing the file loads this law again; put the lines that use "
-                    f"the law below `if __name__ == '__main__':`"
+                    f"{subject}: must be NAME.py:function, in a file beside or below the scenario "
+                    f"file; copy the law there, or name a law that you trust with --law"
                 )
-            _forget_changed_helpers()
-            with user_code(f"{subject}: the file fails"):
-                module = _module(file, hashlib.sha256(source).hexdigest())
+            if file is not None:
+                if not file.is_file():
+                    raise ParameterError(f"{subject}: there is no file {shortened(str(file), 200)}")
+                law.file, name = file, f"{file}:{path}"
+        law.name = law.written = name
+        return law
+
+    _subject = _digest = ""  # begin of messages, and the digest that a text requires
+    _is_announced = False  # whether a line on stderr says that the file of the law runs
+
+    @cached_property
+    def target(self) -> Any:
+        """The function, object or system; the first reading of a named law runs its file."""
+        path = self.name.rpartition(":")[2]
+        if self._is_announced:
+            announce(self.short_name)
+        file: Path | None = vars(self).get("file")
+        if file is None:
+            target = function_at(self.name, self._subject)
+        else:
+            vars(self).pop("sources", None)  # of an earlier content
+            with user_code(f"{self._subject}: the file fails"):
+                module = _module(file, self._subject, self.digest)
             if not hasattr(module, path):
                 known = [n for n, v in vars(module).items() if callable(v) and n[:1] != "_"]
                 hint = question(close_names(path, known) or known[:4])
-                raise ParameterError(f"{subject}: the file has no {shortened(path)!r}{hint}")
-            law = cls(getattr(module, path), name)
-        else:
-            law = cls(function_at(name, subject), name)
-        if digest and (law.fingerprint or "")[: len(digest)] != digest:
+                raise ParameterError(f"{self._subject}: the file has no {shortened(path)!r}{hint}")
+            target = getattr(module, path)
+        self.target = target = _checked(target)
+        if self._digest and not self.digest.startswith(self._digest):
             raise ParameterError(
-                f"{subject}: the code has changed since {digest} was noted; leave out "
-                f"'#{digest}' to use the code of today"
+                f"{self._subject}: the code has changed since {self._digest} was noted; leave out "
+                f"'#{self._digest}' to use the code of today"
             )
-        return law
+        return target
+
+    @property
+    def is_loaded(self) -> bool:
+        """Whether `target` is there; False for a law of a scenario file that nothing has used."""
+        return "target" in vars(self)
 
     def require_name(self) -> None:
-        """Raise `ParameterError` unless the name of the law leads to this law in a file or module.
+        """Raise `ParameterError` unless the name of the law leads to this law in a file.
 
         No name leads to a lambda. The name of an object leads to its class.
         """
-        if type(self).from_text(self.name) != self:
+        _require_no_session(self.name)
+        if not self.sources:
             raise ParameterError(
                 f"law {self.short_name}: this name leads to other code or values; give the law as "
                 f"text, FILE.py:NAME"
             )
 
-    @property
-    def fingerprint(self) -> str | None:
-        """Digest of the present code and values of the law, which differs after any change of them.
-
-        The digest covers closure, attributes, and the user's functions, classes and modules that
-        the law reads. It is None if pickle cannot write one of these values.
-        """
-        try:
-            return hashlib.sha256(repr(_Walk().parts(self.target)).encode()).hexdigest()
-        except (_UnknownTypeError, RecursionError, OSError):
+    @cached_property
+    def file(self) -> Path | None:
+        """File of a user in which the name of the law leads to this very law, or None."""
+        module = sys.modules.get(getattr(self.target, "__module__", None) or "")
+        file = getattr(module, "__file__", None) or ""
+        known = vars(module or self).get(self.name.rpartition(":")[2])
+        if known is None or _checked(known) is not self.target or not file.endswith(".py"):
             return None
+        return None if file.startswith(NOT_OF_USERS) else Path(file).resolve()
+
+    @cached_property
+    def sources(self) -> dict[str, bytes]:
+        """Contents of `file` and of the files that it imports from its folder.
+
+        The keys are paths relative to the folder, the law's file first. In a package, the folder is
+        that which contains the package. Empty without `file`.
+        """
+        with user_code(f"law {self.short_name}: the file cannot be read"):
+            return {} if self.file is None else _sources(self.file)
+
+    @property
+    def digest(self) -> str:
+        """Digest of `sources`; an empty text without sources."""
+        return hashlib.sha256(repr(self.sources).encode()).hexdigest() if self.sources else ""
 
     @cached_property
     def names(self) -> frozenset[str]:
-        """Names of all globals and attributes that the code of the user reads."""
-        walk = _Walk()
-        with suppress(_UnknownTypeError, RecursionError, OSError):
-            walk.parts(self.target)
-        return frozenset(walk.names)
+        """Words in the file of the law's code and in the files that it imports from its folder.
+
+        Code without a file, such as code that was typed in, might have `if_then_else`.
+        """
+        code = getattr(self.target, "func", self.target)  # of a functools.partial
+        code = code if inspect.isroutine(code) or inspect.isclass(code) else type(code)
+        with suppress(TypeError, OSError):
+            file = Path(inspect.getsourcefile(code) or "")
+            return _words(file, file.stat().st_mtime_ns)
+        return frozenset({"if_then_else"})
 
     def copy_of_target(self) -> Any:
         """Return a copy of an object that can be called, or else the function itself.
@@ -280,6 +316,10 @@ class Law:
         Raises `ParameterError` for an unknown argument without a number as default, and for an
         argument beside ``scenario`` that is no gain.
         """
+        with user_code(f"law {self.short_name}: has no readable arguments"):
+            return self._read_arguments()
+
+    def _read_arguments(self) -> LawArguments:
         inputs, gains = [], {}
         flags = {"time_s": False, "state": False}
         initial_state: tuple[float, ...] = ()
@@ -326,16 +366,18 @@ class Law:
                 )
 
     def __eq__(self, other: object) -> bool:
-        if not isinstance(other, Law) or self.name != other.name:
+        if not isinstance(other, Law):
             return False
-        if self.target is other.target:
-            return True
-        fingerprint = self.fingerprint
-        return fingerprint is not None and fingerprint == other.fingerprint
+        if self._subject and other._subject and self.digest:  # also in a copy of a run's folder
+            return hash(self) == hash(other) and self.digest == other.digest
+        one, two = self.target, other.target
+        if isinstance(one, MethodType) and isinstance(two, MethodType):
+            return one.__self__ is two.__self__ and one.__func__ is two.__func__
+        return one is two
 
     def __hash__(self) -> int:
-        """Return a hash of the name."""
-        return hash(self.name)
+        """Return a hash of the name without file or module."""
+        return hash(self.name.rpartition(":")[2])
 
     def __str__(self) -> str:
         """Return the name, as scenario files have it."""
@@ -346,26 +388,28 @@ class Law:
         return repr(self.name)
 
     def identity(self) -> str:
-        """Return ``NAME#DIGEST``, the name and the begin of the fingerprint.
-
-        Return only the name if the law has no fingerprint.
-        """
-        fingerprint = self.fingerprint
-        return self.name if fingerprint is None else f"{self.name}#{fingerprint[:_DIGITS]}"
+        """Return ``NAME#DIGEST`` with the begin of `digest`; only the name without `sources`."""
+        return f"{self.name}#{self.digest[:_DIGITS]}" if self.digest else self.name
 
     def __reduce__(self) -> tuple[Callable[..., Law], tuple[Any, ...]]:
         """Pickle the code and its values, or else the name if it leads to this law."""
+        if id(self.target) in _pickling.get():  # a law may read a scenario that contains the law
+            self.require_name()
+            return type(self).from_text, (self.identity(),)
+        token = _pickling.set(_pickling.get() | {id(self.target)})
         try:
-            return _unpickled, (cloudpickle.dumps(self.target), self.name)
+            sources = tuple(self.sources.items()) if self._subject else ()
+            return _unpickled, (cloudpickle.dumps(self.target), self.name, sources, self._subject)
         except Exception as error:  # pickling a user's object may raise any error
-            with suppress(ParameterError):
-                self.require_name()
+            if self.sources and "<" not in self.name:
                 return type(self).from_text, (self.identity(),)
             raise ParameterError(
                 f"law {self.short_name}: cannot be sent to worker processes "
-                f"({shortened(str(error), 100)}); give a function or the class of the system, or "
-                f"use one worker"
+                f"({shortened(text_of(error), 100)}); give a function or the class of the system, "
+                f"or use one worker"
             ) from None
+        finally:
+            _pickling.reset(token)
 
     def __deepcopy__(self, memo: Any) -> Law:
         """Return the law itself, because laws do not change."""
@@ -373,15 +417,21 @@ class Law:
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Return pydantic's schema: accept a text or a target; write name and digest."""
+        """Return pydantic's schema: accept a text or a target; write name and digest.
+
+        A text of a scenario file is data, so its law is not imported yet: see `from_data`.
+        """
 
         def validate(value: Any, info: core_schema.ValidationInfo) -> Law:
             if isinstance(value, Law):
                 return value
             try:
-                if isinstance(value, str):
-                    return cls.from_text(value, (info.context or {}).get("directory", "."))
-                return cls(value)
+                if not isinstance(value, str):
+                    return cls(value)
+                directory = (info.context or {}).get("directory")  # of a scenario file
+                return (
+                    cls.from_text(value) if directory is None else cls.from_data(value, directory)
+                )
             except ParameterError as error:
                 raise ValueError(str(error)) from None
 
@@ -398,79 +448,196 @@ class Law:
         return {"type": "string"}
 
 
-def _unpickled(data: bytes, name: str) -> Law:
-    return Law(cloudpickle.loads(data), name)
+@lru_cache(maxsize=64)  # a worker process gets the same law with each unit of work
+def _unpickled(data: bytes, name: str, sources: Any, subject: str) -> Law:
+    law = Law(cloudpickle.loads(data), name)
+    if subject:
+        law._subject, law.sources = subject, dict(sources)
+    return law
 
 
-def _is_bound_function(value: Any) -> bool:
-    """Whether a value is a function of C++, such as those of Drake, but no method of an object.
+def _require_no_session(name: str) -> None:
+    if "<" in name or name.startswith("__main__:"):
+        raise ParameterError(
+            f"law {shortened(name)!r}: existed only in the Python session that made it; must be a "
+            f"function in a file, FILE.py:NAME"
+        )
 
-    pybind11 (Drake 1.51) hands a capsule to such functions, nanobind (Drake 1.58) has a type.
-    """
-    binding = value.__self__ if isinstance(value, BuiltinFunctionType) else value
-    return type(binding).__name__ in ("PyCapsule", "nb_func")
+
+def _checked(target: Any) -> Any:
+    """Return the target of a law. Raise `ParameterError` for one that cannot be a law."""
+    # Attributes are looked up in the type, because an object may run code at each look-up.
+    if hasattr(type(target), "get_instantiation"):  # a template of Drake: its class for floats
+        target = target[None]
+    if not (callable(target) or _is_system(target)):
+        raise ParameterError(
+            f"law = {shown_value(target)}: must be a function, a Drake system, or "
+            f"their name as text, FILE.py:NAME"
+        )
+    if inspect.iscoroutinefunction(target):
+        raise ParameterError(f"law = {shown_value(target)}: is async; remove the word async")
+    return target
 
 
 def _is_system(value: Any) -> bool:
     """Return True for an object of Drake's class System, without an import of Drake."""
-    return not isinstance(value, type) and hasattr(value, "CreateDefaultContext")
+    return not isinstance(value, type) and hasattr(type(value), "CreateDefaultContext")
 
 
 _making: ContextVar[frozenset[int]] = ContextVar("making", default=frozenset())
 """The id of each function that is making its system, by which recursion is detected."""
 
+_pickling: ContextVar[frozenset[int]] = ContextVar("pickling", default=frozenset())
+"""The id of each target that is being pickled, by which recursion is detected."""
+
 _importing: set[Path] = set()
 """Files of laws that are being imported, by which recursion is detected."""
 
 
-@lru_cache(maxsize=64)
-def _module(file: Path, digest: str) -> ModuleType:
-    """Execute a file as a module and return the module. ``digest`` is that of its contents.
+def _root(file: Path) -> Path:
+    """Return the folder from which a Python file is imported: its own, or that of its package."""
+    folder = file.parent
+    while (folder / "__init__.py").is_file():
+        folder = folder.parent
+    return folder
 
-    The file may import files of its directory, which stays on the path of modules, also for worker
-    processes. The module is pickled by value.
+
+def _dotted(path: str) -> str:
+    """Return the name by which a file is imported; ``path`` is relative to its root."""
+    return path.removesuffix(".py").replace("/", ".").removesuffix(".__init__")
+
+
+def _sources(file: Path) -> dict[str, bytes]:
+    """Return the contents of a Python file and of all files that it imports from its root."""
+    root, found, waiting = _root(file), dict[str, bytes](), [file]
+    while waiting:
+        path = waiting.pop().relative_to(root)
+        if (name := path.as_posix()) not in found:
+            found[name] = (root / path).read_bytes()
+            waiting += _imports(found[name], root, path.parent.parts)
+    return found
+
+
+@lru_cache(maxsize=64)
+def _words(file: Path, time_ns: int) -> frozenset[str]:
+    """Return the words in `_sources` of a file that was changed last at ``time_ns``."""
+    text = b" ".join(_sources(file).values()).decode(errors="replace")
+    return frozenset(re.findall(r"\w+", text))
+
+
+def _imports(source: bytes, root: Path, package: tuple[str, ...]) -> list[Path]:
+    """Return the files below ``root`` that a module of ``package`` imports, if it is Python."""
+    files = []
+    with warnings.catch_warnings(action="ignore"), suppress(*_NO_PYTHON):
+        for node in ast.walk(ast.parse(source)):
+            if isinstance(node, ast.Import | ast.ImportFrom):
+                level = getattr(node, "level", 0)  # the number of dots of a relative import
+                above = package[: len(package) + 1 - level] if level else ()
+                base = ".".join([*above, getattr(node, "module", None) or ""])
+                for parts in (f"{base}.{alias.name}".strip(".").split(".") for alias in node.names):
+                    for stem in (root.joinpath(*parts[:n]) for n in range(1, len(parts) + 1)):
+                        files += [stem.with_name(f"{stem.name}.py"), stem / "__init__.py"]
+        return [file for file in files if _is_helper(file, root)]
+    return []
+
+
+_NO_PYTHON = (SyntaxError, ValueError, RecursionError, MemoryError, OSError)
+"""Errors for a file that is no Python or imports impossible names; its import reports them."""
+
+
+def _is_helper(file: Path, root: Path) -> bool:
+    """Return whether a file of the user is there, and no link leads to it out of ``root``."""
+    path, name = file.resolve(), file.relative_to(root).parts[0].removesuffix(".py")
+    if name in sys.stdlib_module_names or str(path).startswith(NOT_OF_USERS):  # Python prefers them
+        return False
+    return path.is_file() and path.is_relative_to(root)
+
+
+@lru_cache(maxsize=64)
+def _module(file: Path, subject: str, digest: str) -> ModuleType:
+    """Execute a file as a module and return the module. ``digest`` is that of its sources.
+
+    The file gets its own modules from its root, which stays on the path of modules, also for worker
+    processes. All are pickled by value. The script that is running is not executed again.
     """
-    name = f"law_{file.stem}_{digest[:_DIGITS]}"
+    main = sys.modules["__main__"]
+    if Path(getattr(main, "__file__", None) or "").resolve() == file:
+        return main
+    if file in _importing:
+        raise ParameterError(
+            f"{subject}: importing the file loads this law again; put the lines that use "
+            f"the law below `if __name__ == '__main__':`"
+        )
+    package = file.relative_to(_root(file)).parent.parts
+    name = ".".join([*package, f"law_{file.stem}_{digest[:_DIGITS]}"])
     spec = importlib.util.spec_from_file_location(name, file)
     assert spec is not None  # the name ends with .py
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
-    if str(file.parent) not in sys.path:
-        sys.path.append(str(file.parent))
     _importing.add(file)
-    before = set(sys.modules)
     try:
-        spec.loader.exec_module(module)
+        with _own_modules(file):
+            spec.loader.exec_module(module)
     except BaseException:  # SystemExit of the user's file too
         del sys.modules[name]
         raise
     finally:
         _importing.discard(file)
     cloudpickle.register_pickle_by_value(module)
-    for other in sys.modules.keys() - before:
-        path = Path(getattr(sys.modules[other], "__file__", None) or "")
-        if path.is_relative_to(file.parent) and path.is_file():
-            _helpers[other] = path, path.read_bytes()
     return module
 
 
-_helpers: dict[str, tuple[Path, bytes]] = {}
-"""Files, with their contents, of the modules that files of laws import from their directories."""
+@contextmanager
+def _own_modules(file: Path) -> Iterator[None]:
+    """Context manager: the body imports the modules that lie beside ``file`` from there.
+
+    A module of the same name from another folder is put aside meanwhile, and a module whose file
+    has changed since another law imported it is imported anew.
+    """
+    root, others = _root(file), dict[str, ModuleType]()
+    _, *helpers = _sources(file).items()
+    contents = {_dotted(path): (str(root / path), content) for path, content in helpers}
+    changed = any(_imported.get(path, content) != content for path, content in contents.values())
+    for name, (path, _) in contents.items():
+        place = getattr(sys.modules.get(name), "__file__", None) or path
+        if (place != path or changed) and not place.startswith(NOT_OF_USERS):
+            other = sys.modules.pop(name, None)
+            if other is not None and place != path:
+                others[name] = other
+    _imported.update(contents.values())
+
+    def find_spec(name: str, *_: Any) -> Any:
+        if name in contents:
+            return importlib.util.spec_from_file_location(name, contents[name][0])
+        return None
+
+    finder: Any = SimpleNamespace(find_spec=find_spec)
+    sys.meta_path.insert(0, finder)
+    if str(root) not in sys.path:  # from which functions and worker processes import later
+        sys.path.append(str(root))
+    try:
+        yield
+    finally:
+        sys.meta_path.remove(finder)
+        for name in contents.keys() & sys.modules.keys():
+            cloudpickle.register_pickle_by_value(sys.modules[name])
+        sys.modules.update(others)
 
 
-def _forget_changed_helpers() -> None:
-    """Let files of laws import their modules anew if one of these modules has changed since."""
-    if any(not p.is_file() or p.read_bytes() != content for p, content in _helpers.values()):
-        for name in _helpers:
-            sys.modules.pop(name, None)
-        _helpers.clear()
-        _module.cache_clear()
+_imported: dict[str, bytes] = {}
+"""Contents of the modules beside the files of laws when they were imported, by path."""
+
+
+def announce(place: str) -> None:
+    """Say that the Python code at ``place`` runs, unless this is a worker process."""
+    if multiprocessing.parent_process() is None:
+        sys.stderr.write(f"kneexo: runs Python of {shown(place.rpartition(':')[0])}\n")
 
 
 def _name_of(target: Any) -> str:
     """Return ``MODULE:NAME`` of a target, or ``FILE:NAME`` if its module is no importable one."""
-    if not hasattr(target, "__qualname__"):
+    if not isinstance(target, type | FunctionType | MethodType | BuiltinFunctionType):
         target = type(target)
     module = str(target.__module__)
     if module == "__main__" or "<" in target.__qualname__:
@@ -479,138 +646,3 @@ def _name_of(target: Any) -> str:
         except TypeError:  # a class that was typed into an interpreter
             pass
     return f"{module}:{target.__qualname__}"
-
-
-class _UnknownTypeError(Exception):
-    """A value of a law that cannot be compared with a value of another process."""
-
-
-class _Walk:
-    """Turns a law into nested tuples of texts and numbers that stand for its code and its values.
-
-    Equal tuples mean equal laws. The walk follows what pickle would keep of a value, so it covers
-    every type that pickle can write, and raises `_UnknownTypeError` for all others.
-    """
-
-    def __init__(self) -> None:
-        # The values are kept, because Python uses the id of a freed value again.
-        self._seen: dict[int, tuple[int, Any]] = {}
-        self.names: set[str] = set()
-        """Names of globals and attributes that the functions found so far read."""
-
-    def parts(self, value: Any) -> Any:
-        """Return nested tuples of texts and numbers that stand for ``value``."""
-        if value is None or type(value) in (bool, int, float, complex, str, bytes, type(...)):
-            return value
-        if id(value) in self._seen:
-            return "seen", self._seen[id(value)][0]
-        self._seen[id(value)] = len(self._seen), value
-        match value:
-            case CodeType():
-                constants = self._all(value.co_consts)
-                return value.co_code, value.co_names, value.co_varnames, constants
-            case FunctionType():
-                return self._function(value)
-            case ModuleType():
-                return self._module(value, ())
-            case _ if _is_bound_function(value):
-                return value.__module__, value.__qualname__
-            case MethodType():
-                return self._all((value.__func__, value.__self__))
-            case staticmethod() | classmethod():
-                return self.parts(value.__func__)
-            case property():
-                return self._all((value.fget, value.fset))
-            case cached_property():
-                return self.parts(value.func)
-            case type():
-                return self._class(value)
-        if hasattr(value, "get_instantiation"):  # a template of Drake
-            return self.parts(value[None])
-        kind = type(value)
-        if kind is np.ndarray and value.dtype != object:
-            return value.dtype.str, value.shape, hashlib.sha256(value.tobytes()).hexdigest()
-        if kind in (dict, MappingProxyType):
-            return self._all(value.keys()), self._all(value.values())
-        if kind in (set, frozenset):
-            return kind.__name__, sorted(map(repr, self._all(value)))
-        if kind in (list, tuple):
-            return kind.__name__, self._all(value)
-        return self._pickled(value)
-
-    def _all(self, values: Iterable[Any]) -> tuple[Any, ...]:
-        return tuple(map(self.parts, values))
-
-    def _function(self, function: FunctionType) -> Any:
-        code = function.__code__
-        if code.co_filename.startswith(_NOT_OF_USERS):
-            return function.__module__, function.__qualname__
-        cells = (cell.cell_contents for cell in function.__closure__ or () if _filled(cell))
-        names = _names(code)
-        self.names.update(names)
-        found = {name: function.__globals__[name] for name in names if name in function.__globals__}
-        return (
-            *self._all((code, function.__defaults__, function.__kwdefaults__, vars(function))),
-            self._all(cells),
-            [
-                (name, self._module(g, names) if isinstance(g, ModuleType) else self.parts(g))
-                for name, g in found.items()
-            ],
-        )
-
-    def _module(self, module: ModuleType, names: Iterable[str]) -> Any:
-        """Return parts of a module: its file, and those of its ``names`` that code may read."""
-        file = getattr(module, "__file__", None)
-        if not file or file.startswith(_NOT_OF_USERS):
-            return module.__name__, str(getattr(module, "__version__", ""))
-        values = [(name, self.parts(vars(module)[name])) for name in names if name in vars(module)]
-        return module.__name__, Path(file).read_bytes(), values
-
-    def _class(self, value: type) -> Any:
-        package = value.__module__.partition(".")[0]  # a compiled module may have no file
-        modules = map(sys.modules.get, (value.__module__, package))
-        file = next(filter(None, (getattr(module, "__file__", None) for module in modules)), "")
-        if value.__module__ == "builtins" or file.startswith(_NOT_OF_USERS):
-            return value.__module__, value.__qualname__
-        members = [
-            (name, self.parts(member))
-            for name, member in vars(value).items()
-            if name not in _NO_MEMBERS
-            and not isinstance(member, MemberDescriptorType | GetSetDescriptorType)
-        ]
-        return value.__qualname__, members, self._all(value.__bases__)
-
-    def _pickled(self, value: Any) -> Any:
-        """Return parts of what pickle would keep of a value."""
-        if hasattr(value, "__wrapped__"):  # a cached function, of which pickle keeps the name only
-            return self.parts(value.__wrapped__)
-        try:
-            reduce = copyreg.dispatch_table.get(type(value))
-            reduced = value.__reduce_ex__(4) if reduce is None else reduce(value)
-        except Exception as error:  # a type of the user may raise any error
-            raise _UnknownTypeError(type(value).__name__) from error
-        if isinstance(reduced, str):  # a global name
-            return str(getattr(value, "__module__", "")), reduced
-        make, arguments, state, items, pairs = (*reduced, None, None, None)[:5]
-        return self._all((make, arguments, state, [*(items or ())], [*(pairs or ())]))
-
-
-_NO_MEMBERS = {"__dict__", "__weakref__", "__module__", "__doc__", "__firstlineno__", "_abc_impl"}
-"""Names in a class that do not change what its objects compute."""
-
-
-def _filled(cell: Any) -> bool:
-    try:
-        cell.cell_contents  # noqa: B018  (raises ValueError before the variable has a value)
-    except ValueError:
-        return False
-    return True
-
-
-def _names(code: CodeType) -> list[str]:
-    """Return the names of globals and attributes that a code and its nested functions read."""
-    names = list(code.co_names)
-    for constant in code.co_consts:
-        if isinstance(constant, CodeType):
-            names += _names(constant)
-    return names

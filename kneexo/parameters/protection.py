@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pydantic import model_validator
 
+from kneexo.parameters.fields import limits_of
 from kneexo.parameters.quantity import Parameters, choice, quantity
-from kneexo.parameters.safety_states import SafeState
+from kneexo.parameters.safety_states import DETECTORS, SafeState
 
 
 class ProtectionParameters(Parameters):
@@ -111,3 +112,10 @@ class ProtectionParameters(Parameters):
                 f"overdue_s"
             )
         return self
+
+
+LARGEST_THRESHOLDS = {
+    name: detector.factor * limits_of(ProtectionParameters.model_fields[detector.field])[1]
+    for name, detector in DETECTORS.items()
+}
+"""Largest threshold that each detector can have, in SI units."""

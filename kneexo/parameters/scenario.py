@@ -21,6 +21,7 @@ from kneexo.parameters.control import (
 )
 from kneexo.parameters.fault import OPERATOR_INPUTS, FaultParameters
 from kneexo.parameters.fields import Words
+from kneexo.parameters.law import Law
 from kneexo.parameters.names import searched_for_names
 from kneexo.parameters.plant import RPM, PlantParameters, RodPolynomialParameters
 from kneexo.parameters.presets import PRESETS, with_preset
@@ -243,7 +244,7 @@ class Scenario(Parameters):
         states: Any = initial_state  # pydantic converts a list, an array or a number
         try:
             controller = LawParameters(
-                function=law,
+                function=Law.from_text(law) if isinstance(law, str) else law,
                 initial_state=states,
                 values=dict(values),
                 sample_time_s=sample_time_s or self.controller.sample_time_s,
@@ -253,6 +254,16 @@ class Scenario(Parameters):
             text = str(error).removeprefix("LawParameters: ").removeprefix("function: ")
             raise ParameterError(text) from None
         return self.model_copy(update={"controller": controller})
+
+    def with_loaded_law(self) -> Scenario:
+        """Return the scenario with all gains of its law, which imports the file of the law.
+
+        Without a law of the user the scenario itself is returned. For errors see
+        `LawParameters.loaded`.
+        """
+        before = self.controller
+        after = before.loaded() if isinstance(before, LawParameters) else before
+        return self if after is before else self.model_copy(update={"controller": after})
 
     def undisturbed(self) -> Scenario:
         """Return the scenario for the measurement of a response.

@@ -24,7 +24,14 @@ from yaml.reader import ReaderError
 
 from kneexo.errors import ParameterError, ScenarioError, shortened, shown
 from kneexo.files.reading import MIB, file_error, read_text
-from kneexo.parameters import UNCERTAIN_KNEE, Law, Scenario, Uncertainty, UncertaintySet
+from kneexo.parameters import (
+    UNCERTAIN_KNEE,
+    Law,
+    LawParameters,
+    Scenario,
+    Uncertainty,
+    UncertaintySet,
+)
 from kneexo.parameters.faults import one_line
 from kneexo.parameters.fields import allowed_range, source_of, unit_of
 from kneexo.parameters.presets import PRESETS, with_preset
@@ -39,7 +46,9 @@ _MOST_VALUES = 100_000  # read in two seconds; aliases can multiply a short text
 _DEEPEST = 20
 
 
-def load_scenario(path: str | os.PathLike[str], preset: str | None = None) -> Scenario:
+def load_scenario(
+    path: str | os.PathLike[str], preset: str | None = None, *, without_law: bool = False
+) -> Scenario:
     """Read a scenario from a YAML file. A preset gives the values that the file lacks.
 
     Parameters
@@ -50,6 +59,9 @@ def load_scenario(path: str | os.PathLike[str], preset: str | None = None) -> Sc
     preset
         Name of the preset (`kneexo.parameters.presets.PRESETS`). If it is None, the entry
         ``preset`` of the file has the name; a file without this entry starts from the defaults.
+    without_law
+        True: leave out a law of the user, which the caller does not need or replaces, so that it
+        may also be one that a file cannot name. Only its sample time and its limit are kept.
 
     Raises
     ------
@@ -69,6 +81,10 @@ def load_scenario(path: str | os.PathLike[str], preset: str | None = None) -> Sc
             raise file_error(name, _line(lines, ("preset",)), str(error)) from None
     else:
         data = with_preset(preset, data)
+    law = data.get("controller")
+    if without_law and isinstance(law, Mapping) and law.get("kind") == "law":
+        kept = law.keys() & {"sample_time_s", "command_limit_rad_s"}
+        data = {**data, "controller": {name: law[name] for name in kept}}
     try:
         validator = Scenario.__pydantic_validator__
         scenario: Scenario = validator.validate_python(
@@ -130,6 +146,10 @@ def load_uncertainty(
         if any(isinstance(part, dict) for part in value.values()):
             message = f"{place}: must be a dotted path, such as plant.cylinder.mass_kg"
             raise file_error(name, lines[place,], message)
+        parts = [part for part in value.get("options") or () if isinstance(part, dict)]
+        if place == "controller.function" or any("function" in part for part in parts):
+            message = f"{place}: must name no law; vary its gains, such as controller.values.gain"
+            raise file_error(name, lines[place,], message)
         try:
             values[place] = Uncertainty.__pydantic_validator__.validate_python(value)
             require_applicable(scenario, place, values[place], data)
@@ -149,6 +169,37 @@ def dump_scenario(scenario: Scenario) -> str:
     Floats have all their digits, so `load_scenario` reads an equal scenario from the text.
     """
     return "\n".join(_dumped(scenario, "")) + "\n"
+
+
+def scenario_files(
+    scenario: Scenario, name: str, folder: Path | None = None
+) -> dict[str, str | bytes]:
+    """Return a scenario file called ``name``, and the files of the law that lie beside it.
+
+    So the folder repeats the run, also elsewhere. The files of the law replace those of an earlier
+    scenario file in ``folder`` with this name and law. They lie in a subfolder if they would
+    replace other files, such as the law itself, which the user may have changed during the run.
+    """
+    controller = scenario.controller
+    if not isinstance(controller, LawParameters) or not controller.function.sources:
+        return {name: dump_scenario(scenario)}
+    law = controller.function
+    path = next(iter(law.sources))
+    place = f"{path}:{law.name.rpartition(':')[2]}"
+    below = ""
+    if folder is not None and any(_differs(folder / p, data) for p, data in law.sources.items()):
+        earlier = folder / name
+        is_ours = earlier.is_file() and json.dumps(place).encode() in earlier.read_bytes()
+        if not is_ours or (folder / path).resolve() == law.file:
+            below = f"law_{law.digest[:12]}/"
+    copies = {f"{below}{p}": data for p, data in law.sources.items()}
+    copy = Law(law.target, f"{below}{place}")
+    controller = controller.model_copy(update={"function": copy})
+    return {name: dump_scenario(scenario.model_copy(update={"controller": controller})), **copies}
+
+
+def _differs(file: Path, content: bytes) -> bool:
+    return os.path.lexists(file) and not (file.is_file() and file.read_bytes() == content)
 
 
 def read_value(name: str, text: str) -> Any:
@@ -307,7 +358,7 @@ def _text_of(value: Any) -> str:
     if isinstance(value, str):
         return value
     if isinstance(value, Law):
-        return json.dumps(str(value), ensure_ascii=False)  # a path may have spaces or colons
+        return json.dumps(value.written, ensure_ascii=False)  # a path may have spaces or colons
     return re.sub(r"(?<![.\d])(\d+)e", r"\1.0e", json.dumps(value))
 
 

@@ -9,11 +9,10 @@ from typing import overload
 from pydrake.systems.framework import System
 
 from kneexo.compiler import CompiledModel, DiagramModel, compile_diagram
-from kneexo.diagrams.law import why_python
 from kneexo.errors import CompilationError
 from kneexo.parameters import Scenario
 from kneexo.parameters.scenario_file import as_scenario
-from kneexo.simulation.compiled import compile_scenario
+from kneexo.simulation.compiled import compile_scenario, why_python_in_run
 
 
 @overload
@@ -67,7 +66,7 @@ def compile(
             "inputs: must be left out for a scenario; compile a diagram to choose them"
         )
     scenario = as_scenario(system)
-    if reason := why_python(scenario):
+    if reason := why_python_in_run(scenario):
         raise CompilationError(
             f"controller: the law is called as Python: {reason}; docs/your_controller.md says how "
             f"to get it compiled"

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple, get_origin
 import numpy as np
 
 from kneexo.compiler import (
+    ROUGH_STEP_S,
     STEP_S,
     CompiledModel,
     InputTable,
@@ -47,16 +48,18 @@ from kneexo.diagrams.controller import (
 from kneexo.diagrams.faults import fault_structure
 from kneexo.diagrams.law import (
     held_command,
-    known_to_controller,
+    known_text,
     law_inputs,
+    makers_called_once,
     port_sizes,
     remembered,
     runs_as_python,
     users_law,
+    why_python,
 )
 from kneexo.diagrams.signals import SIGNALS, columns
 from kneexo.diagrams.wearer import moment_of, moment_spline
-from kneexo.errors import KneexoError
+from kneexo.errors import KneexoError, StiffnessError
 from kneexo.parameters import (
     LawParameters,
     MomentTable,
@@ -66,10 +69,17 @@ from kneexo.parameters import (
 from kneexo.parameters.fields import models_of
 from kneexo.parameters.quantity import Parameters
 from kneexo.result import Array
-from kneexo.simulation.python_law import PythonLaw
+from kneexo.simulation.python_law import SIGNAL_OF, PythonLaw, commands_at_points
 from kneexo.simulation.run import Run
 from kneexo.systems import knee_reference
-from kneexo.systems.function_law import LAW_COMMAND, trace
+from kneexo.systems.function_law import (
+    COMMAND_AND_STATE,
+    LAW_COMMAND,
+    Trace,
+    argument_sizes,
+    replay,
+    trace,
+)
 
 _PACKAGE = Path(__file__).parents[1]
 _SOURCES = (
@@ -141,15 +151,23 @@ def structure_key(scenario: Scenario) -> str:
     if isinstance(scenario.reference, SampledReference):
         fields["reference"] = scenario.reference.kind  # the samples enter by an open input
     law = scenario.controller
-    if isinstance(law, LawParameters) and runs_as_python(scenario):
-        fields["controller"] = "python", law.sample_time_s, law_inputs(scenario)
-    elif has_unknown_parts(scenario):
-        # Its numbers may be constants of its equations, so the key contains the equations.
-        fields["controller"] = law.sample_time_s, _unknown_parts(scenario).key
-    elif isinstance(law, LawParameters):
-        key = trace(law.function, len(law.initial_state)).key
-        fields["controller"] = law.sample_time_s, key
+    if isinstance(law, LawParameters):
+        traced = _function_trace(scenario)
+        if runs_as_python(scenario) if traced is None else traced.why_not_compiled:
+            fields["controller"] = "python", law.sample_time_s, law_inputs(scenario)
+        else:
+            # Numbers of a system may be constants of its equations, so the key contains these.
+            key = _unknown_parts(scenario).key if traced is None else traced.key
+            fields["controller"] = law.sample_time_s, key
     return _key(tuple(fields.items()))
+
+
+def _function_trace(scenario: Scenario) -> Trace | None:
+    """Return the trace of a law that is a function; None for another controller."""
+    law = scenario.controller
+    if not isinstance(law, LawParameters) or law.function.is_system:
+        return None
+    return trace(law.function, len(law.loaded().initial_state))
 
 
 @lru_cache
@@ -202,10 +220,16 @@ def _model(key: str, scenario: Scenario) -> CompiledModel:
         inputs = [LAW_COMMAND] if runs_as_python(scenario) else []
         inputs += ["knee_reference"] if scenario.reference.kind == "samples" else []
         inputs += [] if moment_of(scenario) is None else ["biological_moment"]
-        return compile_by_key(key, partial(_diagram, key, scenario), inputs=inputs)
+        is_traced = (traced := _function_trace(scenario)) and not traced.why_not_compiled
+        outputs = [_COMMAND_AND_STATE] if is_traced else []
+        diagram = partial(_diagram, key, scenario)
+        return compile_by_key(key, diagram, inputs=inputs, outputs=outputs)
 
     return _models.of(key, make)
 
+
+_COMMAND_AND_STATE = f"controller/law:{COMMAND_AND_STATE}"
+"""Output of the model of a law that is a function, from which `why_python_in_run` reads."""
 
 MOST_STRUCTURES = 32
 """Largest number of structures whose models and diagrams a process keeps; each has some MiB."""
@@ -250,7 +274,7 @@ class _UnknownParts(NamedTuple):
 
 
 def _unknown_parts(scenario: Scenario) -> _UnknownParts:
-    question = "read", known_to_controller(scenario).model_dump_json()
+    question = "read", known_text(scenario)
     with _lock:
         return remembered(users_law(scenario), question, lambda: _read_controller(scenario))
 
@@ -268,6 +292,25 @@ def _read_controller(scenario: Scenario) -> _UnknownParts:
         named(read.parameter_names, read.parameters()),
         named(read.state_names, state.continuous) | named(read.discrete_names, state.discrete),
     )
+
+
+def law_key(scenario: Scenario) -> str | None:
+    """Return a text by which a later process recognizes the law of the user in a scenario.
+
+    A compiled law is known by its equations. A law that is called as Python is known by the files
+    of its code, and by the commands that it gives at some points, because the values that it reads
+    may come from elsewhere. Returns None for a law whose name in a file does not lead to it.
+    """
+    law = users_law(scenario)
+    code = f"{law.digest} {law.name.rpartition(':')[2]}"
+    try:
+        if why_python(scenario):
+            return f"{code} {commands_at_points(scenario)}" if law.digest else None
+        if law.is_system:
+            return repr(_unknown_parts(scenario))
+        return structure_key(scenario)
+    except KneexoError as error:  # the run will fail alike
+        return f"{code} {error}"
 
 
 # --------------------------------------------------------------- parameters, state, inputs
@@ -352,6 +395,66 @@ def scenario_run(scenario: Scenario, model: CompiledModel) -> tuple[Array, State
     return parameters, model.initialized(parameters, state, inputs), inputs
 
 
+def why_python_in_run(scenario: Scenario) -> str:
+    """Return why the law of a scenario is called as Python in runs, or an empty text: `why_python`.
+
+    The first run of equations that were read off a function is compared with the function, at some
+    hundred of its samples. Call this function before results of a compiled law are used.
+
+    Raises `ParameterError` for a law that cannot be run at all.
+    """
+    traced = _function_trace(scenario)
+    if traced is None:
+        return why_python(scenario)
+    if not traced.why_not_compiled and not traced.replayed and (run := _first_run(scenario)):
+        law = scenario.controller
+        assert isinstance(law, LawParameters)
+        record = {name: run[SIGNAL_OF[name]] for name in law_inputs(scenario)}
+        record |= {
+            name: np.full((run.time_s.size, 1), v) for name, v in law.loaded().values.items()
+        }
+        record |= {"time_s": run.time_s[:, None], "state": run[_COMMAND_AND_STATE][:, 1:]}
+        samples = np.hstack([record[name][:-1] for name in argument_sizes(law.function, 0)])
+        found, limit = run[_COMMAND_AND_STATE][1:], scenario.command_limit_rad_s
+        replay(law.function, samples, found, limit)
+    return traced.why_not_compiled
+
+
+def _first_run(scenario: Scenario) -> Simulation | None:
+    """Run a loop with a compiled law, as far as it runs, and record what the law reads and gives.
+
+    Returns None for a loop that does not run at all; the run of the user says why.
+    """
+    settings, duration_s = scenario.simulation, scenario.duration_s
+    sample_time_s = scenario.controller.sample_time_s
+    options: dict[str, Any] = {}
+    if settings.compiled:
+        names = ("integrator", "step_s", "tolerance")
+        options = {name: getattr(settings, name) for name in names}
+    try:
+        model = compile_scenario(scenario)
+        parameters, state, inputs = scenario_run(scenario, model)
+    except KneexoError:
+        return None
+    outputs = {*(SIGNAL_OF[name] for name in law_inputs(scenario)), _COMMAND_AND_STATE}
+    while duration_s >= sample_time_s:
+        try:
+            return model.simulate(
+                parameters,
+                state,
+                duration_s,
+                outputs=sorted(outputs),
+                record_period_s=sample_time_s,
+                inputs=inputs,
+                **options,
+            )
+        except StiffnessError:
+            options = {"integrator": "rk4", "step_s": ROUGH_STEP_S}
+        except KneexoError:  # such as a divergence, before which the law may differ already
+            duration_s *= 0.5
+    return None
+
+
 def simulate_compiled(
     scenario: Scenario = Scenario(),
     *,
@@ -387,6 +490,7 @@ def simulate_compiled(
     return result
 
 
+@makers_called_once()
 def simulate_together(
     scenarios: Sequence[Scenario],
     signals: Sequence[str] | None = None,
@@ -416,7 +520,7 @@ def simulate_together(
     if model is None or not run_arguments:
         return results
     solver = {"integrator": integrator, "step_s": step_s, "error_controlled": False}
-    if runs_as_python(scenarios[0]):
+    if LAW_COMMAND in model.inputs:
         options = {"integrator": integrator, "step_s": step_s, "tolerance": tolerance}
         for index, arguments in run_arguments.items():
             scenario = scenarios[index]

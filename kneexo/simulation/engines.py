@@ -9,7 +9,7 @@ from typing import Any
 from kneexo.compiler import ROUGH_STEP_S, Reduction
 from kneexo.diagrams import SIGNALS, available_signals, columns, make_closed_loop
 from kneexo.diagrams.closed_loop import chosen_signals
-from kneexo.diagrams.law import runs_as_python
+from kneexo.diagrams.law import makers_called_once
 from kneexo.errors import (
     KneexoError,
     ParameterError,
@@ -140,10 +140,19 @@ def _compiled_runs(
 ) -> Iterator[tuple[int, Run | KneexoError]]:
     from kneexo.simulation import compiled
 
-    groups: dict[str, list[int]] = {}
+    groups: dict[Any, list[int]] = {}
     for index in indices:
-        groups.setdefault(compiled.structure_key(requests[index].scenario), []).append(index)
+        scenario = requests[index].scenario
+        law = scenario.controller
+        # Two functions with equal equations may differ for numbers.
+        code = getattr(law.function.target, "__code__", None) if law.kind == "law" else None
+        groups.setdefault((compiled.structure_key(scenario), code), []).append(index)
     for group in groups.values():
+        try:
+            compiled.why_python_in_run(requests[group[0]].scenario)
+        except KneexoError as error:
+            yield from ((index, error) for index in group)
+            continue
         for batch in _batches(group, requests):
             scenarios = [requests[index].scenario for index in batch]
             reductions = [requests[index].reductions for index in batch]
@@ -204,14 +213,15 @@ def simulate(
         For the same reasons as in `kneexo.diagrams.make_closed_loop`. `ParameterError` also if the
         run would require too much memory or time.
     """
+    require_scenario(scenario)
     if law is not None:
         scenario = scenario.with_law(law, initial_state=initial_state)
-    require_scenario(scenario)
-    if signals is not None:
-        signals = chosen_signals(scenario, signals)
+    if isinstance(signals, str):
+        chosen_signals(scenario, signals)  # raises the error
     return _run(RunRequest(scenario, signals, progress))
 
 
+@makers_called_once()
 def _run(request: RunRequest) -> Run:
     """Return the answer to a request. An error says so if the law seems to have a wrong sign."""
     try:
@@ -225,7 +235,9 @@ def _run(request: RunRequest) -> Run:
 
 def can_reduce(scenario: Scenario) -> bool:
     """Return True if the engine and the control law of a scenario are compiled."""
-    return scenario.simulation.compiled and not runs_as_python(scenario)
+    from kneexo.simulation.compiled import why_python_in_run
+
+    return scenario.simulation.compiled and not why_python_in_run(scenario)
 
 
 @needs_runs

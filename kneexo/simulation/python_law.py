@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 import sys
 from collections.abc import Mapping
@@ -42,7 +43,7 @@ class PythonLaw:
 
     def __init__(self, scenario: Scenario, *, announce: bool = True) -> None:
         """Start the law anew. ``announce``: whether the line may be printed."""
-        law = scenario.controller
+        law = scenario.with_loaded_law().controller
         assert isinstance(law, LawParameters)
         self._law = law
         self._limit = scenario.command_limit_rad_s
@@ -117,6 +118,46 @@ def _announce(law: Law, reason: str) -> None:
     sys.stderr.write(line)
 
 
+def commands_at_points(scenario: Scenario) -> list[float]:
+    """Return the commands in rad/s of a law at some samples, from its first sample on.
+
+    The knee is within a degree of its reference, which is anywhere in the range of motion.
+    """
+    random = np.random.default_rng(0)
+    knee = scenario.believed_plant.knee
+    ends = math.radians(knee.flexion_min_deg), math.radians(knee.flexion_max_deg)
+    references = random.uniform(*ends, _POINTS)
+    knees = references + _DISPLACEMENT_RAD * random.uniform(-1.0, 1.0, _POINTS)
+    knees = np.clip(knees, *ends)
+    return _commands(scenario, knees, references, random.uniform(-0.1, 0.1, (_POINTS, 3)))
+
+
+_POINTS = 16  # some of which reach no limit of the command
+
+
+def _commands(scenario: Scenario, knees: Array, references: Array, rates: Array) -> list[float]:
+    """Return the limited commands in rad/s at successive samples.
+
+    Knee angles and references are in rad, (n,). The rates are the references' derivatives to the
+    third, (n, 3), of angle and of rod.
+    """
+    extension_at = partial(polynomial, controller_polynomial(scenario).p_si)
+    encoder_at = partial(encoder_angle, scenario.believed_plant.linkage)
+    call, commands = PythonLaw(scenario, announce=False), []
+    for sample, (knee, reference, rate) in enumerate(zip(knees, references, rates, strict=True)):
+        values = {
+            "rod_extension": [extension_at(knee)],
+            "knee_angle": [knee],
+            "rod_reference": [extension_at(reference), *rate],
+            "knee_reference": [reference, *rate],
+            "estimated_state": [extension_at(knee), 0.0, 0.0],
+            "encoder_reading": [float(encoder_at(knee)) - encoder_offset_rad(scenario)],
+        }
+        signals = {SIGNAL_OF[name]: np.array(value) for name, value in values.items()}
+        commands.append(call(sample * scenario.controller.sample_time_s, signals))
+    return commands
+
+
 _CALLS = 50  # enough for an integral to act
 _DISPLACEMENT_RAD = 0.02  # about a degree, many counts of the encoder
 
@@ -133,28 +174,14 @@ def sign_hint(scenario: Scenario) -> str:
     if not isinstance(law, LawParameters):
         return ""
     angle = start_angle_rad(scenario.reference)
-    extension_at = partial(polynomial, controller_polynomial(scenario).p_si)
-    linkage = scenario.believed_plant.linkage
-    last_commands = []
+    references, rates = np.full(_CALLS, angle), np.zeros((_CALLS, 3))
     try:
-        for displaced in (angle - _DISPLACEMENT_RAD, angle + _DISPLACEMENT_RAD):
-            reading = float(encoder_angle(linkage, displaced)) - encoder_offset_rad(scenario)
-            values = {
-                "rod_extension": [extension_at(displaced)],
-                "knee_angle": [displaced],
-                "rod_reference": [extension_at(angle), 0.0, 0.0, 0.0],
-                "knee_reference": [angle, 0.0, 0.0, 0.0],
-                "estimated_state": [extension_at(displaced), 0.0, 0.0],
-                "encoder_reading": [reading],
-            }
-            signals = {SIGNAL_OF[name]: np.array(value) for name, value in values.items()}
-            call = PythonLaw(scenario, announce=False)
-            for sample in range(_CALLS):
-                command = call(sample * law.sample_time_s, signals)
-            last_commands.append(command)
+        below, above = (
+            _commands(scenario, references + displacement, references, rates)[-1]
+            for displacement in (-_DISPLACEMENT_RAD, _DISPLACEMENT_RAD)
+        )
     except KneexoError:
         return ""
-    below, above = last_commands
     if not above < below:  # also for nan
         return ""
     return (

@@ -18,6 +18,7 @@ from kneexo.errors import KneexoError, OutputError, shown
 from kneexo.files.locking import LockedFile
 from kneexo.files.reading import MIB
 from kneexo.parameters import LawParameters, Scenario
+from kneexo.simulation.compiled import law_key
 from kneexo.version import __version__
 
 _MOST_BYTES = 4096 * MIB  # the results of some million runs
@@ -140,7 +141,7 @@ class Checkpoint:
 
 
 class UnknownLawError(KneexoError):
-    """A law has no fingerprint by which a later process could recognize it."""
+    """A later process could not recognize a law, which is called as Python and in no file."""
 
 
 def _sealed(payload: bytes) -> bytes:
@@ -156,7 +157,8 @@ def piece_keys(function: Any, items: Iterable[Any]) -> list[str]:
     """Return the key of each piece of work ``function(item)``.
 
     The key is a digest of kneexo's version, the function with its bound arguments, and the item.
-    Raises `UnknownLawError` for an item with a law that another process cannot compare.
+    Raises `UnknownLawError` for an item with a law that another process cannot recognize: see
+    `kneexo.simulation.law_key`.
     """
     shared = hashlib.sha256(_text([__version__, function]))
     keys = []
@@ -174,12 +176,14 @@ def _text(value: Any) -> bytes:
 def _plain(value: Any) -> Any:
     """Return JSON-compatible data that stands for a value that JSON cannot write."""
     if isinstance(value, Scenario) and isinstance(value.controller, LawParameters):
-        law = value.controller.function
-        if law.fingerprint is None:
+        if (key := law_key(value)) is None:
             raise UnknownLawError(
-                f"law {law.short_name} has values that cannot be compared with those of another "
-                f"run, so no finished pieces are kept"
+                f"law {value.controller.function.short_name}: it is called as Python, and its name "
+                f"in no file leads to it, so a later run cannot recognize it and no finished "
+                f"pieces are kept"
             )
+        numbers = value.model_dump_json(exclude={"controller": {"function"}})
+        return [type(value).__name__, numbers, key]
     if isinstance(value, BaseModel):
         return [type(value).__name__, value.model_dump_json()]
     if isinstance(value, partial):

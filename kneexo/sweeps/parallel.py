@@ -23,6 +23,7 @@ from queue import SimpleQueue
 from typing import Any, TypeVar
 
 from kneexo.compiler import available_cores
+from kneexo.diagrams.law import makers_called_once
 from kneexo.errors import ParameterError, WorkerError
 from kneexo.interruption import interrupt_later
 from kneexo.progress import progress_bar
@@ -183,6 +184,7 @@ def _end_with_parent() -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
+@makers_called_once()
 def parallel_map(
     function: Callable[[Item], Result],
     items: Sequence[Item],
@@ -325,6 +327,7 @@ def _as_completed(
     return enumerate(map(function, items))
 
 
+@makers_called_once()
 def _unit(function: Callable[[Item], Result], items: Sequence[Item]) -> tuple[list[Result], float]:
     """Call ``function`` for ``items`` until `UNIT_S` has elapsed; run in a worker process.
 

@@ -25,6 +25,7 @@ from kneexo.systems.function_law import (
     LinearLaw,
     LinearLaw_,
 )
+from kneexo.systems.input_guard import InputGuard, InputGuard_
 from kneexo.systems.knee_coordinates import (
     KneeCoordinates,
     KneeCoordinates_,
@@ -89,6 +90,8 @@ __all__ = [
     "FunctionLaw_",
     "HeldCommand",
     "HeldCommand_",
+    "InputGuard",
+    "InputGuard_",
     "IntervalReference",
     "IntervalReference_",
     "KneeCoordinates",

@@ -9,8 +9,16 @@ from typing import Any
 import pydrake.math as drake_math
 
 from kneexo.parameters import PlantParameters, ProtectionParameters
+from kneexo.parameters.protection import LARGEST_THRESHOLDS
 from kneexo.parameters.safety_states import DETECTORS
-from kneexo.systems._leaf import NamedLeaf, clip, discrete_state, leaf_template, where_positive
+from kneexo.systems._leaf import (
+    NamedLeaf,
+    clip,
+    discrete_state,
+    leaf_template,
+    where_positive,
+    where_within,
+)
 
 _TURN = 2.0 * math.pi
 
@@ -61,13 +69,19 @@ class FaultDetectors(NamedLeaf):
     r is a leaky integral: the travel on which encoder and motor disagree, forgotten with T_f, with
     c_ω = D_m/(gear Ā) and the leakage c_F = C/Ā². Without load cell F is absent, and leakage is
     part of r. Each detector has a counter, as in AUTOSAR's debouncing. In each sample the counter
-    goes up by one if the residual is above the threshold or not a number, else down by one, within
-    0 … n. The detector has detected a fault while its counter is n, so fewer than n outliers stop
-    nothing.
+    goes up by one if the residual is above the threshold, else down by one, within 0 … n. The
+    detector has detected a fault while its counter is n, so fewer than n outliers stop nothing.
 
     Readings with range or rate above the threshold are implausible. The controller gets the values
     of the last plausible reading in their place. So an outlier does not reach the law, and neither
-    does a reading at which the linkage cannot be closed. The first reading counts as plausible.
+    does a reading at which the linkage cannot be closed. The first plausible reading has no rate.
+    Before it all three values are 0, and the law does not know where the knee is. So if the reading
+    of the start is implausible, ``range`` has detected a fault from the start on.
+
+    Each residual is finite. A reading that is not finite, or more than a turn beyond its range, has
+    no rate, and its range is the largest threshold that a user can choose, a turn. In the same way
+    an input that `InputGuard` calls bad has the largest threshold as its residual, so each
+    threshold sees it.
 
     ===================  ====  =============  ====================================================
     input port           size  unit
@@ -75,6 +89,7 @@ class FaultDetectors(NamedLeaf):
     encoder_reading      1     rad            y
     knee_angle           1     rad            computed from y; nan where the linkage cannot close
     rod_extension        1     m              computed from y, as the knee angle
+    bad                  6     1              of `InputGuard`
     motor_speed          1     rad/s          ω as the drive reports it
     motor_speed_command  1     rad/s          u
     knee_reference       4     rad, rad/s, …  θ_ref and derivatives, only if ``follows``
@@ -87,11 +102,11 @@ class FaultDetectors(NamedLeaf):
     detected             6     1              1 for a detector that has detected a fault, else 0
     ===================  ====  =============  ====================================================
 
-    Discrete states, updated every ``sample_time_s``: m, which is 0 before the first sample, y⁻, θ,
-    x, r, s and the counters. Context parameters by name: the thresholds ``range_threshold``, …,
-    ``flow_s`` (T_f), ``speed_s`` (T_s), ``trip_samples`` (n), ``reading_min_rad``,
-    ``reading_max_rad``, ``travel_m_per_rad`` (c_ω) and ``leakage_m_per_s_n`` (c_F). Source: an
-    assumption. Lee et al. 2020 have no detectors.
+    Discrete states, updated every ``sample_time_s``: m, which is 0 before the first plausible
+    reading, y⁻, θ, x, r, s and the counters. Context parameters by name: the thresholds
+    ``range_threshold``, …, ``flow_s`` (T_f), ``speed_s`` (T_s), ``trip_samples`` (n),
+    ``reading_min_rad``, ``reading_max_rad``, ``travel_m_per_rad`` (c_ω) and ``leakage_m_per_s_n``
+    (c_F). Source: an assumption. Lee et al. 2020 have no detectors.
 
     Parameters
     ----------
@@ -125,10 +140,11 @@ class FaultDetectors(NamedLeaf):
         self._measures_force = measures_force
         names = ("encoder_reading", "knee_angle", "rod_extension")
         self._encoder = [self.DeclareVectorInputPort(name, 1) for name in names]
+        self._bad = self.DeclareVectorInputPort("bad", len(DETECTORS))
         self._speed = self.DeclareVectorInputPort("motor_speed", 1)
         self._command = self.DeclareVectorInputPort("motor_speed_command", 1)
         sources = [self._encoder[0], self.xd_ticket()]
-        others = []
+        others = [self._bad]
         if follows:
             self._reference = self.DeclareVectorInputPort("knee_reference", 4)
             others += [self._encoder[1], self._reference]
@@ -136,6 +152,7 @@ class FaultDetectors(NamedLeaf):
             self._force = self.DeclareVectorInputPort("measured_force", 2)
             others.append(self._force)
         self._declare_update(sample_time_s, 6 + len(DETECTORS), self._update)
+        self._declare_initialization(self._initialize)
         self._plausible = [
             self._declare_output(name, 1, partial(self._calc_plausible, index), port, *sources)
             for index, (name, port) in enumerate(zip(names, self._encoder, strict=True))
@@ -149,12 +166,19 @@ class FaultDetectors(NamedLeaf):
         """Return the residuals range and rate."""
         p, reading = self.parameters(context), self._encoder[0].Eval(context)[0]
         age, last, *_ = discrete_state(context)
+        ends = p.reading_min_rad - _TURN, p.reading_max_rad + _TURN
+        is_near = where_within(reading, *ends, 1.0, 0.0)
+        reading = where_positive(is_near, reading, last)  # finite, and without a rate
         middle = 0.5 * (p.reading_min_rad + p.reading_max_rad)
         distance = drake_math.abs(_within_half_a_turn(reading - middle))
         beyond = distance - 0.5 * (p.reading_max_rad - p.reading_min_rad)
+        beyond = where_positive(-beyond, 0.0, beyond)
         change = drake_math.abs(_within_half_a_turn(reading - last))
         rate = change / (where_positive(age, age, 1.0) * self._sample_time)
-        return where_positive(-beyond, 0.0, beyond), where_positive(age, rate, 0.0)
+        return (
+            where_positive(is_near, beyond, LARGEST_THRESHOLDS["range"]),
+            where_positive(age, rate, 0.0),
+        )
 
     def _is_plausible(self, context: Any) -> Any:
         p = self.parameters(context)
@@ -164,10 +188,9 @@ class FaultDetectors(NamedLeaf):
 
     def _calc_plausible(self, index: int, context: Any) -> list[Any]:
         """Return reading, knee angle or rod extension, by index, or that of the last reading."""
-        age, *last = discrete_state(context)
+        _, *last = discrete_state(context)
         value = self._encoder[index].Eval(context)[0]
-        held = where_positive(age, last[index], value)
-        return [where_positive(self._is_plausible(context), value, held)]
+        return [where_positive(self._is_plausible(context), value, last[index])]
 
     def _calc_residuals(self, context: Any) -> list[Any]:
         _, _, _, _, travel, speed, *_ = discrete_state(context)
@@ -175,13 +198,20 @@ class FaultDetectors(NamedLeaf):
         following = 0.0
         if self._follows:
             following = self._reference.Eval(context)[0] - self._plausible[1].Eval(context)[0]
-        others = (travel, force, speed, following)
-        return [*self._encoder_residuals(context), *(drake_math.abs(value) for value in others)]
+        others = (drake_math.abs(value) for value in (travel, force, speed, following))
+        residuals = [*self._encoder_residuals(context), *others]
+        numbers = zip(self._bad.Eval(context), LARGEST_THRESHOLDS.values(), residuals, strict=True)
+        return [where_positive(*row) for row in numbers]
 
     def _calc_detected(self, context: Any) -> list[Any]:
         n = self.parameters(context).trip_samples
         counts = discrete_state(context)[-len(DETECTORS) :]
         return [where_positive(count - n + 0.5, 1.0, 0.0) for count in counts]
+
+    def _initialize(self, context: Any) -> list[Any]:
+        n = self.parameters(context).trip_samples
+        missing = where_positive(self._is_plausible(context), 0.0, n)
+        return [0.0] * 6 + [missing if name == "range" else 0.0 for name in DETECTORS]
 
     def _update(self, context: Any) -> list[Any]:
         p, dt = self.parameters(context), self._sample_time
@@ -203,7 +233,8 @@ class FaultDetectors(NamedLeaf):
         counts = [
             clip(c + step, 0.0, p.trip_samples) for c, step in zip(counts, steps, strict=True)
         ]
-        age = where_positive(self._is_plausible(context), 1.0, age + 1.0)
+        older = where_positive(age, age + 1.0, 0.0)  # there is no age before a plausible reading
+        age = where_positive(self._is_plausible(context), 1.0, older)
         return [age, reading, angle, extension, travel, slip, *counts]
 
 

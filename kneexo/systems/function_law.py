@@ -3,24 +3,33 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+import pickle
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from inspect import getclosurevars
 from itertools import chain
 from numbers import Real
-from typing import Any, NamedTuple
+from time import process_time
+from types import FunctionType
+from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.symbolic import Expression, Variable
 
-from kneexo.compiler import expressions_key, truth_of_scalars
-from kneexo.errors import ParameterError, SimulationError, shortened
-from kneexo.parameters import LAW_INPUTS, Law, LawParameters
+from kneexo.compiler import ExpressionGraph, differ, truth_of_scalars
+from kneexo.errors import CompilationError, ParameterError, SimulationError, shortened
+from kneexo.parameters import LAW_INPUTS, CylinderParameters, KneeParameters, Law, LawParameters
+from kneexo.result import Array
 from kneexo.systems._leaf import NamedLeaf, clip, discrete_state, fill, leaf_template
-from kneexo.user_code import place_in_user_code, user_code
+from kneexo.user_code import place_in_user_code, text_of, user_code
 
 LAW_COMMAND = "law_command"
 """Name of the input port of `HeldCommand`."""
+COMMAND_AND_STATE = "command_and_state"
+"""Name of the output port of `FunctionLaw` with its discrete state."""
 
 
 def context_values(parameters: LawParameters) -> dict[str, float]:
@@ -40,36 +49,58 @@ def call_law(law: Law, function: Any, arguments: Mapping[str, Any]) -> list[Any]
     as pydrake's ``if_then_else`` returns, becomes a float. Raises `ParameterError` if the function
     fails or returns something else.
     """
+    with user_code(f"law {law.short_name}: the function fails"):
+        return _called(law, function, arguments)
+
+
+def _called(law: Law, function: Any, arguments: Mapping[str, Any]) -> list[Any]:
+    """Do the work of `call_law`, without a guard against errors of the user's code."""
     kinds = {type(value) for values in arguments.values() for value in values}
     scalars = kinds & {AutoDiffXd, Expression}
     # With numbers, pydrake's if_then_else returns constant Expressions.
     has_scalars = bool(scalars) or "if_then_else" in law.names
-    with user_code(f"law {law.short_name}: the function fails"), _arithmetic(has_scalars):
+    with _arithmetic(has_scalars):
         try:
             result = function(**_plain(arguments))
         except TypeError as error:
             # Drake 1.58 accepts no comparison of NumPy scalars, but one of Expressions.
-            if scalars or "if_then_else()" not in str(error) or function is not law.target:
+            one_type = scalars or "if_then_else()" not in text_of(error)
+            if one_type or function is not law.target:
                 raise
             constants = {name: _constants(values) for name, values in arguments.items()}
             result = function(**_plain(constants))
-    values, expected = [result], "must return the motor speed in rad/s, one number"
+    return _checked_result(law, arguments, result, scalars)
+
+
+def _checked_result(
+    law: Law, arguments: Mapping[str, Any], result: Any, scalars: set[type]
+) -> list[Any]:
+    """Return the command and the next state that a function has returned: see `call_law`.
+
+    Values of the types ``scalars`` are returned unchanged, and all others as floats.
+    """
+    parts, expected = [result], "must return the motor speed in rad/s, one number"
     count = 1
     if "state" in arguments:
         size = arguments["state"].size
         expected = f"must return (command, next_state), with {size} numbers in next_state"
         if not isinstance(result, tuple | list) or len(result) != 2:
             raise _wrong_result(law, result, expected)
-        values = [result[0], *np.asarray(result[1], dtype=object).reshape(-1)]
+        parts = list(result)
         count += size
-    values[:1] = np.asarray(values[0], dtype=object).reshape(-1)
-    suited = (isinstance(v, _NUMBERS) and not isinstance(v, bool) for v in values)
-    if len(values) != count or not all(suited):
+    values = [value for part in parts for value in np.asarray(part, dtype=object).reshape(-1)]
+    suited = all(isinstance(v, _NUMBERS) and not isinstance(v, _NO_NUMBERS) for v in values)
+    # NumPy replaces a masked value by zero.
+    suited &= not any(type(p) not in _UNMASKED and np.ma.is_masked(p) for p in parts)
+    if len(values) != count or np.size(parts[0]) != 1 or not suited:
         raise _wrong_result(law, result, expected)
     return [v if type(v) in scalars else _number(v) for v in values]
 
 
 _NUMBERS = (Real, Expression, AutoDiffXd)
+_NO_NUMBERS = (bool, np.timedelta64)  # although they are instances of Real
+_UNMASKED = (float, int, list, tuple, np.float64, np.ndarray, Expression, AutoDiffXd)
+"""Types that need no import of ``numpy.ma``, which takes 20 ms."""
 
 
 def _number(value: Any) -> float:
@@ -134,11 +165,12 @@ class FunctionLaw(NamedLeaf):
     inputs of the law     1…4    SI      see `kneexo.parameters.law.LAW_INPUTS`
     **output port**
     motor_speed_command   1      rad/s   within ±``command_limit_rad_s``
+    command_and_state     1…     rad/s   the whole discrete state
     ====================  =====  ======  ================================================
 
     An update every ``sample_time_s`` computes the discrete state, which contains the command and
-    the state of f. The output port shows the command. Context parameters by name: the gains of f,
-    ``initial_state_0``, … and ``command_limit_rad_s``.
+    the state of f. The output ports show the discrete state. Context parameters by name: the gains
+    of f, ``initial_state_0``, … and ``command_limit_rad_s``.
 
     An update raises `ParameterError` if the function fails or returns something else, and
     `SimulationError` if the command or a state is not finite.
@@ -161,6 +193,7 @@ class FunctionLaw(NamedLeaf):
         self._declare_output(
             "motor_speed_command", 1, lambda c: discrete_state(c)[:1], self.xd_ticket()
         )
+        self._declare_output(COMMAND_AND_STATE, 1 + self._states, discrete_state, self.xd_ticket())
 
     def _start(self, context: Any) -> list[Any]:
         p = self.parameters(context)
@@ -266,33 +299,60 @@ LinearLaw_ = leaf_template(LinearLaw)
 
 # ------------------------------------------------------------------------------ tracing
 
-_TYPICAL = {  # largest magnitudes of the inputs at the points of comparison, in SI units
-    "rod_extension": (0.1,),
-    "rod_reference": (0.1, 0.1, 1.0, 10.0),
-    "estimated_state": (0.1, 0.1, 1.0),
-    "knee_angle": (1.5,),
-    "knee_reference": (1.5, 1.0, 1.0, 10.0),
-    "encoder_reading": (1.5,),
-    "rod_state": (0.1, 0.1, 1.0),
+_STROKE_M, _MOTION_RAD = (
+    CylinderParameters().stroke_m,
+    math.radians(KneeParameters().flexion_max_deg),
+)
+_LARGEST = {  # magnitudes of the inputs at the points of comparison, in SI units
+    "rod_extension": (_STROKE_M,),
+    "rod_reference": (_STROKE_M, 0.1, 1.0, 10.0),
+    "estimated_state": (_STROKE_M, 0.1, 1.0),
+    "knee_angle": (_MOTION_RAD,),
+    "knee_reference": (_MOTION_RAD, 1.0, 1.0, 10.0),
+    "encoder_reading": (_MOTION_RAD,),
+    "rod_state": (_STROKE_M, 0.1, 1.0),
 }
-_SCALES = ((1.0, 1.0, 30.0), (1e-3, 0.0, 0.0), (1.0, 10.0, 0.01), (1e-2, 1e3, 1.0))
-"""Scales of inputs and states and the largest time in s of each point of comparison.
+_SCALES = (
+    (64, 1.0, 1.0, 30.0),
+    (12, 1e-3, 0.0, 0.0),
+    (12, 1.0, 10.0, 0.01),
+    (12, 1e-2, 1e3, 1.0),
+)
+"""Number of points of comparison, scales of inputs and states, and the largest time in s.
 
 States can be flags, counters or integrals. Small inputs leave a command within its limits.
 """
+_SAMPLES = 300  # a difference in 1 % of the samples is missed by 5 % of such random choices
+_MOST_TIME_S = 0.02  # processor time of a pass through the points, for a slow function
 _ZERO = Expression(0.0)
-_TOLERANCE = 1e-9  # sums in another order; conditioning of a law with gains up to 1e6
+_CHANGES = "the object changes when it is called"
+_DIFFER = "the equations that were read off differ from calls with numbers"
 
 
-class Trace(NamedTuple):
+@dataclass
+class Trace:
     """The equations of a law's function, or the reason why there are none."""
 
     why_not_compiled: str
     """Reason why the function cannot become equations; empty if it can."""
-    expressions: tuple[Any, ...] = ()
-    """Symbolic expressions of the command and then the next state."""
-    key: str = ""
-    """Hash of the expressions and the names of the arguments; gains are variables."""
+    graph: ExpressionGraph | None = None
+    """Command and next state as functions of the arguments; gains are variables."""
+    replayed: bool = False
+    """Whether the equations were compared with calls at the samples of a run."""
+
+    @property
+    def key(self) -> str:
+        """Hash of the equations and the names of the arguments; empty without equations."""
+        return "" if self.why_not_compiled or self.graph is None else self.graph.key
+
+
+_memos: WeakKeyDictionary[Any, dict[Any, Any]] = WeakKeyDictionary()
+
+
+def _memo(law: Law) -> dict[Any, Any]:
+    """Return what this process knows about the function of a law, whatever `Law` it comes in."""
+    is_function = isinstance(law.target, FunctionType)
+    return _memos.setdefault(law.target, law.memo) if is_function else law.memo
 
 
 def trace(law: Law, states: int) -> Trace:
@@ -304,66 +364,144 @@ def trace(law: Law, states: int) -> Trace:
     be copied.
     """
     if hides_state(law, states):
-        return Trace("the object changes when it is called")
-    if ("variables", states) not in law.memo:
-        law.memo["variables", states] = _variables(law, states)
-    variables = law.memo["variables", states]
+        return Trace(_CHANGES)
+    memo = _memo(law)
     try:
-        expressions = _symbolic_call(law, variables)
-        known = law.memo.get(("trace", states))
-        if known is None or not _are_equal(known.expressions, expressions):
-            again = _symbolic_call(law, variables)
-            known = law.memo["trace", states] = _compared(law, variables, expressions, again)
+        expressions = _symbolic_call(law, states)
+        known: Trace | None = memo.get(("trace", states))
+        if known is None or not known.graph or not known.graph.is_of(expressions):
+            known = memo["trace", states] = _compared(law, states, expressions)
     except ParameterError as error:
         return Trace(_reason(error))
+    except CompilationError as error:
+        return Trace(str(error))
     return known
 
 
 def _variables(law: Law, states: int) -> dict[str, Any]:
     """Return an array of symbolic variables for each argument of the function."""
-    return {
-        name: np.array([Variable(f"{name}{n}") for n in range(size)])
-        for name, size in _sizes(law, states).items()
-    }
-
-
-def _symbolic_call(law: Law, variables: Mapping[str, Any]) -> tuple[Any, ...]:
-    symbols = {name: np.array([Expression(v) for v in vs]) for name, vs in variables.items()}
-    return tuple(_ZERO + value for value in call_law(law, law.copy_of_target(), symbols))
-
-
-def _are_equal(expressions: Iterable[Any], others: Iterable[Any]) -> bool:
-    return all(one.EqualTo(other) for one, other in zip(expressions, others, strict=True))
-
-
-def _compared(
-    law: Law, variables: Mapping[str, Any], expressions: tuple[Any, ...], again: tuple[Any, ...]
-) -> Trace:
-    """Return the trace of a law whose two symbolic calls gave ``expressions`` and ``again``.
-
-    The expressions become equations if they are equal, and if calls with numbers agree with them.
-    """
-    states = len(expressions) - 1
-    differ = "the equations that were read off differ from calls with numbers"
-    if not _are_equal(expressions, again):
-        return Trace(differ, expressions)
-    random = np.random.default_rng(0)
-    function = law.copy_of_target()
-    for scales in _SCALES:
-        point = _random_point(law, states, random, *scales)
-        values = {
-            variable: value
-            for name, vs in variables.items()
-            for variable, value in zip(vs, point[name], strict=True)
+    memo = _memo(law)
+    if ("variables", states) not in memo:
+        memo["variables", states] = {
+            name: np.array([Variable(f"{name}{n}") for n in range(size)])
+            for name, size in argument_sizes(law, states).items()
         }
-        try:
-            numbers = call_law(law, function, point)
-            read = [expression.Evaluate(values) for expression in expressions]
-        except (ParameterError, RuntimeError, ValueError):
-            return Trace("the function fails for numbers within the usual range", expressions)
-        if not np.allclose(read, numbers, rtol=_TOLERANCE, atol=_TOLERANCE, equal_nan=True):
-            return Trace(differ, expressions)
-    return Trace("", expressions, expressions_key(expressions, [*chain(*variables.values())]))
+    variables: dict[str, Any] = memo["variables", states]
+    return variables
+
+
+def _symbolic_call(law: Law, states: int) -> list[Any]:
+    variables = _variables(law, states)
+    symbols = {name: np.array([Expression(v) for v in vs]) for name, vs in variables.items()}
+    return [_ZERO + value for value in call_law(law, law.copy_of_target(), symbols)]
+
+
+def _compared(law: Law, states: int, expressions: list[Any]) -> Trace:
+    """Return the trace of a law whose symbolic call gave ``expressions``.
+
+    They become equations if a second symbolic call gives them too, and if calls with numbers agree
+    with them. A point where the function fails or is not finite does not count.
+    """
+    graph = ExpressionGraph(expressions, [*chain(*_variables(law, states).values())])
+    if not graph.is_of(_symbolic_call(law, states)):
+        return Trace(_DIFFER, graph)
+    points = _points(law, states)
+    numbers = _values(law, states, points)
+    points = points[: len(numbers)]
+    finite = np.isfinite(numbers).all(axis=1)
+    if not finite.any():
+        return Trace("the function fails for numbers within the usual range", graph)
+    found = graph.values(points.T).T
+    differs = _differ(law, states, points[finite], found[finite], numbers[finite])
+    return Trace(_DIFFER if differs else "", graph)
+
+
+def replay(law: Law, samples: Array, command_and_state: Array, command_limit_rad_s: float) -> None:
+    """Compare the equations of a law with calls of its function at samples of a run.
+
+    `trace` has read the equations, and knows the result of the comparison from then on.
+
+    Parameters
+    ----------
+    law
+        A law that is a function.
+    samples
+        Values of all `argument_sizes`, (samples, size).
+    command_and_state
+        Command and next state that the equations gave for each sample, (samples, 1 + states).
+    command_limit_rad_s
+        Limit of the command.
+
+    Raises
+    ------
+    ParameterError
+        The function hides state that cannot be copied.
+    """
+    states = command_and_state.shape[1] - 1
+    columns = np.hstack([samples, command_and_state])
+    extremes = np.concatenate([columns.argmin(axis=0), columns.argmax(axis=0)])
+    even = np.linspace(0, len(columns) - 1, min(_SAMPLES, len(columns))).astype(int)
+    rows = np.concatenate([extremes, np.random.default_rng(0).permutation(even)])
+    hides, numbers = _find_hidden_state(law, states, samples[rows])
+    rows = rows[: len(numbers)]
+    traced = _memo(law)["trace", states]
+    traced.replayed = True
+    if hides:
+        _memo(law)["hides_state", states] = True
+        traced.why_not_compiled = _CHANGES
+    elif _differ(law, states, samples[rows], command_and_state[rows], numbers, command_limit_rad_s):
+        traced.why_not_compiled = _DIFFER
+
+
+def _differ(
+    law: Law,
+    states: int,
+    points: Array,
+    found: Array,
+    numbers: Array,
+    command_limit_rad_s: float = math.inf,
+) -> bool:
+    """Return whether equations gave other values ``found`` than the function, ``numbers``.
+
+    `kneexo.compiler.differ` says which values count as equal.
+    """
+
+    def limited(values: Array) -> Array:
+        command = np.clip(values[:, :1], -command_limit_rad_s, command_limit_rad_s)
+        return np.hstack([command, values[:, 1:]])
+
+    sizes = argument_sizes(law, states)
+    names = [name for name, size in sizes.items() for _ in range(size)]
+    return differ(
+        lambda row: limited(_values(law, states, row[None]))[0],
+        points,
+        found,
+        limited(numbers),
+        inexact=[names.index("time_s")] if "time_s" in names else [],
+    )
+
+
+def _values(law: Law, states: int, points: Array) -> Array:
+    """Return command and next state for the first points, (≤ points, 1 + states).
+
+    A copy of the function is called, until the time for one pass is over. Where the function fails,
+    the values are nan.
+    """
+    function, places, first = law.copy_of_target(), {}, 0
+    for name, size in argument_sizes(law, states).items():
+        places[name] = slice(first, first := first + size)
+    rows: list[Any] = []
+    until = process_time() + _MOST_TIME_S
+    with user_code(f"law {law.short_name}: the function fails"), np.errstate(all="ignore"):
+        for point in points:
+            try:
+                arguments = {name: point[place] for name, place in places.items()}
+                rows.append(_called(law, function, arguments))
+            except (Exception, SystemExit):
+                rows.append([math.nan] * (1 + states))
+            if process_time() > until:
+                break
+    return np.array(rows)
 
 
 def hides_state(law: Law, states: int) -> bool:
@@ -372,38 +510,57 @@ def hides_state(law: Law, states: int) -> bool:
     Raises `ParameterError` if a function changes outer variables, or returns two commands for equal
     arguments. Such a function cannot start a second run afresh.
     """
-    if ("hides_state", states) not in law.memo:
-        law.memo["hides_state", states] = _hides_state(law, states)
-    hides: bool = law.memo["hides_state", states]
-    return hides
+    memo = _memo(law)
+    if ("hides_state", states) not in memo:
+        before = _outer_values(law.target)
+        hides, _ = _find_hidden_state(law, states, _points(law, states))
+        if before != _outer_values(law.target):
+            raise _hidden_state(law)
+        memo["hides_state", states] = hides
+    return bool(memo["hides_state", states])
 
 
-def _hides_state(law: Law, states: int) -> bool:
-    function = law.copy_of_target()
-    is_object = function is not law.target
-    before, of_original = Law(function).fingerprint, law.fingerprint
-    random = np.random.default_rng(1)
-    changed = False
-    try:
-        for _ in range(2):
-            point = _random_point(law, states, random)
-            first, again = (call_law(law, function, point) for _ in range(2))
-            changed |= not np.array_equal(first, again, equal_nan=True)
-    except ParameterError:
-        return False  # the run or the trace reports the cause
-    after = Law(function).fingerprint
-    changed |= before != after or (is_object and before is None)
-    if changed and (not is_object or law.fingerprint != of_original):
-        raise ParameterError(
-            f"law {law.short_name}: hides state: it changes outer variables, or returns two "
-            f"commands for equal arguments; must take the argument state and return "
-            f"(command, next_state)"
-        )
-    return changed
+def _find_hidden_state(law: Law, states: int, points: Array) -> tuple[bool, Array]:
+    """Call a law at points, then in reverse order; return whether the values differ.
+
+    The second result has the values of the first calls. An object hides state, and its copies can
+    start runs. Raises `ParameterError` for a law whose copies do not start afresh, such as a
+    function.
+    """
+    first = _values(law, states, points)
+    points = points[: len(first)]
+    again = _values(law, states, points[::-1])[::-1]
+    hides = not np.array_equal(first[len(first) - len(again) :], again, equal_nan=True)
+    if hides:
+        copies = law.copy_of_target() is not law.target
+        if not copies or not np.array_equal(_values(law, states, points), first, equal_nan=True):
+            raise _hidden_state(law)
+    return hides, first
 
 
-def _sizes(law: Law, states: int) -> dict[str, int]:
-    """Return the number of elements of each argument of the function."""
+def _hidden_state(law: Law) -> ParameterError:
+    return ParameterError(
+        f"law {law.short_name}: hides state: it changes outer variables, or returns two commands "
+        f"for equal arguments; must take the argument state and return (command, next_state)"
+    )
+
+
+def _outer_values(function: Any) -> list[bytes]:
+    """Return the pickled variables outside a function: of its closure, and globals that it names.
+
+    A value that pickle cannot write is left out. The list of an object is empty.
+    """
+    pickled = []
+    with suppress(Exception):  # no function, or an empty cell
+        variables = getclosurevars(function)
+        for value in (*variables.nonlocals.values(), *variables.globals.values()):
+            with suppress(Exception):  # a user's object may raise any error
+                pickled.append(pickle.dumps(value))
+    return pickled
+
+
+def argument_sizes(law: Law, states: int) -> dict[str, int]:
+    """Return the number of elements of each argument of a law's function, by its name."""
     arguments = law.arguments
     sizes = {name: LAW_INPUTS[name] for name in arguments.inputs}
     sizes |= dict.fromkeys(arguments.gains, 1)
@@ -414,27 +571,30 @@ def _sizes(law: Law, states: int) -> dict[str, int]:
     return sizes
 
 
-def _random_point(
-    law: Law,
-    states: int,
-    random: np.random.Generator,
-    scale: float = 1.0,
-    largest_state: float = 1.0,
-    largest_time_s: float = 30.0,
-) -> dict[str, Any]:
-    """Return arguments of usual size, an array for each: default gains, random other values."""
-    point: dict[str, Any] = {}
-    for name, size in _sizes(law, states).items():
-        if name in law.arguments.gains:
-            point[name] = np.array([law.arguments.gains[name]])
-        elif name == "time_s":
-            point[name] = random.uniform(0.0, largest_time_s, 1)
-        elif name == "state":
-            point[name] = random.uniform(-largest_state, largest_state, size)
-        else:
-            point[name] = scale * random.uniform(-1.0, 1.0, size) * np.array(_TYPICAL[name])
-            point[name][0] = abs(point[name][0])
-    return point
+def _points(law: Law, states: int) -> Array:
+    """Return points of comparison in random order, with a column for each argument's element.
+
+    Gains have their defaults. Each other element has one value in each of n equal parts of its
+    range, at random (Latin hypercube).
+    """
+    random = np.random.default_rng(0)
+    points = []
+    for count, scale, largest_state, largest_time_s in _SCALES:
+        columns = []
+        for name, size in argument_sizes(law, states).items():
+            parts = random.permuted(np.tile(np.arange(count), (size, 1)), axis=1).T
+            shares = (parts + random.uniform(size=(count, size))) / count
+            if name in law.arguments.gains:
+                columns.append(np.full((count, 1), law.arguments.gains[name]))
+            elif name == "time_s":
+                columns.append(largest_time_s * shares)
+            elif name == "state":
+                columns.append(largest_state * (2.0 * shares - 1.0))
+            else:
+                shares[:, 1:] = 2.0 * shares[:, 1:] - 1.0  # positions are positive
+                columns.append(scale * np.array(_LARGEST[name]) * shares)
+        points.append(np.hstack(columns))
+    return random.permutation(np.vstack(points))
 
 
 def _reason(error: ParameterError) -> str:
@@ -444,7 +604,7 @@ def _reason(error: ParameterError) -> str:
         return str(error)
     place = place_in_user_code(cause)
     line = f" (line {place[1]})" if place else ""
-    if "__bool__" in str(cause):
+    if any(f"`{name}`" in text_of(cause) for name in ("__bool__", "__eq__", "__ne__")):
         return f"the function branches on a value{line}"
     if isinstance(cause, TypeError):
         return f"the function needs plain numbers{line}"

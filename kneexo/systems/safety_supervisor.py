@@ -25,6 +25,7 @@ from kneexo.systems._leaf import (
     leaf_template,
     value_or_zero,
     where_positive,
+    where_within,
 )
 
 _NUMBERS = {state: float(number) for number, state in enumerate(STATES)}
@@ -50,9 +51,9 @@ class SafetySupervisor(NamedLeaf):
     input port           size  unit
     ===================  ====  =====  ===========================================================
     motor_speed_command  1     rad/s  of the law
-    motor_speed          1     rad/s  as the drive reports it
+    motor_speed          1     rad/s  as the drive reports it; no standstill if not finite
     detected             6     1      of `FaultDetectors`
-    emergency_stop       1     1      1: stop, 0: none; 0 if unconnected
+    emergency_stop       1     1      0: not pressed; 0 if unconnected
     reset                1     1      its rise from 0 to 1 is the reset; 0 if unconnected
     **output port**
     motor_speed_command  1     rad/s  for the drive
@@ -61,8 +62,13 @@ class SafetySupervisor(NamedLeaf):
     release              1     1      1 in the state ``released``, else 0
     ===================  ====  =====  ===========================================================
 
+    A button is a wire that can break. The emergency stop is pressed by all values outside ±0.5,
+    also by those that are not finite. A reset is a rise from a value within ±0.5 to a finite value
+    above 0.5.
+
     Discrete states, updated every ``sample_time_s``: state, reason, own command, number of samples
-    in this state, number of samples without a detected fault, and the input ``reset`` before.
+    in this state, number of samples without a detected fault, and 0 if ``reset`` was within ±0.5 in
+    the sample before, else 1.
     Context parameters by name: ``healthy_s``, ``overdue_s``, ``stop_rad_s2`` and
     ``standstill_rad_s``. Source: an assumption. Lee et al. 2020 have no supervisor.
     """
@@ -100,19 +106,22 @@ class SafetySupervisor(NamedLeaf):
         p, dt = self.parameters(context), self._sample_time
         state, reason, own, samples, clear, reset_before = discrete_state(context)
         detected = self._detected.Eval(context).tolist()
-        emergency = value_or_zero(self._emergency, context) - 0.5
+        emergency = where_within(value_or_zero(self._emergency, context), -0.5, 0.5, 0.0, 1.0)
         reset = value_or_zero(self._reset, context)
+        # 1/x is positive for each finite x, and zero for an infinite one.
+        is_on = where_positive(_min(reset - 0.5, 1.0 / _max(reset, 0.5)), 1.0, 0.0)
         clear = where_positive(_largest(detected), 0.0, clear + 1.0)
         samples = samples + 1.0
         speed = drake_math.abs(self._speed.Eval(context)[0])
+        still = where_positive(p.standstill_rad_s - speed, 1.0, 0.0)  # no number of an event is nan
         # An event happens if its number is positive. Half a sample keeps rounded times from
         # deciding.
         events = {
             "emergency": emergency,
-            "standstill": where_positive(drake_math.abs(own), 0.0, p.standstill_rad_s - speed),
+            "standstill": where_positive(drake_math.abs(own), 0.0, still),
             "healthy": (clear + 0.5) * dt - p.healthy_s,
             "overdue": (samples + 0.5) * dt - p.overdue_s,
-            "reset": _min(reset - 0.5, 0.5 - reset_before),
+            "reset": _min(is_on, 0.5 - reset_before),
         }
         causes: dict[str, list[Any]] = {}
         for detector, value in zip(DETECTORS.values(), detected, strict=True):
@@ -136,7 +145,7 @@ class SafetySupervisor(NamedLeaf):
             where_positive(_is(following, "stopping"), slower, 0.0),
             where_positive(drake_math.abs(following - state), 0.0, samples),
             clear,
-            reset,
+            where_within(reset, -0.5, 0.5, 0.0, 1.0),
         ]
 
 

@@ -274,7 +274,7 @@ def _differences(parameters: Parameters) -> dict[str, Any]:
             kind = kind_of(type(value))
             result[name] = ({} if kind is None else {"kind": kind}) | _differences(value)
         elif isinstance(value, Law):
-            result[name] = str(value)
+            result[name] = value.written
         else:
             result[name] = list(value) if isinstance(value, tuple) else value
     return result

@@ -167,8 +167,7 @@ VALUES = {
 }
 
 
-@pytest.mark.slow
-@pytest.mark.cases_in_gate(0)
+@pytest.mark.slow(gate=0)
 def test_runs_confirm_the_border_at_60_random_cells():
     random, ends, cells = np.random.default_rng(23), 0, 0
     while cells < 60:

@@ -336,8 +336,7 @@ def test_the_best_linkage_of_grashof(free):
     assert free.rms_mm <= design.rms_mm < 0.0805
 
 
-@pytest.mark.slow
-@pytest.mark.cases_in_gate(0)
+@pytest.mark.slow(gate=0)
 def test_the_trade_off_with_table_1_falls():
     curve = trade_off((0.12, 0.03, 0.3))
     rms = [design.rms_mm for design in curve.designs]
@@ -368,8 +367,7 @@ def random_linkages(count):
     return found[:count]
 
 
-@pytest.mark.slow
-@pytest.mark.cases_in_gate(0)
+@pytest.mark.slow(gate=0)
 def test_random_linkages_are_found_again_from_their_motion():
     limits = DesignLimits(link_angle_deg=15.0, encoder_angle_deg=2.0, joint_box_m=0.1)
     for link in random_linkages(20):

@@ -141,16 +141,14 @@ def test_monodromy_with_exact_states_is_that_of_the_simulator(loops):
     assert distance(np.linalg.eigvals(monodromy), loops["exact"].eigenvalues) < 1e-6
 
 
-@pytest.mark.slow
-@pytest.mark.cases_in_gate(0)
+@pytest.mark.slow(gate=0)
 def test_monodromy_under_load_is_that_of_the_simulator(loops):
     monodromy = monodromy_by_differences(SCENARIOS["weight"], step=1e-4)
     assert compare_with_differences(loops["weight"], monodromy) < 2e-5  # 20 steps of 7e-7
     assert distance(np.linalg.eigvals(monodromy), loops["weight"].eigenvalues) < 1e-5
 
 
-@pytest.mark.slow
-@pytest.mark.cases_in_gate(0)
+@pytest.mark.slow(gate=0)
 def test_the_unstable_loop_grows_as_its_eigenvalue_says(unstable):
     inner = make_closed_loop(at_rest(EQ_27_EXACT_STATES["13000"], 40.0), signals=())
     builder = DiagramBuilder()
@@ -225,8 +223,7 @@ def test_the_response_to_a_small_sine_is_that_of_the_simulator(frequency_hz, amp
     assert_response(SCENARIOS["smc"], frequency_hz, amplitude_deg, 0.5, 0.1, 2e-4)
 
 
-@pytest.mark.slow
-@pytest.mark.cases_in_gate(0)
+@pytest.mark.slow(gate=0)
 @pytest.mark.parametrize(
     ("name", "frequency_hz", "amplitude_deg", "settle_s", "window_s"),
     [

@@ -180,8 +180,7 @@ def check(name, preset):
     return verdict
 
 
-@pytest.mark.slow
-@pytest.mark.cases_in_gate(21)  # no divisor of 160: all presets
+@pytest.mark.slow(gate=21)  # no divisor of 160: all presets
 @pytest.mark.parametrize("preset", ["paper", "bench", "leg", "wearer"])
 @pytest.mark.parametrize("name", CASES)
 def test_each_run_has_the_right_verdict(name, preset):

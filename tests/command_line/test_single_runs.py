@@ -281,3 +281,66 @@ def test_linearize_takes_values_of_the_scenario(capsys, tmp_path, undrawn):
     assert printed["scenario"]["plant"]["cylinder"]["mass_kg"] == 0.4
     plant = linearize_plant(PlantParameters(cylinder={"mass_kg": 0.4}), knee_angle_deg=40.0)
     assert printed["plant_frequencies_rad_s"] == list(plant.damping[0])
+
+
+def write_law(folder):
+    """Write a scenario, its law, which leaves the file `ran`, and a module of the law."""
+    folder.mkdir()
+    (folder / "laws").mkdir()
+    (folder / "laws" / "gain_of_law.py").write_text("K = 1e5\n")
+    (folder / "laws" / "my law.py").write_text(
+        "from pathlib import Path\n"
+        "from gain_of_law import K\n"
+        "Path(__file__).with_name('ran').touch()\n"
+        "def law(rod_extension, rod_reference, gain=1.0):\n"
+        "    return gain * K * (rod_reference[0] - rod_extension)\n"
+    )
+    path = folder / "my.yaml"
+    law = "{kind: law, function: 'laws/my law.py:law', values: {gain: 1.25}}"
+    path.write_text(f"controller: {law}\nsimulation: {{duration_s: 0.1}}\n")
+    return path
+
+
+def test_the_folder_of_a_run_with_a_law_repeats_the_run_elsewhere(tmp_path, capsys, undrawn):
+    path = write_law(tmp_path / "first")
+    out, moved, again = (tmp_path / name for name in ("out", "moved", "again"))
+    assert main(["simulate", str(path), "--out", str(out)]) == 0
+    printed = capsys.readouterr()
+    assert "kneexo: runs Python of my law.py\n" in printed.err
+    assert "gain_of_law.py, metrics.json, my law.py" in " ".join(printed.out.split())
+    out.rename(moved)
+    (path.parent / "laws" / "gain_of_law.py").write_text("K = 2e5  # the user goes on\n")
+    assert main(["simulate", str(moved / "scenario.yaml"), "--out", str(again)]) == 0
+    assert (moved / "signals.csv").read_bytes() == (again / "signals.csv").read_bytes()
+    assert main(["simulate", str(path), "--out", str(again)]) == 0
+    assert (moved / "signals.csv").read_bytes() != (again / "signals.csv").read_bytes()
+    assert (again / "gain_of_law.py").read_text().startswith("K = 2e5")  # in place of the earlier
+
+
+def test_commands_that_need_no_law_run_none(tmp_path, capsys, undrawn):
+    path = write_law(tmp_path / "first")
+    run = tmp_path / "run"
+    assert main(["simulate", str(path), "--out", str(run)]) == 0
+    for ran in (path.parent / "laws" / "ran", run / "ran"):
+        ran.unlink(missing_ok=True)
+    capsys.readouterr()
+    for scenario in (str(path), str(run / "scenario.yaml")):
+        assert main(["params", scenario, "--json"]) == 0
+        assert main(["params", scenario, "--yaml"]) == 0
+        assert main(["diagram", scenario, "--out", str(tmp_path / "drawn")]) == 0
+    assert main(["view", str(run), "--out", str(tmp_path / "view.html")]) == 0
+    assert "law.py:law" in (tmp_path / "drawn" / "closed_loop.svg").read_text()
+    assert "runs Python" not in capsys.readouterr().err
+    assert not list(tmp_path.rglob("ran"))
+
+
+@pytest.mark.parametrize("name", ["os:abort", "signal:pause", "cProfile:main"])
+def test_a_scenario_file_cannot_name_a_module(name, scenario_file, tmp_path, capsys):
+    path = scenario_file(f"controller: {{kind: law, function: '{name}'}}")
+    assert main(["simulate", path, "--out", str(tmp_path / "out")]) == 2
+    line = capsys.readouterr().err
+    assert line.count("\n") == 1
+    assert f"law {name!r}: must be NAME.py:function" in line
+    assert "--law" in line
+    law = f"{Path(__file__).parents[2] / 'examples' / 'own_law.py'}:law"
+    assert main(["params", path, "--law", law, "--find", "controller.function"]) == 0

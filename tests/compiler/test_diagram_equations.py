@@ -8,7 +8,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import Integrator, LinearSystem
 
 from kneexo.compiler import compile_diagram
-from kneexo.compiler.diagram_equations import equations_key, expressions_key
+from kneexo.compiler.diagram_equations import ExpressionGraph, equations_key
 from kneexo.compiler.equations.equations import Equations, Limit, Section, Update
 from kneexo.compiler.equations.graph import Graph
 from kneexo.compiler.equations.passes import Program
@@ -87,7 +87,7 @@ def test_equal_diagrams_of_nameless_systems_give_equal_text():
 def test_the_key_of_expressions_depends_on_operations_numbers_and_places_of_variables():
     def key(function):
         variables = [Variable(name) for name in "ab"]
-        return expressions_key([function(*map(Expression, variables))], variables)
+        return ExpressionGraph([function(*map(Expression, variables))], variables).key
 
     expected = key(lambda a, b: 0.1 * a + b)
     assert key(lambda a, b: b + a * 0.1) == expected

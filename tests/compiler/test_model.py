@@ -473,7 +473,7 @@ def named_diagram(system, name):
 @TemplateSystem.define("Tall_")
 def Tall_(T):
     class Impl(LeafSystem_[T]):
-        """An output whose tree has 2¹⁵ leaves."""
+        """An output of 22 000 operations."""
 
         def _construct(self, *, converter=None):
             LeafSystem_[T].__init__(self, converter)
@@ -484,8 +484,8 @@ def Tall_(T):
 
         def _calc(self, context, out):
             value = context.get_time()
-            for _ in range(15):
-                value = drake_math.sin(value) + drake_math.cos(value)
+            for n in range(1, 11_000):
+                value = drake_math.sin(n * value)
             out.SetAtIndex(0, value)
 
     return Impl

@@ -320,8 +320,7 @@ def steady_run(scenario, fixed_step, duration=15.0):
     return math.degrees(np.max(np.abs(data[:, 0] - data[:, 1]))), change
 
 
-@pytest.mark.slow
-@pytest.mark.cases_in_gate(0)
+@pytest.mark.slow(gate=0)
 def test_sliding_mode_follows_fig_12_within_a_third_of_a_degree(fixed_step):
     error, change = steady_run(Scenario(), fixed_step)
     # Required: 0.30° and 60 rpm per sample; Table 1 alone is 0.1° off the linkage.

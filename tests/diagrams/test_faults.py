@@ -264,8 +264,7 @@ def fault_lists(draw):
     return faults
 
 
-@pytest.mark.slow
-@pytest.mark.cases_in_gate(0)
+@pytest.mark.slow(gate=0)
 @settings(max_examples=8)
 @given(fault_lists())
 def test_drake_and_the_compiled_engine_have_the_same_faults(faults):

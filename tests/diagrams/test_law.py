@@ -1,7 +1,8 @@
 """Whether a law of the user is compiled, and which inputs it reads."""
 
 import pytest
-from pydrake.systems.framework import LeafSystem
+from pydrake.systems.framework import DiagramBuilder, LeafSystem
+from pydrake.systems.primitives import Adder
 
 from kneexo.diagrams.law import held_command, law_inputs, port_sizes, runs_as_python, why_python
 from kneexo.errors import ParameterError
@@ -76,3 +77,48 @@ def test_a_law_that_cannot_begin_anew_is_refused() -> None:
 
     with pytest.raises(ParameterError, match="hides state"):
         why_python(Scenario().with_law(counting))
+
+
+def held(*periods, offset=0.0):
+    """Return a system of floats whose command is the sum of holds with these periods."""
+
+    class Hold(LeafSystem):
+        def __init__(self, period):
+            LeafSystem.__init__(self)
+            self.rod = self.DeclareVectorInputPort("rod_extension", 1)
+            self.DeclareStateOutputPort("held", self.DeclareDiscreteState(1))
+            self.DeclarePeriodicDiscreteUpdateEvent(
+                period, offset, lambda c, state: state.set_value(0, self.rod.Eval(c))
+            )
+
+    builder = DiagramBuilder()
+    adder = builder.AddSystem(Adder(len(periods), 1))
+    for index, period in enumerate(periods):
+        hold = builder.AddNamedSystem(f"hold{index}", Hold(period))
+        builder.Connect(hold.get_output_port(), adder.get_input_port(index))
+        if index:
+            builder.ConnectInput("rod_extension", hold.get_input_port())
+        else:
+            builder.ExportInput(hold.get_input_port(), "rod_extension")
+    builder.ExportOutput(adder.get_output_port(), "motor_speed_command")
+    return builder.Build()
+
+
+@pytest.mark.parametrize("periods", [(0.002,), (0.002, 0.01), (0.006, 0.002)])
+def test_a_system_may_have_slower_parts(periods) -> None:
+    assert why_python(Scenario().with_law(lambda: held(*periods)))
+
+
+@pytest.mark.parametrize(
+    ("periods", "offset", "message"),
+    [
+        ((0.01,), 0.0, "sample_time_s = 0.002 s: must be 0.01 s, at which law"),
+        ((0.001,), 0.0, "sample_time_s = 0.002 s: must be 0.001 s, at which law"),
+        ((0.002, 0.007), 0.0, "hold1 updates every 0.007 s from 0 s on; must"),
+        ((0.002,), 0.001, "hold0 updates every 0.002 s from 0.001 s on; must"),
+    ],
+)
+def test_a_system_with_other_samples_is_refused(periods, offset, message: str) -> None:
+    for form in (lambda: held(*periods, offset=offset), held(*periods, offset=offset)):
+        with pytest.raises(ParameterError, match=message):
+            why_python(Scenario().with_law(form, sample_time_s=0.002))

@@ -218,8 +218,7 @@ def test_ports_of_the_exported_controller():
     assert count_range(BASE) == (plain[0] - turn, plain[1] + turn)
 
 
-@pytest.mark.slow
-@pytest.mark.cases_in_gate(0)
+@pytest.mark.slow(gate=0)
 def test_exports_have_the_protection(tmp_path):
     scenario = with_faults({"kind": "offset", "size": 2.0, "start_s": 0.2})
     for what, precision in (("controller", "double"), ("controller", "float"), ("loop", "double")):

@@ -197,8 +197,7 @@ def test_bad_inputs_leave_no_trace(tmp_path, tool, name, precision):
     assert (counts[2] > 100) == (name == "smc")  # a PID saturates where the SMC overflows
 
 
-@pytest.mark.slow
-@pytest.mark.cases_in_gate(0)
+@pytest.mark.slow(gate=0)
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_ten_million_inputs_leave_no_trace(tmp_path, tool, precision):
     counts = fuzz(tmp_path, tool, Scenario(), precision, 10_000_000)

@@ -503,6 +503,8 @@ def test_a_controller_of_the_user_is_exported_too(tmp_path, capsys, monkeypatch,
     out = tmp_path / "out"
     options = ["--out", str(out), "--set", f"controller={law}", "--vectors-s", "0.2"]
     assert main(["export", "c", *options, "--json"]) == 0
+    assert 'function: "backstepping.py:make"' in (out / "scenario.yaml").read_text()
+    assert load_scenario(out / "scenario.yaml").with_loaded_law().controller.values["k_1"] == 20.0
     result = json.loads(capsys.readouterr().out)
     assert result["replay"]["difference"]["motor_speed_command_rad_s"] < 1e-12 * 523.6
     assert "timer interrupt at 1000 Hz" in (out / "README.md").read_text()

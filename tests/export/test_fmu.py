@@ -678,9 +678,8 @@ def test_integrator_of_the_command_line_is_that_of_the_sources(tmp_path, no_comp
     assert "RK4" not in texts
 
 
-@pytest.mark.cases_in_gate(0)
+@pytest.mark.slow(gate=0)
 @NEEDS_COMPILER
-@pytest.mark.slow
 def test_the_example_of_the_docs_prints_what_they_say(tmp_path):
     pytest.importorskip("fmpy", reason="needs FMPy: pip install '.[fmu]'")
     text = (ROOT / "docs/fmu.md").read_text(encoding="utf-8")

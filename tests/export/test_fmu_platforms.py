@@ -25,8 +25,7 @@ LOADED = Scenario(plant=PlantParameters(load=KneeLoadParameters()))
 LEG = Scenario.model_validate(with_preset("leg", {}))
 
 
-@pytest.mark.slow
-@pytest.mark.cases_in_gate(0)
+@pytest.mark.slow(gate=0)
 @pytest.mark.parametrize(
     ("fmi", "scenario", "integrator"),
     [(2, LOADED, "rk4"), (3, LOADED, "rk4"), (3, LEG, "rosenbrock")],

@@ -95,7 +95,7 @@ def test_plain_differences_amplify_the_last_bit(exported, precision):
     assert difference <= DIFFERENCES[precision]
 
 
-@pytest.mark.slow
+@pytest.mark.slow(gate=0)
 def test_parameters_of_the_uncertainty_set_go_into_a_single_build(exported):
     targets = {
         precision: exported.exported_source(

@@ -7,8 +7,9 @@ from kneexo import linkage
 from kneexo.analysis import linearize_plant
 from kneexo.diagrams import make_closed_loop, make_plant
 from kneexo.errors import ParameterError
+from kneexo.export.firmware import make_firmware
 from kneexo.export.target import WHAT, count_range, largest_step_s, make_target, require_step
-from kneexo.parameters import Scenario
+from kneexo.parameters import MotorParameters, Scenario
 
 LOADED = {"plant": {"load": {"kind": "knee"}}}
 
@@ -137,6 +138,37 @@ def test_a_step_follows_the_fastest_pole_at_the_start(plant):
     fastest_per_s = np.abs(linearize_plant(scenario.plant, knee_angle_deg=10.0).poles).max()
     for what in ("plant", "loop"):
         assert largest_step_s(scenario, what) == pytest.approx(0.2 / fastest_per_s, rel=1e-3)
+
+
+def test_a_step_follows_the_shorted_motor():
+    """The windings brake with the rate k_t²/(R J), here faster than the oil oscillates."""
+    motor = MotorParameters(inertia_kg_m2=2e-7)
+    per_s = motor.torque_constant_n_m_per_a**2 / (motor.resistance_ohm * motor.inertia_kg_m2)
+    braked = scenario_of(plant={"motor": motor}, protection={"safe_state": "dynamic_brake"})
+    for what in ("plant", "loop"):
+        assert largest_step_s(braked, what) == pytest.approx(0.2 / per_s, rel=0.1)
+    free = braked.changed({"protection.safe_state": "torque_off"})
+    assert largest_step_s(free, "loop") > 5.0 * largest_step_s(braked, "loop")
+    source, _ = make_firmware(braked, "loop", vectors_s=0.004)
+    assert source.plan.schedule.largest_step_s == largest_step_s(braked, "loop")
+
+
+def test_a_controller_commands_zero_when_it_fails():
+    plain = make_target(Scenario(), "controller").interface
+    assert (plain.failed_outputs, plain.accepts_inputs) == (
+        {"motor_speed_command_rad_s": 0.0},
+        False,
+    )
+    for safe_state, state, release in (("zero_speed", 3, 0.0), ("dynamic_brake", 4, 1.0)):
+        protection = {"safe_state": safe_state}
+        scenario = scenario_of(plant={"motor": {}}, protection=protection)
+        interface = make_target(scenario, "controller").interface
+        assert interface.accepts_inputs
+        zero = plain.failed_outputs
+        assert interface.failed_outputs == zero | {"safety_state": state, "release": release}
+    for what in ("plant", "loop"):
+        interface = make_target(scenario, what).interface
+        assert (interface.failed_outputs, interface.accepts_inputs) == ({}, False)
 
 
 def test_a_step_is_at_most_that_of_a_run_and_may_be_chosen():

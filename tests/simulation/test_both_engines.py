@@ -55,8 +55,7 @@ changes."""
 LEFT_OUT = ("simulation", "step", "pressure", "power", "energy")
 
 
-@pytest.mark.slow
-@pytest.mark.cases_in_gate(0)
+@pytest.mark.slow(gate=0)
 @pytest.mark.parametrize("frequency_hz", [0.1, 0.21])
 def test_the_exact_hold_is_small_steps_of_rk4(frequency_hz):
     at = {"reference.frequency_hz": frequency_hz, "simulation.duration_s": 30.0}
@@ -194,8 +193,7 @@ SMALL = {
 }
 
 
-@pytest.mark.slow
-@pytest.mark.cases_in_gate(0)
+@pytest.mark.slow(gate=0)
 @pytest.mark.parametrize("command", SMALL)
 def test_study_is_the_same_by_both_engines(command):
     compute, scenario, settings = SMALL[command]
@@ -211,8 +209,7 @@ def test_study_is_the_same_by_both_engines(command):
 # ------------------------------------------------------------------------- kneexo simulate
 
 
-@pytest.mark.slow
-@pytest.mark.cases_in_gate(0)
+@pytest.mark.slow(gate=0)
 @pytest.mark.parametrize("quantized", [False, True])
 def test_simulate_is_the_same_by_both_engines(capsys, tmp_path, monkeypatch, quantized):
     path = tmp_path / "scenario.yaml"
@@ -240,8 +237,7 @@ def test_simulate_is_the_same_by_both_engines(capsys, tmp_path, monkeypatch, qua
     assert np.max(np.abs(knee["compiled"] - knee["drake"])) < 1e-4 * np.radians(4.0)
 
 
-@pytest.mark.slow
-@pytest.mark.cases_in_gate(0)
+@pytest.mark.slow(gate=0)
 def test_the_tolerance_is_that_of_drakes_step():
     compiled, drake, fine = (
         track(SMOOTH.with_engine("compiled")),
@@ -319,8 +315,7 @@ def test_command_hands_the_engine_on(monkeypatch, tmp_path, command, function, e
 # ------------------------------------------------------------------------- same integrator
 
 
-@pytest.mark.slow
-@pytest.mark.cases_in_gate(0)
+@pytest.mark.slow(gate=0)
 def test_runge_kutta3_is_drakes_over_two_periods():
     # At 0.21 Hz the motor is at its speed limit most of the time. Differences of rounding, 1e-16 a
     # step, do not grow: the loop is stable. They are 2e-10 over 30 s, and 4e-10 at 0.1 Hz.
@@ -334,8 +329,7 @@ def test_runge_kutta3_is_drakes_over_two_periods():
         assert np.max(np.abs(ours[column] - values)) <= 1e-9 * np.max(np.abs(values)), column
 
 
-@pytest.mark.slow
-@pytest.mark.cases_in_gate(0)
+@pytest.mark.slow(gate=0)
 def test_runge_kutta3_with_the_quantizer_has_drakes_metrics(monkeypatch):
     original = compiled.simulate_together
 

@@ -1,17 +1,22 @@
 """Control laws of the user in closed loop: compiled, or called as Python beside the plant."""
 
 import math
+import subprocess
+import sys
 from collections import deque
 from fractions import Fraction
 
 import numpy as np
 import pytest
+from pydrake.symbolic import Expression
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import Gain, LinearSystem
 
 from kneexo.analysis import linearize_loop, track
+from kneexo.analysis.reduced_tracking import track_basic_metrics
+from kneexo.batches import batch
 from kneexo.diagrams.controller import encoder_offset_rad
-from kneexo.diagrams.law import runs_as_python
+from kneexo.diagrams.law import runs_as_python, why_python
 from kneexo.errors import LinearizationError, ParameterError, SimulationError
 from kneexo.linkage import encoder_angle
 from kneexo.parameters import (
@@ -275,6 +280,31 @@ def test_the_first_run_says_once_why_the_law_is_slow(capsys) -> None:
     assert "docs/your_controller.md" in line
 
 
+def weaker_near_the_reference():
+    """Return a law whose equations leave out a branch that only a run reaches."""
+
+    def weaker(rod_extension, rod_reference):
+        error = rod_reference[0] - rod_extension
+        is_number = not isinstance(error, Expression)
+        return (0.5 if is_number and rod_extension > 0.1 and abs(error) < 2e-5 else 1.0) * K * error
+
+    return weaker
+
+
+def test_equations_that_differ_in_a_run_are_replaced_by_the_function(capsys) -> None:
+    law, same = weaker_near_the_reference(), weaker_near_the_reference()
+    assert why_python(SHORT.with_law(law)) == ""
+    metrics = track_basic_metrics(SHORT.with_law(law))
+    assert "differ from calls" in why_python(SHORT.with_law(law))
+    run = simulate(SHORT, law=same)
+    recorded = zip(run["measured_rod_extension_m"], run["rod_reference_m"], strict=True)
+    commands = [same(x, [reference]) for x, reference in recorded]
+    limited = np.clip(commands, -SHORT.command_limit_rad_s, SHORT.command_limit_rad_s)
+    np.testing.assert_allclose(run["motor_speed_command_rad_s"][1:], limited[:-1], rtol=1e-9)
+    assert metrics == track_basic_metrics(SHORT.with_law(same))
+    assert len([t for t in capsys.readouterr().err.splitlines() if "differ from calls" in t]) == 1
+
+
 def test_the_command_is_limited() -> None:
     step = SHORT.model_copy(update={"initial_offset_m": -0.02})
     unlimited = LawParameters(function=law, command_limit_rad_s=1e9)
@@ -362,3 +392,100 @@ def test_refusals_lead_to_law() -> None:
             simulate(SHORT, law=refused)
     with pytest.raises(ParameterError, match="input port u0 of size 1; must be of rod_extension"):
         simulate(SHORT, law=lambda: Gain(1.0, 1))
+
+
+MADE = []
+
+
+def proportional_system(gain):
+    def made(rod_extension, rod_reference):
+        return gain * (rod_reference[0] - rod_extension)
+
+    return FunctionLaw(LawParameters(function=made))
+
+
+def maker(gain):
+    def make():
+        MADE.append(gain)
+        return proportional_system(gain)
+
+    return make
+
+
+def test_makers_of_one_name_are_two_laws() -> None:
+    runs = [simulate(SHORT.with_law(maker(gain)))["knee_angle_rad"] for gain in (9e3, 3e2, 9e3)]
+    assert np.array_equal(runs[0], runs[2])
+    assert np.ptp(runs[0] - runs[1]) > 1e-4
+
+
+GAIN = 9e3
+
+
+def make_by_global():
+    return proportional_system(GAIN)
+
+
+def test_a_maker_is_asked_anew_in_each_call_and_once_in_a_batch(monkeypatch) -> None:
+    scenario = SHORT.with_law(make_by_global)
+    before = simulate(scenario)["knee_angle_rad"]
+    monkeypatch.setitem(globals(), "GAIN", 3e2)
+    assert np.array_equal(
+        simulate(scenario)["knee_angle_rad"], simulate(SHORT.with_law(maker(3e2)))["knee_angle_rad"]
+    )
+    assert np.ptp(before - simulate(scenario)["knee_angle_rad"]) > 1e-4
+    counts = []
+    for count in (1, 4):
+        MADE.clear()
+        offsets = {"initial_offset_m": np.linspace(0.0, 1e-3, count)}
+        batch(SHORT.with_law(maker(3e2)), offsets, progress=False)
+        counts.append(len(MADE))
+    assert counts[0] == counts[1]
+
+
+@pytest.mark.slow
+def test_a_script_with_a_system_and_its_result_ends_and_runs_once(tmp_path) -> None:
+    """The law reads ``self.r``, and the script has a global ``r`` whose scenario has the law."""
+    path = tmp_path / "my script.py"
+    path.write_text(SCRIPT)
+    done = subprocess.run(
+        [sys.executable, str(path)], capture_output=True, text=True, check=True, timeout=300
+    )
+    assert done.stdout == "START __main__\nTrue\n"
+
+
+SCRIPT = """
+print("START", __name__, flush=True)
+import kneexo as kx
+from pydrake.systems.framework import LeafSystem_
+from pydrake.systems.scalar_conversion import TemplateSystem
+
+
+@TemplateSystem.define("Law_")
+def Law_(T):
+    class Impl(LeafSystem_[T]):
+        def _construct(self, *, converter=None):
+            LeafSystem_[T].__init__(self, converter=converter)
+            self.x = self.DeclareVectorInputPort("rod_extension", 1)
+            self.r = self.DeclareVectorInputPort("rod_reference", 4)
+            self.DeclareStateOutputPort("motor_speed_command", self.DeclareDiscreteState(1))
+            self.DeclarePeriodicDiscreteUpdateEvent(0.002, 0.0, self.update)
+
+        def _construct_copy(self, other, converter=None):
+            Impl._construct(self, converter=converter)
+
+        def update(self, context, state):
+            error = self.r.Eval(context)[0] - self.x.Eval(context)[0]
+            state.set_value(0, [1.3e5 * error])
+
+    return Impl
+
+
+def make():
+    return Law_[float]()
+
+
+s = kx.Scenario().changed({"simulation.duration_s": 0.1})
+r = kx.track(s, law=make)
+r = kx.track(s, law=f"{__file__}:make")
+print(r.scenario.controller.function.target is make)
+"""

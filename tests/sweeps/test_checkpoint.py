@@ -5,16 +5,16 @@ from dataclasses import dataclass
 from fractions import Fraction
 from functools import partial
 from io import FileIO
-from threading import Lock
 from types import MappingProxyType
 
 import pytest
 from hypothesis import given, strategies as st
 
 from kneexo.errors import OutputError
-from kneexo.parameters import CylinderParameters, Scenario
+from kneexo.parameters import CylinderParameters, LawParameters, Scenario
 from kneexo.sweeps import parallel_map
 from kneexo.sweeps.checkpoint import Checkpoint, piece_keys
+from kneexo.systems import FunctionLaw
 
 
 def square(value):
@@ -268,20 +268,57 @@ def law_with(value):
     return law
 
 
-def test_pieces_of_laws_are_known_by_their_values(tmp_path):
+def test_a_compiled_law_is_known_by_its_equations():
     def keys(value):
         return piece_keys(square, [Scenario().with_law(law_with(value))])
 
-    assert keys(Fraction(1)) == keys(Fraction(1))
-    assert keys(Fraction(1)) != keys(Fraction(2))
+    assert keys(Fraction(1)) == keys(2)  # the law has only `value != 0`
+    assert keys(Fraction(1)) != keys(0)
+    systems = (lambda: Gained(2.0), lambda: Gained(2.0), lambda: Gained(3.0))
+    one, same, other = (piece_keys(square, [Scenario().with_law(make)]) for make in systems)
+    assert one == same
+    assert one != other
 
 
-def test_a_law_that_cannot_be_compared_keeps_no_pieces(tmp_path):
+def Gained(gain):
+    """Return a compiled system, whose makers are all called `<lambda>`."""
+    return FunctionLaw(LawParameters(function=lambda rod_extension: gain * rod_extension))
+
+
+GAIN = 2.0
+
+
+def python_law(rod_extension):
+    return GAIN * float(rod_extension)
+
+
+def test_a_law_in_python_is_known_by_its_files_and_values(tmp_path, monkeypatch):
+    def keys(law):
+        return piece_keys(square, [Scenario().with_law(law)])
+
+    before = keys(python_law)
+    assert keys(python_law) == before
+    monkeypatch.setitem(globals(), "GAIN", 3.0)
+    assert keys(python_law) != before
+    file, helper = tmp_path / "my.py", tmp_path / "law_helper.py"
+    file.write_text(
+        "import law_helper\ndef law(knee_angle): return law_helper.K * float(knee_angle)\n"
+    )
+    helper.write_text("K = 2.0\n")
+    before = keys(f"{file}:law")
+    helper.write_text("K = 2.0  # K is the same\n")
+    assert keys(f"{file}:law") != before
+    file.rename(tmp_path / "moved.py")
+    other = keys(f"{tmp_path / 'moved.py'}:law")
+    assert other == keys(f"{tmp_path / 'moved.py'}:law") != before
+
+
+def test_a_law_that_cannot_be_recognized_keeps_no_pieces(tmp_path):
     path = tmp_path / "sweep.jsonl"
-    scenario = Scenario().with_law(law_with(Lock()))
+    scenario = Scenario().with_law(lambda rod_extension: float(rod_extension))
     for _ in range(2):
         checkpoint = Checkpoint(path)
-        with pytest.warns(UserWarning, match="law .*law has values that cannot be compared"):
+        with pytest.warns(UserWarning, match="law .*<lambda>: it is called as Python"):
             parallel_map(duration_of, [scenario], checkpoint=checkpoint)
         assert len(checkpoint) == 0
     assert CALLS == [30.0, 30.0]

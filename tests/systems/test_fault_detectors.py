@@ -15,6 +15,7 @@ SPAN = (1.0, 3.0)
 QUIET = {
     "encoder_reading": [2.0],
     "rod_extension": [0.1],
+    "bad": [0.0] * 6,
     "motor_speed": [0.0],
     "motor_speed_command": [0.0],
     "knee_angle": [0.5],
@@ -51,9 +52,30 @@ def residual(name, samples, system=None, **rows):
 
 
 def test_range_is_the_angle_beyond_the_readings_less_whole_turns():
-    readings = np.array([2.0, 3.0, 3.5, 0.75, 3.5 + 2 * math.pi, 2.0 - 4 * math.pi])
+    readings = np.array([2.0, 3.0, 3.5, 0.75, 3.0 + 2 * math.pi, 2.0 - 2 * math.pi])
     found = residual("range", 6, encoder_reading=readings)
-    np.testing.assert_allclose(found, [0, 0, 0.5, 0.25, 0.5, 0], rtol=0, atol=1e-14)
+    np.testing.assert_allclose(found, [0, 0, 0.5, 0.25, 0, 0], rtol=0, atol=1e-14)
+
+
+def test_a_reading_more_than_a_turn_off_or_not_finite_is_out_of_range_and_has_no_rate():
+    """A whole turn is the largest threshold that a user can choose."""
+    for bad in (3.01 + 2 * math.pi, 0.99 - 2 * math.pi, 2.0 + 6 * math.pi, math.nan, math.inf):
+        system = detectors(range_deg=360.0)
+        found = run(system, 8, encoder_reading=[2.0] + 6 * [bad] + [2.0])
+        rows = found["residuals"][1:7]
+        np.testing.assert_array_equal(rows[:, 0], 2 * math.pi)
+        assert not rows[:, 1].any()
+        assert found["encoder_reading"].ravel().tolist() == [2.0] * 8
+        assert found["detected"][:, 0].tolist() == [0.0] * 6 + [1.0, 1.0]
+
+
+def test_an_input_that_the_guard_calls_bad_trips_at_each_threshold():
+    for name in ("flow", "load_cell", "following"):
+        bad = np.zeros((6, 6))
+        bad[:, COLUMN[name]] = 1.0
+        largest = {"flow_mm": 1e4, "load_cell_n": 1e6, "following_deg": 360.0}
+        found = run(detectors(follows=False, measures_force=False, **largest), 6, bad=bad)
+        assert found["detected"].any(axis=0).tolist() == [name == other for other in DETECTORS]
 
 
 def test_rate_is_the_change_since_the_last_plausible_reading_and_a_wrap_is_no_jump():
@@ -75,12 +97,23 @@ def test_an_outlier_does_not_reach_the_law():
     np.testing.assert_array_equal(found["encoder_reading"][:, 0], expected)
     np.testing.assert_array_equal(found["knee_angle"][:, 0], 0.1 * expected)
     np.testing.assert_array_equal(found["rod_extension"][:, 0], 2.0 * (0.1 * expected))
-    assert np.isfinite(found["residuals"][:, 2:]).all()
+    assert np.isfinite(found["residuals"]).all()
 
 
-def test_the_first_reading_passes():
-    found = run(detectors(), 2, encoder_reading=[0.5, 0.5], knee_angle=[0.3, 0.4])
-    assert found["knee_angle"][:, 0].tolist() == [0.3, 0.3]
+def test_zero_comes_before_the_first_plausible_reading_and_a_start_without_one_is_a_fault():
+    """The first plausible reading has no rate, however far it is from zero."""
+    angles = [0.3, math.nan, 0.4, 0.4]
+    found = run(detectors(), 4, encoder_reading=[0.5, math.nan, 1.1, 1.1], knee_angle=angles)
+    assert found["encoder_reading"][:, 0].tolist() == [0.0, 0.0, 1.1, 1.1]
+    assert found["knee_angle"][:, 0].tolist() == [0.0, 0.0, 0.4, 0.4]
+    system = detectors()
+    for reading, expected in ((0.5, 5.0), (2.0, 0.0)):
+        context = system.CreateDefaultContext()
+        system.GetInputPort("encoder_reading").FixValue(context, [reading])
+        system.ExecuteInitializationEvents(context)
+        state = context.get_discrete_state(0).CopyToVector()
+        assert state.tolist() == [0.0] * 6 + [expected] + [0.0] * 5
+    assert not found["residuals"][:, COLUMN["rate"]].any()
 
 
 def test_flow_is_the_travel_on_which_encoder_and_motor_disagree():
@@ -152,7 +185,7 @@ def test_a_detector_trips_after_n_more_samples_above_than_below():
     assert not others.any()
 
 
-def test_fewer_than_n_outliers_trip_nothing_and_nan_is_above_each_threshold():
+def test_fewer_than_n_outliers_trip_nothing():
     readings = np.full(40, 2.0)
     readings[[5, 6, 7, 8, 20, 21]] = [9.0, math.nan, 0.0, 9.0, 2.5, 1.5]
     assert not run(detectors(), 40, encoder_reading=readings)["detected"].any()
@@ -187,6 +220,7 @@ def test_scalars_dependencies_and_parameters(leaf):
     inputs = {
         "encoder_reading": [(1.9, 2.1)],
         "rod_extension": [(0.09, 0.11)],
+        "bad": [(-0.2, -0.1)] * 6,
         "motor_speed": [(10.0, 20.0)],
         "motor_speed_command": [(30.0, 40.0)],
         "knee_angle": [(0.5, 0.51)],

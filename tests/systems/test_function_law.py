@@ -6,6 +6,7 @@ from fractions import Fraction
 from threading import Lock
 
 import numpy as np
+import pydrake.math as drake_math
 import pytest
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.symbolic import Expression, if_then_else
@@ -14,7 +15,7 @@ from pydrake.systems.analysis import Simulator
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import Law, LawParameters
 from kneexo.systems import FunctionLaw, FunctionLaw_, HeldCommand, LinearLaw
-from kneexo.systems.function_law import hides_state, trace
+from kneexo.systems.function_law import hides_state, replay, trace
 
 
 def proportional(rod_extension, rod_reference, gain=1e3):
@@ -102,6 +103,8 @@ def test_conversion_to_expression() -> None:
         ("fast", "must return the motor speed"),
         (True, "must return the motor speed"),
         ([1.0, 2.0], "must return the motor speed"),
+        (np.ma.masked, "must return the motor speed"),
+        (np.timedelta64(3, "s"), "must return the motor speed"),
         (math.nan, "must be finite"),
     ],
 )
@@ -169,6 +172,128 @@ def test_a_trace_that_differs_from_numbers_is_refused() -> None:
         return 2.0 * rod_extension if isinstance(rod_extension, Expression) else rod_extension
 
     assert "differ from calls with numbers" in reason(sly)
+
+
+def equal_to_true(rod_extension):
+    return 2.0 if (rod_extension > 0.1385) == True else 1.0  # noqa: E712
+
+
+def matched(rod_extension):
+    match rod_extension > 0.1385:
+        case True:
+            return 2.0
+    return 1.0
+
+
+def converted(rod_extension):
+    try:
+        return 2.0 if float(rod_extension) > 0.1385 else 1.0
+    except TypeError:
+        return 1.0
+
+
+@pytest.mark.parametrize(
+    ("function", "why"),
+    [
+        (equal_to_true, "branches on a value (line "),
+        (matched, "differ from calls"),
+        (converted, "differ from calls"),
+    ],
+)
+def test_equations_are_compared_over_the_whole_stroke(function, why: str) -> None:
+    assert why in reason(function)
+
+
+def test_two_right_ways_by_type_are_compiled() -> None:
+    def sine(rod_extension):
+        try:
+            return math.sin(rod_extension)
+        except TypeError:
+            return np.sin(rod_extension)
+
+    assert reason(sine) == ""
+    assert reason(lambda time_s: drake_math.sqrt(10.0 - time_s)) == "", "it fails above 10 s"
+
+
+def test_a_deep_law_is_read_with_each_part_once() -> None:
+    """As a tree the equations have 2⁴⁰ leaves."""
+
+    def deep(rod_extension):
+        x = rod_extension
+        for _ in range(40):
+            x = x * x + x
+        return x
+
+    law = Law(deep)
+    assert trace(law, 0).why_not_compiled == ""
+    assert trace(law, 0) is trace(law, 0)
+
+
+def replayed(function, extensions, commands, states=None):
+    """Trace a law, replay samples of a made-up run, and return why it is then not compiled."""
+    law = Law(function)
+    size = 0 if states is None else 1
+    assert trace(law, size).why_not_compiled == ""
+    found = np.column_stack([commands] if states is None else [commands, states[1:]])
+    samples = np.column_stack([extensions] if states is None else [extensions, states[:-1]])
+    replay(law, samples, found, 500.0)
+    return trace(law, size).why_not_compiled
+
+
+def test_samples_of_a_run_show_what_no_point_of_comparison_shows() -> None:
+    def rarely(rod_extension):
+        is_number = not isinstance(rod_extension, Expression)
+        return 7.0 if is_number and 0.1 < rod_extension < 0.1 + 1e-6 else 1e3 * rod_extension
+
+    x = np.linspace(0.05, 0.08, 1000)
+    assert replayed(rarely, x, 1e3 * x) == ""
+    x[500:520] = 0.1 + 5e-7
+    law = Law(rarely)
+    trace(law, 0).replayed = False
+    assert "differ from calls" in replayed(rarely, x, 1e3 * x)
+
+
+def test_the_extremes_of_a_run_are_replayed_and_the_command_is_limited() -> None:
+    def bounded(rod_extension):
+        is_number = not isinstance(rod_extension, Expression)
+        return 1e3 * (min(rod_extension, 0.2) if is_number else rod_extension)
+
+    x = np.full(1000, 0.1)
+    x[707] = 0.3
+    assert "differ" in replayed(bounded, x, 1e3 * x)
+    limited = np.clip(1e4 * x, -500.0, 500.0)
+    assert replayed(lambda rod_extension: 1e4 * rod_extension, x, limited) == ""
+
+
+def test_rounding_at_a_branch_is_no_difference_but_a_counter_is_exact() -> None:
+    def stepping():
+        def step(rod_extension, state=(0.0,)):
+            return if_then_else(rod_extension - 0.1 > 0.0, 400.0, -400.0), [state[0] + 1.0]
+
+        return step
+
+    x, commands, counter = np.full(50, 0.1), np.full(50, 400.0), np.arange(51.0)
+    assert replayed(stepping(), x, commands, counter) == ""
+    assert replayed(stepping(), x, -commands, counter) == ""
+    counter[20:] += 1e-6
+    assert "differ" in replayed(stepping(), x, commands, counter)
+
+
+class LateCounter:
+    def __init__(self):
+        self.calls = 0
+
+    def __call__(self, rod_extension):
+        self.calls += not isinstance(rod_extension, Expression) and rod_extension > 0.2
+        return (1.0 if self.calls < 30 else 2.0) * rod_extension
+
+
+def test_hidden_state_that_samples_show() -> None:
+    x = np.full(200, 0.3)
+    assert "changes when it is called" in replayed(LateCounter(), x, x)
+    counter = LateCounter()
+    with pytest.raises(ParameterError, match="hides state"):
+        replayed(lambda rod_extension: counter(rod_extension), x, x)
 
 
 def with_flag(rod_extension, state=(0.0,), gain=10.0):
@@ -307,6 +432,16 @@ def test_hidden_state() -> None:
 
     with pytest.raises(ParameterError, match="hides state"):
         hides_state(Law(late), 0)
+    hits = []
+
+    def above(rod_extension):
+        if rod_extension > 0.12:
+            hits.append(rod_extension)
+        return 1.0 if len(hits) < 10_000 else 2.0
+
+    for _ in range(2):
+        with pytest.raises(ParameterError, match="hides state"):
+            hides_state(Law(above), 0)
 
 
 def test_an_object_that_cannot_be_copied_is_one_line() -> None:

@@ -8,7 +8,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from kneexo.compiler import read_diagram
+from kneexo.compiler import Interface, read_diagram
 from kneexo.compiler.c.source import source_of
 from kneexo.compiler.c.vectors import recorded_vectors
 from kneexo.parameters import ProtectionParameters
@@ -52,7 +52,7 @@ class Machine:
         self.releases = safe_state != "zero_speed"
         self.state, self.reason, self.own = "starting", 0, 0.0
         self.samples = self.clear = 0
-        self.before = 0.0
+        self.was_clear = True
 
     def outputs(self, row):
         command = row[0] if self.state in ("starting", "operating") else self.own
@@ -61,10 +61,11 @@ class Machine:
 
     def step(self, row):
         command = self.outputs(row)[0]
-        speed, detected, emergency, reset = abs(row[1]), row[2:8], row[8] > 0.5, row[9] > 0.5
+        speed, detected, emergency = abs(row[1]), row[2:8], not -0.5 <= row[8] <= 0.5
         self.clear = 0 if any(detected) else self.clear + 1
         self.samples += 1
-        risen, self.before = reset and not self.before > 0.5, row[9]
+        risen = self.was_clear and 0.5 < row[9] < np.inf
+        self.was_clear = -0.5 <= row[9] <= 0.5
         implausible, disobeyed, away = any(detected[:4]), detected[4] > 0, detected[5] > 0
         state, safe = self.state, "released" if self.releases else "stopped"
         standstill = self.own == 0.0 and speed < 10.0 * RPM
@@ -133,6 +134,9 @@ def random_rows(count, seed=0):
     rows[:, 2:8] = random.random((count, 6)) < 0.03
     rows[:, 8] = random.random(count) < 0.03
     rows[:, 9] = random.random(count) < 0.3
+    odd = random.choice([np.nan, np.inf, -np.inf, -0.51, -0.5, 0.5, 0.51, 1e308], (count, 3))
+    for column, values, share in zip((1, 8, 9), odd.T, (0.05, 0.01, 0.1), strict=True):
+        rows[:, column] = np.where(random.random(count) < share, values, rows[:, column])
     lasting = np.repeat(random.random((count // 8 + 1, 6)) < 0.05, 8, axis=0)[:count]
     rows[:, 2:8] = np.maximum(rows[:, 2:8], lasting)
     return rows
@@ -232,6 +236,12 @@ def test_a_start_that_does_not_become_healthy_ends():
     assert REASONS[int(leaf_run(rows, supervisor())[-1, 2])] == "emergency stop"
 
 
+def test_the_emergency_stop_is_pressed_unless_it_is_a_clear_zero():
+    for value in (np.nan, np.inf, -np.inf, 0.51, -0.51, 1e308, 0.5, -0.5):
+        found = leaf_run(rows_of(6, emergency_stop=[0] * 4 + [value] * 2), supervisor())
+        assert found[-1, 1] == (1.0 if abs(value) == 0.5 else 2.0)
+
+
 def test_inputs_of_the_operator_may_be_unconnected():
     system = supervisor()
     context = system.CreateDefaultContext()
@@ -312,7 +322,7 @@ def test_machine_code_and_exported_c_are_the_machine_on_random_sequences(safe_st
         expected = oracle(rows[sequence].tolist(), safe_state)
         assert np.array_equal(found[sequence], expected), first
     # Machine code records the outputs just before the next updates, with the inputs before these.
-    stream = rows[:50_000]
+    stream = np.where(np.isfinite(rows[:50_000]), rows[:50_000], -1.0)  # as a run requires
     recorded = recorded_vectors(system, source, stream).outputs
     states = oracle([*stream.tolist(), stream[-1].tolist()], safe_state)[1:, 1:]
     np.testing.assert_array_equal(recorded[:, 1:], states)
@@ -322,7 +332,8 @@ def exported(safe_state, folder):
     """The supervisor as `CSource`, and as a library in the folder; the source and the system."""
     system = supervisor(safe_state)
     names = ["motor_speed_command", "motor_speed", "detected", "emergency_stop", "reset"]
-    source = source_of(read_diagram(system, inputs=names), "m")
+    interface = Interface(accepts_inputs=True)
+    source = source_of(read_diagram(system, inputs=names), "m", interface=interface)
     for name, text in (source.files() | {"driver.c": DRIVER}).items():
         (folder / name).write_text(text)
     command = ["cc", "-std=c99", "-O1", "-shared", "-fPIC", "m.c", "m_params.c", "driver.c"]

@@ -235,6 +235,7 @@ def exported(source: CSource, vectors: Vectors) -> tuple[dict[str, str], Measure
         files[file] = rendered(__package__, file, **data)
     if source.origin and source.origin_text:
         files[source.origin[0]] = source.origin_text
+    files |= {path: data.decode(errors="surrogateescape") for path, data in source.beside.items()}
     content = {
         "name": source.name,
         "precision": source.precision,

@@ -85,6 +85,8 @@ class Field:
     """If True, the C type is int32_t; if False, the floating-point type of the model."""
     range: tuple[float, float] | None = None
     """Lowest and highest allowed value; None: every finite value is allowed."""
+    failed: float | None = None
+    """Value of an output after a failed call; None: that of the last successful one."""
 
     def limits(self, real: Precision) -> list[str]:
         """Return the lowest and highest allowed value as C text, or an empty list without a range.
@@ -101,7 +103,7 @@ class Field:
 
 @dataclass(frozen=True)
 class Interface:
-    """Names, types and ranges of ports in C.
+    """Names, types and ranges of ports in C, and what a failed call does.
 
     Parameters
     ----------
@@ -114,18 +116,29 @@ class Interface:
         Input ports of type int32_t, such as encoder counts.
     ranges
         Dictionary from the C name of an input element to its lowest and highest allowed value.
+    failed_outputs
+        Dictionary from the C name of an output element to its value after a failed call. All other
+        outputs then have their last values.
+    accepts_inputs
+        If True, the code accepts all inputs, also those that are not finite or out of their range:
+        the diagram replaces them. A step then fails only if the model itself is wrong, which
+        includes its parameters, and all further steps fail until the next start.
 
-    Raises `CompilationError` if a name is no C identifier, or if a range is empty or not finite.
-    `CSource` raises it if the diagram lacks a port or an input element.
+    Raises `CompilationError` if a name is no C identifier, or if a range is empty or not finite, or
+    a value after a failure is no finite number. `CSource` raises it if the diagram lacks a port or
+    an element.
     """
 
     fields: Mapping[str, Sequence[str]] = field(default_factory=dict)
     integers: frozenset[str] = frozenset()
     ranges: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    failed_outputs: Mapping[str, float] = field(default_factory=dict)
+    accepts_inputs: bool = False
 
     def __post_init__(self) -> None:
-        """Check names and ranges."""
-        for what in ("fields", "ranges"):
+        """Check names, ranges and values."""
+        require_type("interface: accepts_inputs", self.accepts_inputs, bool, "True or False")
+        for what in ("fields", "ranges", "failed_outputs"):
             require_type(f"interface: {what}", getattr(self, what), Mapping, "a dictionary")
         for port, names in self.fields.items():
             require_type(f"interface: fields of {port!r:.60}", names, Sequence, "a list of names")
@@ -138,12 +151,17 @@ class Interface:
         distinct_names("interface: integers", self.integers)
         for name, ends in self.ranges.items():
             _require_range(name, ends)
+        for name, value in self.failed_outputs.items():
+            if not (isinstance(value, Real) and math.isfinite(value)):
+                raise CompilationError(
+                    f"interface: {name!r:.60} after a failure = {shown(f'{value!r:.60}')}: must be "
+                    f"a finite number"
+                )
 
-    def require_ports(self, inputs: Mapping[str, int], outputs: Mapping[str, Any]) -> None:
+    def require_ports(self, inputs: Mapping[str, int], outputs: Mapping[str, int]) -> None:
         """Raise `CompilationError` if a name of the interface is unknown, or a range empty.
 
-        ``inputs`` maps the names of the inputs to their sizes. The keys of ``outputs`` are the
-        names of all output ports.
+        ``inputs`` and ``outputs`` map the names of all input and output ports to their sizes.
         """
         for port in self.fields:
             if port not in inputs and port not in outputs:
@@ -158,13 +176,17 @@ class Interface:
                     f"{', '.join(inputs) or 'none'}"
                 )
         members = self.members(inputs)
-        for name in self.ranges:
-            if name not in [member.name for member in members]:
-                known = ", ".join(member.name for member in members) or "none"
-                raise CompilationError(
-                    f"interface: ranges: the input element {shown(repr(name))} is unknown; known: "
-                    f"{known}"
-                )
+        for what, kind, names, elements in (
+            ("ranges", "input", self.ranges, members),
+            ("failed_outputs", "output", self.failed_outputs, self.members(outputs)),
+        ):
+            present = [element.name for element in elements]
+            for name in names:
+                if name not in present:
+                    raise CompilationError(
+                        f"interface: {what}: the {kind} element {shown(repr(name))} is unknown; "
+                        f"known: {', '.join(present) or 'none'}"
+                    )
         for member in members:
             low, high = member.range or (0, 0)
             if member.is_integer and not INT32[0] <= math.ceil(low) <= math.floor(high) <= INT32[1]:
@@ -190,7 +212,8 @@ class Interface:
                     f"{port}: has {len(names)} names in C; must be {size}, one an element"
                 )
             for name in map(c_name, names):
-                members.append(Field(port, name, port in self.integers, self.ranges.get(name)))
+                values = self.ranges.get(name), self.failed_outputs.get(name)
+                members.append(Field(port, name, port in self.integers, *values))
         _require_unique([field.name for field in members], [field.port for field in members])
         return tuple(members)
 

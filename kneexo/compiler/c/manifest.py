@@ -66,7 +66,8 @@ def manifest(made_by: str, content: Mapping[str, Any], files: Mapping[str, str])
     """
     versions = {"tool": tool(), "drake": version("drake")}
     flags = {"compiler_flags": {"required": REQUIRED_FLAGS, "refused": REFUSED_FLAGS}}
-    sums = {"files": {name: _sha256(text.encode()) for name, text in sorted(files.items())}}
+    contents = {name: text.encode(errors="surrogateescape") for name, text in files.items()}
+    sums = {"files": {name: _sha256(data) for name, data in sorted(contents.items())}}
     text = json.dumps({"made_by": made_by, **content, **versions, **flags, **sums}, indent=2)
     return "{ " + text.removeprefix("{\n  ") + "\n"
 

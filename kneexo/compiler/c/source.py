@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from numbers import Real
@@ -96,6 +96,8 @@ class CSource:
     origin
         Name and text of the file from which the diagram was made. The export gets a copy of the
         text, in which ``#`` begins a comment.
+    beside
+        Contents of other files, by name, which the export gets too because ``origin`` names them.
 
     Raises
     ------
@@ -120,6 +122,7 @@ class CSource:
     subject: str = ""
     checks_steps: bool = True
     origin: tuple[str, str] | None = None
+    beside: Mapping[str, bytes] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check the options."""
@@ -161,7 +164,8 @@ class CSource:
                     f"output {shown(repr(port))} is unknown; known: "
                     f"{', '.join(self.equations.outputs)}"
                 )
-        self.interface.require_ports(self.equations.inputs, self.equations.outputs)
+        sizes = {port: len(nodes) for port, nodes in self.equations.outputs.items()}
+        self.interface.require_ports(self.equations.inputs, sizes)
         _ = self.plan
 
     @property
@@ -206,6 +210,8 @@ class CSource:
             for element, member in enumerate(inputs)
             if member.is_integer and (ends := member.limits(real))
         }
+        if self.interface.accepts_inputs:  # a table has no row for an input out of its range
+            ranges = {}
         tables: list[Table] = []
         if self.look_up:
             roots = [*step_nodes(equations, output_nodes), *equations.initial_discrete]
@@ -295,6 +301,8 @@ class CSource:
             "first_line": self.first_line,
             "inputs": self.plan.inputs,
             "outputs": self.plan.outputs,
+            "accepts_inputs": self.interface.accepts_inputs,
+            "failing": [output for output in self.plan.outputs if output.failed is not None],
             "schedule": self.plan.schedule,
             "sums": len(self.plan.sums),
             "checks_steps": self.checks_steps and self.rk4_steps > 0,

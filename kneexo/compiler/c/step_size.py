@@ -18,11 +18,13 @@ SHORTEST_STEP_S = 1e-7
 """Shortest default step in s. A mode that requires a shorter step requires ``step_s``."""
 
 
-def rk4_step_s(equations: Equations, parameters: Array, state: State) -> float:
+def rk4_step_s(
+    equations: Equations, parameters: Array, state: State, inputs: Array | None = None
+) -> float:
     """Return the default value of ``step_s``, the largest step of RK4 for a diagram in s.
 
     The step is h = min(`STEP_S`, `STEP_ANGLE` / |λ|), but at least `SHORTEST_STEP_S`. The
-    derivatives of the continuous states are linearized at the start, with zero inputs and constant
+    derivatives of the continuous states are linearized at the start, with constant inputs and
     discrete states. λ is the eigenvalue of this linearization with the largest magnitude.
 
     Let z = h·|λ|. A step of RK4 turns an undamped mode by z⁵/120 rad too little. The oil of a
@@ -38,6 +40,8 @@ def rk4_step_s(equations: Equations, parameters: Array, state: State) -> float:
         Values of the Context parameters.
     state
         State before the initialization events.
+    inputs
+        Values of all input elements. None: zeros.
 
     Raises
     ------
@@ -52,7 +56,7 @@ def rk4_step_s(equations: Equations, parameters: Array, state: State) -> float:
         "time": np.zeros(1),
         "state": state.continuous,
         "discrete": state.discrete,
-        "input": np.zeros(sum(equations.inputs.values())),
+        "input": np.zeros(sum(equations.inputs.values())) if inputs is None else inputs,
     }
     sources["discrete"] = np.array(values_of(graph, equations.initial_discrete, sources))
     matrix = np.zeros((size, size))

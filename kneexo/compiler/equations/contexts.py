@@ -56,3 +56,12 @@ def set_state(root: Node, context: Any, state: State) -> None:
             vector = leaf_context.get_mutable_discrete_state(group)
             vector.SetFromVector(discrete[: vector.size()])
             del discrete[: vector.size()]
+
+
+def discrete_values(values: Any) -> list[Any]:
+    """Return the elements of all groups of Drake's DiscreteValues."""
+    return [
+        element
+        for group in range(values.num_groups())
+        for element in values.get_vector(group).CopyToVector().tolist()
+    ]

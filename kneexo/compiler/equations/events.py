@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from os import sep
 from pathlib import Path
 from threading import RLock
-from traceback import extract_tb
+from traceback import extract_tb, format_exception_only
 from typing import Any
 
 import pydrake
@@ -35,7 +35,9 @@ def symbolic_value(where: str, evaluate: Callable[[], Any]) -> Any:
         with truth_of_scalars():
             return evaluate()
     except (Exception, SystemExit) as error:
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        # str(error) could raise an error itself.
+        text = format_exception_only(error)[0].strip().partition(": ")[2]
+        reason = (text.splitlines() or [type(error).__name__])[0]
         if "`__bool__`" in reason:  # also of a Formula, whose own text does not help
             reason = "the code branches on a symbolic value"
         frames = extract_tb(error.__traceback__)

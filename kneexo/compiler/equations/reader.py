@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -25,10 +26,15 @@ from pydrake.symbolic import Expression, Variable
 from pydrake.systems.framework import PortDataType
 from pydrake.systems.primitives import TrajectorySource
 
-from ..errors import CompilationError
+from ..errors import CompilationError, DifferenceError
+from ..run_data import Array
+from .comparison import differing_part, is_compared, points_around
+from .contexts import discrete_values, parameters_of, state_of
 from .equations import Equations, Limit, Section, Update
 from .events import refuse_witness_functions, symbolic_value, to_symbolic
+from .graph_values import values_of
 from .names import numbered_names, parameter_groups, state_names
+from .periods import timing_of
 from .ports import find_port, route_of, size_of
 from .symbolic import Conversion, Steps, completed
 from .tree import Node, Port
@@ -56,6 +62,11 @@ class _Leaf:
         """Dictionary from the index of an output port to its nodes, or to None during reading."""
         self.inputs: dict[int, list[int]] = {}
         """Dictionary from the index of an input port to its nodes; only ports read so far."""
+        self.own: list[int] = []
+        """Nodes of the time, of all parameters and of all states of the leaf, in this order."""
+        self.parts: dict[str, list[int]] = {}
+        """Nodes of what was read of the leaf, by the name of an output port, of the derivatives or
+        of the update."""
         graph = equations.graph
 
         if context.num_abstract_states() or context.num_abstract_parameters():
@@ -84,6 +95,7 @@ class _Leaf:
             sources = [graph.source("discrete", first + i) for i in range(vector.size())]
             vector.SetFromVector(self._variables("discrete", sources))
             equations.discrete += numbered_names(node.path, group, vector.size())
+        self.own = [*self.meaning.values()]  # type: ignore[list-item]
         for index in range(self.system.num_input_ports()):
             port = self.system.get_input_port(index)
             *inner, source = node.route(index)
@@ -95,6 +107,7 @@ class _Leaf:
             if is_open and open_inputs.keys().isdisjoint(inner):
                 first = open_inputs[source]
                 elements = [graph.source("input", first + i) for i in range(port.size())]
+                self.inputs[index] = elements
             port.FixValue(context, self._variables("input", elements))
 
     def _variables(self, name: str, meanings: Sequence[Any]) -> Any:
@@ -164,7 +177,8 @@ class _Reader:
                     f"input_table(trajectory)"
                 )
             values = symbolic_value(where, lambda: port.Eval(leaf.context))
-            leaf.outputs[index] = yield self._section(where, leaf, values)
+            read = yield self._section(where, leaf, values)
+            leaf.outputs[index] = leaf.parts[f"output port {port.get_name()}"] = read
         nodes = leaf.outputs[index]
         if nodes is None:
             raise CompilationError(f"{where}: depends on itself (algebraic loop)")
@@ -180,16 +194,11 @@ class _Reader:
                 lambda: system.EvalTimeDerivatives(context).CopyToVector().tolist(),
             )
         if context.num_discrete_state_groups():
-            timing = system.GetUniquePeriodicDiscreteUpdateAttribute()
-            if timing is None:
-                raise CompilationError(
-                    f"{leaf.node.name}: has a discrete state but not exactly one sample period; "
-                    f"split it"
-                )
+            timing = timing_of(leaf.node)
             nodes = self._evaluated(
                 "discrete update",
                 leaf,
-                lambda: _discrete_values(system.EvalUniquePeriodicDiscreteUpdate(context)),
+                lambda: discrete_values(system.EvalUniquePeriodicDiscreteUpdate(context)),
             )
             self._add_update(timing, list(enumerate(nodes, leaf.first_discrete)))
         if callable(margin := getattr(system, "margin", None)):
@@ -216,7 +225,7 @@ class _Reader:
         before, after = symbolic_value(where, initialized)
         if not all(a.EqualTo(b) for a, b in zip(before, after, strict=True)):
             raise CompilationError(f"{where}: changes the continuous state; only discrete ones may")
-        values = _discrete_values(context.get_discrete_state())
+        values = discrete_values(context.get_discrete_state())
         self.equations.initial_discrete += completed(self._section(where, leaf, values))
 
     def _add_update(self, timing: Any, values: list[tuple[int, int]]) -> None:
@@ -235,7 +244,9 @@ class _Reader:
         ``purpose``: text that the section and error messages use as the name of the expressions.
         """
         where = f"{leaf.node.name}: {purpose}"
-        return completed(self._section(where, leaf, symbolic_value(where, evaluate)))
+        nodes = completed(self._section(where, leaf, symbolic_value(where, evaluate)))
+        leaf.parts[purpose] = nodes
+        return nodes
 
     def _section(self, where: str, leaf: _Leaf, values: Sequence[Any]) -> Steps[list[int]]:
         """Add the expressions ``values`` to the equations as a `Section`; return their nodes."""
@@ -257,14 +268,40 @@ class _Reader:
             leaf.inputs[index] = yield self._signal(list(leaf.node.route(index)))
         return leaf.inputs[index][element]
 
+    def compare(self, root: Node) -> None:
+        """Compare the equations of each leaf that is written in Python with the leaf of floats.
 
-def _discrete_values(values: Any) -> list[Any]:
-    """Return the elements of all groups of Drake's DiscreteValues."""
-    return [
-        element
-        for group in range(values.num_groups())
-        for element in values.get_vector(group).CopyToVector().tolist()
-    ]
+        Raises `DifferenceError`, which names the leaf and the port.
+        """
+        leaves = [v for v in self.leaves.values() if is_compared(v.node.system)]
+        if not leaves:
+            return
+        random = np.random.default_rng(0)
+        context = root.system.CreateDefaultContext()
+        state = state_of(root, context)
+        sources = {
+            "parameter": points_around(parameters_of(root, context), random, scale=0.0),
+            "time": np.abs(points_around(np.zeros(1), random)),
+            "state": points_around(state.continuous, random),
+            "discrete": points_around(state.discrete, random),
+            "input": points_around(np.zeros(sum(self.equations.inputs.values())), random),
+        }
+
+        def values(nodes: Iterable[int]) -> Array:
+            values = values_of(self.equations.graph, nodes, sources)
+            columns = [np.broadcast_to(value, sources["time"].shape[1:]) for value in values]
+            return np.array(columns).T
+
+        for leaf in leaves:
+            points = values([*leaf.own, *chain(*leaf.inputs.values())])
+            inputs = {index: len(nodes) for index, nodes in leaf.inputs.items()}
+            read = {part: values(nodes) for part, nodes in leaf.parts.items() if nodes}
+            if part := differing_part(leaf.node.system, points, inputs, read):
+                raise DifferenceError(
+                    f"{leaf.node.name}: {part}: the equations that were read off differ from "
+                    f"{leaf.node.type_name} called with numbers; its symbolic form must compute "
+                    f"the same, from states and parameters alone"
+                )
 
 
 def read_equations(diagram: Any, inputs: Sequence[str] = ()) -> Equations:
@@ -318,6 +355,7 @@ def read_tree(root: Node, inputs: Mapping[str, Port], outputs: Mapping[str, Port
         reader.equations.outputs[name] = reader.signal(root.output_route(index))
     for name, route in routes.items():
         reader.equations.outputs[name] = reader.signal(route)
+    reader.compare(root)
     for leaf in reader.leaves.values():
         reader.read_initial(leaf)
     return reader.equations

@@ -15,8 +15,12 @@ from .operations import OPERATIONS
 T = TypeVar("T")
 
 LARGEST_TREE = 20_000
-"""Largest number of nodes in the tree of an expression, in which a quotient that is used again
-counts once. A larger expression is an error."""
+"""Largest number of nodes that are read of an expression; a larger expression is an error.
+
+A quotient that is used again counts once. So does, in a large expression, any part that is used
+again.
+"""
+_LARGE = 1000  # nodes; below, to look for parts that are used again takes longer than to read them
 
 Steps: TypeAlias = Generator[Any, Any, T]
 """A generator that computes a value and yields other such generators to get their values.
@@ -74,6 +78,8 @@ class Conversion:
         self._graph, self._where = graph, where
         self._node_of_variable = node_of_variable
         self._size = 0
+        self.is_large = False
+        """Whether an expression is so large that the reading looks for parts used again."""
         self._known: dict[tuple[str, tuple[int, ...]], int] = {}
         """Dictionary from an operation and its arguments to its node.
 
@@ -81,9 +87,10 @@ class Conversion:
         """
         self._variables: dict[int, int] = {}
         """Dictionary from the id of a variable to its node."""
-        self._quotients: deque[tuple[Any, int]] = deque(maxlen=32)
-        """The last quotients with their nodes. Drake sees at once that two uses of one quotient are
-        equal, so the second use is not read again. Few of them keep the search short."""
+        self._latest: dict[str, deque[tuple[Any, int]]] = {}
+        """The last expressions with their nodes, by operation, the newest first. Drake sees at once
+        that two uses of one expression are equal, so the second use is not read again. A bound
+        keeps the search short."""
 
     def nodes(self, expressions: Sequence[Any]) -> Steps[list[int]]:
         """Return the node of each expression or float.
@@ -115,13 +122,13 @@ class Conversion:
                 if key not in self._known:
                     self._known[key] = graph.simplified(item.name, *arguments)
                 nodes[-item.argument_count :] = [self._known[key]]
-                if item.name == "divide":
-                    self._quotients.append((item.expression, self._known[key]))
+                latest = self._latest.setdefault(item.name, deque(maxlen=128))
+                latest.appendleft((item.expression, self._known[key]))
             elif isinstance(item, float | int):
                 nodes.append(graph.constant(item))
             elif (name := self._name(item.get_kind())) in ("true", "false"):
                 nodes.append(graph.compare("gt", graph.constant(name == "true"), graph.zero))
-            elif name == "divide" and (known := self._quotient(item)) is not None:
+            elif (known := self._used_before(name, item)) is not None:
                 nodes.append(known)
             else:
                 _, arguments = item.Unapply()
@@ -137,11 +144,13 @@ class Conversion:
                     pending += reversed(arguments)
         return nodes[0]
 
-    def _quotient(self, expression: Any) -> int | None:
-        """Return the node of a quotient that was converted before, else None."""
-        for known, node in self._quotients:
-            if known.EqualTo(expression):
-                return node
+    def _used_before(self, name: str, expression: Any) -> int | None:
+        """Return the node of an expression ``name`` that was converted before, else None."""
+        self.is_large |= self._size > _LARGE
+        if name == "divide" or self.is_large:
+            for known, node in self._latest.get(name, ()):
+                if known.EqualTo(expression):
+                    return node
         return None
 
     def _name(self, kind: Any) -> str:

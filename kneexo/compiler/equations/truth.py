@@ -12,6 +12,8 @@ from pydrake.symbolic import Expression, ExpressionKind, Formula, FormulaKind
 
 _METHODS = ("__bool__", "__hash__", "__str__", "__repr__")
 """Methods by which a code can branch on a value: its truth, a dictionary, or its text."""
+_COMPARISONS = ("__eq__", "__ne__")
+"""Methods of a Formula that compare its form, not its truth, such as ``(x > 0.0) == True``."""
 _CONSTANT = (ExpressionKind.Constant, FormulaKind.True_, FormulaKind.False_)
 _ABSENT = object()
 _lock = RLock()
@@ -25,14 +27,15 @@ def truth_of_scalars() -> Iterator[None]:
     ``not x`` and ``while x`` would follow one branch in silence. In the body ``bool(x)`` says
     whether the value of an AutoDiffXd or of a constant Expression differs from zero. A symbolic
     value has no number, so ``bool(x)`` raises `TypeError`. So do ``hash(x)``, by which a dictionary
-    looks up a value, and ``str(x)``. The error is raised at the end of a body that swallows it.
+    looks up a value, ``str(x)``, and ``formula == y``, which pydrake answers without a look at the
+    truth of the formula. The error is raised at the end of a body that swallows it.
 
     pydrake's classes get these methods for the body only, and other threads do not notice them.
     """
     errors: list[TypeError] = []
     methods: list[tuple[Any, str, Any]] = [(AutoDiffXd, "__bool__", _differs_from_zero)]
     for kind in (Expression, Formula):
-        for name in _METHODS:
+        for name in _METHODS + (_COMPARISONS if kind is Formula else ()):
             methods.append((kind, name, _method(name, getattr(kind, name, None), errors)))
     with _lock:  # one body at a time, because the classes belong to all threads
         originals = [vars(kind).get(name, _ABSENT) for kind, name, _ in methods]
@@ -54,15 +57,22 @@ def _differs_from_zero(scalar: Any) -> bool:
     return bool(scalar.value() != 0.0)
 
 
+def _number(operand: Any) -> Any:
+    """Return the value of a constant; any other operand is returned unchanged."""
+    is_scalar = isinstance(operand, Expression | Formula)
+    return operand.Evaluate() if is_scalar and operand.get_kind() in _CONSTANT else operand
+
+
 def _method(name: str, original: Any, errors: list[TypeError]) -> Any:
     """Return the method ``name`` of symbolic values for the thread that calls this function."""
     owner = get_ident()
 
-    def method(value: Any) -> Any:
+    def method(value: Any, *others: Any) -> Any:
         if get_ident() != owner:
-            return True if original is None else original(value)
-        if value.get_kind() in _CONSTANT:
-            return getattr(value.Evaluate(), name)()
+            return True if original is None else original(value, *others)
+        numbers = [_number(operand) for operand in (value, *others)]
+        if not any(isinstance(number, Expression | Formula) for number in numbers):
+            return getattr(numbers[0], name)(*numbers[1:])
         errors.append(TypeError(f"`{name}` of a symbolic value, which has no number"))
         raise errors[-1]
 

@@ -245,8 +245,15 @@ def _disk_values(reach: float, frequency: float) -> dict[str, float]:
 
 
 def _limit(system: Transfer, frequency: float) -> complex:
-    """Return L at zero frequency, the Nyquist frequency or infinity. A pole gives no finite L."""
-    return complex(system.d) if math.isinf(frequency) else complex(system.response(frequency)[0])
+    """Return L at zero frequency, the Nyquist frequency or infinity, or inf at a pole.
+
+    L is real there. At a pole that rounding has moved, L is finite and its real part has no
+    meaning: 7e12 + 3e12j with one BLAS, −0.6 − 3e13j with another.
+    """
+    if math.isinf(frequency):
+        return complex(system.d)
+    value = complex(system.response(frequency)[0])
+    return value if abs(value) < 1.0 / _NO_FACTOR else complex(math.inf)
 
 
 def _disk(

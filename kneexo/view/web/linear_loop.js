@@ -313,8 +313,10 @@ const LinearLoop = (() => {
 
   function marginsOf(response, grid, highest) {
     const real = crossings(response, grid, ([, y]) => y).map((f) => [response(f)[0], f]);
-    const ends = [0, highest].map((f) => [response(f)[0], f]);
-    const gains = [...real, ...ends]
+    const ends = [0, highest].map((f) => [response(f), f]);
+    // L is real at both ends; at a pole that rounding has moved, its real part has no meaning.
+    const finite = ends.filter(([[x, y]]) => Math.hypot(x, y) < 1 / NO_FACTOR);
+    const gains = [...real, ...finite.map(([[x], f]) => [x, f])]
       .filter(([x]) => x < 0 && x > -1 / NO_FACTOR)
       .map(([x, f]) => [-1 / x, f]);
     const lower = gains.filter(([gain]) => gain <= 1).map(([gain]) => gain);

@@ -201,6 +201,34 @@ def test_each_failure_has_its_status_and_keeps_state_and_outputs(built):
     assert model.get() == [20.0]
 
 
+@pytest.mark.parametrize("precision", ["double", "float"])
+def test_an_interface_gives_outputs_after_a_failure(built, precision):
+    interface = Interface(failed_outputs={"y": -3.5})
+    model = built(replace(guarded(), interface=interface, precision=precision))
+    assert (model.step([2.0]), model.get()) == (8, [-3.5])
+    assert (model.init([1.0]), model.step([2.0]), model.get()) == (0, 0, [0.5])
+    before = bytes(model.state)
+    for value, status in ((math.nan, 1), (0.0, 2)):
+        assert (model.step([value]), model.get()) == (status, [-3.5])
+        assert (model.now([math.nan]), model.get()) == (1, [-3.5])
+        assert bytes(model.state) == before
+    assert (model.step([4.0]), model.get()) == (0, [0.25])
+
+
+def test_a_model_that_accepts_its_inputs_fails_until_the_next_start(built):
+    interface = Interface(failed_outputs={"y": -3.5}, accepts_inputs=True)
+    model = built(replace(guarded(), interface=interface))
+    assert (model.init([math.inf]), model.step([math.inf]), model.get()) == (0, 0, [0.0])
+    assert (model.now([math.nan]), model.get()) == (0, [0.0])
+    assert (model.step([2.0]), model.step([math.nan]), model.get()) == (0, 2, [-3.5])
+    assert (model.step([2.0]), model.now([2.0]), model.get()) == (8, 8, [-3.5])
+    assert (model.init([2.0]), model.step([2.0]), model.get()) == (0, 0, [0.5])
+    right, model.params = model.params, (ctypes.c_double * 1)(math.nan)  # the start of the state
+    assert (model.step([2.0]), model.get()) == (16, [-3.5])
+    model.params = right
+    assert (model.step([2.0]), model.init([2.0]), model.step([2.0])) == (8, 0, 0)
+
+
 @pytest.mark.usefixtures("size")
 @pytest.mark.parametrize("second", [False, True])
 def test_a_state_that_overflows_while_it_is_integrated_is_a_bad_result(built, second):
@@ -415,6 +443,19 @@ def test_any_name_of_a_leaf_system_compiles(built, name):
         (
             {"interface": Interface({"u0": ["a"]}, ranges={"u0": (0, 1)})},
             "ranges: the input element 'u0' is unknown; known: a",
+        ),
+        (
+            {"interface": Interface({"y0": ["a"]}, failed_outputs={"y0": 1.0})},
+            "failed_outputs: the output element 'y0' is unknown; known: a",
+        ),
+        (
+            {
+                "look_up": True,
+                "interface": Interface(
+                    integers=frozenset(["u0"]), ranges={"u0": (0, 9)}, accepts_inputs=True
+                ),
+            },
+            "look_up: nothing depends on an integer input with a range alone",
         ),
         *(
             (

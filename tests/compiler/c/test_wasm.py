@@ -121,8 +121,7 @@ def test_single_precision_is_refused():
         wasm_module(source(precision="float"))
 
 
-@pytest.mark.slow
-@pytest.mark.cases_in_gate(0)
+@pytest.mark.slow(gate=0)
 def test_a_module_runs_as_the_compiled_diagram(real_zig, web_run):
     made = source()
     module = wasm_module(made)

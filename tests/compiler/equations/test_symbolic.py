@@ -1,11 +1,12 @@
 """Drake's expressions as nodes of a graph."""
 
+import numpy as np
 import pydrake.math as drake_math
 import pytest
 from pydrake.symbolic import Expression, Variable, if_then_else
 from pydrake.systems.primitives import SymbolicVectorSystem
 
-from kneexo.compiler import State, compile_diagram
+from kneexo.compiler import CompilationError, ExpressionGraph, State, compile_diagram
 from kneexo.compiler.equations.reader import read_equations
 
 
@@ -43,6 +44,28 @@ def test_a_quotient_that_is_used_twice_is_read_once(diagram_of, leaf):
     (values,) = (run[name][-1] for name in model.outputs)
     # The fixed point of v = (v + 1)/(v + 2) is (√5 − 1)/2.
     assert values == pytest.approx([(5.0**0.5 - 1.0) / 2.0, 1.0 / 3.0, 2.0 / 3.0], rel=1e-12)
+
+
+def test_a_part_that_is_used_again_is_read_once_in_a_large_expression():
+    # As a tree the sum has 2⁶⁰ leaves.
+    x = Variable("x")
+    value = Expression(x)
+    for _ in range(60):
+        value = value * value + value
+    graph = ExpressionGraph([value], [x])
+    expected = 0.01
+    for _ in range(60):
+        expected = expected * expected + expected
+    assert graph.values(np.array([0.01])) == pytest.approx([expected], rel=1e-12)
+
+
+def test_a_large_expression_is_an_error():
+    x = Variable("x")
+    value = Expression(x)
+    for n in range(1, 11_000):
+        value = drake_math.sin(n * value)
+    with pytest.raises(CompilationError, match="more than 20000 nodes"):
+        ExpressionGraph([value], [x])
 
 
 def test_a_case_distinction_takes_its_branch():

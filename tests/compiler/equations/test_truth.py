@@ -26,6 +26,10 @@ X = Expression(Variable("x"))
         lambda: 1 if X > 0.0 else 2,
         lambda: str(X) == "1.0",
         lambda: f"{X}",
+        lambda: (X > 0.0) == True,  # noqa: E712
+        lambda: (X > 0.0) != True,  # noqa: E712
+        lambda: (X > 0.0) in (False, 1),
+        lambda: (X > 0.0) == (X > 1.0),
     ],
 )
 def test_a_branch_on_an_expression_raises(branch) -> None:
@@ -51,6 +55,8 @@ def test_a_constant_expression_follows_its_number() -> None:
         assert not two < 1.0
         assert {2.0: "found"}.get(two) == "found"
         assert str(two) == "2.0"
+        assert (two > 1.0) == True  # noqa: E712
+        assert (two > 1.0) != (two > 3.0)
 
 
 def test_a_branch_on_an_autodiff_scalar_follows_its_value() -> None:

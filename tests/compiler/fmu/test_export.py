@@ -296,8 +296,7 @@ def _folder(platform, version):
     return names.get(platform, platform) if version == 2 else platform
 
 
-@pytest.mark.slow
-@pytest.mark.cases_in_gate(0)
+@pytest.mark.slow(gate=0)
 def test_each_binary_is_of_its_platform(everywhere):
     file, version = everywhere
     binaries = _binaries(file.path)
@@ -315,8 +314,7 @@ def test_each_binary_is_of_its_platform(everywhere):
         assert platform.endswith("darwin") or b"pendulum_fmu_step" not in data
 
 
-@pytest.mark.slow
-@pytest.mark.cases_in_gate(0)
+@pytest.mark.slow(gate=0)
 def test_the_archive_of_all_platforms_is_valid_and_the_same_each_time(everywhere, tmp_path):
     file, version = everywhere
     fmpy = pytest.importorskip("fmpy", reason="needs FMPy: pip install '.[fmu]'")
@@ -333,8 +331,7 @@ def test_the_archive_of_all_platforms_is_valid_and_the_same_each_time(everywhere
     assert Path(again.path).read_bytes() == Path(file.path).read_bytes()
 
 
-@pytest.mark.slow
-@pytest.mark.cases_in_gate(0)
+@pytest.mark.slow(gate=0)
 @pytest.mark.parametrize("platform", ["x86_64-linux", "aarch64-linux", "x86_64-windows"])
 def test_each_platform_follows_drake(platform, everywhere, run_elsewhere):
     """Tolerance: 1e-8 as in `test_a_diagram_follows_drake`. The platforms agree to 1e-12."""

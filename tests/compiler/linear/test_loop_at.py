@@ -311,8 +311,7 @@ def test_the_loops_of_a_random_diagram_close_again(random_diagram, kind):
     assert_loops_close(random_diagram(3, kind))
 
 
-@pytest.mark.slow
-@pytest.mark.cases_in_gate(0)
+@pytest.mark.slow(gate=0)
 @pytest.mark.parametrize("kind", ["continuous", "sampled", "mixed", "multirate"])
 def test_the_loops_of_ten_random_diagrams_close_again(random_diagram, kind):
     for seed in range(10):

@@ -12,6 +12,7 @@ from scipy.optimize import minimize_scalar
 
 from kneexo.compiler import margins
 from kneexo.compiler.errors import ParameterError
+from kneexo.compiler.linear.loops import Transfer
 
 S = control.tf("s")
 STATIC = (np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), -0.5)
@@ -246,6 +247,19 @@ def test_an_undamped_resonance_has_its_margins():
 def test_the_rounding_of_an_integrator_is_no_gain_margin():
     m = margins((1.0 + 1e-12, 0.5, 1.0, 0.0, 0.02))
     assert (m.lower_gain_margin, m.gain_margin) == (0.0, pytest.approx(4.0))
+
+
+@pytest.mark.parametrize("at_zero", [-0.6 - 3e13j, 7e12 + 3e12j])
+def test_the_rounding_of_a_complex_response_at_a_pole_is_no_gain_margin(at_zero, monkeypatch):
+    """On some machines the eigenvalue 1 of an integrator is 1 + 4e-15j, which makes L complex."""
+    exact = margins((1.0, 0.5, 1.0, 0.0, 0.02))
+    response = Transfer.response
+
+    def rounded(loop, frequency):
+        return np.where(np.asarray(frequency) == 0.0, at_zero, response(loop, frequency))
+
+    monkeypatch.setattr(Transfer, "response", rounded)
+    assert dataclasses.astuple(margins((1.0, 0.5, 1.0, 0.0, 0.02))) == dataclasses.astuple(exact)
 
 
 def test_margins_are_numbers_without_arrays():

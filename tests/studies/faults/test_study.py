@@ -91,7 +91,7 @@ def test_an_emergency_stop_is_that_of_a_single_run(result):
         assert stop.torque_n_m == pytest.approx(torque.max(), rel=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(gate=0)
 def test_the_safe_states_of_the_plant_are_compared_and_each_is_that_of_a_single_run():
     """A drive adds 1,000 rpm; the oil at rest turns a released motor a little."""
     adds = FaultParameters(place="command", kind="offset", size=1000.0)

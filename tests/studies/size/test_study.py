@@ -201,7 +201,7 @@ def test_a_knee_that_walks_by_formula_gets_the_hardware_of_the_formula(monkeypat
     assert result.traces["sized"]["error"] == pytest.approx(2.0 / 1.1, rel=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(gate=0)
 def test_the_sized_hardware_is_the_smallest(study):
     result, _ = study
     (design,) = result.designs
@@ -282,7 +282,7 @@ def test_pressure_and_power_agree_at_half_the_step(study):
     assert checked["peak_pressure_mpa"] < 3.5
 
 
-@pytest.mark.slow
+@pytest.mark.slow(gate=0)
 def test_a_study_that_goes_on_from_a_checkpoint_is_the_same(study):
     result, path = study
     lines = path.read_bytes().splitlines(keepends=True)

@@ -302,7 +302,7 @@ def test_the_rows_are_those_of_their_cases(monkeypatch):
     assert {r.wearer for r in result.help if r.rise_time_s == 0.8} == {"average"}
 
 
-@pytest.mark.slow
+@pytest.mark.slow(gate=0)
 def test_rows_are_those_of_their_own_runs(small, flat):
     by_name = designs(WEARER_KNEE, SMALL)
     motions = {"walking, 1 Hz": WALKING, "rising in 0.8 s": (math.nan, 0.8)}

@@ -14,7 +14,7 @@ from kneexo.parameters import Scenario
 from kneexo.parameters.scenario_file import load_scenario
 from kneexo.view.playground import playground_page
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.slow(gate=0)
 
 FIREFOX = shutil.which("firefox-esr") or shutil.which("firefox")
 
@@ -96,7 +96,6 @@ READY = """[...document.querySelectorAll(".card:not([hidden])")].length === 7
 ERROR = "document.querySelector('[data-number=error] .number').textContent"
 
 
-@pytest.mark.cases_in_gate(0)
 def test_a_key_on_a_slider_gives_the_numbers_of_kneexo(firefox, tmp_path):
     page = tmp_path / "page.html"
     page.write_text(playground_page([Scenario()], ["paper"]), encoding="utf-8")

@@ -652,21 +652,17 @@ def test_phases_continue_and_low_gains_stay_in_sight(browser, single):
 
 def test_nothing_is_drawn_before_the_first_run(browser, single):
     script = "window.Worker = class { addEventListener() {} postMessage() {} }"
-    call = browser.call("Page.addScriptToEvaluateOnNewDocument", source=script)
-    try:
-        browser.open(single, 1440, 900)
-        browser.wait_for("Page.parts.bode?.plots.length === 2")
-        values = """[...Page.parts.plots.plots, ...Page.parts.bode.plots]
-          .flatMap(({ chart }) => chart.data.slice(1).flatMap((column) => [...column]))
-          .filter((value) => value !== null)"""
-        assert browser.evaluate(values) == []
-        assert browser.evaluate("document.querySelectorAll('.card:not([hidden])').length") == 0
-        assert browser.evaluate("document.querySelector('[data-plot=torque]').hidden")
-        for name in ("zoom-in", "zoom-all", "measure", "save-csv"):
-            browser.evaluate(f"document.getElementById('{name}').click()")
-        browser.require_health()
-    finally:
-        browser.call("Page.removeScriptToEvaluateOnNewDocument", identifier=call["identifier"])
+    browser.open(single, 1440, 900, script=script)
+    browser.wait_for("Page.parts.bode?.plots.length === 2")
+    values = """[...Page.parts.plots.plots, ...Page.parts.bode.plots]
+      .flatMap(({ chart }) => chart.data.slice(1).flatMap((column) => [...column]))
+      .filter((value) => value !== null)"""
+    assert browser.evaluate(values) == []
+    assert browser.evaluate("document.querySelectorAll('.card:not([hidden])').length") == 0
+    assert browser.evaluate("document.querySelector('[data-plot=torque]').hidden")
+    for name in ("zoom-in", "zoom-all", "measure", "save-csv"):
+        browser.evaluate(f"document.getElementById('{name}').click()")
+    browser.require_health()
 
 
 def test_numbers_of_an_unfinished_run_are_marked(browser, single):
@@ -764,34 +760,23 @@ def test_a_page_without_webgl_and_with_blocked_storage_works(browser, single):
     HTMLCanvasElement.prototype.getContext = (original => function (kind, ...more) {
       return kind.startsWith("webgl") ? null : original.call(this, kind, ...more);
     })(HTMLCanvasElement.prototype.getContext);"""
-    call = browser.call("Page.addScriptToEvaluateOnNewDocument", source=script)
-    try:
-        page = _Page(browser, single)
-        assert _same(page.number("bandwidth")[0], 0.224)
-        lines = page.evaluate(
-            "[...document.querySelectorAll('.stage-note')].map((e) => e.textContent)"
-        )
-        assert lines == ["This browser has no WebGL, so the view shows the leg from the side only."]
-        browser.require_health()
-    finally:
-        browser.call("Page.removeScriptToEvaluateOnNewDocument", identifier=call["identifier"])
+    page = _Page(browser, single, script=script)
+    assert _same(page.number("bandwidth")[0], 0.224)
+    lines = page.evaluate("[...document.querySelectorAll('.stage-note')].map((e) => e.textContent)")
+    assert lines == ["This browser has no WebGL, so the view shows the leg from the side only."]
+    browser.require_health()
 
 
 @pytest.mark.parametrize(
     ("missing", "why"), [("Worker", "Worker is not"), ("WebAssembly", "It has no WebAssembly.")]
 )
 def test_a_page_that_cannot_run_says_so_and_shows_no_half(browser, single, missing, why):
-    script = f"delete window.{missing}"
-    call = browser.call("Page.addScriptToEvaluateOnNewDocument", source=script)
-    try:
-        browser.open(single)
-        notice = browser.evaluate("notice.textContent")
-        assert notice.startswith(f"This browser cannot run the simulation. {why}")
-        for name, shown in (("#notice", True), ("main", False), (".actions", False), ("h1", True)):
-            script = f"document.querySelector('{name}').checkVisibility()"
-            assert browser.evaluate(script) is shown, name
-    finally:
-        browser.call("Page.removeScriptToEvaluateOnNewDocument", identifier=call["identifier"])
+    browser.open(single, script=f"delete window.{missing}")
+    notice = browser.evaluate("notice.textContent")
+    assert notice.startswith(f"This browser cannot run the simulation. {why}")
+    for name, shown in (("#notice", True), ("main", False), (".actions", False), ("h1", True)):
+        script = f"document.querySelector('{name}').checkVisibility()"
+        assert browser.evaluate(script) is shown, name
 
 
 @pytest.mark.parametrize("motion", [False, True])

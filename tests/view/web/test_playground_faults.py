@@ -97,7 +97,7 @@ def check_run(shown, result):
         changes, expected = (np.flatnonzero(np.diff(values)) for values in (there, here))
         np.testing.assert_array_equal(there[changes + 1], here[expected + 1], err_msg=name)
         assert np.abs(changes - expected).max(initial=0) <= 1, name
-        same = min(same, *np.flatnonzero(there != here))
+        same = min([same, *np.flatnonzero(there != here)])
     for name, column in COLUMNS.items():
         size = np.abs(run[column]).max()
         there, here = shown["columns"][name][:same], run[column][:same]
@@ -108,24 +108,13 @@ def check_run(shown, result):
 STATE_COLUMNS = {"state": "safety_state", "reason": "safety_reason"}
 
 
-class _OneColumn:
-    """A run whose columns are all the same."""
-
-    def __init__(self, values):
-        self.time_s = self.values = values
-
-    def __getitem__(self, name):
-        return self.values
-
-
 @pytest.mark.parametrize("late", [1, 2])
 def test_a_state_may_change_a_sample_late_but_no_more(late):
-    state = np.repeat([0, 1], 50)
-    moved = np.roll(state, late)
-    moved[:late] = 0
-    columns = dict.fromkeys([*COLUMNS, *STATE_COLUMNS], moved)
-    shown = {"time": state, "columns": columns}
-    result = SimpleNamespace(run=_OneColumn(state), scenario=SimpleNamespace(protection=True))
+    state, moved = (np.repeat([0, 1], [count, 100 - count]) for count in (50, 50 + late))
+    names = ["time_s", *COLUMNS.values(), *STATE_COLUMNS.values()]
+    run = np.rec.fromarrays([state for _ in names], names=names)
+    shown = {"time": state, "columns": dict.fromkeys([*COLUMNS, *STATE_COLUMNS], moved)}
+    result = SimpleNamespace(run=run, scenario=SimpleNamespace(protection=True))
     if late == 1:
         assert not check_run(shown, result)
     else:

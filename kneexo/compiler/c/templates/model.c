@@ -85,6 +85,7 @@ static real sum(real total, real term, real *lost)
 }
 
 {% endif %}
+{% if not accepts_inputs %}
 static bool inputs_are_right(const {{ name }}_inputs_t *in)
 {
 {% for field in inputs if field.range or not field.is_integer %}
@@ -100,6 +101,7 @@ static bool inputs_are_right(const {{ name }}_inputs_t *in)
 {% endfor %}
 }
 
+{% endif %}
 static bool outputs_are_right(const {{ name }}_outputs_t *out)
 {
 {% for field in outputs %}
@@ -355,6 +357,15 @@ static instant instant_of(const {{ name }}_params_t *params, const {{ name }}_st
     return at;
 }
 
+{% if failing %}
+static void set_failed({{ name }}_outputs_t *outputs)
+{
+{% for field in failing %}
+    outputs->{{ field.name }} = {{ field.failed | literal(real, field.name) }};
+{% endfor %}
+}
+
+{% endif %}
 static uint16_t outputs_of(const instant *at, {{ name }}_outputs_t *outputs)
 {
     uint16_t status = {{ NAME }}_OK;
@@ -422,9 +433,11 @@ uint16_t {{ name }}_init({{ name }}_state_t *state, const {{ name }}_params_t *p
     }
 {% endif %}
     status = {{ name }}_update_parameters(state, params);
+{% if not accepts_inputs %}
     if ((status == {{ NAME }}_OK) && !inputs_are_right(inputs)) {
         status = {{ NAME }}_BAD_INPUT;
     }
+{% endif %}
     if (status == {{ NAME }}_OK) {
         const instant at = instant_of(params, state, inputs);
 {% if discrete %}
@@ -487,8 +500,13 @@ uint16_t {{ name }}_step(const {{ name }}_params_t *params, {{ name }}_state_t *
 {% endif %}
     if (state->started == 0U) {
         status = {{ NAME }}_NOT_STARTED;
+{% if accepts_inputs %}
+    } else if (!params_are_right(params)) {
+        status = {{ NAME }}_BAD_PARAMETER;
+{% else %}
     } else if (!inputs_are_right(inputs)) {
         status = {{ NAME }}_BAD_INPUT;
+{% endif %}
     } else {
         instant at = instant_of(params, state, inputs);
 
@@ -568,6 +586,16 @@ uint16_t {{ name }}_step(const {{ name }}_params_t *params, {{ name }}_state_t *
         state->last = last;
     }
     *outputs = state->last;
+{% if failing or accepts_inputs %}
+    if (status != {{ NAME }}_OK) {
+{% if failing %}
+        set_failed(outputs);
+{% endif %}
+{% if accepts_inputs %}
+        state->started = 0U; /* the model is wrong, not an input: only a start ends the failure */
+{% endif %}
+    }
+{% endif %}
     return status;
 }
 
@@ -579,12 +607,19 @@ uint16_t {{ name }}_outputs(const {{ name }}_params_t *params, const {{ name }}_
     *outputs = state->last;
     if (state->started == 0U) {
         status = {{ NAME }}_NOT_STARTED;
-    } else if (inputs_are_right(inputs)) {
+    } else {{ "if (inputs_are_right(inputs)) " if not accepts_inputs }}{
         const instant at = instant_of(params, state, inputs);
 
         status = outputs_of(&at, outputs);
+{% if not accepts_inputs %}
     } else {
         status = {{ NAME }}_BAD_INPUT;
+{% endif %}
     }
+{% if failing %}
+    if (status != {{ NAME }}_OK) {
+        set_failed(outputs);
+    }
+{% endif %}
     return status;
 }

@@ -20,7 +20,14 @@ typedef {{ real.name }} {{ name }}_real_t;
 #define {{ NAME }}_SAMPLE_TIME_S {{ schedule.tick_s | literal(real, "sample_time") }}
 
 /* Status of a call: 0 for success, or one of the codes below. A failed step leaves the state
- * unchanged. Its outputs are those of the last successful step or start, or zeros without a start. */
+ * unchanged. Its outputs are those of the last successful step or start, or zeros without a start{{ "," if failing else ". */" }}
+{% for field in failing %}
+ * {{ "but" if loop.first else "and" }} {{ field.name }} = {{ field.failed | literal(real, field.name) }}{{ ". */" if loop.last }}
+{% endfor %}
+{% if accepts_inputs %}
+/* The model accepts all inputs, so no call returns {{ NAME }}_BAD_INPUT. After a failed step, steps return
+ * {{ NAME }}_NOT_STARTED until {{ name }}_init succeeds. */
+{% endif %}
 #define {{ NAME }}_OK 0U
 #define {{ NAME }}_BAD_INPUT 1U /* an input is not finite, or out of its range */
 #define {{ NAME }}_BAD_RESULT 2U /* a result is not finite */

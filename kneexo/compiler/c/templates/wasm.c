@@ -18,12 +18,20 @@ static double *recorded; /* columns of all inputs, then of all outputs */
 static uint32_t rows;
 static uint32_t last_status = {{ NAME }}_NOT_STARTED;
 
+{% if inputs | selectattr("is_integer") | list %}
+/* Return the number of a count; a value that no int32_t has becomes the smallest one. */
+static int32_t count_of(double value)
+{
+    return ((value >= (double)INT32_MIN) && (value <= (double)INT32_MAX)) ? (int32_t)value : INT32_MIN;
+}
+
+{% endif %}
 static {{ name }}_inputs_t inputs_at(uint32_t row)
 {
     {{ name }}_inputs_t in;
 
 {% for field in inputs %}
-    in.{{ field.name }} = {{ "(int32_t)" if field.is_integer }}recorded[{{ loop.index0 }}U * rows + row];
+    in.{{ field.name }} = {{ "count_of(" if field.is_integer }}recorded[{{ loop.index0 }}U * rows + row]{{ ")" if field.is_integer }};
 {% else %}
     (void)row;
     in.none = 0.0;
@@ -118,6 +126,10 @@ EXPORTED("advance") uint32_t {{ name }}_web_advance(uint32_t from, uint32_t tick
         if (last_status == {{ NAME }}_OK) {
             good++;
             record(from + good, &out);
+{% if failing %}
+        } else {
+            record(from + good + 1U, &out); /* the outputs of a failure */
+{% endif %}
         }
     }
     return good;

@@ -47,10 +47,18 @@ static void read_parameters(const double *v, {{ name }}_params_t *p)
 {% endfor %}
 }
 
+{% if inputs | selectattr("is_integer") | list %}
+/* Return the number of a count; a value that no int32_t has becomes the smallest one. */
+static int32_t count_of(double value)
+{
+    return ((value >= (double)INT32_MIN) && (value <= (double)INT32_MAX)) ? (int32_t)value : INT32_MIN;
+}
+
+{% endif %}
 static void read_inputs(const double *v, {{ name }}_inputs_t *in)
 {
 {% for field in inputs %}
-    in->{{ field.name }} = v[{{ loop.index }}];
+    in->{{ field.name }} = {{ ("count_of(v[%d])" if field.is_integer else "v[%d]") | format(loop.index) }};
 {% else %}
     (void)v;
     (void)in;
@@ -116,9 +124,21 @@ static bool refuse_variable({{ name }}_fmu_t *fmu, uint32_t reference, const cha
 /* Report the status of a failed call of the model in words; returns false. */
 static bool refuse_status({{ name }}_fmu_t *fmu, const char *what, double time, uint16_t status)
 {
+{% if failing %}
+    /* A model that is not started has the outputs of a failed call. */
+    static const {{ name }}_state_t not_started = {0};
+    static const {{ name }}_inputs_t none = {0};
+    {{ name }}_outputs_t out;
+{% endif %}
     const double *v = fmu->memory.values;
     char text[LONGEST_TEXT] = "";
 
+{% if failing %}
+    (void){{ name }}_outputs(&fmu->memory.params, &not_started, &none, &out);
+{% for field in failing %}
+    fmu->memory.values[{{ first_output + outputs.index(field) }}] = out.{{ field.name }};
+{% endfor %}
+{% endif %}
     append_value(text, "", "t", time, " s");
     append(text, ": ");
     append(text, what);
@@ -398,6 +418,9 @@ bool {{ name }}_fmu_step({{ name }}_fmu_t *fmu, double point, double size)
         if (status != {{ NAME }}_OK) {
             const double time = m->start + (((double)m->ticks + (double)i) * {{ NAME }}_SAMPLE_TIME_S);
 
+{% if accepts_inputs %}
+            m->state.started = state.started; /* a failed model needs a new start */
+{% endif %}
             return refuse_status(fmu, "the step", time, status);
         }
     }

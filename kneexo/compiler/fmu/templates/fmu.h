@@ -38,7 +38,7 @@ typedef struct {
 } {{ name }}_fmu_t;
 
 /* Every function of type bool reports an error and returns false if it fails. Then the memory is
- * unchanged. */
+ * unchanged{{ ", but for the outputs that a failure of the model sets" if failing }}. */
 
 /* Reset the memory; every variable gets its start value. */
 void {{ name }}_fmu_reset({{ name }}_fmu_t *fmu);
