@@ -96,8 +96,6 @@ def test_faults_that_differ_by_seed_or_trigger_have_lines_of_their_own():
     [
         (([], [1.0]), "must have at least one fault and one start"),
         (([DEAD], []), "must have at least one fault and one start"),
-        ((DEAD, [1.0]), r"faults = FaultParameters.*: must be a list$"),
-        (([DEAD], ["a"]), r"starts_s.0 = 'a': must be a number, >= 0 and"),
         (([DEAD], [2.0]), r"start_s = 2 s: must be <= 1.998 s, the last sample"),
     ],
 )
@@ -107,3 +105,10 @@ def test_wrong_arguments_are_one_line(arguments, message):
     for bound_deg in (0.0, math.inf):
         with pytest.raises(ParameterError, match=f"bound_deg = {bound_deg:g} deg: must be > 0 and"):
             fault_survival(RAMP, [DEAD], [1.0], bound_deg=bound_deg)
+
+
+def test_one_fault_and_a_start_as_text_are_one_line():
+    with pytest.raises(ParameterError, match=r"faults = FaultParameters.*: must be a list$"):
+        fault_survival(RAMP, DEAD, [1.0])
+    with pytest.raises(ParameterError, match=r"starts_s.0 = 'a': must be a number, >= 0 and"):
+        fault_survival(RAMP, [DEAD], ["a"])
