@@ -1,4 +1,4 @@
-"""Progress bars with the remaining time, for terminals and notebooks.
+"""The width of a line, and progress bars with the remaining time, for terminals and notebooks.
 
 A command shows one bar for its whole work, `whole_bar`, which the bars of its parts advance.
 """
@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import builtins
 import importlib.util
+import shutil
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -14,6 +15,15 @@ from dataclasses import dataclass
 
 _REFRESHES_PER_S = 2.0  # each costs some milliseconds, which the runs lack
 _SPEED_OVER_S = 1e6  # the time left follows from the mean speed since the begin
+
+
+COLUMNS = 100
+"""Largest number of characters of a line, also in a file or pipe."""
+
+
+def line_width() -> int:
+    """Return the number of characters of a line: that of the terminal, at most `COLUMNS`."""
+    return min(shutil.get_terminal_size((COLUMNS, 24)).columns, COLUMNS)
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from types import SimpleNamespace
 
 # As in sweeps: workers of pytest have a core each, and threads of BLAS would only wait for it.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy is imported
+os.environ.pop("COLUMNS", None)  # a worker of pytest-xdist has 80
 
 import hypothesis
 import msgpack

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 import kneexo as kx
-from kneexo.analysis import linearize_loop
+from kneexo.analysis import detector_thresholds, fault_survival, linearize_loop, linearize_plant
 from kneexo.command_line import parser
 from kneexo.command_line.main import main
-from kneexo.diagrams import make_closed_loop
+from kneexo.diagrams import make_closed_loop, make_plant
 from kneexo.diagrams.signals import SIGNALS, columns
 from kneexo.errors import KneexoError
 from kneexo.parameters import (
@@ -26,8 +26,9 @@ from kneexo.parameters import (
     Uncertainty,
     gait_reference,
 )
-from kneexo.simulation import Run
+from kneexo.simulation import Run, simulate
 from kneexo.studies.bandwidth import BandwidthSettings
+from kneexo.systems import BldcPump
 
 LONGEST = 300
 MASS = "plant.cylinder.mass_kg"
@@ -103,6 +104,8 @@ FILES = {
     "plant:\n  cylinder:\n    mass_kg: 1,6": r"= '1,6': must be a number with a decimal point",
     "plant: {cylinder: 2}": r"must be a mapping of names to values, such as {bore_m: …}$",
     "reference: {amplitude_deg: 46}": r"leaves the range of motion 0 … 90 deg; reduce it$",
+    "reference: {kind: samples, times_s: [0, 1, 2], angles_deg: [9, -5, 9]}": r"-5 … 9 deg leaves "
+    r"the range of motion 0 … 90 deg; reduce it, or set clip: true in reference: {…}$",
     "controller: law": r"controller.function: is missing; must be .* FILE.py:NAME",
     "controller: {kind: pid, anti_windup_s: 1e-3}": r"= 0.001 s must be at least sample_time_s = ",
     "reference: {kind: samples, times_s: [0, 1, 1e6], angles_deg: [1, 2, 3]}": r"±100000 s$",
@@ -119,8 +122,8 @@ FILES = {
     WORN + "moment: no.csv}": r"wearer.moment: no.csv: cannot be read: No such file",
     WORN + "moment: gate}": r"path of a .csv file or a mapping; did you mean gait\?$",
     WORN
-    + "moment: law.py}": r"wearer.moment = 'law.py': must be gait, the path of a .csv file or ",
-    WORN + "moment: .}": r"wearer.moment = '.': must be gait, the path of a .csv file or ",
+    + "moment: law.py}": r"wearer.moment = 'law.py': must be gait, csv, the path of a .csv file",
+    WORN + "moment: .}": r"wearer.moment = '.': must be gait, csv, the path of a .csv file or ",
     "load_cell: {noise_n: 2}": r"my.yaml:1: load_cell: noise_n = 2 N: seed .*; add seed: 1$",
     # units of angle
     WORN + "stiffness_n_m_per_deg: 1}": r"did you mean wearer.stiffness_n_m_per_rad\?$",
@@ -258,6 +261,10 @@ def assigned(part, name, value):
     return lambda: setattr(part, name, value)
 
 
+async def later(rod_extension):
+    return 0.0
+
+
 CALLS = {
     "attribute of a part": (lambda: SCENARIO.plant.cylinder.mass, r"did you mean mass_kg\?$"),
     "assignment to the scenario": (
@@ -304,15 +311,53 @@ CALLS = {
         lambda: make_closed_loop(signals=["chamber_pressures"]),
         r"needs plant.full_order = true$",
     ),
+    "signal as text": (
+        lambda: simulate(SCENARIO, signals="knee_angle"),
+        r"signals = 'knee_angle': must be a list, such as \[\"knee_angle\"\]$",
+    ),
+    "preset as scenario": (
+        lambda: kx.track("bench"),
+        r"'bench': must be an object of Scenario, such as Scenario.preset\(\"bench\"\) or load",
+    ),
+    "preset as loop": (lambda: make_closed_loop("leg"), r"such as Scenario.preset\(\"leg\"\) or"),
+    "preset as plant": (lambda: make_plant("leg"), r"such as Scenario.preset\(\"leg\"\).plant$"),
+    "mapping as parameters": (
+        lambda: BldcPump({"lag_s": 0.01}),
+        r"^parameters = .*: must be an object of BldcPumpParameters, such as BldcPumpPa",
+    ),
+    "scenario as plant": (lambda: linearize_plant(SCENARIO), r"must be an object of PlantParamet"),
+    "plant as scenario": (lambda: linearize_loop(SCENARIO.plant), r"must be an object of Scenario"),
+    "number as scenario": (lambda: detector_thresholds(3), r"scenario = 3: must be an object of S"),
+    "scenario of faults": (lambda: fault_survival("leg", [], []), r"must be an object of Scenario"),
+    "posture as text": (
+        lambda: linearize_plant(knee_angle_deg="40"),
+        r"knee_angle_deg = '40': must be a number in deg$",
+    ),
+    "misspelt kind": (
+        lambda: kx.Scenario(reference={"kind": "cvs"}),
+        r"must be 'sine', 'step', 'ramp', 'samples', 'gait' or 'csv'; did you mean csv\?$",
+    ),
+    "bound that is rounded up": (
+        lambda: kx.Scenario(encoder={"phase_rad": 6.28319}),
+        r"6.28319 rad is out of range: must be finite and >= 0 and <= 6.283185 rad$",
+    ),
+    "start beyond full extension": (
+        lambda: make_closed_loop(SCENARIO.changed({"initial_offset_m": 0.01})),
+        r"^initial_offset_m = 0.01 m: starts at -1.67 deg, outside 0 … 90 deg; reduce",
+    ),
+    "async law": (lambda: SCENARIO.with_law(later), r"later: is async; remove the word async$"),
     "file": (lambda: kx.track("my.yml"), r"my.yml: cannot be read: .*; did you mean my.yaml\?$"),
-    "no scenario": (lambda: kx.track({}), r"must be a Scenario or the path of a scenario file"),
+    "no scenario": (
+        lambda: kx.track({}),
+        r"{}: must be an object of Scenario, such as Sc.*path\)$",
+    ),
     "no list": (lambda: kx.batch(SCENARIO, {MASS: 2}), r"must be a list of values$"),
     "path of a batch": (lambda: kx.batch(SCENARIO, {"mass_kg": [2.0]}), rf"did you mean {MASS}\?"),
     "posture": (
         lambda: linearize_loop(SCENARIO, knee_angle_deg=200),
         r"knee_angle_deg = 200 deg is out of range: must be >= 0 and <= 90 deg$",
     ),
-    "frequency": (lambda: gait_reference(20), r"must be > 0 and <= 10 Hz$"),
+    "frequency": (lambda: gait_reference(20), r"must be finite and > 0 and <= 10 Hz$"),
     "interval": (lambda: Uncertainty(low=1.0), r"must have either low and high, or options$"),
 }
 

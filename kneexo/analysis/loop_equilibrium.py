@@ -31,6 +31,7 @@ from kneexo.parameters import (
     Scenario,
     StepReference,
 )
+from kneexo.parameters.scenario import require_scenario
 from kneexo.result import Array
 from kneexo.simulation.compiled import law_key, structure_key
 from kneexo.systems.function_law import hides_state
@@ -138,6 +139,7 @@ def find_equilibrium(scenario: Scenario, *, knee_angle_deg: float = MID_RANGE_DE
     is at its limit or the sliding variable is outside the boundary layer. The error is also raised
     when the controller is continuous or switches by signum.
     """
+    require_scenario(scenario)
     controller = scenario.controller
     if controller.kind == "smc" and (controller.continuous or controller.switching == "signum"):
         what = "continuous = true" if controller.continuous else "switching = signum"

@@ -7,6 +7,8 @@ import math
 import textwrap
 from collections.abc import Iterable, Iterator
 
+import numpy as np
+
 from kneexo.analysis.coupling import coupled_loop, stiffness_interval
 from kneexo.analysis.signals import period_s
 from kneexo.diagrams.plant import moving_masses_kg
@@ -24,6 +26,7 @@ from kneexo.parameters import (
 from kneexo.parameters.fields import unit_of
 from kneexo.parameters.labels import value_text
 from kneexo.parameters.quantity import Parameters
+from kneexo.progress import line_width
 from kneexo.rod_polynomial import controller_polynomial, largest_error_mm
 from kneexo.systems.knee_reference import run_middle_deg, run_range_deg
 
@@ -32,6 +35,12 @@ LONGEST_HOLD = 0.1
 
 Assumption: an error of 0 in a tenth of the run lowers the root mean square by 5 %.
 """
+
+LARGEST_IN_RAD_DEG = 2.6
+"""Assumption: samples within this angle may be in rad, since 150° are 2.6 rad."""
+
+SLOWEST_DEG_S, LONGEST_TRIAL_S = 0.5, 100.0
+"""Assumption: a longer reference that is always slower may have its times in ms."""
 
 LARGEST_MISFIT_MM = 0.3
 """Largest error in mm of a given polynomial over 0…90° without a notice.
@@ -75,19 +84,19 @@ def omissions(scenario: Scenario) -> tuple[str, ...]:
 def model_lines(scenario: Scenario, notes: Iterable[str]) -> list[str]:
     """Return one line that names the `omissions` of a scenario, and a line for each of ``notes``.
 
-    A line of more than 100 characters goes on below, indented.
+    A line of more than `line_width` characters goes on below, indented.
     """
     left_out = ", ".join(omissions(scenario)) or "nothing that kneexo can compute"
     return [wrapped(line) for line in (f"Left out: {left_out}.", *(f"Note: {n}." for n in notes))]
 
 
 def wrapped(line: str) -> str:
-    """Return ``line`` in lines of at most 100 characters, indented from the second on.
+    """Return ``line`` in lines of at most `line_width` characters, indented from the second on.
 
     A longer word, such as a path, stays whole.
     """
     return textwrap.fill(
-        line, 100, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
+        line, line_width(), subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
     )
 
 
@@ -119,7 +128,8 @@ def _reference_notices(scenario: Scenario) -> Iterator[str]:
 
     A line says that the run ends within the first period of a sine, before it has settled, or
     before the step or ramp. A line says that samples before 0 s are not run. A line says that the
-    run holds the first or the last sample for more than `LONGEST_HOLD` of its duration.
+    run holds the first or the last sample for more than `LONGEST_HOLD` of its duration. Lines say
+    what was done to the samples of a file, and that their units may be others.
     """
     reference, duration_s = scenario.reference, scenario.duration_s
     if (period := period_s(scenario)) >= duration_s:
@@ -134,6 +144,11 @@ def _reference_notices(scenario: Scenario) -> Iterator[str]:
         )
     if isinstance(reference, SampledReference):
         start_s, end_s = reference.times_s[0], reference.times_s[-1]
+        if reference.shift_s > 0.0:
+            yield f"the run begins at {reference.shift_s:g} s of the files of reference and moment"
+        if reference.clipped_deg > 0.0:
+            yield f"samples up to {reference.clipped_deg:.3g}° beyond the stops are clipped"
+        yield from _unit_notices(reference)
         if start_s < 0.0:
             yield (
                 f"the samples before 0 s, from {start_s:g} s on, are not run; add {-start_s:g} s "
@@ -150,6 +165,16 @@ def _reference_notices(scenario: Scenario) -> Iterator[str]:
                 f"simulation.duration_s = {duration_s:g} s; leave simulation.duration_s out to "
                 f"stop at the last sample"
             )
+
+
+def _unit_notices(reference: SampledReference) -> Iterator[str]:
+    """Yield a line if the samples seem to be in rad, or their times in ms."""
+    changes = np.abs(np.diff(reference.angles_deg))
+    if changes.any() and (largest := np.max(np.abs(reference.angles_deg))) < LARGEST_IN_RAD_DEG:
+        yield f"the reference stays within {largest:.3g}°; if it is in rad, multiply it by 57.3"
+    rate = np.max(changes / np.diff(reference.times_s))
+    if 0.0 < rate < SLOWEST_DEG_S and reference.times_s[-1] > LONGEST_TRIAL_S:
+        yield f"the reference moves at most {rate:.2g} deg/s; divide its times by 1000 if in ms"
 
 
 def _stiffness_notice(scenario: Scenario) -> Iterator[str]:

@@ -19,6 +19,7 @@ from kneexo.diagrams import SIGNALS, make_plant
 from kneexo.diagrams.plant import plant_parts
 from kneexo.errors import LinearizationError, NoEquilibriumError
 from kneexo.parameters import PlantParameters
+from kneexo.parameters.quantity import require_object
 from kneexo.result import Array, Result
 from kneexo.simulation.compiled import structure
 
@@ -112,6 +113,8 @@ def _at_rest(
         start = [value for part in parts for value in part.start_state()]
         context = context_with(diagram, values, start)
     else:
+        if not isinstance(plant, Diagram):
+            require_object("plant", plant, PlantParameters, 'Scenario.preset("leg").plant')
         equations, diagram, context = _read(plant, outputs), plant, plant.CreateDefaultContext()
     if knee_torque_n_m and not diagram.HasInputPort("knee_torque"):
         raise LinearizationError(

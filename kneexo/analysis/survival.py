@@ -20,6 +20,8 @@ import numpy as np
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import FaultParameters, Scenario
 from kneexo.parameters.criteria import TOLERATED_DEVIATION_DEG
+from kneexo.parameters.quantity import Parameters, quantities
+from kneexo.parameters.scenario import require_scenario
 from kneexo.plotting import SERIES, axes_or_new
 from kneexo.result import Array, Result, data_frame
 from kneexo.simulation import Run, needs_runs, simulate
@@ -119,6 +121,13 @@ def _colours() -> Iterator[str]:
         yield from SERIES
 
 
+class SurvivalArguments(Parameters):
+    """Two arguments of `fault_survival`."""
+
+    faults: tuple[FaultParameters, ...] = ()
+    starts_s: tuple[float, ...] = quantities((), "s", "given", ge=0, le=1e5, min_length=None)
+
+
 def fault_survival(
     scenario: Scenario,
     faults: Sequence[FaultParameters],
@@ -162,6 +171,9 @@ def fault_survival(
     SimulationError
         The run without the fault fails.
     """
+    require_scenario(scenario)
+    given = SurvivalArguments.model_validate({"faults": faults, "starts_s": starts_s})
+    faults, starts_s = given.faults, given.starts_s
     if not faults or not len(starts_s):
         raise ParameterError("faults, starts_s: must have at least one fault and one start")
     if not 0.0 < bound_deg <= 180.0:

@@ -14,7 +14,9 @@ from kneexo.diagrams.signals import columns
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import UNCERTAINTY, ProtectionParameters, Scenario, UncertaintySet
 from kneexo.parameters.fields import limits_of
+from kneexo.parameters.quantity import Parameters, quantities, quantity
 from kneexo.parameters.safety_states import DETECTORS, REASONS
+from kneexo.parameters.scenario import require_scenario
 from kneexo.parameters.uncertainty import applicable, draw, realize
 from kneexo.plotting import SERIES, axes_or_new
 from kneexo.result import Array, Result
@@ -94,6 +96,15 @@ class DetectorThresholds(Result):
         return ax
 
 
+class ThresholdArguments(Parameters):
+    """Arguments of `detector_thresholds`."""
+
+    uncertainty: UncertaintySet
+    runs: int = quantity(1000, "1", "given by the user", ge=1, le=1_000_000)
+    seed: int = quantity(1, "1", "given by the user", ge=0)
+    trips_s: tuple[float, ...] = quantities((), "s", "given", ge=0, le=1e5, min_length=None)
+
+
 def detector_thresholds(
     scenario: Scenario,
     uncertainty: UncertaintySet = UNCERTAINTY,
@@ -131,19 +142,22 @@ def detector_thresholds(
         ``overdue_s`` and all trip times, all runs fail, or the uncertainty set does not suit the
         scenario.
     """
+    require_scenario(scenario)
+    given = ThresholdArguments.model_validate(
+        {"uncertainty": uncertainty, "runs": runs, "seed": seed, "trips_s": trips_s}
+    )
+    kept, _ = applicable(scenario, given.uncertainty)
     protection = scenario.protection
     if protection is None:
         raise ParameterError("protection: is missing; add protection: {}")
-    if runs < 1:
-        raise ParameterError(f"runs = {runs}: must be >= 1")
-    trips = (protection.trip_s, *trips_s)
-    for name, time_s in (("overdue_s", protection.overdue_s), *(("trip_s", t) for t in trips)):
-        if not 0.0 <= time_s < scenario.duration_s:
+    trips = (protection.trip_s, *given.trips_s)
+    own = {f"protection.{name}": getattr(protection, name) for name in ("overdue_s", "trip_s")}
+    for name, time_s in (*own.items(), *(("trips_s", time_s) for time_s in given.trips_s)):
+        if not time_s < scenario.duration_s:
             raise ParameterError(
-                f"{name} = {time_s:g} s: must be >= 0 and < {scenario.duration_s:g} s, the "
+                f"{name} = {time_s:g} s: must be < {scenario.duration_s:g} s, the "
                 f"duration of a run; reduce it, or extend simulation.duration_s"
             )
-    kept, _ = applicable(scenario, uncertainty)
     watched = scenario.changed({"push": None, "faults": ()})
     observing = watched.changed({"protection": _observing(watched)})
     healthy = partial(_healthy_run, watched, observing, kept, trips)

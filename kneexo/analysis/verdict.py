@@ -52,6 +52,9 @@ _VALUES = ("tracks", "max_error_deg", "max_error_time_s", "error_bound_deg", "sa
 )  # fmt: skip
 """Names of the fields of `Verdict` that its plain data contain as they are."""
 
+LARGEST_INTERVAL = 10.0
+"""Smallest interval between two samples of a reference, in medians of all, that is a gap."""
+
 _UNLIMITED_RPM = 1e6
 """Motors are slower, so a higher limit of the command means no limit."""
 
@@ -198,7 +201,7 @@ class Verdict(Result):
 
     @property
     def text(self) -> str:
-        """The ``lines`` wrapped to 100 columns, and the `model_lines`."""
+        """The ``lines`` wrapped to the width of the terminal, and the `model_lines`."""
         return "\n".join((*map(wrapped, self.lines), *self.model_lines))
 
     def results(self) -> dict[str, Any]:
@@ -240,6 +243,7 @@ def verdict_of(scenario: Scenario, run: Run, *, step: tuple[bool, str] | None) -
     stability = Stability.of_scenario(scenario)
     notes = (
         *notices(scenario),
+        *_gap_notices(scenario, run),
         *_pressure_notices(scenario, run),
         *_fault_notices(scenario, run),
         *_protection_notices(scenario, run),
@@ -355,6 +359,25 @@ def _protection_notices(scenario: Scenario, run: Run) -> Iterator[str]:
         limit = getattr(scenario.protection, detector.field)
         text += f" was {size:.4g}, above {limit:g} {detector.unit}"
     yield f"{text}; the run ends in the state {list(STATES)[int(run['safety_state'][-1])]}"
+
+
+def _gap_notices(scenario: Scenario, run: Run) -> Iterator[str]:
+    """Yield a line if samples of the reference are missing, with the errors there and elsewhere."""
+    if scenario.reference.kind != "samples":
+        return
+    times = np.array(scenario.reference.times_s)
+    steps, after = np.diff(times), np.searchsorted(times, run.time_s)
+    step = np.pad(steps, 1)[after]  # 0 before the first and after the last sample
+    is_gap = step >= LARGEST_INTERVAL * np.median(steps)
+    if not is_gap.any() or is_gap.all():
+        return
+    end = after[np.argmax(step)]
+    error_deg = np.degrees(np.abs(run["knee_reference_rad"] - run["knee_angle_rad"]))
+    yield (
+        f"the reference has gaps, the longest from {times[end - 1]:.6g} to {times[end]:.6g} s, in "
+        f"which its curve is a guess: largest error {error_deg[is_gap].max():.3g}° there, "
+        f"{error_deg[~is_gap].max():.3g}° elsewhere"
+    )
 
 
 def _pressure_notices(scenario: Scenario, run: Run) -> Iterator[str]:

@@ -6,7 +6,6 @@ import argparse
 import inspect
 import math
 import re
-import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,9 +15,9 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from kneexo.command_line.html_page import ReportPage
 from kneexo.command_line.outcome import Outcome, Request
-from kneexo.command_line.plain_text import COLUMNS
 from kneexo.errors import ParameterError, shown
 from kneexo.files.table import NUMBER
+from kneexo.progress import line_width
 from kneexo.studies.catalogue import PAPER
 from kneexo.version import __version__
 
@@ -32,12 +31,11 @@ _P = TypeVar("_P", bound="Parameters")
 class HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
     """Adds the default value to each help text, except the values None, False and empty list.
 
-    A line has at most `COLUMNS` characters, in a wider terminal too.
+    A line has `line_width` characters, which is at most 100.
     """
 
     def __init__(self, prog: str, **options: Any) -> None:
-        width = min(shutil.get_terminal_size().columns, COLUMNS)
-        super().__init__(prog, **{"width": width} | options)
+        super().__init__(prog, **{"width": line_width()} | options)
 
     def _get_help_string(self, action: argparse.Action) -> str | None:
         if action.default in (None, False, []):

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 from kneexo.command_line import arguments
 from kneexo.command_line.arguments import ScenarioChoice
 from kneexo.command_line.outcome import Outcome
-from kneexo.command_line.plain_text import COLUMNS
 from kneexo.errors import shown
+from kneexo.progress import line_width
 
 if TYPE_CHECKING:  # the compiler loads NumPy
     from kneexo.compiler import Measurement, SilMeasurement
@@ -298,14 +298,14 @@ def export_fmu(
     )
     lines = [
         f"{target} as FMU by FMI {fmi}: {shown(file.path)}",
-        *wrap(f"  inputs: {', '.join(file.inputs)}", COLUMNS, subsequent_indent="    "),
-        *wrap(f"  outputs: {', '.join(file.outputs)}", COLUMNS, subsequent_indent="    "),
+        *wrap(f"  inputs: {', '.join(file.inputs)}", line_width(), subsequent_indent="    "),
+        *wrap(f"  outputs: {', '.join(file.outputs)}", line_width(), subsequent_indent="    "),
         f"  parameters: {len(file.parameters)}, of which {len(file.scenario_parameters)} have "
         f"names of the scenario",
         f"  communication step: {file.sample_time_s:g} s or a whole multiple",
         *wrap(
             f"  binaries: {', '.join(file.platforms) or NO_BINARY}",
-            COLUMNS,
+            line_width(),
             subsequent_indent="    ",
         ),
     ]

@@ -21,6 +21,7 @@ from kneexo.parameters.fields import (
 )
 from kneexo.parameters.paths import value_at
 from kneexo.parameters.presets import PRESETS
+from kneexo.progress import line_width
 from kneexo.studies.catalogue import STUDIES
 
 Row = dict[str, Any]
@@ -28,9 +29,6 @@ Row = dict[str, Any]
 
 The path ``plant.load(knee).segment_mass_kg`` stands for a value of a kind that is not the default.
 """
-
-WIDTH = 100
-"""Largest number of characters of a line."""
 
 _LONGEST_LIST = 30  # a reference can have thousands of samples
 
@@ -179,12 +177,12 @@ def _entry(name: str, provenance: str, row: Row, indent: str, short: str = "") -
     unit = "" if row["unit"] in ("", "1") else f" {row['unit']}"
     value = f"{name} = {_shown(row['value'])}{unit}" + (f"  [{bounds}]" if bounds else "")
     for text in (provenance, short):
-        if text and len(line := f"{indent}{value}  {text}") <= WIDTH:
+        if text and len(line := f"{indent}{value}  {text}") <= line_width():
             return [line]
     below = f"{indent}    "
     return [
-        *wrap(value, WIDTH, initial_indent=indent, subsequent_indent=below),
-        *wrap(provenance, WIDTH, initial_indent=below, subsequent_indent=below),
+        *wrap(value, line_width(), initial_indent=indent, subsequent_indent=below),
+        *wrap(provenance, line_width(), initial_indent=below, subsequent_indent=below),
     ]
 
 

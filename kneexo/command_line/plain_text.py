@@ -5,21 +5,19 @@ from __future__ import annotations
 import io
 import re
 
-COLUMNS = 100
-"""Largest number of characters of a line."""
+from kneexo.progress import line_width
 
 
 def plain_text(markdown: str) -> str:
-    """Return Markdown as plain text: paragraphs, lists and tables in lines of `COLUMNS`.
+    """Return Markdown as plain text: paragraphs, lists and tables in lines of `line_width`.
 
-    Pictures are left out. The text is the same for each terminal, and for a file or pipe. A word
-    longer than a line, such as a path, is broken.
+    Pictures are left out. A word longer than a line, such as a path, is broken.
     """
     from rich.console import Console
     from rich.markdown import Markdown
 
     stream = io.StringIO()
-    console = Console(file=stream, width=COLUMNS, color_system=None, force_terminal=False)
+    console = Console(file=stream, width=line_width(), color_system=None, force_terminal=False)
     markdown = re.sub(r"^!\[\]\(.*\)$", "", markdown, flags=re.MULTILINE)
     title, _, body = markdown.removeprefix("# ").partition("\n")
     console.print(Markdown(body, hyperlinks=False))

@@ -26,7 +26,7 @@ def add_single_runs(subparsers: Any) -> None:
         "simulate",
         simulate,
         "run one scenario",
-        "With --engine drake a simulated second takes up to a second.",
+        "With --engine drake a simulated second takes 0.2 s (preset paper) to 2 s (wearer).",
         directory=arguments.out,
         duration_s=2.0,
     )

@@ -41,6 +41,7 @@ from kneexo.parameters import (
     Scenario,
 )
 from kneexo.parameters.fault import OPERATOR_INPUTS
+from kneexo.parameters.scenario import require_scenario
 from kneexo.systems import StateVariable, drive, knee_reference, push as push_system
 from kneexo.systems.function_law import LAW_COMMAND
 from kneexo.systems.knee_reference import require_reference_in_range
@@ -106,6 +107,7 @@ def make_closed_loop(
     LinkageError
         The linkage cannot be assembled.
     """
+    require_scenario(scenario)
     require_reference_in_range(scenario.reference, scenario.plant.knee)
     names = chosen_signals(scenario, signals)
     builder = DiagramBuilder()
@@ -242,6 +244,8 @@ def chosen_signals(scenario: Scenario, signals: Sequence[str] | None) -> tuple[s
 
     Raises `ParameterError` for a signal that `available_signals` does not contain.
     """
+    if isinstance(signals, str):
+        raise ParameterError(f'signals = {signals!r}: must be a list, such as ["{signals}"]')
     available = available_signals(scenario)
     names = available if signals is None else tuple(signals)
     for name in names:

@@ -192,8 +192,8 @@ def _signal_of(fault: FaultParameters) -> tuple[str, int]:
         if fault.signal in names:
             return signal, names.index(fault.signal)
     known = [column for names in signals.values() for column in names]
-    advice = question(close_names(str(fault.signal), known)) or "; must be a column of signals.csv"
-    raise ParameterError(f"faults: signal {fault.signal!r} is unknown{advice}")
+    advice = question(close_names(str(fault.signal), known)) or "; take another of signals.csv"
+    raise ParameterError(f"faults: signal {fault.signal!r} cannot start a fault{advice}")
 
 
 def _trigger(fault: FaultParameters) -> tuple[int, int] | None:

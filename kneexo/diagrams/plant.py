@@ -22,6 +22,7 @@ from kneexo.parameters import (
     Scenario,
     SineReference,
 )
+from kneexo.parameters.quantity import require_object
 from kneexo.rod_inverse import RodInverse, fit_rod_inverse, rounded_rod_extension
 from kneexo.rod_polynomial import controller_polynomial
 from kneexo.systems import (
@@ -88,6 +89,7 @@ def make_plant(
     LinkageError
         The linkage cannot be assembled.
     """
+    require_object("parameters", parameters, PlantParameters, 'Scenario.preset("leg").plant')
     builder = DiagramBuilder()
     systems_by_name = add_parts(
         builder,
@@ -326,16 +328,22 @@ def _start_extension_and_force(
     fit = fit_rod_inverse(parameters.linkage, _rod_map(parameters, rod_polynomial))
     extension = _extension_at(parameters, rod_polynomial, initial_knee_angle_rad)
     extension += initial_offset_m
+    polynomials = (fit.knee_angle, fit.encoder_angle, fit.moment_arm)
+    angle, _, arm = knee_kinematics(fit, polynomials, extension)
     if not 0.0 <= extension <= parameters.cylinder.stroke_m:
         raise ParameterError(
             f"the rod starts at {extension:.6g} m (initial offset {initial_offset_m:g} m), outside "
             f"the stroke 0 … {parameters.cylinder.stroke_m:g} m; change the start of the "
             f"reference, initial_offset_m, plant.linkage.rod_length_m or plant.cylinder.stroke_m"
         )
+    slack = parameters.knee.overshoot_deg
+    if initial_offset_m and not low - slack <= math.degrees(angle) <= high + slack:
+        raise ParameterError(
+            f"initial_offset_m = {initial_offset_m:g} m: starts at {math.degrees(angle):.3g} deg, "
+            f"outside {low:g} … {high:g} deg; reduce it, or change the start of the reference"
+        )
     force = parameters.cylinder.stiffness_n_per_m * extension
     if isinstance(parameters.load, KneeLoadParameters):
-        polynomials = (fit.knee_angle, fit.encoder_angle, fit.moment_arm)
-        angle, _, arm = knee_kinematics(fit, polynomials, extension)
         force += load_force(parameters.load, angle, arm, 0.0)
     return extension, force
 

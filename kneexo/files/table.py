@@ -7,7 +7,7 @@ import math
 import os
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 
 from kneexo.errors import close_names, shortened
@@ -22,12 +22,17 @@ SUFFIXES = (".csv", ".mot", ".sto")
 NUMBER = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?")
 """Pattern of a decimal number in the digits 0-9. `float` also accepts ``1_0`` and ``nan``."""
 
-_LINE = re.compile(r"[^\r\n]*(?:\r\n|\r|\n)|[^\r\n]+")
-_END_OF_OPENSIM_HEADER = re.compile(
-    r"^[ \t]*endheader[ \t]*(?:\r?\n|\Z)", re.IGNORECASE | re.MULTILINE
+_LINE = re.compile(r"[^\n]*\n|[^\n]+")
+_END_OF_OPENSIM_HEADER = re.compile(  # Excel adds a separator for each further column
+    r"^[ \t]*endheader[ \t,;]*(?:\n|\Z)", re.IGNORECASE | re.MULTILINE
 )
 _COMMA_NUMBER = re.compile(r"[-+]?[0-9.]*,[0-9]+(?:[eE][-+]?[0-9]+)?")
 _IN_DEGREES = re.compile(r"^[ \t]*inDegrees[ \t]*=[ \t]*(yes|no)\b", re.IGNORECASE | re.MULTILINE)
+_NO_ANGLES = ("speeds", "velocities", "accelerations", "errors", "controls", "forces", "powers")
+"""Ends of the first lines of OpenSim's files of other quantities, such as ``PositionErrors``.
+
+Their columns have the names of the coordinates too.
+"""
 
 
 @dataclass(frozen=True)
@@ -47,23 +52,54 @@ class Table:
     def degrees(self, name: str) -> list[float]:
         """Return a column of angles in deg. OpenSim's angles are in rad if ``inDegrees=no``.
 
-        Raises `ScenarioError` if a file of OpenSim does not state the unit.
+        Raises `ScenarioError` if a file of OpenSim has another quantity than coordinates, does not
+        state the unit, or has more than 2π rad.
         """
+        what = self.opensim_header.partition("\n")[0].strip(" \t,;")
+        if what.lower().endswith(_NO_ANGLES):
+            message = f"is a file of {shortened(what)}; must be of Coordinates (_Kinematics_q.sto)"
+            raise file_error(self.path, 1, message)
         unit = _IN_DEGREES.search(self.opensim_header)
         if self.opensim_header and unit is None:
             message = "lacks the unit of angles; add inDegrees=yes or inDegrees=no above endheader"
             raise file_error(self.path, None, message)
         if unit is not None and unit[1].lower() == "no":
+            if (largest := max(map(abs, self.columns[name]), default=0.0)) > 2.0 * math.pi:
+                message = (
+                    f"{name} reaches {largest:.4g} rad by the flag inDegrees=no: must be <= 6.28 "
+                    f"rad; write inDegrees=yes if it is in deg, 57.3 times as large"
+                )
+                raise file_error(self.path, None, message)
             return [math.degrees(value) for value in self.columns[name]]
         return self.columns[name]
 
-    def require(self, name: str, low: float, high: float, unit: str) -> None:
-        """Raise `ScenarioError` if a column has a value outside ``low`` … ``high``, in ``unit``."""
+    def without_repeats(self) -> Table:
+        """Return the table without rows that are equal to the row before, in all columns read.
+
+        OpenSim's RRA and CMC write the last row twice (opensim-core#2536).
+        """
+        rows = list(zip(*self.columns.values(), strict=True))
+        kept = [i for i, row in enumerate(rows) if not i or row != rows[i - 1]]
+        columns = {name: [values[i] for i in kept] for name, values in self.columns.items()}
+        return replace(self, lines=[self.lines[i] for i in kept], columns=columns)
+
+    def require(self, name: str, low: float, high: float, unit: str, remedy: str = "") -> None:
+        """Raise `ScenarioError` if a column has a value out of range.
+
+        Parameters
+        ----------
+        name
+            Name of the column.
+        low, high, unit
+            Range of the values, and the unit of all three.
+        remedy
+            End of the message.
+        """
         for line, value in zip(self.lines, self.columns[name], strict=True):
             if not low <= value <= high:
                 message = (
                     f"{name} = {value:g} {unit} is out of range: must be >= {low:.6g} and "
-                    f"<= {high:.6g} {unit}"
+                    f"<= {high:.6g} {unit}{remedy}"
                 )
                 raise file_error(self.path, line, message)
 
@@ -105,7 +141,7 @@ def read_table(path: str | os.PathLike[str], names: Sequence[str], remedy: str =
         The file cannot be read, a record is damaged or too long, a column is missing or occurs
         twice, or a value is no finite number in decimal digits.
     """
-    text = read_text(path, MOST_BYTES_OF_TABLE)
+    text = read_text(path, MOST_BYTES_OF_TABLE).replace("\r\n", "\n").replace("\r", "\n")
     names_in_file, start = names, 0
     if end := _END_OF_OPENSIM_HEADER.search(text):
         start = end.end()
@@ -150,7 +186,7 @@ def _separator(text: str, start: int, names: Sequence[str]) -> str:
     header = next((line for line in lines if not _ignored(line)), "")
 
     def fit(separator: str) -> tuple[int, bool, int]:
-        found = {field.strip(' "\t\r\n') for field in header.split(separator)}
+        found = {field.strip(' "\t\n') for field in header.split(separator)}
         return len(found.intersection(names)), separator != " ", header.count(separator)
 
     return max(",;\t| ", key=fit)
@@ -163,7 +199,7 @@ def _comma_number(records: Iterator[tuple[int, list[str]]]) -> str:
 
 
 def _ignored(line: str) -> bool:
-    return not line.strip(" ,;|\t\r\n") or line.startswith(("#", "%", "sep=", '"sep='))
+    return not line.strip(" ,;|\t\n") or line.startswith(("#", "%", "sep=", '"sep='))
 
 
 def _records(

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import re
+import warnings
 from typing import Annotated, Any
 
 import numpy as np
 from pydantic import BeforeValidator, model_validator
 
-from kneexo.errors import ParameterError
+from kneexo.errors import ParameterError, shown
 from kneexo.files.reading import file_error, read_text
 from kneexo.files.table import MOST_BYTES_OF_TABLE, SUFFIXES, read_table
 from kneexo.parameters.fields import Words
@@ -97,6 +98,13 @@ LARGEST_PLACE_MM = 1000.0
 """Largest distance in mm of a place in the file of a knee from the origin, along each axis."""
 
 
+SHORTEST_PATH_MM = 5.0
+"""Assumption: change in mm of a place or centre below which a file may have another unit.
+
+That of gait2392 is 28 mm.
+"""
+
+
 def read_anatomical_knee(path: str | os.PathLike[str]) -> AnatomicalKneeParameters:
     """Read a knee from a file with a row for each flexion; see `kneexo.files.table.read_table`.
 
@@ -127,6 +135,13 @@ def read_anatomical_knee(path: str | os.PathLike[str]) -> AnatomicalKneeParamete
             f"positive and in deg"
         )
         raise file_error(path, table.lines[-1], message)
+    span_mm = max(np.ptp(table.columns[name]) for name in names)
+    if 0.0 < span_mm < SHORTEST_PATH_MM:  # the place of a hinge may not move at all
+        warnings.warn(
+            f"{shown(os.fspath(path))}: {' and '.join(names)} change by {span_mm:.2g} mm at most; "
+            f"are they in cm?",
+            stacklevel=2,
+        )
     angles = np.radians(angles_deg)
     forwards, up = (1e-3 * np.array(table.columns[name]) for name in names)
     if centres:

@@ -17,6 +17,7 @@ from kneexo.parameters.fields import (
     allowed_range,
     kind_of,
     models_of,
+    more_models_of,
     others_of,
     source_of,
     unit_of,
@@ -56,7 +57,8 @@ def one_line(model: type[BaseModel], error: ValidationError) -> tuple[Location, 
             f"{path} = {shown_value(value)} {unit}".rstrip() + f" is out of range: must be {bounds}"
         )
     elif error_type == "union_tag_invalid":
-        kinds = [str(kind_of(part)) for part in models_of(place.field)]
+        parts = (*models_of(place.field), *more_models_of(place.field))
+        kinds = [str(kind_of(part)) for part in parts]
         line = f"{path}.kind = {shortened(str(context['tag']))!r}: must be {_listed(kinds)}"
         line += question(_meant(context["tag"], place.field))
         location = (*location, "kind")

@@ -29,12 +29,18 @@ def allowed_range(field: FieldInfo) -> str:
     If the field is a tuple, the range is for each element.
     """
     bounds = [
-        f"{sign} {getattr(bound, key):g}"
+        f"{sign} {_inside(getattr(bound, key), sign)}"
         for key, sign in (("ge", ">="), ("gt", ">"), ("le", "<="))
         for bound in field.metadata
         if getattr(bound, key, None) is not None
     ]
     return " and ".join(bounds)
+
+
+def _inside(bound: float, sign: str) -> str:
+    """Return a bound as text with six digits or more, so that the text itself obeys the bound."""
+    texts = (f"{bound:.{digits}g}" for digits in range(6, 18))
+    return next(t for t in texts if (float(t) >= bound if sign[0] == ">" else float(t) <= bound))
 
 
 def limits_of(field: FieldInfo) -> tuple[float, float]:

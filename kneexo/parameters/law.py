@@ -474,6 +474,8 @@ def _checked(target: Any) -> Any:
             f"law = {shown_value(target)}: must be a function, a Drake system, or "
             f"their name as text, FILE.py:NAME"
         )
+    if inspect.iscoroutinefunction(target):
+        raise ParameterError(f"law = {shown_value(target)}: is async; remove the word async")
     return target
 
 

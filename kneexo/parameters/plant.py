@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from numbers import Real
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
 from kneexo.errors import ParameterError
+from kneexo.parameters.faults import shown_value
 from kneexo.parameters.linkages import G1, LINKAGES, LinkageParameters
 from kneexo.parameters.quantity import (
     Parameters,
@@ -407,18 +409,28 @@ class KneeParameters(Parameters):
 
     def require_posture(self, knee_angle_deg: float, name: str = "knee_angle_deg") -> None:
         """Raise `ParameterError` if a knee angle, the argument ``name``, is no posture."""
+        if not isinstance(knee_angle_deg, Real):
+            raise ParameterError(f"{name} = {shown_value(knee_angle_deg)}: must be a number in deg")
         if not self.flexion_min_deg <= knee_angle_deg <= self.flexion_max_deg:
             raise ParameterError(
                 f"{name} = {knee_angle_deg:g} deg is out of range: must be >= "
                 f"{self.flexion_min_deg:g} and <= {self.flexion_max_deg:g} deg"
             )
 
-    def require_in_range(self, low_deg: float, high_deg: float) -> None:
-        """Raise `ParameterError` if a reference with this range leaves the range of motion."""
+    def require_in_range(self, low_deg: float, high_deg: float, remedy: str = "reduce it") -> None:
+        """Raise `ParameterError` if a reference leaves the range of motion.
+
+        Parameters
+        ----------
+        low_deg, high_deg
+            Smallest and largest knee angle of the reference in deg.
+        remedy
+            End of the message.
+        """
         if low_deg < self.flexion_min_deg or high_deg > self.flexion_max_deg:
             raise ParameterError(
                 f"reference = {low_deg:.4g} … {high_deg:.4g} deg leaves the range of motion "
-                f"{self.flexion_min_deg:g} … {self.flexion_max_deg:g} deg; reduce it"
+                f"{self.flexion_min_deg:g} … {self.flexion_max_deg:g} deg; {remedy}"
             )
 
 

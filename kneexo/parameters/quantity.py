@@ -196,6 +196,23 @@ def _as_tuple(value: Any, *, any_length: bool) -> Any:
     return value
 
 
+def require_object(name: str, value: Any, kind: type[Any], example: str = "") -> None:
+    """Raise `ParameterError` if an argument is no object of a class; the message has an example.
+
+    Parameters
+    ----------
+    name, value
+        The argument.
+    kind
+        The class.
+    example
+        Code that makes an object. Empty: a call of the class.
+    """
+    if not isinstance(value, kind):
+        kind_name = f"{kind.__name__}, such as {example or f'{kind.__name__}()'}"
+        raise ParameterError(f"{name} = {shown_value(value)}: must be an object of {kind_name}")
+
+
 class _Short:
     """Wrapper of a long tuple. The `repr` shows the first two values, the last and the length."""
 

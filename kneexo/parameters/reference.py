@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Sequence
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -16,7 +17,7 @@ from kneexo.errors import ParameterError
 from kneexo.files.reading import file_error
 from kneexo.files.table import SUFFIXES, read_table
 from kneexo.gait import gait_knee_flexion
-from kneexo.parameters.fields import Words
+from kneexo.parameters.fields import Words, kind_of
 from kneexo.parameters.quantity import Parameters, choice, quantity
 from kneexo.result import Array
 
@@ -36,6 +37,8 @@ SHORTEST_RUN_S = 1e-3
 """Duration of the shortest run in s."""
 LONGEST_TIME_S = 1e5
 """Largest absolute value of a sample's time in s. Times can be negative."""
+TIMES_IN_MS = "; divide all times by 1000 if they are in ms"
+"""Remedy for a time out of range."""
 
 
 class _KneeReference(Parameters):
@@ -109,12 +112,37 @@ class RampReference(_KneeReference):
         return min(self.start_deg, self.end_deg), max(self.start_deg, self.end_deg)
 
 
+def require_samples(
+    times_s: Sequence[float], name: str, values: Sequence[float], fewest: int
+) -> None:
+    """Raise `ValueError` unless times increase and there are as many values.
+
+    Parameters
+    ----------
+    times_s
+        The times in s.
+    name, values
+        The values at these times.
+    fewest
+        Smallest number of values.
+    """
+    if not len(times_s) == len(values) >= fewest:
+        raise ValueError(
+            f"times_s has {len(times_s)} values and {name} has {len(values)}: must be as many, at "
+            f"least {fewest}"
+        )
+    if any(b - a < _SHORTEST_SAMPLE_S for a, b in pairwise(times_s)):
+        raise ValueError("times_s must increase by at least 1e-6 s from sample to sample")
+
+
 Interpolation = Literal["cubic", "pchip", "linear"]
 """Name of the curve that connects the samples of a reference."""
 _INTERPOLATION = (
     "cubic: spline with continuous acceleration, which may pass the samples' range; pchip: "
     "shape-preserving cubic, which stays within neighbouring samples; linear: straight lines"
 )
+
+_CLIP = "true: samples beyond the range of motion are set to its ends, as in hyperextension"
 
 
 class SampledReference(_KneeReference):
@@ -133,17 +161,13 @@ class SampledReference(_KneeReference):
         min_length=_FEWEST_SAMPLES, json_schema_extra={"unit": "deg", "source": "given by the user"}
     )
     interpolation: Interpolation = choice("cubic", _INTERPOLATION)
+    clip: bool = choice(False, _CLIP)
+    clipped_deg: float = quantity(0.0, "deg", "result: largest change by clip", ge=0, le=1e9)
+    shift_s: float = quantity(0.0, "s", "result: time in the file at 0 s", ge=0, le=LONGEST_TIME_S)
 
     @model_validator(mode="after")
     def _consistent(self) -> SampledReference:
-        if len(self.times_s) != len(self.angles_deg):
-            raise ValueError(
-                f"times_s has {len(self.times_s)} values and angles_deg has "
-                f"{len(self.angles_deg)}: must be as many"
-            )
-        steps = zip(self.times_s, self.times_s[1:], strict=False)
-        if any(b - a < _SHORTEST_SAMPLE_S for a, b in steps):
-            raise ValueError("times_s must increase by at least 1e-6 s from sample to sample")
+        require_samples(self.times_s, "angles_deg", self.angles_deg, _FEWEST_SAMPLES)
         if max(abs(self.times_s[0]), abs(self.times_s[-1])) > LONGEST_TIME_S:
             raise ValueError(f"times_s must lie within ±{LONGEST_TIME_S:g} s")
         if self.times_s[-1] < SHORTEST_RUN_S:
@@ -159,12 +183,15 @@ class SampledReference(_KneeReference):
         """Smallest and largest sample in deg. The spline between the samples can go beyond them."""
         return min(self.angles_deg), max(self.angles_deg)
 
+    def clipped(self, low_deg: float, high_deg: float) -> SampledReference:
+        """Return the reference with its samples clipped to a range, and how far they were off."""
+        angles = np.clip(self.angles_deg, low_deg, high_deg)
+        off = max(float(np.max(np.abs(angles - self.angles_deg))), self.clipped_deg)
+        return self.model_copy(update={"angles_deg": tuple(angles.tolist()), "clipped_deg": off})
 
-class CsvReference(Parameters):
-    """A CSV file, or a .mot or .sto file of OpenSim, with the samples of a reference.
 
-    `samples` reads the file. A scenario made with a file stores the samples, not the file name.
-    """
+class CsvTable(Parameters):
+    """A CSV file, or a .mot or .sto file of OpenSim, with a quantity of the knee over time."""
 
     kind: Literal["csv"] = "csv"
     file: str = Field(
@@ -176,11 +203,31 @@ class CsvReference(Parameters):
         },
     )
     time: str = choice("time_s", "name of the column of times in s; in OpenSim's files time")
-    angle: str = choice(
-        "knee_angle_deg", "name of the column of knee angles in deg; OpenSim's may be in rad"
-    )
     flexion: Literal["positive", "negative"] = choice(
         "positive", "sign of flexion in the file; negative in OpenSim's gait2392"
+    )
+    shift_s: float | None = quantity(
+        None, "s", "left out: first time of the reference's file, if > 0", ge=0, le=LONGEST_TIME_S
+    )
+    """Is subtracted from the times, so that a trial within a recording begins at 0 s."""
+
+
+def shifted(times_s: list[float], shift_s: float) -> list[float]:
+    """Return times minus a shift, rounded to 1 ns, so that 14.3 s − 12.3 s is 2 s.
+
+    Without a shift the times stay as they are.
+    """
+    return [round(time - shift_s, 9) for time in times_s] if shift_s else times_s
+
+
+class CsvReference(CsvTable):
+    """A file with the samples of a reference.
+
+    `samples` reads the file. A scenario made with a file stores the samples, not the file name.
+    """
+
+    angle: str = choice(
+        "knee_angle_deg", "name of the column of knee angles in deg; OpenSim's may be in rad"
     )
     period_s: float | None = quantity(
         None,
@@ -191,6 +238,7 @@ class CsvReference(Parameters):
     )
     cycles: int = quantity(1, "1", "the file once; how often the samples are run", ge=1, le=1000)
     interpolation: Interpolation = choice("cubic", _INTERPOLATION)
+    clip: bool = choice(False, _CLIP)
 
     def samples(self, directory: str | os.PathLike[str] = ".") -> SampledReference:
         """Read the samples from the file. A relative file path starts at ``directory``.
@@ -201,12 +249,13 @@ class CsvReference(Parameters):
         """
         path = Path(directory, self.file)
         table = read_table(path, (self.time, self.angle), "; give its names as time: and angle:")
+        table = table.without_repeats()
         times, angles = table.columns[self.time], table.degrees(self.angle)
         if len(times) < _FEWEST_SAMPLES:
             message = f"has {len(times)} rows; must have at least {_FEWEST_SAMPLES}"
             raise file_error(path, None, message)
         unit, scale = ("s", 1.0) if self.period_s is None else ("%", self.period_s / 100.0)
-        table.require(self.time, -LONGEST_TIME_S, LONGEST_TIME_S, unit)
+        table.require(self.time, -LONGEST_TIME_S, LONGEST_TIME_S, unit, TIMES_IN_MS)
         table.require_increase(self.time, _SHORTEST_SAMPLE_S, unit)
         if self.period_s is not None and (times[0], times[-1]) != (0.0, 100.0):
             message = (
@@ -214,6 +263,9 @@ class CsvReference(Parameters):
                 f"period_s out if it is in s"
             )
             raise file_error(path, None, message)
+        times = [scale * time for time in times]
+        shift_s = max(times[0], 0.0) if self.shift_s is None else self.shift_s
+        times = shifted(times, shift_s)
         if self.flexion == "negative":
             angles = [-angle for angle in angles]
         low, high = min(angles), max(angles)
@@ -235,9 +287,11 @@ class CsvReference(Parameters):
         span, cycles = times[-1] - times[0], range(self.cycles)
         try:
             return SampledReference(
-                times_s=tuple(scale * (t + n * span) for n in cycles for t in times[n > 0 :]),
+                times_s=tuple(time + n * span for n in cycles for time in times[n > 0 :]),
                 angles_deg=tuple(angle for n in cycles for angle in angles[n > 0 :]),
                 interpolation=self.interpolation,
+                clip=self.clip,
+                shift_s=shift_s,
             )
         except ParameterError as error:
             reason = str(error).removeprefix("SampledReference: ")
@@ -298,10 +352,7 @@ def gait_reference(frequency_hz: float = 1.0, cycles: int = 3) -> SampledReferen
     ParameterError
         A value is out of range.
     """
-    if not 0.0 < frequency_hz <= 10.0:
-        raise ParameterError(f"frequency_hz = {frequency_hz:g} Hz: must be > 0 and <= 10 Hz")
-    if not 1 <= cycles <= 1000:
-        raise ParameterError(f"cycles = {cycles}: must be >= 1 and <= 1000")
+    GaitReference(frequency_hz=frequency_hz, cycles=cycles)  # raises the error
     stride = gait_stride_deg()
     angles = np.append(np.tile(stride, cycles), stride[0])
     times = np.arange(angles.size) / (stride.size * frequency_hz)
@@ -349,6 +400,31 @@ def sit_to_stand_reference(
     return SampledReference(times_s=tuple(times.tolist()), angles_deg=tuple(angles.tolist()))
 
 
+def table_mapping(value: Any) -> Any:
+    """Return the path of a file, or a mapping with ``file``, as the mapping of a `CsvTable`.
+
+    Any other value is returned unchanged.
+    """
+    if isinstance(value, str) and value.endswith(SUFFIXES):
+        value = {"file": value}
+    is_file = isinstance(value, dict) and "file" in value
+    return {"kind": "csv"} | value if is_file else value
+
+
+def object_of_kind(value: Any, *classes: type[Parameters]) -> Any:
+    """Return a mapping whose ``kind`` is that of a class as an object of this class.
+
+    Any other value is returned unchanged. Raises `ParameterError` for a faulty value.
+    """
+    for cls in classes:
+        if isinstance(value, dict) and value.get("kind") == kind_of(cls):
+            try:
+                return cls(**value)
+            except ParameterError as error:
+                raise ParameterError(str(error).removeprefix(f"{cls.__name__}: ")) from None
+    return value
+
+
 def read_reference(value: Any, directory: Any) -> Any:
     """Return a gait or CSV reference as a `SampledReference`, any other reference unchanged.
 
@@ -356,14 +432,7 @@ def read_reference(value: Any, directory: Any) -> Any:
     `CsvReference`. A relative path starts at ``directory``. Raises `ParameterError` for a faulty
     file or value.
     """
-    if isinstance(value, str) and value.endswith(SUFFIXES):
-        value = CsvReference(file=value)
-    if isinstance(value, dict) and value.get("kind") in ("csv", "gait"):
-        cls = CsvReference if value["kind"] == "csv" else GaitReference
-        try:
-            value = cls(**value)
-        except ParameterError as error:
-            raise ParameterError(str(error).removeprefix(f"{cls.__name__}: ")) from None
+    value = object_of_kind(table_mapping(value), CsvReference, GaitReference)
     if isinstance(value, CsvReference):
         return value.samples(directory)
     if isinstance(value, GaitReference):

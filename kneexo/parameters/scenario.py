@@ -24,10 +24,10 @@ from kneexo.parameters.fields import Words
 from kneexo.parameters.law import Law
 from kneexo.parameters.names import searched_for_names
 from kneexo.parameters.plant import RPM, PlantParameters, RodPolynomialParameters
-from kneexo.parameters.presets import with_preset
+from kneexo.parameters.presets import PRESETS, with_preset
 from kneexo.parameters.protection import ProtectionParameters
 from kneexo.parameters.push import PushParameters
-from kneexo.parameters.quantity import Parameters, choice, quantity
+from kneexo.parameters.quantity import Parameters, choice, quantity, require_object
 from kneexo.parameters.reference import (
     SHORTEST_RUN_S,
     Reference,
@@ -36,6 +36,7 @@ from kneexo.parameters.reference import (
     gait_stride_deg,
     read_reference,
     stride_frequency_hz,
+    table_mapping,
 )
 from kneexo.parameters.torque import LoadCellParameters, TorqueParameters
 from kneexo.parameters.wearer import (
@@ -119,6 +120,12 @@ class SimulationParameters(Parameters):
         There radau3 replaces an integrator of the compiled engine.
         """
         return self.model_copy(update={"integrator": "radau3"}) if self.compiled else self
+
+
+def require_scenario(value: Any) -> None:
+    """Raise `ParameterError` if the argument ``scenario`` of a function is no `Scenario`."""
+    name = value if isinstance(value, str) and value in PRESETS else "leg"
+    require_object("scenario", value, Scenario, f'Scenario.preset("{name}") or load_scenario(path)')
 
 
 @searched_for_names
@@ -333,14 +340,30 @@ class Scenario(Parameters):
         """The plant for which the controller is designed: ``nominal``, or ``plant`` without it."""
         return self.plant if self.nominal is None else self.nominal
 
-    @field_validator("reference", mode="before")
+    @field_validator("reference", mode="wrap")
     @classmethod
-    def _named_reference(cls, reference: Any, info: ValidationInfo) -> Any:
-        return read_reference(reference, (info.context or {}).get("directory", "."))
+    def _named_reference(cls, reference: Any, validated: Any, info: ValidationInfo) -> Any:
+        reference = validated(read_reference(reference, (info.context or {}).get("directory", ".")))
+        plant = info.data.get("plant")  # None if it is faulty
+        if plant and isinstance(reference, SampledReference) and reference.clip:
+            return reference.clipped(plant.knee.flexion_min_deg, plant.knee.flexion_max_deg)
+        return reference
+
+    @field_validator("wearer", mode="before")
+    @classmethod
+    def _on_the_clock_of_the_reference(cls, wearer: Any, info: ValidationInfo) -> Any:
+        """Give a file of the moment the shift of the reference, since both are of one trial."""
+        shift_s = getattr(info.data.get("reference"), "shift_s", 0.0)
+        moment = table_mapping(wearer.get("moment")) if isinstance(wearer, dict) else None
+        if shift_s and isinstance(moment, dict) and moment.get("kind") == "csv":
+            return wearer | {"moment": {"shift_s": shift_s} | moment}
+        return wearer
 
     @model_validator(mode="after")
     def _compatible(self) -> Scenario:
-        self.plant.knee.require_in_range(*self.reference.range_deg)
+        sampled = isinstance(self.reference, SampledReference)
+        remedy = "reduce it" + ", or set clip: true in reference: {…}" * sampled
+        self.plant.knee.require_in_range(*self.reference.range_deg, remedy)
         continuous = self.controller.kind == "smc" and self.controller.continuous
         if continuous and self.estimator.kind != "exact":
             raise ValueError(

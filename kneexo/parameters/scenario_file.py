@@ -34,8 +34,9 @@ from kneexo.parameters import (
 )
 from kneexo.parameters.faults import one_line
 from kneexo.parameters.fields import allowed_range, source_of, unit_of
-from kneexo.parameters.presets import with_preset
+from kneexo.parameters.presets import PRESETS, with_preset
 from kneexo.parameters.quantity import Parameters
+from kneexo.parameters.scenario import require_scenario
 from kneexo.parameters.uncertainty import require_applicable
 
 _Path = tuple[str | int, ...]
@@ -106,12 +107,10 @@ def as_scenario(
     Raises `ParameterError` if ``scenario`` has another type, and the errors of `load_scenario`.
     """
     if isinstance(scenario, str | os.PathLike):
+        if scenario in PRESETS and not os.path.exists(scenario):
+            require_scenario(scenario)
         scenario = load_scenario(scenario)
-    if not isinstance(scenario, Scenario):
-        raise ParameterError(
-            f"scenario: must be a Scenario or the path of a scenario file, not a "
-            f"{type(scenario).__name__}"
-        )
+    require_scenario(scenario)
     return scenario if law is None else scenario.with_law(law, initial_state=initial_state)
 
 

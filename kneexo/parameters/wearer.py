@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -11,11 +12,21 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from kneexo.errors import ParameterError
 from kneexo.files.reading import file_error
-from kneexo.files.table import SUFFIXES, read_table
+from kneexo.files.table import read_table
 from kneexo.gait import gait_moment_cycle, gait_start_percent
 from kneexo.parameters.fields import Words
 from kneexo.parameters.quantity import Parameters, choice, quantities, quantity
-from kneexo.parameters.reference import LONGEST_TIME_S, GaitReference, gait_reference
+from kneexo.parameters.reference import (
+    LONGEST_TIME_S,
+    TIMES_IN_MS,
+    CsvTable,
+    GaitReference,
+    gait_reference,
+    object_of_kind,
+    require_samples,
+    shifted,
+    table_mapping,
+)
 from kneexo.result import Array
 
 MAXWELL_BANK = (
@@ -69,13 +80,7 @@ class MomentTable(Parameters):
 
     @model_validator(mode="after")
     def _consistent(self) -> MomentTable:
-        if not len(self.times_s) == len(self.moments_n_m) >= 2:
-            raise ValueError(
-                f"times_s has {len(self.times_s)} values and moments_n_m has "
-                f"{len(self.moments_n_m)}: must be as many, at least 2"
-            )
-        if any(b - a < 1e-6 for a, b in zip(self.times_s, self.times_s[1:], strict=False)):
-            raise ValueError("times_s must increase by at least 1e-6 s from sample to sample")
+        require_samples(self.times_s, "moments_n_m", self.moments_n_m, 2)
         return self
 
 
@@ -85,6 +90,32 @@ class GaitMoment(GaitReference):
     body_mass_kg: float = quantity(
         MOMENT_MASS_KG, "kg", "assumption: an adult; the moment is proportional", ge=1, le=500
     )
+
+
+class CsvMoment(CsvTable):
+    """A file with the biological moment of the knee, such as one of OpenSim's inverse dynamics."""
+
+    column: str = choice(
+        "knee_moment_nm", "name of the column of moments in N·m; OpenSim's knee_angle_r_moment"
+    )
+
+    def moments(self, directory: str | os.PathLike[str] = ".") -> MomentTable:
+        """Read the moments from the file. A relative file path starts at ``directory``.
+
+        Raises `ScenarioError` for a faulty file, as `CsvReference.samples` does.
+        """
+        path, sign = Path(directory, self.file), -1.0 if self.flexion == "negative" else 1.0
+        remedy = "; give its names: moment: {file: …, time: …, column: …}"
+        table = read_table(path, (self.time, self.column), remedy).without_repeats()
+        table.require(self.time, -LONGEST_TIME_S, LONGEST_TIME_S, "s", TIMES_IN_MS)
+        table.require(self.column, -LARGEST_MOMENT_N_M, LARGEST_MOMENT_N_M, "N·m")
+        try:
+            return MomentTable(
+                times_s=tuple(shifted(table.columns[self.time], self.shift_s or 0.0)),
+                moments_n_m=tuple(sign * moment for moment in table.columns[self.column]),
+            )
+        except ParameterError as error:
+            raise file_error(path, None, str(error).removeprefix("MomentTable: ")) from None
 
 
 @cache
@@ -127,31 +158,16 @@ def leg_of_body(mass_kg: float, height_m: float) -> dict[str, float]:
 def read_moment(value: Any, directory: Any) -> Any:
     """Return the table of a moment of walking or of a file. Return other values unchanged.
 
-    ``value`` is an object, a mapping, or the path of a file that `read_table` reads, with the
-    columns ``time_s`` and ``knee_moment_nm``. A relative path starts at ``directory``. Raises
-    `ParameterError` for a faulty file or value.
+    ``value`` is an object, a mapping, or the path of a file of `CsvMoment`. A relative path starts
+    at ``directory``. Raises `ParameterError` for a faulty file or value.
     """
-    if isinstance(value, dict) and value.get("kind") == "gait":
-        try:
-            value = GaitMoment(**value)
-        except ParameterError as error:
-            raise ParameterError(str(error).removeprefix("GaitMoment: ")) from None
+    value = object_of_kind(table_mapping(value), CsvMoment, GaitMoment)
+    if isinstance(value, CsvMoment):
+        return value.moments(directory)
     if isinstance(value, GaitMoment):
         mass_kg = value.body_mass_kg
         return gait_moment(value.frequency_hz, value.cycles, body_mass_kg=mass_kg)
-    if not (isinstance(value, str) and value.endswith(SUFFIXES)):
-        return value
-    path = Path(directory, value)
-    table = read_table(path, ("time_s", "knee_moment_nm"), "; rename its columns")
-    table.require("time_s", -LONGEST_TIME_S, LONGEST_TIME_S, "s")
-    table.require("knee_moment_nm", -LARGEST_MOMENT_N_M, LARGEST_MOMENT_N_M, "N·m")
-    try:
-        return MomentTable(
-            times_s=tuple(table.columns["time_s"]),
-            moments_n_m=tuple(table.columns["knee_moment_nm"]),
-        )
-    except ParameterError as error:
-        raise file_error(path, None, str(error).removeprefix("MomentTable: ")) from None
+    return value
 
 
 class CuffParameters(Parameters):
@@ -240,7 +256,8 @@ class LegParameters(Parameters):
         le=2,
     )
     moment: Annotated[
-        MomentTable | None, Words(models=(GaitMoment,), others=("the path of a .csv file",))
+        MomentTable | None,
+        Words(models=(GaitMoment, CsvMoment), others=("the path of a .csv file",)),
     ] = choice(
         None, "given by the user: biological moment, a table, gait, or the path of a CSV file"
     )

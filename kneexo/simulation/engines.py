@@ -8,6 +8,7 @@ from typing import Any
 
 from kneexo.compiler import ROUGH_STEP_S, Reduction
 from kneexo.diagrams import SIGNALS, available_signals, columns, make_closed_loop
+from kneexo.diagrams.closed_loop import chosen_signals
 from kneexo.diagrams.law import makers_called_once
 from kneexo.errors import (
     KneexoError,
@@ -17,6 +18,7 @@ from kneexo.errors import (
     UnstableStepError,
 )
 from kneexo.parameters import Scenario
+from kneexo.parameters.scenario import require_scenario
 from kneexo.result import Array
 from kneexo.simulation.drake import simulate_diagram
 from kneexo.simulation.lockstep import ask, needs_runs
@@ -211,8 +213,11 @@ def simulate(
         For the same reasons as in `kneexo.diagrams.make_closed_loop`. `ParameterError` also if the
         run would require too much memory or time.
     """
+    require_scenario(scenario)
     if law is not None:
         scenario = scenario.with_law(law, initial_state=initial_state)
+    if isinstance(signals, str):
+        chosen_signals(scenario, signals)  # raises the error
     return _run(RunRequest(scenario, signals, progress))
 
 

@@ -7,6 +7,7 @@ import sys
 from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
+from inspect import signature
 from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -18,6 +19,7 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 
 from kneexo.compiler import trust
 from kneexo.errors import SimulationError
+from kneexo.parameters.quantity import Parameters, require_object
 
 if TYPE_CHECKING:
     from pydrake.systems.framework import LeafSystem
@@ -192,6 +194,8 @@ def leaf_template(component: type[NamedLeaf]) -> Any:
     need no template. An explicit scope avoids 40 ms of stack inspection.
     """
 
+    _, *parameters = signature(component.__init__).parameters.values()
+
     @TemplateSystem.define(f"{component.__name__}_", scope=sys.modules[component.__module__])
     def template(scalar: Any) -> Any:
         # mypy does not accept a base class that is a variable.
@@ -206,6 +210,11 @@ def leaf_template(component: type[NamedLeaf]) -> Any:
                 fault_names: tuple[str, ...] = (),
                 **named: Any,
             ) -> None:
+                for expected, value in zip(parameters, values, strict=False):
+                    if isinstance(expected.default, Parameters) and not isinstance(
+                        value, Parameters
+                    ):
+                        require_object(expected.name, value, type(expected.default))
                 LeafSystem_[scalar].__init__(self, converter)
                 self._arguments = values, named | {"fault_names": fault_names}
                 self._fault_names = fault_names

@@ -52,6 +52,27 @@ def test_samples_before_the_run_are_one_notice():
     assert lines == ["the samples before 0 s, from -2 s on, are not run; add 2 s to all times"]
 
 
+def sampled_notices(times_s, angles_deg, **values):
+    reference = SampledReference(times_s=times_s, angles_deg=angles_deg, **values)
+    return list(notices(Scenario(reference=reference)))
+
+
+def test_what_was_done_to_the_samples_of_a_file_is_a_notice():
+    shift, clip = sampled_notices((0, 4, 10), (20, -5, 30), clip=True, shift_s=12.3)
+    assert shift == "the run begins at 12.3 s of the files of reference and moment"
+    assert clip == "samples up to 5° beyond the stops are clipped"
+
+
+def test_units_that_may_be_others_are_notices():
+    times_s, angles = np.linspace(0.0, 2.0, 101), 35.0 - 33.0 * np.cos(np.linspace(0.0, 12.0, 101))
+    assert sampled_notices(times_s, angles) == []
+    (line,) = sampled_notices(times_s, np.radians(angles))
+    assert line == "the reference stays within 1.19°; if it is in rad, multiply it by 57.3"
+    (line,) = sampled_notices(1e3 * times_s, angles)  # at most 33 deg · 6 rad/s
+    assert line == "the reference moves at most 0.2 deg/s; divide its times by 1000 if in ms"
+    assert sampled_notices((0, 50, 101), (0.0, 0.0, 0.0)) == []  # a knee that stands still
+
+
 @pytest.mark.parametrize("kind", ["step", "ramp"])
 def test_a_motion_after_the_run_is_a_notice(kind):
     reference = {"kind": kind, "time_s": 30.0}
@@ -247,10 +268,12 @@ def test_a_nominal_plant_that_differs_is_a_notice():
     assert list(model_notices(Scenario(nominal=Scenario().plant))) == []
 
 
-def test_no_line_is_wider_than_100_columns_unless_it_is_one_word():
+@pytest.mark.parametrize(("columns", "width"), [("", 100), ("140", 100), ("60", 60)])
+def test_no_line_is_wider_than_the_terminal_unless_it_is_one_word(monkeypatch, columns, width):
+    monkeypatch.setenv("COLUMNS", columns)
     words = " ".join(30 * ["plant.load"])
     lines = wrapped(f"{words} {130 * 'x'}").split("\n")
-    assert all(len(line) <= 100 for line in lines[:-1])
+    assert width - 10 < max(len(line) for line in lines[:-1]) <= width
     assert lines[-1] == f"  {130 * 'x'}"
     assert " ".join(" ".join(lines).split()) == f"{words} {130 * 'x'}"
     assert model_lines(Scenario(), ["a", "b"])[1:] == ["Note: a.", "Note: b."]

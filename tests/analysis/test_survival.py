@@ -105,3 +105,10 @@ def test_wrong_arguments_are_one_line(arguments, message):
     for bound_deg in (0.0, math.inf):
         with pytest.raises(ParameterError, match=f"bound_deg = {bound_deg:g} deg: must be > 0 and"):
             fault_survival(RAMP, [DEAD], [1.0], bound_deg=bound_deg)
+
+
+def test_one_fault_and_a_start_as_text_are_one_line():
+    with pytest.raises(ParameterError, match=r"faults = FaultParameters.*: must be a list$"):
+        fault_survival(RAMP, DEAD, [1.0])
+    with pytest.raises(ParameterError, match=r"starts_s.0 = 'a': must be a number, >= 0 and"):
+        fault_survival(RAMP, [DEAD], ["a"])

@@ -78,9 +78,10 @@ def test_a_false_alarm_is_counted_and_its_level_is_that_of_the_whole_run():
 @pytest.mark.parametrize(
     ("values", "trips_s", "message"),
     [
-        ({"protection.overdue_s": 0.3}, [], "overdue_s = 0.3 s: must be >= 0 and < 0.3 s, the dur"),
-        ({"protection.trip_s": 1.0}, [], "trip_s = 1 s: must be >= 0 and < 0.3 s"),
-        ({}, [-1.0], "trip_s = -1 s: must be >= 0"),
+        ({"protection.overdue_s": 0.3}, [], r"protection.overdue_s = 0.3 s: must be < 0.3 s, the "),
+        ({"protection.trip_s": 1.0}, [], r"protection.trip_s = 1 s: must be < 0.3 s"),
+        ({}, [0.1, 0.3], r"^trips_s = 0.3 s: must be < 0.3 s"),
+        ({}, [-1.0], r"trips_s.0 = -1 s is out of range: must be finite and >= 0"),
     ],
 )
 def test_a_run_too_short_for_a_level_is_refused(values, trips_s, message):
@@ -115,5 +116,13 @@ def test_a_motion_that_the_pump_cannot_follow_is_an_alarm():
 def test_runs_without_protection_or_number_are_refused():
     with pytest.raises(ParameterError, match="protection: is missing; add protection"):
         detector_thresholds(Scenario())
-    with pytest.raises(ParameterError, match="runs = 0: must be >= 1"):
-        detector_thresholds(SHORT, MASSES, 0)
+    for runs, line in (
+        (0, "runs = 0 is out of range: must be finite and >= 1"),
+        (1.5, "runs = 1.5: must be a whole number"),
+        (10**9, "runs = 1000000000 is out of range"),
+    ):
+        with pytest.raises(ParameterError, match=line):
+            detector_thresholds(SHORT, MASSES, runs)
+    wrong = {"values": {"plant.cylinder.mas_kg": Uncertainty(low=1.0, high=2.0)}}
+    with pytest.raises(ParameterError, match=r"did you mean plant.cylinder.mass_kg"):
+        detector_thresholds(SHORT, wrong)

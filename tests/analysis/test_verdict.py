@@ -394,3 +394,17 @@ def test_a_run_of_leg_logs_what_its_verdict_asks_for():
     run = track(changed(LEG, {"simulation.duration_s": 0.1}))
     assert run.verdict.relief_share == 0.0
     assert run.verdict.limit_cycle is None  # the reference moves
+
+
+def test_a_gap_of_the_samples_is_a_notice_with_the_errors_inside_and_outside():
+    times = np.delete(np.arange(0.0, 6.01, 0.02), slice(100, 150))  # 1.98 … 3 s
+    angles = 30.0 - 20.0 * np.cos(times)
+    reference = {"kind": "samples", "times_s": times, "angles_deg": angles}
+    error = np.where((TIME > 1.98) & (TIME < 3.0), 2.5, 0.5)
+    notices = result(Scenario(reference=reference), error_deg=error).verdict.notices
+    assert notices == (
+        "the reference has gaps, the longest from 1.98 to 3 s, in which its curve is a guess: "
+        "largest error 2.5° there, 0.5° elsewhere",
+    )
+    whole = {"times_s": times[:100], "angles_deg": angles[:100]}
+    assert not result(Scenario(reference=reference | whole), time_s=TIME[:990]).verdict.notices

@@ -323,7 +323,11 @@ REFUSED = [
     ({"kind": "offset", "size": 0.0}, "size = 0 deg of kind = offset: has no effect; give"),
     ({"signal": "knee_angle_rad"}, "signal: must have above or below"),
     ({"above": 1.0}, "signal: must have above or below, and a threshold must have a signal"),
-    ({"signal": "knee_angle", "above": 1.0}, "signal 'knee_angle' is unknown; did you mean knee_a"),
+    ({"signal": "knee_angle", "above": 1.0}, "signal 'knee_angle' cannot start a fault; did you"),
+    (
+        {"signal": "active_faults", "above": 0.0},
+        "cannot start a fault; take another of signals.csv",
+    ),
     ({"place": "command", "kind": "bit_flip", "size": 1.0}, "must be at the encoder"),
     ({"place": "plant.pump.lag_s.", "kind": "frozen"}, "unknown name"),
     ({"place": "encodr"}, r"place = encodr: must be encoder, .*a number; did you mean encoder\?"),

@@ -84,6 +84,19 @@ def test_a_faulty_file_is_one_line(tmp_path, name, values, message):
     assert "\n" not in str(error.value)
 
 
+def test_a_path_of_three_mm_may_be_in_cm(tmp_path, recwarn):
+    read_anatomical_knee(written(tmp_path / "knee.csv", GOOD))
+    still = GOOD | {"anterior_mm": [0.0] * 3, "up_mm": [0.0] * 3}  # a hinge
+    read_anatomical_knee(written(tmp_path / "knee.csv", still))
+    assert not recwarn.list
+    in_cm = {name: [value / 10.0 for value in values] for name, values in GOOD.items()}
+    columns = in_cm | {"knee_flexion_deg": GOOD["knee_flexion_deg"]}
+    with pytest.warns(
+        UserWarning, match=r"anterior_mm and up_mm change by 2.7 mm at most; are they in cm"
+    ):
+        read_anatomical_knee(written(tmp_path / "knee.csv", columns))
+
+
 @pytest.mark.parametrize(
     ("values", "message"),
     [

@@ -53,6 +53,7 @@ OWN_LAW = Path(__file__).parents[2] / "examples" / "own_law.py"
 NEEDED = {
     LawParameters: {"function": f"{OWN_LAW}:law"},
     MomentTable: {"times_s": (0.0, 1.0), "moments_n_m": (0.0, 1.0)},
+    SampledReference: {"times_s": (0.0, 1.0, 2.0), "angles_deg": (1.0, 2.0, 3.0)},
 }
 """What has no default, where numbers are tried."""
 CLASSES = list(dict.fromkeys(classes_of(Scenario)))
@@ -98,7 +99,7 @@ def test_introspection_sees_every_class() -> None:
 
 def test_each_number_has_unit_range_and_provenance() -> None:
     kinds = "Tables? |Sections? |Eq\\. |Fig\\. |assumption|given by the user|standard gravity"
-    kinds += "|Winter 2009|arXiv "
+    kinds += "|Winter 2009|arXiv |result: "
     run = "three periods|the control period|accuracy of|rod position minus reference"
     for key, (_, _, field) in NUMBERS.items():
         assert unit_of(field), key
@@ -185,11 +186,9 @@ def test_each_name_ends_with_the_unit() -> None:
 
 
 def test_classes_are_documented_and_frozen() -> None:
-    samples = {"times_s": (0.0, 1.0, 2.0), "angles_deg": (1.0, 2.0, 3.0)}
     for model in CLASSES:
         assert model.__doc__, model
-        needed = samples if model is SampledReference else NEEDED.get(model, {})
-        instance = model(**needed)
+        instance = model(**NEEDED.get(model, {}))
         for name in model.model_fields:
             with pytest.raises(ParameterError, match=f"{model.__name__} is frozen; .*{name}"):
                 setattr(instance, name, getattr(instance, name))
@@ -297,7 +296,7 @@ def test_value_inside_the_range_is_accepted_and_kept(data: st.DataObject, key: s
         (
             SampledReference,
             {"times_s": (0.0, 1.0, 2.0), "angles_deg": (1.0,) * 4},
-            "times_s has 3 values and angles_deg has 4: must be as many",
+            "times_s has 3 values and angles_deg has 4: must be as many, at least 3",
         ),
         (
             SampledReference,
@@ -306,8 +305,8 @@ def test_value_inside_the_range_is_accepted_and_kept(data: st.DataObject, key: s
         ),
         (
             SampledReference,
-            {"times_s": (0.0, 1.0, 2.0)},
-            "angles_deg: is missing; must be given by the user",
+            {"times_s": None},
+            "times_s has no value: must be a list of numbers",
         ),
         (
             Scenario,

@@ -268,6 +268,8 @@ TWICE = {
     "angles": [*ANGLES, *ANGLES[1:]],
     "rounding": 1e-14,
 }
+head, _, rows = opensim(unit="inDegrees=yes\n", cell="{!r}").partition("endheader\n")
+opensim_of_excel = head.replace("\n", ",,,,\n") + "endheader,,,,\n" + rows.replace("\t", ",")
 SIMM = "name ik.mot\ndatacolumns 5\ndatarows 5\nrange 0 2\n"
 FILES |= {
     "OpenSim": File(opensim(), COORDINATES),
@@ -334,6 +336,36 @@ FILES |= {
         COORDINATES,
         message=":12: has 4 values; must have 5, one of each column",
     ),
+    "OpenSim, the last row twice": File(opensim() + opensim().splitlines()[-1], COORDINATES),
+    "OpenSim, one time with two angles": File(
+        opensim(times=[*TIMES, TIMES[-1]], angles=[*ANGLES, 6.0]),
+        COORDINATES,
+        message=":16: time_s = 1000.5 s after 1000.5 s: must increase by at least 1e-06 s from row",
+    ),
+    "OpenSim, saved by Excel": File(opensim_of_excel, COORDINATES),
+    "OpenSim, saved by Excel of a Mac": File(opensim_of_excel.replace("\n", "\r"), COORDINATES),
+    "OpenSim, saved by Excel de": File(opensim_of_excel.replace(",", ";"), COORDINATES),
+    "OpenSim, a trial within a recording": File(
+        opensim(times=[12.3, 12.32, 12.36, 12.4, 14.3]),
+        COORDINATES,
+        times=[0.0, 0.02, 0.06, 0.1, 2.0],
+    ),
+    "OpenSim, time of the run": File(
+        opensim(times=[12.3, 12.5, 13.0, 14.0, 14.25]),
+        COORDINATES | {"shift_s": 12.0},
+        times=[0.3, 0.5, 1.0, 2.0, 2.25],
+    ),
+    "OpenSim, deg under inDegrees=no": File(
+        opensim().replace("inDegrees=yes", "inDegrees=no"),
+        COORDINATES,
+        message=": knee_angle_r reaches 61.06 rad by the flag inDegrees=no: must be <= 6.28 rad; "
+        "write inDegrees=yes if it is in deg, 57.3 times as large",
+    ),
+    "logger, ms since 1970": File(
+        plain(",", rows=[(1.7e12 + 20.0 * n, 5.0 + n) for n in range(5)]),
+        message=":2: time_s = 1.7e+12 s is out of range: must be >= -100000 and <= 100000 s; "
+        "divide all times by 1000 if they are in ms",
+    ),
     "percent as a share": File(
         plain(",", rows=[(0.0, 5.0), (0.5, 60.0), (1.0, 5.0)]),
         {"period_s": 1.2},
@@ -345,6 +377,16 @@ FILES |= {
         message=": knee_angle_deg ends 4.5 deg from its first row: must be <= 2 deg, or each cycle "
         "jumps; subtract a straight line",
     ),
+}
+
+
+FILES |= {
+    f"OpenSim, {what}": File(
+        opensim().replace("Coordinates", what),
+        COORDINATES,
+        message=f":1: is a file of {what}; must be of Coordinates (_Kinematics_q.sto)",
+    )
+    for what in ("Speeds", "Accelerations", "PositionErrors", "controls", "ActuatorForces")
 }
 
 

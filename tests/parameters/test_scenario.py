@@ -109,6 +109,39 @@ def test_reference_and_moment_of_walking_have_one_frequency():
     scenario.changed({"reference": gait_reference(0.8, 3), "wearer.moment": other})
 
 
+def test_reference_and_moment_of_one_trial_have_one_clock(tmp_path):
+    rows = [(12.3 + 0.1 * n, n - 5.0) for n in range(21)]
+    for name, column in (("ik.csv", "knee_angle_deg"), ("id.csv", "knee_moment_nm")):
+        lines = [f"time_s,{column}", *(f"{time:.1f},{value}" for time, value in rows)]
+        (tmp_path / name).write_text("\n".join(lines), encoding="utf-8")
+    path = tmp_path / "my.yaml"
+    reference = "{kind: csv, file: ik.csv, clip: true}"
+    text = f"preset: wearer\nreference: {reference}\nwearer: {{moment: id.csv}}"
+    path.write_text(text, encoding="utf-8")
+    scenario = load_scenario(path)
+    assert scenario.duration_s == 2.0
+    assert (scenario.reference.shift_s, scenario.reference.clipped_deg) == (12.3, 5.0)
+    assert scenario.reference.range_deg == (0.0, 15.0)
+    assert scenario.reference.times_s == scenario.wearer.moment.times_s
+    assert scenario.wearer.moment.times_s[:3] == (0.0, 0.1, 0.2)
+    # A change of another value shifts nothing again, and a new file of the moment is shifted.
+    assert scenario.changed({"encoder.quantized": False}).wearer == scenario.wearer
+    assert scenario.changed({"wearer.moment": str(tmp_path / "id.csv")}) == scenario
+    path.write_text(text.replace("id.csv", "{file: id.csv, shift_s: 12.0}"), encoding="utf-8")
+    with pytest.raises(ParameterError, match=r"wearer.moment covers 0.3 … 2.3 s, .* 0 to 2 s"):
+        load_scenario(path)
+
+
+def test_clip_sets_samples_to_the_ends_of_the_range_of_motion():
+    samples = {"times_s": (0, 1, 2, 3, 4), "angles_deg": (20, -5, 10, 93, 20), "clip": True}
+    scenario = Scenario(reference={"kind": "samples", **samples})
+    assert scenario.reference.angles_deg == (20.0, 0.0, 10.0, 90.0, 20.0)
+    assert scenario.reference.clipped_deg == 5.0
+    narrow = scenario.changed({"plant.knee.flexion_max_deg": 60.0}).reference
+    assert (narrow.angles_deg, narrow.clipped_deg) == ((20.0, 0.0, 10.0, 60.0, 20.0), 30.0)
+    assert Scenario(**dict(scenario)) == scenario
+
+
 @pytest.mark.parametrize(
     ("values", "message"),
     [

@@ -88,6 +88,7 @@ VALID = [
     "plant: {load: knee}\nwearer: {kind: leg, moment: gait}",
     "plant: {load: knee}\nwearer: {kind: leg, moment: {kind: gait, body_mass_kg: 60}}",
     "plant: {load: knee}\nwearer: {kind: leg, moment: moment.csv}",
+    "plant: {load: knee}\nwearer: {kind: leg, moment: {file: moment.csv, flexion: negative}}",
     "estimator: {}",
     "bus: {latency_samples: 2}",
     "bus: {kind: cia402, velocity_unit_rpm: 1, latency_samples: 1}",

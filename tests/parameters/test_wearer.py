@@ -8,6 +8,7 @@ from kneexo.errors import ParameterError
 from kneexo.gait import gait_knee_flexion, gait_moment_cycle
 from kneexo.parameters import (
     BODIES,
+    CsvMoment,
     GaitMoment,
     LegParameters,
     MomentTable,
@@ -116,9 +117,20 @@ def test_a_moment_can_be_a_file_of_opensim(tmp_path) -> None:
     moment = LegParameters(moment=str(file)).moment
     assert moment == MomentTable(times_s=(0.0, 0.5), moments_n_m=(-1.0, -60.5))
     file.write_text(text.replace("knee_moment_nm", "knee_angle_r_moment"), encoding="utf-8")
-    line = r"has no column 'knee_moment_nm'; it has .*knee_angle_r_moment.*; rename its columns\Z"
+    line = (
+        r"has no column 'knee_moment_nm'; it has .*knee_angle_r_moment.*; give its names: moment: "
+    )
     with pytest.raises(ParameterError, match=line):
         LegParameters(moment=str(file))
+    named = {"file": str(file), "column": "knee_angle_r_moment"}
+    for given, sign in ((named, 1.0), (CsvMoment(**named, flexion="negative"), -1.0)):
+        moment = LegParameters(moment=given).moment
+        assert moment.moments_n_m == (-sign, -60.5 * sign)
+        assert moment.times_s == (0.0, 0.5)
+    shifted = LegParameters(moment=named | {"shift_s": 0.2, "kind": "csv"}).moment
+    assert shifted.times_s == (-0.2, 0.3)
+    with pytest.raises(ParameterError, match=r"moment: file: is missing; must be given by the"):
+        LegParameters(moment="csv")
 
 
 def test_a_faulty_csv_file_is_named_with_its_line(tmp_path) -> None:

@@ -268,6 +268,8 @@ def test_every_quantity_changes_the_numbers_or_the_structure(case):
         if (numbers(other), structure_key(other)) == (before, key):
             inert.add(".".join(path))
     unused = set() if base.encoder.quantized else {"encoder.phase_rad"}
+    if base.reference.kind == "samples":
+        unused |= {"reference.clipped_deg", "reference.shift_s"}  # what was done to the samples
     if base.controller.kind == "pid" and base.estimator.kind == "observer":
         unused |= {"estimator.time_constant_s"}
     if not base.has_load_cell:

@@ -41,7 +41,7 @@ def test_scenarios_files_and_names(made, tmp_path):
 def test_wrong_names_are_refused(made):
     with pytest.raises(ParameterError, match="names: 1 names for 2 scenarios; must be one for"):
         kx.play(kx.Scenario(), kx.Scenario(), names=["mine"])
-    with pytest.raises(ParameterError, match="must be a Scenario or the path"):
+    with pytest.raises(ParameterError, match="must be an object of Scenario, such as"):
         kx.play(3)
     assert made == []
 
