@@ -66,8 +66,8 @@ def _called(law: Law, function: Any, arguments: Mapping[str, Any]) -> list[Any]:
         try:
             result = function(**_plain(arguments))
         except TypeError as error:
-            # Drake 1.58 accepts no comparison of NumPy scalars, but one of Expressions. `trace`
-            # finds that out with copies of an object, so in a run no call is made twice.
+            # Drake 1.58 accepts no comparison of NumPy scalars, but one of Expressions.
+            # `hides_state` finds that out with a copy, so a run calls no object twice.
             if scalars or memo.get("needs_constants") or "if_then_else()" not in text_of(error):
                 raise
             memo["needs_constants"] = True
@@ -515,8 +515,10 @@ def hides_state(law: Law, states: int) -> bool:
     """
     memo = _memo(law)
     if ("hides_state", states) not in memo:
-        before = _outer_values(law.target)
-        hides, _ = _find_hidden_state(law, states, _points(law, states))
+        before, points = _outer_values(law.target), _points(law, states)
+        if "if_then_else" in law.names:  # a copy apart finds whether pydrake wants Expressions
+            _values(law, states, points)
+        hides, _ = _find_hidden_state(law, states, points)
         if before != _outer_values(law.target):
             raise _hidden_state(law)
         memo["hides_state", states] = hides
