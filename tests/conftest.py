@@ -57,27 +57,22 @@ def pytest_configure(config):
     """Compile models of fast tests at LLVM's level 0, because most of them run once.
 
     A property of a fast test is tried with 25 examples, the same in each run, so that no draw fails
-    a change that did not touch it. With ``KNEEXO_NEW_EXAMPLES=1`` ten times as many are drawn anew.
+    a change that did not touch it. With ``KNEEXO_NEW_EXAMPLES=1`` ten times as many are drawn anew,
+    but as many as before where a test has a number of its own.
     """
     fast = config.option.markexpr.endswith("not slow")
+    new = bool(os.environ.get("KNEEXO_NEW_EXAMPLES"))
     os.environ.setdefault("KNEEXO_LLVM_LEVEL", "0" if fast else "3")
     hypothesis.settings.register_profile(
         "kneexo",
-        max_examples=25 if fast else 100,
-        derandomize=True,
+        max_examples=(25 if fast else 100) * (10 if new else 1),
+        derandomize=not new,
+        print_blob=new,
         # A loaded machine fails no test.
         deadline=None,
         suppress_health_check=[hypothesis.HealthCheck.too_slow],
     )
     hypothesis.settings.load_profile("kneexo")
-
-
-def _with_new_examples(test):
-    """Let a property have new examples, ten times as many; a failure prints how to repeat it."""
-    if own := getattr(test, "_hypothesis_internal_use_settings", None):
-        test._hypothesis_internal_use_settings = hypothesis.settings(
-            own, max_examples=10 * own.max_examples, derandomize=False, print_blob=True
-        )
 
 
 MOST_CPU_S = 0.2
@@ -151,8 +146,6 @@ def pytest_collection_modifyitems(items):
     """Mark the slow tests of the gate: all of pages, and some cases of each other test."""
     cases = {}
     for item in items:
-        if os.environ.get("KNEEXO_NEW_EXAMPLES"):
-            _with_new_examples(item.obj)
         if item.get_closest_marker("slow"):
             cases.setdefault(item.nodeid.partition("[")[0], []).append(item)
     for several in cases.values():
