@@ -53,6 +53,9 @@ def test_the_text_and_the_figure_have_the_levels():
     flow = ax.get_lines()[list(DETECTORS).index("flow")]
     np.testing.assert_allclose(flow.get_xdata(), [2.0, 10.0])
     np.testing.assert_allclose(flow.get_ydata(), [5 / 3.5, 4 / 3.5])
+    limit = ax.get_lines()[-1]  # above it a detector raises a false alarm
+    np.testing.assert_array_equal(limit.get_ydata(), [1.0, 1.0])
+    assert limit.get_zorder() < flow.get_zorder()
     plt.close(ax.figure)
 
 

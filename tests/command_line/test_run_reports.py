@@ -74,6 +74,22 @@ def test_numbers_without_limit_have_units(leg):
     assert rows["work of the pump on the cylinder"] == [work]
 
 
+def test_a_limit_cycle_has_amplitude_period_and_pressures(leg):
+    """A knee that is made to swing by 0.25° with 0.2 s about 40°, and its pressure with it."""
+    time = leg["time_s"]
+    wave = np.sin(10.0 * math.pi * time)
+    data = leg.run.data | {
+        "knee_reference_rad": np.full_like(time, np.radians(40.0)),
+        "knee_angle_rad": np.radians(40.0 + 0.25 * wave),
+        "load_pressure_pa": 1e6 * (-0.5 + wave),
+    }
+    result = replace(leg, run=replace(leg.run, data=data))
+    rows = rows_of(tracking_report(result))
+    assert rows["limit cycle at rest, amplitude"] == ["0.25° of the knee"]
+    assert rows["limit cycle at rest, period"] == ["0.2 s"]
+    assert rows["limit cycle at rest, load pressure"] == ["-1.5 … 0.5 MPa"]
+
+
 def test_a_run_shorter_than_its_period_has_dashes():
     scenario = changed(Scenario(), {"simulation.duration_s": 0.5})
     result = track(scenario, all_signals=True)
