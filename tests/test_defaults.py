@@ -1,4 +1,4 @@
-"""Every default, unit, bound and slider against `defaults.txt`: a wrong one changes a line of that file.
+"""Every default, unit, bound and slider against `defaults.txt`: a wrong one changes the file.
 
 After a change that is meant, ``python tests/test_defaults.py`` writes the file.
 """

@@ -22,7 +22,14 @@ from kneexo.analysis.limit_cycle import LimitCycle, limit_cycle
 from kneexo.analysis.margins import Margins
 from kneexo.analysis.notices import model_lines, notices, omissions, wrapped
 from kneexo.analysis.sampled_loop import SampledLoop, linearize_loop
-from kneexo.analysis.signals import period_s, rms, saturated_share, share_above, to_rpm
+from kneexo.analysis.signals import (
+    period_s,
+    rms,
+    saturated_share,
+    settled_s,
+    share_above,
+    to_rpm,
+)
 from kneexo.diagrams.signals import columns
 from kneexo.errors import KneexoError
 from kneexo.linkage import pose
@@ -154,9 +161,9 @@ class Verdict(Result):
     ``error_bound_deg``. This bound is `ERROR_SHARE` of the amplitude, but at least the largest knee
     angle of one count of the encoder, or `LARGEST_COUNT_DEG` if a count is larger. The amplitude is
     half the range of the reference within the run (`run_range_deg`). For another reference, and for
-    a run that ends within the first period, the error of the whole run counts. A run with a step
-    tracks if its knee angle settles (`StepMetrics`). A torque controller does not control the knee
-    angle, so ``tracks`` is None.
+    a run of less than two periods, the error of the whole run counts. A run with a step tracks if
+    its knee angle settles (`StepMetrics`). A torque controller does not control the knee angle, so
+    ``tracks`` is None.
 
     Shares are shares of all samples of the run.
     """
@@ -269,9 +276,7 @@ def _tracking(
     With torque control there is no line. `verdict_of` describes ``step``.
     """
     error_deg = np.degrees(np.abs(run["knee_reference_rad"] - run["knee_angle_rad"]))
-    first = int(np.searchsorted(run.time_s, period_s(scenario) - 1e-9))
-    if run.time_s.size - first < 2:
-        first = 0
+    first = int(np.searchsorted(run.time_s, settled_s(scenario) - 1e-9))
     worst = first + int(np.argmax(error_deg[first:]))
     max_error_deg, time_s = float(error_deg[worst]), float(run.time_s[worst])
     bound_deg, reason = _error_bound(scenario)

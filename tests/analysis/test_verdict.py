@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.analysis.signals import settled_s
 from kneexo.analysis.tracking import TrackingResult, run_metrics, track
 from kneexo.analysis.verdict import ERROR_SHARE, Stability, loop_lines
 from kneexo.command_line.output import to_json
@@ -46,8 +47,7 @@ def result(scenario=SINE, *, error_deg=0.0, time_s=TIME, **signals):
     } | signals
     data = {name: np.broadcast_to(values, time_s.shape) for name, values in columns.items()}
     run = Run(time_s, data, scenario.simulation)
-    period = 2.0 if scenario.reference.kind == "sine" else 0.0
-    metrics = run_metrics(scenario, time_s, data, settled_s=period)
+    metrics = run_metrics(scenario, time_s, data, settled_s=settled_s(scenario))
     return TrackingResult(scenario, run, metrics)
 
 
@@ -66,10 +66,11 @@ def test_a_run_tracks_within_2_deg_at_an_amplitude_of_30_deg(worst_deg, tracks):
     )
 
 
-def test_all_errors_count_in_a_run_within_the_first_period_and_with_other_references():
+def test_all_errors_count_in_a_run_of_less_than_two_periods_and_with_other_references():
     early = np.where(TIME < 0.5, 5.0, 0.1)
-    short = TIME[TIME < 1.5]
-    verdict = result(error_deg=early[: short.size], time_s=short).verdict
+    short = TIME[TIME < 3.9955]
+    part = changed(SINE, {"simulation.duration_s": 3.996})
+    verdict = result(part, error_deg=early[: short.size], time_s=short).verdict
     assert (verdict.tracks, verdict.max_error_time_s) == (False, 0.0)
     ramp = {"kind": "ramp", "start_deg": 20.0, "end_deg": 60.0}
     verdict = result(changed(SINE, {"reference": ramp}), error_deg=early).verdict

@@ -580,9 +580,3 @@ def test_a_study_in_which_every_run_fails_is_a_failure_with_its_reason():
     few = FEW.model_copy(update={"samples": 2, "corners_max": 1})
     with pytest.raises(SimulationError, match=r"^all \d+ runs fail; the first: reference = "):
         robustness_study(changed(Scenario(), {"reference": passing}), SMALL, few)
-
-
-def test_a_run_within_the_first_period_is_refused():
-    scenario = changed(Scenario(), {"simulation.duration_s": 10.0})
-    with pytest.raises(ParameterError, match=r"^simulation.duration_s = 10 s: must be > 10 s, the"):
-        robustness_study(scenario, SMALL, FEW)
