@@ -44,11 +44,12 @@ def test_a_row_is_that_of_single_runs(result):
     """Without protection, with it, and the critical duration; the swapped phases end the run."""
     assert [r.start_s for r in result.rows] == [5.0, 7.5, 5.0, 7.5]
     assert [r.alone.complete for r in result.rows] == [True, True, False, True]
-    scenario = FAST.changed({"simulation.duration_s": 9.5})
-    healthy = np.degrees(simulate(scenario)["knee_angle_rad"])
     for found, fault in zip(result.rows, (DEAD, DEAD, SWAPPED, SWAPPED), strict=True):
+        scenario = FAST.changed({"simulation.duration_s": found.start_s + 2.0})
+        healthy = np.degrees(simulate(scenario)["knee_angle_rad"])
         faulty = scenario.changed({"faults": (fault.changed({"start_s": found.start_s}),)})
-        (case,) = fault_survival(scenario, [fault], [found.start_s]).cases
+        (case,) = fault_survival(scenario, [fault], [found.start_s], observed_s=2.0).cases
+        assert found.censored == case.censored
         assert found.critical_duration_s == case.critical_duration_s
         if found.alone.complete:
             run = simulate(faulty)
@@ -74,6 +75,7 @@ def test_an_emergency_stop_is_that_of_a_single_run(result):
     scenario = FAST.changed({"protection": {}, "simulation.duration_s": 9.5})
     assert [stop.start_s for stop in result.stops] == [5.0, 7.5]
     for stop in result.stops:
+        scenario = scenario.changed({"simulation.duration_s": stop.start_s + 2.0})
         press = {"place": "emergency_stop", "kind": "value", "size": 1.0, "start_s": stop.start_s}
         run = simulate(scenario.changed({"faults": (press,)}))
         first = round(stop.start_s / 0.002)
