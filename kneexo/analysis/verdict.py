@@ -63,6 +63,16 @@ _UNLIMITED_RPM = 1e6
 """Motors are slower, so a higher limit of the command means no limit."""
 
 
+MODE_SWITCHING_HZ = 20.0
+"""Least frequency in Hz at which the load pressure changes its sign in mode switching.
+
+Assumption: the oscillation of the default cylinder has 130…200 Hz, and no knee moves at 20 Hz.
+"""
+
+_OBSERVED_S = 0.5
+"""Time in s within which mode switching is counted."""
+
+
 @dataclass(frozen=True, repr=False)
 class Stability(Result):
     """Stability of the sampled loop at a constant knee angle.
@@ -363,10 +373,11 @@ def _protection_notices(scenario: Scenario, run: Run) -> Iterator[str]:
 
 
 def _pressure_notices(scenario: Scenario, run: Run) -> Iterator[str]:
-    """Yield lines on pressures of a run that a real cylinder does not have.
+    """Yield lines on pressures of a run that a user should know of.
 
     In the reduced order, which has no relief valves, a wearer can exceed the rated pressure. In the
-    full order a chamber can fall below `LOWEST_PRESSURE_PA`. Then the line has time and knee angle.
+    full order the load can change between the chambers again and again, which is mode switching
+    (`kneexo.systems.FullCylinder`), and a chamber can fall below `LOWEST_PRESSURE_PA`.
     """
     peak = np.max(np.abs(run["load_pressure_pa"]))
     reduced_order = scenario.plant.full_order is None and scenario.wearer.kind != "none"
@@ -382,6 +393,16 @@ def _pressure_notices(scenario: Scenario, run: Run) -> Iterator[str]:
     }
     if not chambers:
         return
+    # After a change of sign, the number of changes within a time.
+    changes_s = run.time_s[1:][np.diff(np.signbit(run["load_pressure_pa"]))]
+    counts = np.searchsorted(changes_s, changes_s + _OBSERVED_S) - np.arange(changes_s.size)
+    often = np.flatnonzero(counts >= 2.0 * MODE_SWITCHING_HZ * _OBSERVED_S)
+    if often.size:
+        yield (
+            f"mode switching: from {changes_s[often[0]]:.4g} s on the load changes the chamber "
+            f"{counts[often[0]]} times within {_OBSERVED_S:g} s, and the speed of the rod swings; "
+            f"friction of the seals damps this: raise plant.full_order.coulomb_friction_n"
+        )
     name, pressure = min(chambers.items(), key=lambda item: float(item[1].min()))
     index = int(np.argmin(pressure))
     if pressure[index] < LOWEST_PRESSURE_PA:

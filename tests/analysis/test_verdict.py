@@ -164,6 +164,19 @@ def test_open_relief_valves_saturate_the_full_order():
     assert verdict.lines[1] == "Saturates: relief valves open for 40 % of the run."
 
 
+@pytest.mark.parametrize(("frequency_hz", "is_named"), [(19.0, False), (21.0, True), (200.0, True)])
+def test_a_load_that_changes_the_chamber_again_and_again_is_mode_switching(frequency_hz, is_named):
+    """From 2.5 s on, for 1 s; before, the cap side carries the load."""
+    wave = np.cos(2.0 * math.pi * frequency_hz * (TIME - 2.5005))
+    load = np.where((TIME > 2.5) & (TIME < 3.5), wave, 1.0)
+    chambers = {"cap_pressure_pa": 2e5 + 1e5 * load, "rod_side_pressure_pa": 2e5}
+    verdict = result(LEG, load_pressure_pa=1e5 * load, **chambers).verdict
+    named = [line for line in verdict.notices if line.startswith("mode switching: from 2.5")]
+    assert len(named) == is_named
+    if frequency_hz == 200.0:
+        assert "changes the chamber 200 times within 0.5 s" in named[0]
+
+
 WORN = changed(SINE, {"plant.load": {"kind": "knee"}, "wearer": "leg"})
 FREE = changed(WORN, {"controller": {"kind": "torque"}})
 TORQUES = {
