@@ -1,7 +1,8 @@
 """The verdict on a run from its ``signals.csv``, in NumPy alone: nothing of kneexo is imported.
 
-``python tests/shared/verdict_table.py DIRECTORY`` reads ``NUMBER/signals.csv`` for each of
-`verdict_runs.RUNS`, and writes ``verdict_table.json``.
+``verdict_table.json`` has sixty runs: preset, changes of its values, and what is right. ``python
+tests/shared/verdict_table.py DIRECTORY`` reads ``NUMBER/signals.csv`` of each run, numbered from 0,
+and writes what is right.
 """
 
 import csv
@@ -11,9 +12,9 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from verdict_runs import RUNS
 
 TABLE = Path(__file__).with_name("verdict_table.json")
+RUNS = json.loads(TABLE.read_text(encoding="utf-8"))
 COMMAND_RPM, PRESSURE_PA, RELIEF_PA, POWER_W = 5000.0, 3.5e6, 3.5e6, 200.0
 SAMPLE_S, SHARE = 0.002, 1.0 / 15.0
 
@@ -69,9 +70,11 @@ def read(path):
 
 
 if __name__ == "__main__":
-    found = {
-        name: verdict(read(Path(sys.argv[1]) / str(number) / "signals.csv"), values)
-        for number, (name, (_, values)) in enumerate(RUNS.items())
-    }
-    lines = (f"{json.dumps(name)}: {json.dumps(row)}" for name, row in found.items())
+    for number, run in enumerate(RUNS.values()):
+        signals = read(Path(sys.argv[1]) / str(number) / "signals.csv")
+        run["right"] = verdict(signals, run["changes"])
+    lines = [
+        f"{json.dumps(name, ensure_ascii=False)}: {json.dumps(run, ensure_ascii=False)}"
+        for name, run in RUNS.items()
+    ]
     TABLE.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
