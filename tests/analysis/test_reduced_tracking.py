@@ -75,9 +75,9 @@ def test_a_wearer_adds_the_torque_after_the_first_period(integrator):
     assert metrics["rms_torque_n_m"] == pytest.approx(math.sqrt(np.mean(torque**2)), rel=1e-12)
     whole = math.sqrt(np.mean(run["interaction_torque_n_m"] ** 2))
     assert metrics["rms_torque_n_m"] != pytest.approx(whole, rel=0.01)
-    short = track_basic_metrics(scenario.changed({"simulation.duration_s": 0.7}))
-    torque = run["interaction_torque_n_m"][run.time_s <= 0.7 + 1e-9]
-    assert short["peak_torque_n_m"] == pytest.approx(np.abs(torque).max(), rel=1e-12)
+    short = scenario.changed({"simulation.duration_s": 0.7})
+    torque = simulate(short)["interaction_torque_n_m"]
+    assert track_basic_metrics(short)["peak_torque_n_m"] == np.abs(torque).max()
 
 
 @pytest.mark.parametrize("periods", [0.5, 1.0, 1.2])
