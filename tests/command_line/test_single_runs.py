@@ -39,9 +39,7 @@ def test_simulate_writes_signals_metrics_scenario_and_plot(capsys, short, tmp_pa
     assert len(rows) == 1 + 601
 
 
-def test_a_short_run_prints_the_error_of_the_whole_run(
-    capsys, scenario_file, tmp_path, undrawn
-):
+def test_a_short_run_prints_the_error_of_the_whole_run(capsys, scenario_file, tmp_path, undrawn):
     path = scenario_file("simulation: {duration_s: 0.1}")
     assert main(["simulate", path, "--out", str(tmp_path / "out")]) == 0
     text = capsys.readouterr().out
