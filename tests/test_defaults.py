@@ -1,4 +1,4 @@
-"""Every default, unit and bound against `defaults.txt`: a wrong one changes a line of that file.
+"""Every default, unit, bound and slider against `defaults.txt`: a wrong one changes the file.
 
 After a change that is meant, ``python tests/test_defaults.py`` writes the file.
 """
@@ -14,6 +14,8 @@ from kneexo import parameters
 from kneexo.parameters import Scenario
 from kneexo.parameters.fields import models_of, more_models_of, unit_of
 from kneexo.parameters.quantity import Parameters
+from kneexo.parameters.sliders import SLIDERS, Slider
+from kneexo.parameters.thrown_faults import THROWN_FAULTS
 from kneexo.studies import paper
 from kneexo.studies.catalogue import STUDIES
 
@@ -60,8 +62,15 @@ def field_line(name: str, field: FieldInfo) -> str:
     return " | ".join([name, default, unit_of(field), ", ".join(bounds)]).rstrip()
 
 
+def slider_line(name: str, slider: Slider) -> str:
+    """Label, ends, scale, unit and factor on the page, and the modes of a slider."""
+    ends = f"{plain(slider.low)} … {plain(slider.high)} {slider.scale}"
+    shown, choices = plain(slider.shown or ()), plain(slider.choices)
+    return f"slider {name} | {slider.label} | {ends} | {shown} | {choices}"
+
+
 def snapshot() -> str:
-    """A line for each field of scenarios and of studies' settings, each constant, each setup."""
+    """A line for each field, constant, setup of a study, slider and fault that a page throws."""
     roots = [Scenario, *(study.settings for study in STUDIES.values())]
     lines = ["field | default | unit | bounds"]
     for model in dict.fromkeys(c for root in roots for c in classes_of(root)):
@@ -81,6 +90,13 @@ def snapshot() -> str:
         for study in STUDIES.values()
         if study.setup
     ]
+    for kind, sliders in SLIDERS.items():
+        lines += [slider_line(f"{kind.__name__}.{name}", item) for name, item in sliders.items()]
+    for name, fault in THROWN_FAULTS.items():
+        parts = (fault.label, fault.place, fault.kind, plain(fault.size), fault.unit)
+        lines.append(" | ".join((f"thrown {name}", *parts)))
+        if fault.slider is not None:
+            lines.append(slider_line(f"thrown {name}", fault.slider))
     return "\n".join(lines) + "\n"
 
 

@@ -28,7 +28,7 @@ def assess(
     Each of these arguments adds a group of metrics if it is True:
 
     - ``tracking``: the `TRACKING_METRICS` of a simulated run, and ``tracking_failure``. A scenario
-      with a wearer adds the `INTERACTION_METRICS` of the samples after the first period.
+      with a wearer adds the `INTERACTION_METRICS` of the samples that count for the error.
     - ``margins``: ``stable``, `MARGIN_METRICS` and ``margins_failure``. The loop is linearized in
       the middle of the reference's range. The margins of an unstable loop are nan.
     - ``bandwidth``: ``bandwidth_hz`` (`large_signal_bandwidth_hz`) and ``bandwidth_failure``.

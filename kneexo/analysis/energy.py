@@ -24,6 +24,10 @@ SPENT = ("leakage_j", "valves_j", "friction_j", "load_j", "oil_j", "motion_j")
 """Names of the energies that the actuator dissipates, gives to its load or stores."""
 
 
+_METERED = tuple(f"plant.{part}." for part in ("pump", "cylinder", "full_order", "load"))
+"""Beginnings of the places of faults whose numbers the balance has too."""
+
+
 @dataclass(frozen=True, repr=False)
 class EnergyBalance(Result):
     """Energies since t = 0 at the times of the records. `energy_balance` computes them.
@@ -83,7 +87,8 @@ def energy_balance(scenario: Scenario) -> EnergyBalance:
     ------
     ParameterError
         The cylinder is in reduced order, has a bypass or end stops, the oil contains air, the
-        integrator is one of Drake, or the law runs as Python.
+        integrator is one of Drake, the law runs as Python, a push moves the knee, or a fault
+        changes a number of pump, cylinder or load.
     KneexoError
         Errors of `kneexo.simulation.simulate`.
     """
@@ -116,6 +121,14 @@ def _metered_cylinder(scenario: Scenario) -> FullCylinderParameters:
         if getattr(scenario.plant, part) is not None:
             raise ParameterError(
                 f"plant.{part}: must be left out for an energy balance, which lacks its energy"
+            )
+    if scenario.push is not None:
+        raise ParameterError("push: must be left out for an energy balance, which lacks its work")
+    for number, fault in enumerate(scenario.faults):
+        if fault.place.startswith(_METERED):
+            raise ParameterError(
+                f"faults.{number}: place = {fault.place}: must be left out for an energy balance, "
+                f"which has the numbers of the healthy plant"
             )
     if full.entrained_air > 0.0:
         raise ParameterError(

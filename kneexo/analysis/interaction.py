@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kneexo.analysis.signals import periods_in
 from kneexo.errors import ResultError
 from kneexo.result import Array, Result
 from kneexo.simulation import Run
@@ -114,7 +115,7 @@ def whole_periods(time_s: Array, period_s: float) -> slice:
     last period may lack its last sample, because a period may end between two samples.
     """
     span_s = time_s[-1] - time_s[0] + (time_s[1] - time_s[0])
-    periods = math.floor(span_s / period_s + 1e-9) if period_s > 0.0 else 0
+    periods = periods_in(span_s, period_s)
     if periods < 2:
         return slice(None)
     ends = time_s[0] + period_s * np.array([1, periods])

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from kneexo.analysis.coupling import coupled_loop, stiffness_interval
-from kneexo.analysis.signals import period_s
+from kneexo.analysis.signals import period_s, settled_s
 from kneexo.diagrams.plant import moving_masses_kg
 from kneexo.errors import LinearizationError
 from kneexo.parameters import (
@@ -126,16 +126,18 @@ def notices(scenario: Scenario) -> Iterator[str]:
 def _reference_notices(scenario: Scenario) -> Iterator[str]:
     """Yield a line for each part of the reference that is not run as its user may expect.
 
-    A line says that the run ends within the first period of a sine, before it has settled, or
-    before the step or ramp. A line says that samples before 0 s are not run. A line says that the
-    run holds the first or the last sample for more than `LONGEST_HOLD` of its duration. Lines say
-    what was done to the samples of a file, and that their units may be others.
+    A line says that the run has less than two periods of a sine, so that its transient counts, or
+    that it ends before the step or ramp. A line says that samples before 0 s are not run. A line
+    says that the run holds the first or the last sample for more than `LONGEST_HOLD` of its
+    duration.
+    Lines say what was done to the samples of a file, and that their units may be others.
     """
     reference, duration_s = scenario.reference, scenario.duration_s
-    if (period := period_s(scenario)) >= duration_s:
+    if (period := period_s(scenario)) > settled_s(scenario):
         yield (
-            f"the run of {duration_s:g} s ends within the first period of the reference, "
-            f"{period:g} s; set simulation.duration_s to some periods"
+            f"the run of {duration_s:g} s has less than two periods of the reference, {period:g} s "
+            f"each, so its error and verdict include the start; set simulation.duration_s to some "
+            f"periods"
         )
     if isinstance(reference, StepReference | RampReference) and reference.time_s >= duration_s:
         yield (

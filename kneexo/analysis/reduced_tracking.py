@@ -13,7 +13,7 @@ from kneexo.analysis.reductions import (
     torque_reductions,
     tracking_reductions,
 )
-from kneexo.analysis.signals import period_s
+from kneexo.analysis.signals import settled_s
 from kneexo.analysis.tracking import TrackingMetrics
 from kneexo.compiler import Reduction
 from kneexo.parameters import Scenario
@@ -24,14 +24,14 @@ from kneexo.simulation import can_reduce, needs_runs, reduce_run, simulate
 def track_basic_metrics(scenario: Scenario) -> dict[str, float]:
     """Simulate a scenario and return its `TRACKING_METRICS`.
 
-    With a wearer the result has the `INTERACTION_METRICS` too, over the samples after the first
-    period. If `can_reduce` accepts the scenario, the compiled engine computes the metrics inside
+    With a wearer the result has the `INTERACTION_METRICS` too, of the samples from `settled_s` on.
+    If `can_reduce` accepts the scenario, the compiled engine computes the metrics inside
     its time loop, without a log. Otherwise the run logs the signals, and NumPy computes the
     metrics. The two ways round sums differently.
     """
-    settled_s = period_s(scenario)
-    basic = basic_reductions(settled_s, scenario.command_limit_rad_s)
-    more = torque_reductions(settled_s) if scenario.wearer.kind != "none" else ()
+    begin_s = settled_s(scenario)
+    basic = basic_reductions(begin_s, scenario.command_limit_rad_s)
+    more = torque_reductions(begin_s) if scenario.wearer.kind != "none" else ()
     values = _values(scenario, basic + more)
     torques = dict(zip(INTERACTION_METRICS, values[len(basic) :], strict=False))
     return basic_metrics(values[: len(basic)]) | torques
@@ -45,7 +45,7 @@ def track_metrics(scenario: Scenario) -> TrackingMetrics:
     """
     plant = scenario.plant
     reductions = tracking_reductions(
-        period_s(scenario),
+        settled_s(scenario),
         scenario.command_limit_rad_s,
         plant.cylinder.pressure_rating_pa,
         plant.pump.rated_power_w,

@@ -36,6 +36,8 @@ def basic_reductions(settled_s: float, command_limit_rad_s: float) -> tuple[Redu
     error = partial(Reduction, output="knee_reference[0]", minus="knee_angle", after_s=settled_s)
     command = partial(Reduction, output="motor_speed_command", after_s=settled_s)
     pressure = partial(Reduction, output="load_pressure", magnitude=True)
+    bound = saturation(command_limit_rad_s)
+    saturated = partial(Reduction, output="motor_speed_command", magnitude=True, bound=bound)
     return (
         pressure("count"),
         pressure("maximum"),
@@ -43,7 +45,7 @@ def basic_reductions(settled_s: float, command_limit_rad_s: float) -> tuple[Redu
         error("maximum", magnitude=True),
         error("rms"),
         command("variation"),
-        command("count", magnitude=True, bound=saturation(command_limit_rad_s)),
+        saturated("count"),
     )
 
 
@@ -93,11 +95,11 @@ def basic_metrics(values: Sequence[float]) -> dict[str, float]:
         )
     metrics = dict.fromkeys(TRACKING_METRICS, math.nan)
     metrics["peak_pressure_mpa"] = 1e-6 * pressure
+    metrics["saturated_share"] = saturated / samples
     if settled_samples > 1:
         metrics["max_error_deg"] = math.degrees(error)
         metrics["rms_error_deg"] = math.degrees(rms_error)
         metrics["mean_command_change_rpm"] = to_rpm(variation / (settled_samples - 1))
-        metrics["saturated_share"] = saturated / settled_samples
     return metrics
 
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from kneexo.analysis.assessment import MARGIN_METRICS
 from kneexo.analysis.sampled_loop import linearize_loop
-from kneexo.analysis.signals import period_s, rms
+from kneexo.analysis.signals import rms, settled_s
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario
 from kneexo.parameters.fields import limits_of
@@ -80,7 +80,7 @@ def tracking_sensitivities(
 ) -> Sensitivities:
     """Return the RMS tracking error ``rms_error_deg`` and its gradient.
 
-    The first period of a sinusoidal reference is left out, unless the run is shorter. The engine of
+    The error counts as in `kneexo.analysis.TrackingMetrics.rms_error_deg`. The engine of
     ``scenario.simulation`` runs the scenario once, and four times for each path.
 
     Parameters
@@ -102,14 +102,14 @@ def tracking_sensitivities(
     """
     if duration_s is not None:
         scenario = scenario.changed({"simulation.duration_s": duration_s})
-    settled = round(period_s(scenario) / scenario.controller.sample_time_s)
+    settled = round(settled_s(scenario) / scenario.controller.sample_time_s)
     run = partial(simulate, signals=("knee_reference", "knee_angle"))
 
     def measure(scenarios: Sequence[Scenario]) -> list[dict[str, float]]:
         sizes = [math.nan] * len(scenarios)
         for index, signals in map_in_lockstep(run, scenarios):
             error = np.degrees(signals["knee_reference_rad"] - signals["knee_angle_rad"])
-            sizes[index] = rms(error[settled if settled + 1 < error.size else 0 :])
+            sizes[index] = rms(error[settled:])
         return [{"rms_error_deg": size} for size in sizes]
 
     return _sensitivities(scenario, paths, measure)

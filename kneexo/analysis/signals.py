@@ -17,6 +17,23 @@ def period_s(scenario: Scenario) -> float:
     return 1.0 / reference.frequency_hz if reference.kind == "sine" else 0.0
 
 
+def settled_s(scenario: Scenario) -> float:
+    """Return the time in s from which the metrics of a run without its transient count.
+
+    It is the period of a sine if the run has at least two periods, else zero: the rest of a shorter
+    run after its first period would hide a part of the motion. As in
+    `kneexo.analysis.interaction.whole_periods`, the last period may lack its last sample.
+    """
+    period, sample_s = period_s(scenario), scenario.controller.sample_time_s
+    samples = math.floor(scenario.duration_s / sample_s + 1e-6) + 1
+    return period if periods_in(samples * sample_s, period) >= 2 else 0.0
+
+
+def periods_in(span_s: float, period_s: float) -> int:
+    """Return the number of whole periods in a time, or zero if the period is zero."""
+    return math.floor(span_s / period_s + 1e-9) if period_s > 0.0 else 0
+
+
 def rms(values: Array) -> float:
     """Return the root mean square of ``values`` (n,)."""
     return float(np.sqrt(np.mean(np.square(values))))

@@ -4,7 +4,8 @@ A detector and its reaction must end the fault within this time, the fault-toler
 permanent fault and a shorter one give the same run until the shorter one ends. So the critical
 duration is shorter than the time from the start of the fault until the permanent fault exceeds the
 bound, or until its run fails. A bisection between zero and this limit finds it. The bisection
-assumes that a longer fault moves the knee farther.
+assumes that a longer fault moves the knee farther. A permanent fault that stays within the bound
+says only that the critical duration is not shorter than the observed time: it is censored.
 """
 
 from __future__ import annotations
@@ -13,13 +14,14 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import product
 from typing import Any
 
 import numpy as np
 
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import FaultParameters, Scenario
-from kneexo.parameters.criteria import TOLERATED_DEVIATION_DEG
+from kneexo.parameters.criteria import OBSERVED_S, TOLERATED_DEVIATION_DEG
 from kneexo.parameters.quantity import Parameters, quantities
 from kneexo.parameters.scenario import require_scenario
 from kneexo.plotting import SERIES, axes_or_new
@@ -43,11 +45,13 @@ class FaultCase(Result):
     critical_duration_s: float
     """Longest duration for which a run stays within the bound.
 
-    It is inf if the permanent fault stays within the bound, 0 if one sample is too long, and nan if
-    no signal starts the fault.
+    It is 0 if one sample is too long, and nan if no signal starts the fault. If it is ``censored``,
+    it is the time for which the fault was observed.
     """
+    censored: bool
+    """Whether the permanent fault stays within the bound as long as it is observed."""
     failing_duration_s: float
-    """Critical duration plus one sample; nan if the critical duration is inf or nan."""
+    """Critical duration plus one sample; nan if the critical duration is censored or nan."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -68,8 +72,8 @@ class FaultSurvival(Result):
         for name, cases in _by_name(self.cases):
             case = _worst(cases)
             text = f"at most {1e3 * case.critical_duration_s:g} ms, at {case.start_s:g} s"
-            if math.isinf(case.critical_duration_s):
-                text = "may be permanent"
+            if case.censored:
+                text = f"a larger deviation is not seen within {case.critical_duration_s:g} s"
             elif math.isnan(case.critical_duration_s):
                 text = "never active"
             lines.append(f"{name}: {text}")
@@ -90,11 +94,14 @@ class FaultSurvival(Result):
         caption = (
             "Longest duration of a fault with which the knee stays within "
             f"{self.bound_deg:g}° of the run without the fault. There is no mark where the "
-            "permanent fault stays within this bound, or no signal starts the fault."
+            "permanent fault stays within this bound as long as it is observed, or no signal "
+            "starts the fault."
         )
         ax = axes_or_new(ax, caption=caption)
         for (name, cases), colour in zip(_by_name(self.cases), _colours(), strict=False):
-            durations = [1e3 * case.critical_duration_s for case in cases]
+            durations = [
+                math.nan if case.censored else 1e3 * case.critical_duration_s for case in cases
+            ]
             ax.plot([case.start_s for case in cases], durations, "o-", color=colour, label=name)
         ax.set(xlabel="start of the fault (s)", ylabel="critical duration (ms)")
         ax.set_ylim(bottom=0.0)
@@ -134,40 +141,42 @@ def fault_survival(
     starts_s: Sequence[float],
     *,
     bound_deg: float = TOLERATED_DEVIATION_DEG,
+    observed_s: float = OBSERVED_S,
     workers: int | None = 1,
 ) -> FaultSurvival:
     """Return, for each fault and start, the longest duration that the loop survives.
 
-    The loop survives if the knee stays within ``bound_deg`` of the run without the fault, until the
-    end of the run. A run that fails does not survive.
+    The loop survives if the knee stays within ``bound_deg`` of the run without the fault, until
+    ``observed_s`` after the start. A run that fails does not survive.
 
     >>> from kneexo import Scenario
     >>> from kneexo.analysis import fault_survival
     >>> from kneexo.parameters import FaultParameters
-    >>> scenario = Scenario(simulation={"duration_s": 6.0})
     >>> dead = FaultParameters(place="command", kind="scale", size=0.0)
-    >>> print(fault_survival(scenario, [dead], [2.5], bound_deg=2.0))
+    >>> print(fault_survival(Scenario(), [dead], [2.5], bound_deg=2.0))
     Within 2° of the run without the fault:
     command scale 0: at most 106 ms, at 2.5 s
 
     Parameters
     ----------
     scenario
-        The scenario. Its own faults are in all runs.
+        The scenario. Its own faults are in all runs. Its duration is replaced.
     faults
         Faults whose start and duration are replaced.
     starts_s
-        Times in s at which the faults begin, each before the end of the run.
+        Times in s at which the faults begin.
     bound_deg
         Largest tolerated deviation of the knee in deg.
+    observed_s
+        Time in s that the runs last after each start.
     workers
         Number of worker processes, as in `kneexo.sweeps.parallel_map`.
 
     Raises
     ------
     ParameterError
-        There is no fault or no start, ``bound_deg`` is not within 0 … 180°, or the scenario
-        refuses a fault.
+        There is no fault or no start, ``bound_deg`` is not within 0 … 180°, ``observed_s`` is not
+        positive, or the scenario refuses a fault or the duration.
     SimulationError
         The run without the fault fails.
     """
@@ -178,12 +187,23 @@ def fault_survival(
         raise ParameterError("faults, starts_s: must have at least one fault and one start")
     if not 0.0 < bound_deg <= 180.0:
         raise ParameterError(f"bound_deg = {bound_deg:g} deg: must be > 0 and <= 180 deg")
-    healthy = simulate(scenario, signals=_signals(scenario))
-    items = [fault.permanent(float(start_s)) for fault in faults for start_s in starts_s]
-    for item in items:  # an error here, not in a worker
-        _faulty(scenario, item, 1)
-    case = partial(fault_case, scenario, healthy, bound_deg)
+    if not 0.0 < observed_s < math.inf:
+        raise ParameterError(f"observed_s = {observed_s:g} s: must be > 0 and finite")
+    items = []
+    for fault, start_s in product(faults, map(float, starts_s)):
+        begun = fault.permanent(start_s)
+        observed = scenario.changed({"simulation.duration_s": start_s + observed_s})
+        _faulty(observed, begun, 1)  # an error here, not in a worker
+        items.append((observed, begun))
+    case = partial(_observed_case, bound_deg)
     return FaultSurvival(bound_deg, tuple(parallel_map(case, items, workers=workers)))
+
+
+@needs_runs
+def _observed_case(bound_deg: float, item: tuple[Scenario, FaultParameters]) -> FaultCase:
+    scenario, fault = item
+    healthy = simulate(scenario, signals=_signals(scenario))
+    return fault_case(scenario, healthy, bound_deg, fault)
 
 
 @needs_runs
@@ -195,7 +215,7 @@ def fault_case(
     Parameters
     ----------
     scenario
-        The scenario. Its own faults are in all runs.
+        The scenario. Its own faults are in all runs, and its duration ends the observation.
     healthy
         The run of the scenario.
     bound_deg
@@ -228,10 +248,14 @@ def fault_case(
     deviation = deviation_deg(permanent)
     name, largest = fault_name(fault), float(np.max(deviation))
     if largest <= bound_deg:
+        assert permanent is not None  # a run that fails has an infinite deviation
         others = healthy["active_faults"] if scenario.faults else 0.0
-        active = permanent is not None and np.any(permanent["active_faults"] > others)
-        critical_s = math.inf if active else math.nan
-        return FaultCase(name, fault.start_s, largest, critical_s, math.nan)
+        active = np.flatnonzero(permanent["active_faults"] > others)
+        observed_s = math.nan
+        if active.size:  # a signal may start the fault later
+            since_s = period * float(deviation.size - active[0])
+            observed_s = min(scenario.duration_s - fault.start_s, since_s)
+        return FaultCase(name, fault.start_s, largest, observed_s, bool(active.size), math.nan)
     fails = healthy.time_s.size - round(fault.start_s / period)
     if permanent is not None:
         fails = int(np.argmax(deviation > bound_deg)) - round(fault.start_s / period)
@@ -242,7 +266,7 @@ def fault_case(
             survives = middle
         else:
             fails = middle
-    return FaultCase(name, fault.start_s, largest, survives * period, fails * period)
+    return FaultCase(name, fault.start_s, largest, survives * period, False, fails * period)
 
 
 def _signals(scenario: Scenario) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from kneexo.analysis.interaction import INTERACTION_SIGNALS, TORQUE_SIGNALS
 from kneexo.analysis.limit_cycle import limit_cycle
 from kneexo.analysis.push_response import PushResponse, push_response
 from kneexo.analysis.reductions import all_metrics, reduce_signals, tracking_reductions
-from kneexo.analysis.signals import period_s, to_rpm
+from kneexo.analysis.signals import settled_s, to_rpm
 from kneexo.analysis.verdict import Verdict, verdict_of
 from kneexo.diagrams import available_signals
 from kneexo.diagrams.law import makers_called_once
@@ -48,9 +48,9 @@ class TrackingMetrics(Result):
     step when they consist mainly of the oil's mode at 447 Hz, for example without load. Check such
     values with half the step.
 
-    Metrics "after the first period" exclude the first period of a sinusoidal reference. If the run
-    ends within this period, these metrics are nan. For other references these metrics include the
-    whole run.
+    Metrics "after the first period" exclude the first period of a sinusoidal reference if the run
+    has at least two periods. Of a shorter run, and for other references, they include the whole
+    run. Shares are shares of all samples of the run.
     """
 
     max_error_deg: float
@@ -62,14 +62,14 @@ class TrackingMetrics(Result):
     mean_command_change_rpm: float
     """Chattering index: mean |change of the command| per sample, after the first period."""
     saturated_share: float
-    """Share of the samples in which the command is at its limit, after the first period."""
+    """Share of the samples in which the command is at its limit."""
     peak_command_rpm: float
     peak_pressure_mpa: float
     pressure_over_rating_share: float
-    """Share of all samples in which the load pressure |P_L| exceeds the cylinder's rating."""
+    """Share of the samples in which the load pressure |P_L| exceeds the cylinder's rating."""
     peak_shaft_power_w: float
     power_over_rating_share: float
-    """Share of all samples in which the shaft power exceeds the motor's rating."""
+    """Share of the samples in which the shaft power exceeds the motor's rating."""
     shaft_energy_j: float
     """Work of the motor on the pump over the run. Power from pump to motor counts as negative."""
     shaft_energy_delivered_j: float
@@ -464,5 +464,5 @@ def track(
     if not all_signals:
         signals = TRACKING_SIGNALS + _verdict_signals(scenario)
     run = simulate(scenario, signals=signals, progress=progress)
-    metrics = run_metrics(scenario, run.time_s, run.data, settled_s=period_s(scenario))
+    metrics = run_metrics(scenario, run.time_s, run.data, settled_s=settled_s(scenario))
     return TrackingResult(scenario, run, metrics)

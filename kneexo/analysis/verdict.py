@@ -22,7 +22,14 @@ from kneexo.analysis.limit_cycle import LimitCycle, limit_cycle
 from kneexo.analysis.margins import Margins
 from kneexo.analysis.notices import model_lines, notices, omissions, wrapped
 from kneexo.analysis.sampled_loop import SampledLoop, linearize_loop
-from kneexo.analysis.signals import period_s, rms, saturated_share, share_above, to_rpm
+from kneexo.analysis.signals import (
+    period_s,
+    rms,
+    saturated_share,
+    settled_s,
+    share_above,
+    to_rpm,
+)
 from kneexo.diagrams.signals import columns
 from kneexo.errors import KneexoError
 from kneexo.linkage import pose
@@ -57,6 +64,16 @@ LARGEST_INTERVAL = 10.0
 
 _UNLIMITED_RPM = 1e6
 """Motors are slower, so a higher limit of the command means no limit."""
+
+
+MODE_SWITCHING_HZ = 20.0
+"""Least frequency in Hz at which the load pressure changes its sign in mode switching.
+
+Assumption: the oscillation of the default cylinder has 130…200 Hz, and no knee moves at 20 Hz.
+"""
+
+_OBSERVED_S = 0.5
+"""Time in s within which mode switching is counted."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -157,9 +174,9 @@ class Verdict(Result):
     ``error_bound_deg``. This bound is `ERROR_SHARE` of the amplitude, but at least the largest knee
     angle of one count of the encoder, or `LARGEST_COUNT_DEG` if a count is larger. The amplitude is
     half the range of the reference within the run (`run_range_deg`). For another reference, and for
-    a run that ends within the first period, the error of the whole run counts. A run with a step
-    tracks if its knee angle settles (`StepMetrics`). A torque controller does not control the knee
-    angle, so ``tracks`` is None.
+    a run of less than two periods, the error of the whole run counts. A run with a step tracks if
+    its knee angle settles (`StepMetrics`). A torque controller does not control the knee angle, so
+    ``tracks`` is None.
 
     Shares are shares of all samples of the run.
     """
@@ -273,9 +290,7 @@ def _tracking(
     With torque control there is no line. `verdict_of` describes ``step``.
     """
     error_deg = np.degrees(np.abs(run["knee_reference_rad"] - run["knee_angle_rad"]))
-    first = int(np.searchsorted(run.time_s, period_s(scenario) - 1e-9))
-    if run.time_s.size - first < 2:
-        first = 0
+    first = int(np.searchsorted(run.time_s, settled_s(scenario) - 1e-9))
     worst = first + int(np.argmax(error_deg[first:]))
     max_error_deg, time_s = float(error_deg[worst]), float(run.time_s[worst])
     bound_deg, reason = _error_bound(scenario)
@@ -381,10 +396,11 @@ def _gap_notices(scenario: Scenario, run: Run) -> Iterator[str]:
 
 
 def _pressure_notices(scenario: Scenario, run: Run) -> Iterator[str]:
-    """Yield lines on pressures of a run that a real cylinder does not have.
+    """Yield lines on pressures of a run that a user should know of.
 
     In the reduced order, which has no relief valves, a wearer can exceed the rated pressure. In the
-    full order a chamber can fall below `LOWEST_PRESSURE_PA`. Then the line has time and knee angle.
+    full order the load can change between the chambers again and again, which is mode switching
+    (`kneexo.systems.FullCylinder`), and a chamber can fall below `LOWEST_PRESSURE_PA`.
     """
     peak = np.max(np.abs(run["load_pressure_pa"]))
     reduced_order = scenario.plant.full_order is None and scenario.wearer.kind != "none"
@@ -400,6 +416,16 @@ def _pressure_notices(scenario: Scenario, run: Run) -> Iterator[str]:
     }
     if not chambers:
         return
+    # After a change of sign, the number of changes within a time.
+    changes_s = run.time_s[1:][np.diff(np.signbit(run["load_pressure_pa"]))]
+    counts = np.searchsorted(changes_s, changes_s + _OBSERVED_S) - np.arange(changes_s.size)
+    often = np.flatnonzero(counts >= 2.0 * MODE_SWITCHING_HZ * _OBSERVED_S)
+    if often.size:
+        yield (
+            f"mode switching: from {changes_s[often[0]]:.4g} s on the load changes the chamber "
+            f"{counts[often[0]]} times within {_OBSERVED_S:g} s, and the speed of the rod swings; "
+            f"friction of the seals damps this: raise plant.full_order.coulomb_friction_n"
+        )
     name, pressure = min(chambers.items(), key=lambda item: float(item[1].min()))
     index = int(np.argmin(pressure))
     if pressure[index] < LOWEST_PRESSURE_PA:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from kneexo.analysis.signals import to_rpm
+from kneexo.analysis.signals import settled_s, to_rpm
 from kneexo.analysis.tracking import SETTLING_BAND
 from kneexo.parameters.criteria import SOUND_DISK_MARGIN
 from kneexo.studies.markdown import document, markdown_table, number
@@ -97,7 +97,7 @@ def _numbers(result: TrackingResult) -> Iterator[Row]:
         yield ("limit cycle at rest, amplitude", f"{number(cycle.amplitude_deg)}° of the knee")
         yield ("limit cycle at rest, period", _with_unit(cycle.period_s, "s"))
         yield ("limit cycle at rest, load pressure", f"{number(low)} … {number(high)} MPa")
-    first = " after the first period" if result.scenario.reference.kind == "sine" else ""
+    first = " after the first period" if settled_s(result.scenario) > 0.0 else ""
     if (torques := verdict.interaction) is not None:
         yield (f"interaction torque, root mean square{first}", _torque(torques.rms_torque_n_m))
         yield (f"interaction torque, mean magnitude{first}", _torque(torques.mean_torque_n_m))
@@ -122,7 +122,7 @@ def _numbers(result: TrackingResult) -> Iterator[Row]:
         overall = _with_unit(m.rms_error_overall_deg, "°")
         yield ("error of the whole run, root mean square", overall)
     yield ("mean change of the command", _with_unit(m.mean_command_change_rpm, "rpm per sample"))
-    yield (f"share of samples with a saturated command{first}", _percent(m.saturated_share))
+    yield ("share of samples with a saturated command", _percent(m.saturated_share))
     yield ("work of the motor on the pump", _with_unit(m.shaft_energy_delivered_j, "J"))
     back_j = m.shaft_energy_delivered_j - m.shaft_energy_j
     yield ("work that flows back to the motor", _with_unit(back_j, "J"))

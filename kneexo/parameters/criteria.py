@@ -16,6 +16,13 @@ Assumption. It is more than twice the standard deviation of measured strides, at
 (`kneexo.gait.gait_knee_flexion`).
 """
 
+OBSERVED_S = 12.0
+"""Time in s for which the knee is observed after the start of a fault.
+
+Assumption. It is longer than a period of the paper's motion of 0.1 Hz, so that a fault is observed
+in each phase of this motion.
+"""
+
 MARGINS = {"gain": (1.5, 2.0), "phase_deg": (30.0, 45.0), "delay_samples": (1.0, 2.0)}
 """For each margin of a page, the least sufficient value and the least large value.
 

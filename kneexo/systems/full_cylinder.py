@@ -136,10 +136,14 @@ class FullCylinder(Cylinder):
     of the pump returns to the reservoir. Q_m flows from the reservoir into the line with the lower
     pressure (`makeup_flow`), and Q_r relieves both lines (`relief_flow`). The rod speed therefore
     depends on the loaded chamber, not on the direction: it is Q/A_1 where
-    F_L > P_r (A_1 − A_2), which loads the cap side, and Q/A_2 otherwise. At load forces within a
-    few newtons of P_r (A_1 − A_2), by default 12…23 N, a retracting rod oscillates between both
-    speeds. Coulomb friction shifts this range of forces by its own amount. While the rod
-    oscillates, Drake's ``radau3`` takes ten times as long.
+    F_L > P_r (A_1 − A_2), which loads the cap side, and Q/A_2 otherwise.
+
+    Near this force, by default 15.7 N, the rod can oscillate between both speeds. The literature
+    calls this mode switching (Actuators 2020, 9(1), 20; Energies 2022, 15(2), 424). With
+    B = 200 N·s/m a rod that retracts with 10 cm³/s is unstable by small signals at 12…23 N. After
+    a step of this flow it oscillates at 2…60 N and comes to rest at 100 N. A rod that extends with
+    2 cm³/s oscillates too, at 20 and 24 N, less far. Coulomb friction shifts the range of forces
+    by its own amount. While the rod oscillates, Drake's ``radau3`` takes ten times as long.
 
     =================  ====  ===========  ===============================================
     input port         size  unit

@@ -47,6 +47,28 @@ def test_the_energy_of_a_stride_closes(values):
     assert balance.throughput_j == max(np.abs(e).max() for e in balance.energies.values())
 
 
+def fault(place, size, kind="value"):
+    return {"place": place, "kind": kind, "size": size, "start_s": 0.5}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "values",
+    [
+        fault("encoder", 2.0, "offset"),
+        fault("plant.motor.supply_voltage_v", 15.0),
+        fault("wearer.cuff.stiffness_n_m_per_rad", 750.0),
+    ],
+    ids=lambda values: values["place"],
+)
+def test_the_energy_with_a_fault_elsewhere_closes(values):
+    healthy = changed(STRIDE, {"plant.motor": {}})
+    balance = energy_balance(changed(healthy, {"faults": [values]}))
+    assert np.abs(balance.residual_j).max() <= 1e-8 * balance.throughput_j
+    other = energy_balance(healthy).energies["wearer_j"]
+    assert np.abs(balance.energies["wearer_j"] - other).max() > 1e-3
+
+
 @pytest.mark.slow
 def test_without_displaced_energy_the_balance_would_not_close():
     balance = energy_balance(STRIDE)
@@ -131,6 +153,19 @@ def test_a_part_lies_in_the_run(start, end):
         (
             {"simulation.integrator": "radau3"},
             "integrator = radau3: must be exact_hold, rk4 or rosenbrock",
+        ),
+        (
+            {"wearer": "none", "controller": "smc", "push": {"torque_n_m": 5.0, "start_s": 1.0}},
+            "push: must be left out for an energy balance",
+        ),
+        *(
+            ({"faults": [fault(f"plant.{name}", size)]}, f"faults.0: place = plant.{name}: must be")
+            for name, size in (
+                ("pump.internal_leakage_m3_per_s_pa", 5e-12),
+                ("cylinder.leakage_m3_per_s_pa", 5e-12),
+                ("full_order.coulomb_friction_n", 80.0),
+                ("load.knee_torque_n_m", 20.0),
+            )
         ),
     ],
 )

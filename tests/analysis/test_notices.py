@@ -132,13 +132,13 @@ def test_a_small_misfit_is_no_notice():
         assert len(list(notices(given))) == count
 
 
-@pytest.mark.parametrize(("duration_s", "count"), [(1.9, 1), (2.0, 1), (2.1, 0)])
-def test_a_run_within_the_first_period_is_a_notice(duration_s, count):
+@pytest.mark.parametrize(("duration_s", "count"), [(1.9, 1), (3.996, 1), (3.998, 0)])
+def test_a_run_of_less_than_two_periods_is_a_notice(duration_s, count):
     values = {"reference.frequency_hz": 0.5, "simulation.duration_s": duration_s}
     lines = list(notices(changed(Scenario(), values)))
     assert len(lines) == count
     if lines:
-        start = f"the run of {duration_s:g} s ends within the first period of the reference, 2 s;"
+        start = f"the run of {duration_s:g} s has less than two periods of the reference, 2 s each"
         assert lines[0].startswith(start)
 
 

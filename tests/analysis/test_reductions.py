@@ -65,6 +65,7 @@ def test_two_samples_are_the_fewest():
     values = [2.0, 3e6, 1.0, 0.1, 0.1, 5.0, 1.0]
     metrics = basic_metrics(values)
     assert metrics.pop("peak_pressure_mpa") == pytest.approx(3.0)
+    assert metrics.pop("saturated_share") == 0.5  # of all samples
     assert all(math.isnan(value) for value in metrics.values())  # one sample after the first period
     with pytest.raises(ParameterError, match="1 samples are too few for metrics"):
         basic_metrics([1.0, *values[1:]])

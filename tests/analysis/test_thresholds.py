@@ -6,9 +6,12 @@ import pytest
 from hypothesis import given, strategies as st
 
 from kneexo.analysis.thresholds import MARGIN, DetectorThresholds, detector_thresholds, level_of
+from kneexo.diagrams.signals import columns
 from kneexo.errors import ParameterError
 from kneexo.parameters import ProtectionParameters, Scenario, Uncertainty, UncertaintySet
 from kneexo.parameters.safety_states import DETECTORS
+from kneexo.parameters.uncertainty import draw
+from kneexo.simulation import simulate
 
 SHORT = Scenario(
     protection={"overdue_s": 0.1}, plant={"load": "knee"}, simulation={"duration_s": 0.3}
@@ -53,7 +56,22 @@ def test_the_text_and_the_figure_have_the_levels():
     flow = ax.get_lines()[list(DETECTORS).index("flow")]
     np.testing.assert_allclose(flow.get_xdata(), [2.0, 10.0])
     np.testing.assert_allclose(flow.get_ydata(), [5 / 3.5, 4 / 3.5])
+    limit = ax.get_lines()[-1]  # above it a detector raises a false alarm
+    np.testing.assert_array_equal(limit.get_ydata(), [1.0, 1.0])
+    assert limit.get_zorder() < flow.get_zorder()
     plt.close(ax.figure)
+
+
+def test_the_levels_of_a_run_are_those_of_its_residuals():
+    result = detector_thresholds(SHORT, MASSES, 1, trips_s=[0.002], seed=4)
+    (mass,) = (values["plant.cylinder.mass_kg"] for values in draw(MASSES, 1, 4))
+    run = simulate(SHORT.changed({"plant.cylinder.mass_kg": mass}), signals=("residuals",))
+    found = np.array([run[name] for name in columns(["residuals"])])
+    rpm, mm = found[list(DETECTORS).index("speed"), 50:] * 30 / np.pi, 1e3 * found[2]
+    np.testing.assert_allclose(result.levels["speed"][1], rpm.max(), rtol=1e-12)
+    np.testing.assert_allclose(result.levels["flow"][1], mm.max(), rtol=1e-12)
+    assert result.levels["speed"][0] < rpm.max()
+    assert (dict(result.alarms), result.hours) == ({}, pytest.approx(0.3 / 3600))
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.analysis.signals import settled_s
 from kneexo.analysis.tracking import TrackingResult, run_metrics, track
 from kneexo.analysis.verdict import ERROR_SHARE, Stability, loop_lines
 from kneexo.command_line.output import to_json
@@ -46,8 +47,7 @@ def result(scenario=SINE, *, error_deg=0.0, time_s=TIME, **signals):
     } | signals
     data = {name: np.broadcast_to(values, time_s.shape) for name, values in columns.items()}
     run = Run(time_s, data, scenario.simulation)
-    period = 2.0 if scenario.reference.kind == "sine" else 0.0
-    metrics = run_metrics(scenario, time_s, data, settled_s=period)
+    metrics = run_metrics(scenario, time_s, data, settled_s=settled_s(scenario))
     return TrackingResult(scenario, run, metrics)
 
 
@@ -66,10 +66,11 @@ def test_a_run_tracks_within_2_deg_at_an_amplitude_of_30_deg(worst_deg, tracks):
     )
 
 
-def test_all_errors_count_in_a_run_within_the_first_period_and_with_other_references():
+def test_all_errors_count_in_a_run_of_less_than_two_periods_and_with_other_references():
     early = np.where(TIME < 0.5, 5.0, 0.1)
-    short = TIME[TIME < 1.5]
-    verdict = result(error_deg=early[: short.size], time_s=short).verdict
+    short = TIME[TIME < 3.9955]
+    part = changed(SINE, {"simulation.duration_s": 3.996})
+    verdict = result(part, error_deg=early[: short.size], time_s=short).verdict
     assert (verdict.tracks, verdict.max_error_time_s) == (False, 0.0)
     ramp = {"kind": "ramp", "start_deg": 20.0, "end_deg": 60.0}
     verdict = result(changed(SINE, {"reference": ramp}), error_deg=early).verdict
@@ -161,6 +162,19 @@ def test_open_relief_valves_saturate_the_full_order():
     verdict = result(LEG, **chambers).verdict
     assert verdict.relief_share == pytest.approx(0.4)
     assert verdict.lines[1] == "Saturates: relief valves open for 40 % of the run."
+
+
+@pytest.mark.parametrize(("frequency_hz", "is_named"), [(19.0, False), (21.0, True), (200.0, True)])
+def test_a_load_that_changes_the_chamber_again_and_again_is_mode_switching(frequency_hz, is_named):
+    """From 2.5 s on, for 1 s; before, the cap side carries the load."""
+    wave = np.cos(2.0 * math.pi * frequency_hz * (TIME - 2.5005))
+    load = np.where((TIME > 2.5) & (TIME < 3.5), wave, 1.0)
+    chambers = {"cap_pressure_pa": 2e5 + 1e5 * load, "rod_side_pressure_pa": 2e5}
+    verdict = result(LEG, load_pressure_pa=1e5 * load, **chambers).verdict
+    named = [line for line in verdict.notices if line.startswith("mode switching: from 2.5")]
+    assert len(named) == is_named
+    if frequency_hz == 200.0:
+        assert "changes the chamber 200 times within 0.5 s" in named[0]
 
 
 WORN = changed(SINE, {"plant.load": {"kind": "knee"}, "wearer": "leg"})

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from kneexo.parameters import UNCERTAIN_KNEE
+from kneexo.parameters.criteria import OBSERVED_S
 from kneexo.studies.faults import FaultsResult, FaultsSettings
 from kneexo.studies.faults.study import EmergencyStop, FaultRow, Peaks, Rest
 
@@ -33,6 +34,7 @@ def row(
         alone=Peaks(23.45, 12.34, 2.345, complete),
         flexes=flexes,
         critical_duration_s=critical_s,
+        censored=critical_s == OBSERVED_S,
         detector=detector,
         detected_after_s=0.5 * safe_s,
         safe_after_s=safe_s,
@@ -41,6 +43,7 @@ def row(
         if math.isfinite(safe_s)
         else Rest(math.nan, math.nan, False),
         bound_deg=5.0,
+        observed_s=OBSERVED_S,
     )
 
 
@@ -61,7 +64,7 @@ def made_up():
     time_s = np.linspace(0.0, 15.0, 31)
     curves = {"healthy": 0.0, "alone": 2.0, "protected": 1.0}
     rows = (
-        row("magnet slipped", "encoder offset 1 deg", math.inf, "", math.inf),
+        row("magnet slipped", "encoder offset 1 deg", OBSERVED_S, "", math.inf),
         row("magnet slipped", "encoder offset 5 deg", 0.876, "flow", 0.0543),
         row(
             "command lost",

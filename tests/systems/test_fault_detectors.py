@@ -78,6 +78,14 @@ def test_an_input_that_the_guard_calls_bad_trips_at_each_threshold():
         assert found["detected"].any(axis=0).tolist() == [name == other for other in DETECTORS]
 
 
+def test_without_a_range_no_reading_is_beyond_it():
+    system = FaultDetectors()
+    parameters = system.parameters(system.CreateDefaultContext())
+    assert (parameters.reading_min_rad, parameters.reading_max_rad) == (-math.pi, math.pi)
+    readings = np.array([0.0, 3.1, -3.1, 9.4, -31.0])
+    assert not residual("range", 5, FaultDetectors(), encoder_reading=readings).any()
+
+
 def test_rate_is_the_change_since_the_last_plausible_reading_and_a_wrap_is_no_jump():
     count = 2 * math.pi / 4096
     wrapped = 2.0 + 2 * count - 2 * math.pi

@@ -94,8 +94,12 @@ class Transfer:
 
     def point(self, frequencies_hz: ArrayLike) -> Complex:
         """Return z at frequencies f in Hz: e^{j2πfT}, or j2πf for a continuous loop."""
-        s = 2j * np.pi * np.asarray(frequencies_hz, dtype=float)
-        return np.asarray(s if self.period_s is None else np.exp(s * self.period_s), dtype=complex)
+        frequencies = np.asarray(frequencies_hz, dtype=float)
+        s = 2j * np.pi * frequencies
+        if self.period_s is None:
+            return s
+        # Exactly −1 at the Nyquist frequency: L is real there, or has a pole and is not finite.
+        return np.where(frequencies == self.highest_hz, -1.0, np.exp(s * self.period_s))
 
     @np.errstate(divide="ignore", invalid="ignore", over="ignore")
     def response_on_grid(self, frequencies_hz: ArrayLike) -> Complex:

@@ -178,8 +178,8 @@ def _require_exact(system: Transfer, grid: Array, gain_frequencies: list[float])
         raise ParameterError(
             f"loop: rounding its numbers changes L at {at_hz:.3g} Hz by up to "
             f"{100.0 * min(changes[worst], 1.0):.3g} %, so it has no margins; a transfer function "
-            f"with poles close to each other loses its digits: make the loop from state spaces, "
-            f"such as control.c2d(control.ss(A, B, C, D), T)"
+            f"with poles close to each other loses its digits: if the loop was one, make it from "
+            f"state spaces, such as control.c2d(control.ss(A, B, C, D), T)"
         )
 
 
@@ -275,7 +275,8 @@ def _disk(
     if slope(low) < 0.0 < slope(high):
         frequency = float(scipy.optimize.brentq(slope, low, high, xtol=1e-14))
     distances = [(float(_disk_distance(end)), f) for f, end in ends if cmath.isfinite(end)]
-    return min((float(_disk_distance(system.response(frequency)[0])), frequency), *distances)
+    distances.append((float(_disk_distance(system.response(frequency)[0])), frequency))
+    return min(distances)
 
 
 def _crossings(function: Callable[[float], float], grid: Array, values: Array) -> list[float]:

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
 from kneexo.plotting import BLUE, GOLD, RED, TEAL, decimal_ticks
-from kneexo.studies.faults.study import FaultsResult
+from kneexo.studies.faults.study import FaultRow, FaultsResult, not_seen
 from kneexo.studies.plots import legend_below
 
 _MARKS = {
-    "harmless": ("o", "0.6"),
     "in time": ("o", TEAL),
     "late": ("s", GOLD),
     "missed": ("X", RED),
     "made worse": ("D", RED),
 }
-"""Mark and colour of each verdict."""
+"""Mark and colour of each verdict but `not_seen`."""
 
 
 def figures(result: FaultsResult) -> dict[str, Figure]:
@@ -62,30 +62,32 @@ def plot_worst_case(result: FaultsResult) -> Figure:
     return figure
 
 
+def _marked(result: FaultsResult) -> Iterator[tuple[str, list[FaultRow], str, str]]:
+    """Yield each verdict with its rows, mark and colour."""
+    marks = {not_seen(result.settings.observed_s): ("o", "0.6")} | _MARKS
+    for verdict, (marker, colour) in marks.items():
+        if rows := [row for row in result.rows if row.verdict == verdict]:
+            yield verdict, rows, marker, colour
+
+
 def plot_margins(result: FaultsResult) -> Figure:
     """Draw the time to the safe state over the critical duration, with a mark for each case."""
     figure, ax = plt.subplots(figsize=(6.0, 5.0), layout="constrained")
     figure.set_label(
         "Each mark is a fault at one time. Below the line the motor is safe within the critical "
         "duration. A case above the line can be in time, because a detector keeps implausible "
-        "readings from the law. At the right edge are faults that the knee tolerates without a "
-        "time limit, at the upper edge faults after which the motor does not become safe."
+        "readings from the law. At the right edge are faults that the knee tolerates as long as it "
+        "is observed, at the upper edge faults after which the motor does not become safe."
     )
-    finite = [
-        value
-        for row in result.rows
-        for value in (row.critical_duration_s, row.safe_after_s)
-        if 0.0 < value < math.inf
-    ]
+
+    def values_of(row: FaultRow) -> tuple[float, float]:
+        return math.inf if row.censored else row.critical_duration_s, row.safe_after_s
+
+    finite = [v for row in result.rows for v in values_of(row) if 0.0 < v < math.inf]
     low, high = 1e3 * min(finite, default=1e-3) / 2.0, 1e3 * max(finite, default=1.0) * 4.0
-    for verdict, (marker, colour) in _MARKS.items():
-        rows = [row for row in result.rows if row.verdict == verdict]
-        if not rows:
-            continue
-        x, y = (
-            [min(max(1e3 * getattr(row, name), low), high) for row in rows]
-            for name in ("critical_duration_s", "safe_after_s")
-        )
+    for verdict, rows, marker, colour in _marked(result):
+        values = zip(*map(values_of, rows), strict=True)
+        x, y = ([min(max(1e3 * value, low), high) for value in axis] for axis in values)
         ax.plot(x, y, marker, color=colour, ls="", label=f"{verdict} ({len(rows)})", clip_on=False)
     ax.plot([low, high], [low, high], color="k", lw=0.8)
     ax.set(
@@ -107,17 +109,15 @@ def plot_protection(result: FaultsResult) -> Figure:
     figure, ax = plt.subplots(figsize=(6.0, 5.0), layout="constrained")
     figure.set_label(
         "Each mark is a fault at one time: the largest deviation of the knee before the motor is "
-        "safe, over the largest deviation without protection, until the end of the run or its "
-        "error."
+        "safe, over the largest deviation without protection, in the observed time or until the "
+        "error of the run."
     )
     largest = (max(r.alone.deviation_deg, r.protected.deviation_deg) for r in result.rows)
     high = 1.1 * max(*largest, result.settings.bound_deg)
-    for verdict, (marker, colour) in _MARKS.items():
-        rows = [row for row in result.rows if row.verdict == verdict]
-        if rows:
-            x = [row.alone.deviation_deg for row in rows]
-            y = [row.protected.deviation_deg for row in rows]
-            ax.plot(x, y, marker, color=colour, ls="", label=f"{verdict} ({len(rows)})")
+    for verdict, rows, marker, colour in _marked(result):
+        x = [row.alone.deviation_deg for row in rows]
+        y = [row.protected.deviation_deg for row in rows]
+        ax.plot(x, y, marker, color=colour, ls="", label=f"{verdict} ({len(rows)})")
     ax.axhline(result.settings.bound_deg, color=RED, lw=0.8, label="bound")
     ax.plot([0.0, high], [0.0, high], color="k", lw=0.8)
     ax.set(

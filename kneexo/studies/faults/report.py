@@ -9,7 +9,14 @@ from itertools import product
 from typing import Any, TypeVar
 
 from kneexo.parameters.typical_faults import TYPICAL_FAULTS, typical_faults
-from kneexo.studies.faults.study import FAILED, EmergencyStop, FaultRow, FaultsResult, urgency
+from kneexo.studies.faults.study import (
+    FAILED,
+    EmergencyStop,
+    FaultRow,
+    FaultsResult,
+    not_seen,
+    urgency,
+)
 from kneexo.studies.markdown import number
 from kneexo.studies.template import filled
 
@@ -21,8 +28,8 @@ _HAZARDS = {
 }
 """Hazard, hazardous situation and harm, by how the knee leaves its motion."""
 
-_VERDICTS = (*FAILED, "in time", "harmless", "never active")
-"""The verdicts of a row, the worst first."""
+_VERDICTS = (*FAILED, "in time", "never active")
+"""The verdicts of a row whose harm is not unseen, the worst first."""
 
 
 def report(result: FaultsResult) -> str:
@@ -31,6 +38,7 @@ def report(result: FaultsResult) -> str:
     unfound = [row for row in result.rows if not row.detector]
     compared = len(result.safe_states) > 1
     alarms = sum(result.alarms.values())
+    unseen = not_seen(result.settings.observed_s)
     worn = result.scenario.wearer.kind != "none"
     return filled(
         "faults/report.md",
@@ -44,8 +52,9 @@ def report(result: FaultsResult) -> str:
         counts=Counter(row.verdict for row in result.rows),
         alarms=alarms,
         largest_share=1.0 - 0.05 ** (1.0 / result.healthy_runs),
-        rows=[_line(row) for row in groups if row.verdict != "harmless"],
-        harmless=[_line(row) for row in groups if row.verdict == "harmless"],
+        not_seen=unseen,
+        rows=[_line(row) for row in groups if row.verdict != unseen],
+        tolerated=[_line(row) for row in groups if row.verdict == unseen],
         torque_note=(
             "The torque is that of the wearer on the device."
             if worn
@@ -79,6 +88,7 @@ def _line(row: FaultRow) -> dict[str, Any]:
     """Return the values of a line of the table of faults."""
     return vars(row) | {
         "controller": row.controller.upper(),
+        "critical_duration": ("≥ " if row.censored else "") + number(row.critical_duration_s),
         "detector": row.detector or "–",
         "detected_after_s": _finite(row.detected_after_s),
         "safe_after_s": _finite(row.safe_after_s),
@@ -193,8 +203,8 @@ def _evidence(result: FaultsResult) -> list[dict[str, str]]:
             f"{number(max(stop.torque_n_m for stop in stops))} N·m"
         ),
         "(iv) accuracy of the safeguards": (
-            f"in time in {counts['in time']} of {len(relevant)} cases that are not harmless; found "
-            f"after {number(median_s)} s (median), {number(worst_s)} s (worst); "
+            f"in time in {counts['in time']} of {len(relevant)} cases that are found or missed; "
+            f"found after {number(median_s)} s (median), {number(worst_s)} s (worst); "
             f"{sum(result.alarms.values())} false alarms in {result.healthy_runs} healthy runs"
         ),
         "(v) sensors, actuator and motor": "; ".join(
@@ -206,10 +216,11 @@ def _evidence(result: FaultsResult) -> list[dict[str, str]]:
 
 
 def _hazards(result: FaultsResult) -> list[dict[str, str]]:
-    """Return a line of the table of hazards for each cause that is not harmless."""
+    """Return a line of the table of hazards for each cause whose harm is seen."""
+    unseen = not_seen(result.settings.observed_s)
     causes: dict[str, list[FaultRow]] = {}
     for row in result.rows:
-        if row.verdict != "harmless":
+        if row.verdict != unseen:
             causes.setdefault(row.cause, []).append(row)
     lines = []
     for cause, rows in causes.items():

@@ -27,7 +27,7 @@ from kneexo.parameters import (
     Scenario,
     UncertaintySet,
 )
-from kneexo.parameters.criteria import TOLERATED_DEVIATION_DEG
+from kneexo.parameters.criteria import OBSERVED_S, TOLERATED_DEVIATION_DEG
 from kneexo.parameters.fault import OPERATOR_INPUTS, FaultParameters
 from kneexo.parameters.plant import RPM
 from kneexo.parameters.quantity import Parameters, choice, quantity
@@ -57,9 +57,9 @@ class FaultsSettings(Parameters):
         4, "1", "assumption: number of starts, evenly spaced over a period", ge=1, le=1000
     )
     observed_s: float = quantity(
-        4.0,
+        OBSERVED_S,
         "s",
-        "assumption: time that a run lasts after the last start, much longer than a detection",
+        "assumption: time that a run lasts after the start of its fault, as in fault_survival",
         ge=0.1,
         le=1e4,
     )
@@ -70,6 +70,11 @@ class FaultsSettings(Parameters):
         200, "1", "assumption: healthy runs that count false alarms", ge=1, le=1_000_000
     )
     seed: int = quantity(2020, "1", "assumption: any number", ge=0, le=2**31 - 1)
+
+
+def not_seen(observed_s: float) -> str:
+    """Return the verdict on a fault that no detector finds, and that the knee tolerates."""
+    return f"not seen within {observed_s:g} s"
 
 
 FAILED = ("made worse", "missed", "late")
@@ -121,6 +126,8 @@ class FaultRow:
     """Whether the largest deviation without protection is a flexion."""
     critical_duration_s: float
     """Longest duration without protection; see `kneexo.analysis.FaultCase`."""
+    censored: bool
+    """Whether the critical duration is the observed time, so that the true one may be longer."""
     detector: str
     """Name of the detector that stopped the motor, or an empty text."""
     detected_after_s: float
@@ -132,33 +139,36 @@ class FaultRow:
 
     bound_deg: float
     """Largest tolerated deviation."""
+    observed_s: float
+    """Time from ``start_s`` to the end of the run."""
 
     @property
     def margin_s(self) -> float:
-        """Critical duration minus time to the safe state.
+        """Critical duration minus time to the safe state; at least this if it is censored.
 
-        The margin is inf if the knee tolerates the fault without a time limit. It is nan if the
-        trigger of the fault never occurs.
+        The margin is nan if the trigger of the fault never occurs, and if the critical duration is
+        censored and the motor never safe.
         """
-        if math.isinf(self.critical_duration_s):
-            return math.inf
+        if self.censored and math.isinf(self.safe_after_s):
+            return math.nan
         return self.critical_duration_s - self.safe_after_s
 
     @property
     def verdict(self) -> str:
-        """One of ``never active, harmless, in time, late, missed, made worse``.
+        """One of ``never active, not seen within … s, in time, late, missed, made worse``.
 
-        Without a detection a fault is harmless if the knee tolerates it without a time limit, else
-        missed. After a detection the protection is in time if the deviation stays within the bound
-        until the motor is safe. Otherwise it makes the fault worse if the deviation is larger than
-        without protection, else it is late. So it is also late if the motor never becomes safe.
+        Without a detection the harm of a fault is not seen within ``observed_s`` if the knee stays
+        within the bound, else the fault is missed. After a detection the protection is in time if
+        the deviation stays within the bound until the motor is safe. Otherwise it makes the fault
+        worse if the deviation is larger than without protection, else it is late. So it is also
+        late if the motor never becomes safe.
         """
         if math.isnan(self.critical_duration_s) and not self.detector:
             return "never active"
         deviation_deg = self.protected.deviation_deg
         is_within = self.protected.complete and deviation_deg <= self.bound_deg
         if not self.detector:
-            return "harmless" if math.isinf(self.critical_duration_s) else "missed"
+            return not_seen(self.observed_s) if self.censored else "missed"
         if is_within and math.isfinite(self.safe_after_s):
             return "in time"
         is_worse = deviation_deg > max(self.alone.deviation_deg, self.bound_deg)
@@ -332,8 +342,9 @@ def faults_study(
             assessed = sweep.map(assess, items, "faults", group=_structure)
             for safe_state in safe_states:
                 for (cause, fault), values in zip(items, assessed, strict=True):
-                    row = _row(loop, settings.bound_deg, safe_state, cause, fault, values)
-                    cases.append((row, _ending(loop, safe_state), fault))
+                    row = _row(loop, settings, safe_state, cause, fault, values)
+                    until = _observed(loop, settings, fault.start_s)
+                    cases.append((row, _ending(until, safe_state), fault))
             presses = list(product(safe_states, starts_s))
             stopped = sweep.map(partial(_stop, loop, settings), presses, "emergency stops")
             stops += [
@@ -394,8 +405,13 @@ def _ending(scenario: Scenario, safe_state: str) -> Scenario:
     return scenario.changed({"protection.safe_state": safe_state})
 
 
+def _observed(scenario: Scenario, settings: FaultsSettings, start_s: float) -> Scenario:
+    """Return the scenario whose run ends ``observed_s`` after a start."""
+    return scenario.changed({"simulation.duration_s": start_s + settings.observed_s})
+
+
 def _starts(scenario: Scenario, settings: FaultsSettings) -> tuple[Scenario, list[float]]:
-    """Return the scenario with the duration of its runs, and the times at which faults begin.
+    """Return the scenario with the duration of healthy runs, and the times at which faults begin.
 
     The faults begin in the second period of a sine. With another reference the last ``observed_s``
     of the run stay free, and the faults begin in the last three quarters of the time before.
@@ -445,6 +461,7 @@ def _assess(
     The data have a dictionary for each safe state.
     """
     _, fault = item
+    scenario = _observed(scenario, settings, fault.start_s)
     alone = _without(scenario)
     healthy = simulate(alone, signals=_signals(alone))
     case = fault_case(alone, healthy, settings.bound_deg, fault)
@@ -453,6 +470,7 @@ def _assess(
     deviation = _deviation_deg(run, healthy)
     found: dict[str, Any] = {
         "critical_duration_s": case.critical_duration_s,
+        "censored": case.censored,
         "flexes": bool(deviation[np.argmax(np.abs(deviation))] > 0.0),
         "alone": _peaks(run, healthy, slice(start, None)) | {"complete": complete},
     }
@@ -484,7 +502,7 @@ def _protected(
 def _stop(scenario: Scenario, settings: FaultsSettings, item: tuple[str, float]) -> dict[str, Any]:
     """Return the effect of an emergency stop as plain data; runs in a worker process."""
     safe_state, start_s = item
-    protected = _ending(scenario, safe_state)
+    protected = _ending(_observed(scenario, settings, start_s), safe_state)
     press = FaultParameters(place="emergency_stop", kind="value", size=1.0, start_s=start_s)
     run, _ = _run(protected, press)
     safe_after_s, end = _safe_after(run, protected, start_s)
@@ -520,7 +538,7 @@ def _index(run: Run, time_s: float) -> int:
 
 def _row(
     scenario: Scenario,
-    bound_deg: float,
+    settings: FaultsSettings,
     safe_state: str,
     cause: str,
     fault: FaultParameters,
@@ -535,8 +553,10 @@ def _row(
         cause=cause,
         fault=fault_name(fault),
         start_s=fault.start_s,
-        bound_deg=bound_deg,
+        bound_deg=settings.bound_deg,
+        observed_s=settings.observed_s,
         critical_duration_s=found["critical_duration_s"],
+        censored=found["censored"],
         flexes=found["flexes"],
         alone=Peaks(**found["alone"]),
         **values,

@@ -19,8 +19,7 @@ import scipy
 
 from kneexo.analysis.assessment import assess
 from kneexo.analysis.sensitivity import differentiable, loop_sensitivities, tracking_sensitivities
-from kneexo.analysis.signals import period_s
-from kneexo.errors import ParameterError, failure_noted
+from kneexo.errors import failure_noted
 from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, Uncertainty, UncertaintySet
 from kneexo.parameters.paths import value_at
 from kneexo.parameters.quantity import Parameters, choice, quantity
@@ -385,8 +384,7 @@ def robustness_study(
     ------
     ParameterError
         An uncertain value is one that no scenario has, or is out of range. The scenario has none of
-        the values. The run ends within the first period of the reference, which the tracking
-        metrics leave out.
+        the values.
     SimulationError
         Every run fails.
     """
@@ -398,11 +396,6 @@ def _explore(
     scenario: Scenario, uncertainty: UncertaintySet, settings: RobustnessSettings, sweep: Sweep
 ) -> RobustnessResult:
     kept, left_out = applicable(scenario, uncertainty)
-    if (period := period_s(scenario)) >= scenario.duration_s:
-        raise ParameterError(
-            f"simulation.duration_s = {scenario.duration_s:g} s: must be > {period:g} s, the first "
-            f"period of the reference, which the metrics leave out"
-        )
     reference = scenario.reference
     follows = scenario.controller.kind != "torque"
     moves = reference.kind == "sine" and reference.amplitude_deg > 0.0 and follows

@@ -32,11 +32,6 @@ const Numbers = (() => {
     return [`hunts every ${shown(period)} s, ${shown(1e-5 * low, 2)} … ${shown(1e-5 * high, 2)} bar`, "fair"];
   }
 
-  /** Share of the time at the limit, after the first period if the run is long enough. */
-  function shareOf(run) {
-    return run.metrics.saturated_share ?? run.metrics.saturated_share_overall;
-  }
-
   function ofShare(share) {
     if (!Number.isFinite(share)) return ["", "plain"];
     if (share === 0) return ["never", "good"];
@@ -154,7 +149,7 @@ const Numbers = (() => {
     { name: "fault-torque", when: isThrown, label: "Peak torque", unit: "N·m",
       value: ({ run }) => shown(run.metrics.protection.peak_torque_n_m), word: ({ run }) => ofReach(run) },
     { name: "saturated", label: "Time at the limit", unit: "%",
-      value: ({ run }) => shown(100 * shareOf(run)), word: ({ run }) => ofShare(shareOf(run)) },
+      value: ({ run }) => shown(100 * run.metrics.saturated_share), word: ({ run }) => ofShare(run.metrics.saturated_share) },
     { name: "bandwidth", analysis: true, wearer: false, label: "Bandwidth", unit: "Hz",
       value: ({ sweep }) => (sweep && Number.isFinite(sweep.minus_3_db_hz) ? shown(sweep.minus_3_db_hz) : "–"),
       word: ({ sweep, frequency }) => ofBandwidth(sweep, frequency) },
@@ -257,7 +252,7 @@ const Numbers = (() => {
       const error = hasStep(result) ? `${ofSettling(run)[0]}, settling time ${shown(run.metrics.settling_time_s)} seconds`
         : `largest error ${shown(run.metrics.largest_error_rad * DEG)} degrees`;
       return `${name}${detected}${error}, ${cycle}`
-        + `motor at its limit ${shown(100 * shareOf(run))} percent of the time`
+        + `motor at its limit ${shown(100 * run.metrics.saturated_share)} percent of the time`
         + `${Number.isFinite(hz) ? `, bandwidth ${shown(hz)} hertz` : ""}.`;
     }).join(" ");
   }

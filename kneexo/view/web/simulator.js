@@ -547,29 +547,30 @@ const Simulator = (() => {
     return radians(Math.max(bound, Math.min(LARGEST_COUNT_DEG, Math.max(...angles.map(at)))));
   }
 
-  // Metrics of a run: for a sine after its first period, for another reference over the whole run.
-  function settledMetrics(signals, settled, limit) {
-    const { time } = signals;
-    let first = indexAt(time, settled);
-    const complete = time.length - first >= 2;
-    const error = signals.error.subarray(complete ? first : 0);
-    const command = signals.command.subarray(first);
-    if (!complete) first = 0;
+  // Metrics of a run from a time on.
+  function settledMetrics({ time, error: all, command }, settled) {
+    const first = indexAt(time, settled);
+    const error = all.subarray(first);
     const size = largest(error);
     const worst = error.findIndex((value) => Math.abs(value) === size);
     return {
-      settled: complete,
       largest_error_rad: size,
       largest_error_time_s: time[first + worst],
       rms_error_rad: rms(error),
-      mean_command_change_rad_s: complete ? meanChange(command) : null,
-      saturated_share: complete ? saturatedShare(command, limit) : null,
+      mean_command_change_rad_s: meanChange(command.subarray(first)),
     };
   }
 
+  // The number of whole periods of a run, as periods_in in kneexo/analysis/signals.py. The last one may lack its
+  // last sample.
+  function periodsOf({ time }, period_s) {
+    return period_s > 0 ? Math.floor((time[time.length - 1] + time[1]) / period_s + 1e-9) : 0;
+  }
+
   function metricsOf(model, reference, values, limits, signals) {
-    const settled = reference === "sine" ? 1 / values["reference.frequency_hz"] : 0;
-    const main = settledMetrics(signals, settled, limits.command_limit_rad_s);
+    const period_s = reference === "sine" ? 1 / values["reference.frequency_hz"] : 0;
+    const periods = periodsOf(signals, period_s);
+    const main = settledMetrics(signals, periods >= 2 ? period_s : 0); // as settled_s in signals.py
     const cycle = limitCycle(signals);
     const step = reference === "step" ? stepMetrics(signals.time, signals.angle, values, cycle) : null;
     const { time } = signals;
@@ -582,19 +583,18 @@ const Simulator = (() => {
       tracks: signals.torque ? null : step ? step.settling_time_s !== null : main.largest_error_rad <= bound,
       largest_error_overall_rad: largest(signals.error),
       rms_error_overall_rad: rms(signals.error),
-      saturated_share_overall: saturatedShare(signals.command, limits.command_limit_rad_s),
+      saturated_share: saturatedShare(signals.command, limits.command_limit_rad_s),
       peak_command_rad_s: largest(signals.command),
       ...pressureMetrics(signals, limits),
       ...powerMetrics(signals, limits),
-      ...interactionMetrics(signals, reference === "sine" ? 1 / values["reference.frequency_hz"] : 0),
+      ...interactionMetrics(signals, period_s, periods),
     };
   }
 
   // Return metrics of kneexo.analysis.interaction, of the whole periods after the first if there are any.
-  function interactionMetrics({ time, torque, rate }, period_s) {
+  function interactionMetrics({ time, torque, rate }, period_s, periods) {
     if (!torque) return {};
     const last = time.length - 1;
-    const periods = period_s > 0 ? Math.floor((time[last] + time[1]) / period_s + 1e-9) : 0;
     const ends = periods < 2 ? [0, last] : [1, periods].map(
       (count) => Math.min(indexAt(time, count * period_s), last));
     const [power, torques] = [torque.map((value, k) => value * rate[k]), torque].map(

@@ -53,6 +53,31 @@ def test_an_unstable_pole_needs_gain():
     assert not margins(0.9 / (S - 1.0)).stable
 
 
+@pytest.mark.parametrize(("kp", "kd", "stable"), [(2.0, 0.5, False), (0.5, -0.1, True)])
+def test_a_pole_at_the_nyquist_frequency_is_no_obstacle(kp, kd, stable):
+    """A Tustin derivative: k_p + k_d (2/T)(z − 1)/(z + 1) before 1/(s(s + 1)) behind a hold."""
+    period_s = 0.1
+    decay = math.exp(-period_s)
+    a = np.array([[1.0, 1.0 - decay], [0.0, decay]])
+    b = np.array([[period_s - 1.0 + decay], [1.0 - decay]])
+    slope = 2.0 * kd / period_s
+    a = np.block([[a, -2.0 * slope * b], [np.zeros((1, 2)), -np.ones((1, 1))]])
+    loop = a, np.vstack([(kp + slope) * b, [[1.0]]]), np.array([[1.0, 0.0, 0.0]]), 0.0, period_s
+    m = margins(loop)
+    hz = np.linspace(1e-3, 4.9999, 500_001)
+    z = np.exp(2j * math.pi * hz * period_s)
+    plant = (b[0] * (z - decay) + (1.0 - decay) * b[1]) / ((z - 1.0) * (z - decay))
+    response = plant * (kp + slope * (z - 1.0) / (z + 1.0))
+    lag = np.degrees(np.angle(-response)) % 360.0
+    at = np.flatnonzero(np.diff(np.abs(response) > 1.0))
+    assert m.stable is stable
+    assert m.phase_margin_deg == pytest.approx(lag[at].min(), abs=0.01)
+    assert m.phase_lead_margin_deg == pytest.approx(360.0 - lag[at].max(), abs=0.01)
+    assert m.delay_margin_s == pytest.approx((lag[at] / 360.0 / hz[at]).min(), rel=1e-4)
+    disk = np.min(2.0 * np.abs((1.0 + response) / (1.0 - response)))
+    assert m.disk_margin == pytest.approx(disk, rel=1e-4)
+
+
 @pytest.mark.parametrize("loop", [-0.5 / (S + 1.0), STATIC])
 def test_a_loop_can_lose_stability_at_zero_frequency(loop):
     m = margins(loop)

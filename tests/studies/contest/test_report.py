@@ -32,6 +32,21 @@ def test_the_screen_holds_all_contestants_of_the_default_settings(check_screen):
         assert name.startswith(cell)  # some versions of rich break the longest name
 
 
+def test_tunings_without_convergence_or_feasible_gains_are_counted():
+    small = made_up()
+    well = dataclasses.replace(small.tunings[0], converged=True, objective_deg=0.3)
+    slow = dataclasses.replace(well, converged=False)
+    infeasible = dataclasses.replace(well, objective_deg=small.tunings[2].objective_deg)
+    assert (well.feasible, infeasible.feasible) == (True, False)
+    for tunings, line in (
+        ((well, slow, well, infeasible, slow), "- 3 of 5 tunings did not converge or found no"),
+        ((well, infeasible), "- 1 of 2 tunings did not converge or found no"),
+    ):
+        assert line in report(dataclasses.replace(small, tunings=tunings))
+    text = report(dataclasses.replace(small, tunings=(well, well)))
+    assert "did not converge" not in text.partition("\n## ")[0]
+
+
 def test_the_first_failed_run_of_each_controller_is_repeated_by_a_command():
     contest = made_up()
     well = [metrics | {"tracking_failure": ""} for metrics in next(iter(contest.tested.values()))]

@@ -557,7 +557,7 @@ def test_with_torque_control_the_torque_of_the_wearer_is_ranked_and_the_angle_is
     def torque(stiffness, lag):
         values = {"wearer.cuff.stiffness_n_m_per_rad": stiffness, "plant.pump.lag_s": lag}
         run = simulate(scenario.changed(values))
-        return np.abs(run["interaction_torque_n_m"][run.time_s >= 0.25 - 1e-9]).max()
+        return np.abs(run["interaction_torque_n_m"]).max()
 
     corners = {(k, lag): torque(k, lag) for k in (750.0, 3000.0) for lag in (0.005, 0.02)}
     largest = max(corners, key=corners.get)
@@ -580,9 +580,3 @@ def test_a_study_in_which_every_run_fails_is_a_failure_with_its_reason():
     few = FEW.model_copy(update={"samples": 2, "corners_max": 1})
     with pytest.raises(SimulationError, match=r"^all \d+ runs fail; the first: reference = "):
         robustness_study(changed(Scenario(), {"reference": passing}), SMALL, few)
-
-
-def test_a_run_within_the_first_period_is_refused():
-    scenario = changed(Scenario(), {"simulation.duration_s": 10.0})
-    with pytest.raises(ParameterError, match=r"^simulation.duration_s = 10 s: must be > 10 s, the"):
-        robustness_study(scenario, SMALL, FEW)
