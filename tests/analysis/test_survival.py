@@ -171,7 +171,7 @@ def test_faults_that_differ_by_seed_or_trigger_have_lines_of_their_own():
     [
         (([], [1.0]), "must have at least one fault and one start"),
         (([DEAD], []), "must have at least one fault and one start"),
-        (([DEAD], [-1.0]), "start_s = -1 s is out of range: must be finite and >= 0"),
+        (([DEAD], [-1.0]), r"starts_s\.0 = -1 s is out of range: must be finite and >= 0"),
     ],
 )
 def test_wrong_arguments_are_one_line(arguments, message):

@@ -46,8 +46,7 @@ def test_there_are_sixty_runs():
     assert len(RUNS) == 60
 
 
-@pytest.mark.slow
-@pytest.mark.cases_in_gate(13)
+@pytest.mark.slow(gate=13)
 @pytest.mark.parametrize("name", RUNS)
 def test_each_run_has_the_verdict_of_its_signals(name):
     check(name)
