@@ -212,7 +212,7 @@ class Law:
     def names(self) -> frozenset[str]:
         """Words in the file of the law's code and in the files that it imports from its folder.
 
-        Code without a file, such as code that was typed in, might have `if_then_else`.
+        Code without a file, such as code that was typed in, might have ``if_then_else``.
         """
         code = getattr(self.target, "func", self.target)  # of a functools.partial
         code = code if inspect.isroutine(code) or inspect.isclass(code) else type(code)

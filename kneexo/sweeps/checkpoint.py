@@ -158,7 +158,7 @@ def piece_keys(function: Any, items: Iterable[Any]) -> list[str]:
 
     The key is a digest of kneexo's version, the function with its bound arguments, and the item.
     Raises `UnknownLawError` for an item with a law that another process cannot recognize: see
-    `kneexo.simulation.law_key`.
+    `kneexo.simulation.compiled.law_key`.
     """
     shared = hashlib.sha256(_text([__version__, function]))
     keys = []
