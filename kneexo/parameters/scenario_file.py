@@ -183,8 +183,9 @@ def scenario_files(
     if not isinstance(controller, LawParameters) or not controller.function.sources:
         return {name: dump_scenario(scenario)}
     law = controller.function
-    is_there = folder is not None and law.file == Path(folder, next(iter(law.sources))).resolve()
-    copy = Law(law.target, f"{next(iter(law.sources))}:{law.name.rpartition(':')[2]}")
+    file = next(iter(law.sources))
+    is_there = folder is not None and law.file == Path(folder, file).resolve()
+    copy = Law(law.target, f"{file}:{law.name.rpartition(':')[2]}")
     controller = controller.model_copy(update={"function": copy})
     text = dump_scenario(scenario.model_copy(update={"controller": controller}))
     return {name: text, **({} if is_there else law.sources)}
