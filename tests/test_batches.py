@@ -134,7 +134,7 @@ def test_only_a_run_that_failed_with_a_law_that_has_a_name_becomes_a_file(mixed,
         return 1e5 * rod_extension
 
     (row,) = batch(SHORT, {OFFSET: [0.15]}, law=inner).rows
-    with pytest.raises(ParameterError, match=r"inner': existed only in the Python session that"):
+    with pytest.raises(ParameterError, match=r"inner: this name leads to no file with"):
         row.write_failure(path)
     assert not path.exists()
 

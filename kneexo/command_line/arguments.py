@@ -6,6 +6,7 @@ import argparse
 import inspect
 import math
 import re
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -275,7 +276,6 @@ class ScenarioChoice:
         says whose Python runs.
         """
         from kneexo.parameters import Scenario
-        from kneexo.parameters.law import announce
         from kneexo.parameters.presets import with_preset
         from kneexo.parameters.scenario_file import load_scenario
 
@@ -291,7 +291,6 @@ class ScenarioChoice:
         if self.law is not None:
             with _argument():
                 scenario = scenario.with_law(self.law)
-            announce(self.law)
         scenario = with_values(scenario, self.values)
         if self.law is not None and scenario.controller.kind != "law":
             raise ParameterError(
@@ -299,7 +298,11 @@ class ScenarioChoice:
                 f"leave out one of them"
             )
         scenario = scenario.with_engine(self.engine)
-        return scenario.with_loaded_law() if runs_law else scenario
+        law = scenario.controller.function if scenario.controller.kind == "law" else None
+        if law is not None and (runs_law or law.is_loaded):
+            sys.stderr.write(f"kneexo: runs Python of {shown(law.short_name.rpartition(':')[0])}\n")
+            scenario = scenario.with_loaded_law()
+        return scenario
 
 
 @contextmanager

@@ -204,7 +204,6 @@ def _write(outcome: Outcome, directory: Path, description: str | None) -> None:
     ``description`` is that of a progress bar, or None for no bar.
     """
     for name, content in outcome.files.items():
-        (directory / name).parent.mkdir(parents=True, exist_ok=True)
         if callable(content):
             content(directory / name)
         else:

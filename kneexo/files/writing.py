@@ -26,13 +26,12 @@ _LOCK = "kneexo.lock"
 def write_file(path: Path, content: bytes, others: Mapping[str, bytes] = {}) -> None:
     """Write ``content`` to a file, and replace an earlier file. Create missing directories.
 
-    ``others`` maps the paths of files beside or below the file to their contents. Raises
-    `OutputError` if a file cannot be written. After an error earlier files are unchanged, and no
-    new directory is left.
+    ``others`` maps the names of files beside the file to their contents. Raises `OutputError` if a
+    file cannot be written. After an error earlier files are unchanged, and no new directory is
+    left.
     """
     with _replacement(path.parent, f"--out {shown(path)}", "") as directory:
         for name, data in {path.name: content, **others}.items():
-            (directory / name).parent.mkdir(parents=True, exist_ok=True)
             (directory / name).write_bytes(data)
 
 
@@ -152,27 +151,25 @@ def _delete(workspace: Path) -> None:
 
 def _replace(target: Path, workspace: Path) -> None:
     """Move the new files to ``target``. If a new file cannot be moved, restore the old files."""
-    new, old = workspace / "new", workspace / "old"
-    names = sorted(file.relative_to(new) for file in new.rglob("*") if file.is_file())
-    for name in names:
-        destination = target / name
+    old = workspace / "old"
+    files = sorted((workspace / "new").iterdir())
+    for file in files:
+        destination = target / file.name
         if destination.exists() and not destination.is_file():
             raise OutputError(
-                f"--out {shown(target)}: {name} is no regular file there; move it away or "
+                f"--out {shown(target)}: {file.name} is no regular file there; move it away or "
                 f"choose another directory"
             )
-        for folder in (destination.parent, (old / name).parent):
-            folder.mkdir(parents=True, exist_ok=True)
         if os.path.lexists(destination):
             try:
-                os.link(destination, old / name, follow_symlinks=False)
+                os.link(destination, old / file.name, follow_symlinks=False)
             except OSError:  # a file system without hard links
-                shutil.copy2(destination, old / name, follow_symlinks=False)
+                shutil.copy2(destination, old / file.name, follow_symlinks=False)
     moved = []
     try:
-        for name in names:
-            os.replace(new / name, target / name)
-            moved.append(name)
+        for file in files:
+            os.replace(file, target / file.name)
+            moved.append(file.name)
     except OSError:
         for name in moved:
             if os.path.lexists(old / name):

@@ -12,17 +12,16 @@ import hashlib
 import importlib.util
 import inspect
 import math
-import multiprocessing
 import re
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from contextvars import ContextVar
 from functools import cached_property, lru_cache
 from numbers import Real
 from pathlib import Path
-from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType, SimpleNamespace
+from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
 from typing import Any, NamedTuple
 
 import cloudpickle
@@ -30,7 +29,7 @@ import numpy as np
 from pydantic import GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
-from kneexo.errors import ParameterError, close_names, question, shortened, shown
+from kneexo.errors import ParameterError, close_names, question, shortened
 from kneexo.parameters.faults import shown_value
 from kneexo.user_code import NOT_OF_USERS, function_at, text_of, user_code
 
@@ -54,7 +53,6 @@ acceleration of the rod, only with the estimator ``exact``.
 
 _RESERVED = ("_", "command_limit_rad_s", "initial_state_")
 """Beginnings of names that no gain can have, because parameters of the law's system have them."""
-_DIGITS = 12  # hexadecimal digits of a digest in a text
 
 
 class LawArguments(NamedTuple):
@@ -78,9 +76,9 @@ class Law:
     ``target`` is the function, the object or the system itself. It can also be a class or function
     without arguments, or a function with the argument ``scenario``, that returns a Drake system.
     ``name`` is ``FILE.py:NAME`` or ``MODULE:NAME``, and ``written`` is the name that a scenario
-    file gets. Two laws are equal if their targets are the same object, or if texts name them alike
-    in files of equal contents. ``memo`` holds results that other modules have computed about this
-    law.
+    file gets. Two laws are equal if their targets are the same object, or if they have the same
+    name in files of equal names and contents. ``memo`` holds results that other modules have
+    computed about this law.
     """
 
     def __init__(self, target: Any, name: str | None = None) -> None:
@@ -90,39 +88,31 @@ class Law:
         self.memo: dict[Any, Any] = {}
 
     @classmethod
-    def from_text(cls, text: str, directory: str | Path = ".") -> Law:
+    def from_text(cls, text: str, directory: str | Path = ".", *, is_data: bool = False) -> Law:
         """Import the law with a name ``FILE.py:NAME`` or ``MODULE:NAME``.
 
-        A relative path of a file starts at ``directory``. ``#`` and a digest may follow the name.
-        Raises `ParameterError` if there is no such law, or if the law has another digest.
+        Parameters
+        ----------
+        text
+            The name of the law.
+        directory
+            Where a relative path of a file starts.
+        is_data
+            True: a scenario file in ``directory`` has the name. Such a file may be a stranger's, so
+            it names a Python file in ``directory`` or below, and no link leads out of it. The file
+            of the law is imported when `target` is read first.
+
+        Raises
+        ------
+        ParameterError
+            There is no such law.
         """
-        law = cls._named(text, directory)
-        _ = law.target
-        return law
-
-    @classmethod
-    def from_data(cls, text: str, directory: str | Path) -> Law:
-        """Return the law that a scenario file in ``directory`` names, without importing its file.
-
-        The file of the law is imported when `target` is read first. A scenario file may be a
-        stranger's, so it cannot name what this system has installed. Raises `ParameterError` unless
-        ``text`` names a Python file in ``directory`` or below; a link must not lead out of it.
-        """
-        law = cls._named(text, directory, is_data=True)
-        law.written, law._is_announced = text, True
-        return law
-
-    @classmethod
-    def _named(cls, text: str, directory: str | Path, *, is_data: bool = False) -> Law:
-        """Return a law whose `target` is imported when it is first read."""
-        name, _, digest = text.partition("#")
-        place, _, path = name.rpartition(":")
-        subject = f"law {shortened(name)!r}"
-        _require_no_session(name)
+        place, _, path = text.rpartition(":")
+        subject = f"law {shortened(text)!r}"
         if not place or not path or ".py:" in place:
             raise ParameterError(f"{subject}: must be FILE.py:NAME, such as my.py:law")
         law = cls.__new__(cls)
-        law.memo, law._digest, law._subject = {}, digest, subject
+        law.name, law.memo = text, {}
         with user_code(f"{subject}: the file cannot be read"):
             file = Path(directory, place).resolve() if place.endswith(".py") else None
             if is_data and not (file and file.is_relative_to(Path(directory).resolve())):
@@ -133,38 +123,30 @@ class Law:
             if file is not None:
                 if not file.is_file():
                     raise ParameterError(f"{subject}: there is no file {shortened(str(file), 200)}")
-                law.file, name = file, f"{file}:{path}"
-        law.name = law.written = name
+                law.file, law.name = file, f"{file}:{path}"
+        law.written = text if is_data else law.name
+        if not is_data:
+            _ = law.target
         return law
-
-    _subject = _digest = ""  # begin of messages, and the digest that a text requires
-    _is_announced = False  # whether a line on stderr says that the file of the law runs
 
     @cached_property
     def target(self) -> Any:
         """The function, object or system; the first reading of a named law runs its file."""
-        path = self.name.rpartition(":")[2]
-        if self._is_announced:
-            announce(self.short_name)
-        file: Path | None = vars(self).get("file")
-        if file is None:
-            target = function_at(self.name, self._subject)
-        else:
-            vars(self).pop("sources", None)  # of an earlier content
-            with user_code(f"{self._subject}: the file fails"):
-                module = _module(file, self._subject, self.digest)
-            if not hasattr(module, path):
-                known = [n for n, v in vars(module).items() if callable(v) and n[:1] != "_"]
-                hint = question(close_names(path, known) or known[:4])
-                raise ParameterError(f"{self._subject}: the file has no {shortened(path)!r}{hint}")
-            target = getattr(module, path)
-        self.target = target = _checked(target)
-        if self._digest and not self.digest.startswith(self._digest):
+        subject, path = f"law {self.short_name!r}", self.name.rpartition(":")[2]
+        if vars(self).get("file") is None:
+            return _checked(function_at(self.name, subject))
+        if self.file in _importing:
             raise ParameterError(
-                f"{self._subject}: the code has changed since {self._digest} was noted; leave out "
-                f"'#{self._digest}' to use the code of today"
+                f"{subject}: importing the file loads this law again; put the lines that use the "
+                f"law below `if __name__ == '__main__':`"
             )
-        return target
+        with user_code(f"{subject}: the file fails"):
+            module = _module(self.file, tuple(self.sources.items()))
+        if not hasattr(module, path):
+            known = [n for n, v in vars(module).items() if callable(v) and n[:1] != "_"]
+            hint = question(close_names(path, known) or known[:4])
+            raise ParameterError(f"{subject}: the file has no {shortened(path)!r}{hint}")
+        return _checked(getattr(module, path))
 
     @property
     def is_loaded(self) -> bool:
@@ -176,11 +158,10 @@ class Law:
 
         No name leads to a lambda. The name of an object leads to its class.
         """
-        _require_no_session(self.name)
         if not self.sources:
             raise ParameterError(
-                f"law {self.short_name}: this name leads to other code or values; give the law as "
-                f"text, FILE.py:NAME"
+                f"law {self.short_name}: this name leads to no file with this law; give a law of a "
+                f"file as text, FILE.py:NAME"
             )
 
     @cached_property
@@ -195,10 +176,9 @@ class Law:
 
     @cached_property
     def sources(self) -> dict[str, bytes]:
-        """Contents of `file` and of the files that it imports from its folder.
+        """Contents of `file` and of the modules that it imports from its folder, by file name.
 
-        The keys are paths relative to the folder, the law's file first. In a package, the folder is
-        that which contains the package. Empty without `file`.
+        The law's file is first. Empty without `file`.
         """
         with user_code(f"law {self.short_name}: the file cannot be read"):
             return {} if self.file is None else _sources(self.file)
@@ -206,7 +186,7 @@ class Law:
     @property
     def digest(self) -> str:
         """Digest of `sources`; an empty text without sources."""
-        return hashlib.sha256(repr(self.sources).encode()).hexdigest() if self.sources else ""
+        return _digest(tuple(self.sources.items())) if self.sources else ""
 
     @cached_property
     def names(self) -> frozenset[str]:
@@ -368,12 +348,13 @@ class Law:
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Law):
             return False
-        if self._subject and other._subject and self.digest:  # also in a copy of a run's folder
-            return hash(self) == hash(other) and self.digest == other.digest
-        one, two = self.target, other.target
-        if isinstance(one, MethodType) and isinstance(two, MethodType):
-            return one.__self__ is two.__self__ and one.__func__ is two.__func__
-        return one is two
+        if self.is_loaded and other.is_loaded:
+            one, two = self.target, other.target
+            if one is two or (isinstance(one, MethodType) and one == two):
+                return True
+        if not self.digest or self.digest != other.digest:
+            return False
+        return hash(self) == hash(other)  # also a copy of the files in a run's folder
 
     def __hash__(self) -> int:
         """Return a hash of the name without file or module."""
@@ -387,29 +368,19 @@ class Law:
         """Return the name between quotation marks."""
         return repr(self.name)
 
-    def identity(self) -> str:
-        """Return ``NAME#DIGEST`` with the begin of `digest`; only the name without `sources`."""
-        return f"{self.name}#{self.digest[:_DIGITS]}" if self.digest else self.name
-
     def __reduce__(self) -> tuple[Callable[..., Law], tuple[Any, ...]]:
         """Pickle the code and its values, or else the name if it leads to this law."""
-        if id(self.target) in _pickling.get():  # a law may read a scenario that contains the law
-            self.require_name()
-            return type(self).from_text, (self.identity(),)
-        token = _pickling.set(_pickling.get() | {id(self.target)})
+        sources = tuple(self.sources.items())
         try:
-            sources = tuple(self.sources.items()) if self._subject else ()
-            return _unpickled, (cloudpickle.dumps(self.target), self.name, sources, self._subject)
+            return _unpickled, (cloudpickle.dumps(self.target), self.name, self.file, sources)
         except Exception as error:  # pickling a user's object may raise any error
-            if self.sources and "<" not in self.name:
-                return type(self).from_text, (self.identity(),)
+            if sources:
+                return type(self).from_text, (self.name,)
             raise ParameterError(
                 f"law {self.short_name}: cannot be sent to worker processes "
                 f"({shortened(text_of(error), 100)}); give a function or the class of the system, "
                 f"or use one worker"
             ) from None
-        finally:
-            _pickling.reset(token)
 
     def __deepcopy__(self, memo: Any) -> Law:
         """Return the law itself, because laws do not change."""
@@ -417,9 +388,9 @@ class Law:
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
-        """Return pydantic's schema: accept a text or a target; write name and digest.
+        """Return pydantic's schema: accept a text or a target; write the name.
 
-        A text of a scenario file is data, so its law is not imported yet: see `from_data`.
+        A text of a scenario file is data, so its law is not imported yet: see `from_text`.
         """
 
         def validate(value: Any, info: core_schema.ValidationInfo) -> Law:
@@ -429,16 +400,14 @@ class Law:
                 if not isinstance(value, str):
                     return cls(value)
                 directory = (info.context or {}).get("directory")  # of a scenario file
-                return (
-                    cls.from_text(value) if directory is None else cls.from_data(value, directory)
-                )
+                return cls.from_text(value, directory or ".", is_data=directory is not None)
             except ParameterError as error:
                 raise ValueError(str(error)) from None
 
         return core_schema.with_info_plain_validator_function(
             validate,
             serialization=core_schema.plain_serializer_function_ser_schema(
-                Law.identity, return_schema=core_schema.str_schema()
+                str, return_schema=core_schema.str_schema()
             ),
         )
 
@@ -449,19 +418,12 @@ class Law:
 
 
 @lru_cache(maxsize=64)  # a worker process gets the same law with each unit of work
-def _unpickled(data: bytes, name: str, sources: Any, subject: str) -> Law:
+def _unpickled(
+    data: bytes, name: str, file: Path | None, sources: tuple[tuple[str, bytes], ...]
+) -> Law:
     law = Law(cloudpickle.loads(data), name)
-    if subject:
-        law._subject, law.sources = subject, dict(sources)
+    law.file, law.sources = file, dict(sources)
     return law
-
-
-def _require_no_session(name: str) -> None:
-    if "<" in name or name.startswith("__main__:"):
-        raise ParameterError(
-            f"law {shortened(name)!r}: existed only in the Python session that made it; must be a "
-            f"function in a file, FILE.py:NAME"
-        )
 
 
 def _checked(target: Any) -> Any:
@@ -487,35 +449,35 @@ def _is_system(value: Any) -> bool:
 _making: ContextVar[frozenset[int]] = ContextVar("making", default=frozenset())
 """The id of each function that is making its system, by which recursion is detected."""
 
-_pickling: ContextVar[frozenset[int]] = ContextVar("pickling", default=frozenset())
-"""The id of each target that is being pickled, by which recursion is detected."""
-
 _importing: set[Path] = set()
 """Files of laws that are being imported, by which recursion is detected."""
 
 
-def _root(file: Path) -> Path:
-    """Return the folder from which a Python file is imported: its own, or that of its package."""
-    folder = file.parent
-    while (folder / "__init__.py").is_file():
-        folder = folder.parent
-    return folder
-
-
-def _dotted(path: str) -> str:
-    """Return the name by which a file is imported; ``path`` is relative to its root."""
-    return path.removesuffix(".py").replace("/", ".").removesuffix(".__init__")
-
-
 def _sources(file: Path) -> dict[str, bytes]:
-    """Return the contents of a Python file and of all files that it imports from its root."""
-    root, found, waiting = _root(file), dict[str, bytes](), [file]
+    """Return the contents of a Python file, and of the modules that it imports from its folder."""
+    found, waiting = dict[str, bytes](), [file]
     while waiting:
-        path = waiting.pop().relative_to(root)
-        if (name := path.as_posix()) not in found:
-            found[name] = (root / path).read_bytes()
-            waiting += _imports(found[name], root, path.parent.parts)
+        path = waiting.pop()
+        if path.name not in found and path.is_file():
+            found[path.name] = path.read_bytes()
+            waiting += [path.with_name(f"{name}.py") for name in _imports(found[path.name])]
     return found
+
+
+def _imports(source: bytes) -> list[str]:
+    """Return the names of the modules that a source imports; no names if it is not Python."""
+    names = []
+    with warnings.catch_warnings(action="ignore"), suppress(SyntaxError, ValueError):
+        for node in ast.walk(ast.parse(source)):
+            if isinstance(node, ast.Import):
+                names += [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom):
+                names.append(node.module or "")
+    return [name for name in names if name not in sys.stdlib_module_names]
+
+
+def _digest(sources: tuple[tuple[str, bytes], ...]) -> str:
+    return hashlib.sha256(repr(sources).encode()).hexdigest()
 
 
 @lru_cache(maxsize=64)
@@ -525,114 +487,52 @@ def _words(file: Path, time_ns: int) -> frozenset[str]:
     return frozenset(re.findall(r"\w+", text))
 
 
-def _imports(source: bytes, root: Path, package: tuple[str, ...]) -> list[Path]:
-    """Return the files below ``root`` that a module of ``package`` imports, if it is Python."""
-    files = []
-    with warnings.catch_warnings(action="ignore"), suppress(*_NO_PYTHON):
-        for node in ast.walk(ast.parse(source)):
-            if isinstance(node, ast.Import | ast.ImportFrom):
-                level = getattr(node, "level", 0)  # the number of dots of a relative import
-                above = package[: len(package) + 1 - level] if level else ()
-                base = ".".join([*above, getattr(node, "module", None) or ""])
-                for parts in (f"{base}.{alias.name}".strip(".").split(".") for alias in node.names):
-                    for stem in (root.joinpath(*parts[:n]) for n in range(1, len(parts) + 1)):
-                        files += [stem.with_name(f"{stem.name}.py"), stem / "__init__.py"]
-        return [file for file in files if _is_helper(file, root)]
-    return []
-
-
-_NO_PYTHON = (SyntaxError, ValueError, RecursionError, MemoryError, OSError)
-"""Errors for a file that is no Python or imports impossible names; its import reports them."""
-
-
-def _is_helper(file: Path, root: Path) -> bool:
-    """Return whether a file of the user is there, and no link leads to it out of ``root``."""
-    path, name = file.resolve(), file.relative_to(root).parts[0].removesuffix(".py")
-    if name in sys.stdlib_module_names or str(path).startswith(NOT_OF_USERS):  # Python prefers them
-        return False
-    return path.is_file() and path.is_relative_to(root)
-
-
 @lru_cache(maxsize=64)
-def _module(file: Path, subject: str, digest: str) -> ModuleType:
-    """Execute a file as a module and return the module. ``digest`` is that of its sources.
+def _module(file: Path, sources: tuple[tuple[str, bytes], ...]) -> ModuleType:
+    """Execute a file as a module and return the module. ``sources`` are its `_sources`.
 
-    The file gets its own modules from its root, which stays on the path of modules, also for worker
-    processes. All are pickled by value. The script that is running is not executed again.
+    The modules that the file imports from its folder are imported from there, also if another law
+    has modules of the same names, and anew if one of them has changed. The folder stays on the path
+    of modules, also for worker processes. All are pickled by value. The script that is running is
+    not executed again.
     """
     main = sys.modules["__main__"]
     if Path(getattr(main, "__file__", None) or "").resolve() == file:
         return main
-    if file in _importing:
-        raise ParameterError(
-            f"{subject}: importing the file loads this law again; put the lines that use "
-            f"the law below `if __name__ == '__main__':`"
-        )
-    package = file.relative_to(_root(file)).parent.parts
-    name = ".".join([*package, f"law_{file.stem}_{digest[:_DIGITS]}"])
+    helpers = {str(file.with_name(name)): content for name, content in sources[1:]}
+    changed = any(_imported.get(path, content) != content for path, content in helpers.items())
+    _imported.update(helpers)
+    for path in helpers:
+        place = getattr(sys.modules.get(Path(path).stem), "__file__", None) or ""
+        if place and not place.startswith(NOT_OF_USERS) and (changed or place != path):
+            del sys.modules[Path(path).stem]
+    name = f"law_{file.stem}_{_digest(sources)[:12]}"
     spec = importlib.util.spec_from_file_location(name, file)
     assert spec is not None  # the name ends with .py
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
+    sys.path.insert(0, str(file.parent))
     _importing.add(file)
     try:
-        with _own_modules(file):
-            spec.loader.exec_module(module)
+        spec.loader.exec_module(module)
     except BaseException:  # SystemExit of the user's file too
         del sys.modules[name]
         raise
     finally:
         _importing.discard(file)
+        sys.path.remove(str(file.parent))
+    if str(file.parent) not in sys.path:  # for imports in functions
+        sys.path.append(str(file.parent))
     cloudpickle.register_pickle_by_value(module)
+    for helper in map(sys.modules.get, (Path(path).stem for path in helpers)):
+        if getattr(helper, "__file__", None) in helpers:
+            cloudpickle.register_pickle_by_value(helper)
     return module
-
-
-@contextmanager
-def _own_modules(file: Path) -> Iterator[None]:
-    """Context manager: the body imports the modules that lie beside ``file`` from there.
-
-    A module of the same name from another folder is put aside meanwhile, and a module whose file
-    has changed since another law imported it is imported anew.
-    """
-    root, others = _root(file), dict[str, ModuleType]()
-    _, *helpers = _sources(file).items()
-    contents = {_dotted(path): (str(root / path), content) for path, content in helpers}
-    changed = any(_imported.get(path, content) != content for path, content in contents.values())
-    for name, (path, _) in contents.items():
-        place = getattr(sys.modules.get(name), "__file__", None) or path
-        if (place != path or changed) and not place.startswith(NOT_OF_USERS):
-            other = sys.modules.pop(name, None)
-            if other is not None and place != path:
-                others[name] = other
-    _imported.update(contents.values())
-
-    def find_spec(name: str, *_: Any) -> Any:
-        if name in contents:
-            return importlib.util.spec_from_file_location(name, contents[name][0])
-        return None
-
-    finder: Any = SimpleNamespace(find_spec=find_spec)
-    sys.meta_path.insert(0, finder)
-    if str(root) not in sys.path:  # from which functions and worker processes import later
-        sys.path.append(str(root))
-    try:
-        yield
-    finally:
-        sys.meta_path.remove(finder)
-        for name in contents.keys() & sys.modules.keys():
-            cloudpickle.register_pickle_by_value(sys.modules[name])
-        sys.modules.update(others)
 
 
 _imported: dict[str, bytes] = {}
 """Contents of the modules beside the files of laws when they were imported, by path."""
-
-
-def announce(place: str) -> None:
-    """Say that the Python code at ``place`` runs, unless this is a worker process."""
-    if multiprocessing.parent_process() is None:
-        sys.stderr.write(f"kneexo: runs Python of {shown(place.rpartition(':')[0])}\n")
 
 
 def _name_of(target: Any) -> str:

@@ -176,30 +176,19 @@ def scenario_files(
 ) -> dict[str, str | bytes]:
     """Return a scenario file called ``name``, and the files of the law that lie beside it.
 
-    So the folder repeats the run, also elsewhere. The files of the law replace those of an earlier
-    scenario file in ``folder`` with this name and law. They lie in a subfolder if they would
-    replace other files, such as the law itself, which the user may have changed during the run.
+    So the folder repeats the run, also elsewhere. If ``folder``, where the files are to lie, is the
+    folder of the law, its files are there already.
     """
     controller = scenario.controller
     if not isinstance(controller, LawParameters) or not controller.function.sources:
         return {name: dump_scenario(scenario)}
     law = controller.function
-    path = next(iter(law.sources))
-    place = f"{path}:{law.name.rpartition(':')[2]}"
-    below = ""
-    if folder is not None and any(_differs(folder / p, data) for p, data in law.sources.items()):
-        earlier = folder / name
-        is_ours = earlier.is_file() and json.dumps(place).encode() in earlier.read_bytes()
-        if not is_ours or (folder / path).resolve() == law.file:
-            below = f"law_{law.digest[:12]}/"
-    copies = {f"{below}{p}": data for p, data in law.sources.items()}
-    copy = Law(law.target, f"{below}{place}")
+    file = next(iter(law.sources))
+    is_there = folder is not None and law.file == Path(folder, file).resolve()
+    copy = Law(law.target, f"{file}:{law.name.rpartition(':')[2]}")
     controller = controller.model_copy(update={"function": copy})
-    return {name: dump_scenario(scenario.model_copy(update={"controller": controller})), **copies}
-
-
-def _differs(file: Path, content: bytes) -> bool:
-    return os.path.lexists(file) and not (file.is_file() and file.read_bytes() == content)
+    text = dump_scenario(scenario.model_copy(update={"controller": controller}))
+    return {name: text, **({} if is_there else law.sources)}
 
 
 def read_value(name: str, text: str) -> Any:

@@ -303,6 +303,7 @@ def write_law(folder):
     return path
 
 
+@pytest.mark.slow
 def test_the_folder_of_a_run_with_a_law_repeats_the_run_elsewhere(tmp_path, capsys, undrawn):
     path = write_law(tmp_path / "first")
     out, moved, again = (tmp_path / name for name in ("out", "moved", "again"))
@@ -319,6 +320,7 @@ def test_the_folder_of_a_run_with_a_law_repeats_the_run_elsewhere(tmp_path, caps
     assert (again / "gain_of_law.py").read_text().startswith("K = 2e5")  # in place of the earlier
 
 
+@pytest.mark.slow
 def test_commands_that_need_no_law_run_none(tmp_path, capsys, undrawn):
     path = write_law(tmp_path / "first")
     run = tmp_path / "run"
