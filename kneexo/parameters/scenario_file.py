@@ -22,7 +22,7 @@ from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 from yaml.reader import ReaderError
 
-from kneexo.errors import ParameterError, ScenarioError, shortened, shown
+from kneexo.errors import OutputError, ParameterError, ScenarioError, shortened, shown
 from kneexo.files.reading import MIB, file_error, read_text
 from kneexo.parameters import (
     UNCERTAIN_KNEE,
@@ -177,7 +177,8 @@ def scenario_files(
     """Return a scenario file called ``name``, and the files of the law that lie beside it.
 
     So the folder repeats the run, also elsewhere. If ``folder``, where the files are to lie, is the
-    folder of the law, its files are there already.
+    folder of the law, its files are there already. Raises `OutputError` if the folder has another
+    file in place of one of the law's, and no scenario file of an earlier run: a user's own code.
     """
     controller = scenario.controller
     if not isinstance(controller, LawParameters) or not controller.function.sources:
@@ -185,6 +186,14 @@ def scenario_files(
     law = controller.function
     file = next(iter(law.sources))
     is_there = folder is not None and law.file == Path(folder, file).resolve()
+    if folder is not None and not is_there and not Path(folder, name).exists():
+        for source, content in law.sources.items():
+            other = Path(folder, source)
+            if other.exists() and not (other.is_file() and other.read_bytes() == content):
+                raise OutputError(
+                    f"--out {shown(folder)}: has another {source} than law {law.short_name}; "
+                    f"choose a new folder"
+                )
     copy = Law(law.target, f"{file}:{law.name.rpartition(':')[2]}")
     controller = controller.model_copy(update={"function": copy})
     text = dump_scenario(scenario.model_copy(update={"controller": controller}))

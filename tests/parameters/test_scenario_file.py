@@ -12,7 +12,7 @@ import pytest
 import yaml
 from hypothesis import given, settings, strategies as st
 
-from kneexo.errors import ScenarioError
+from kneexo.errors import OutputError, ScenarioError
 from kneexo.parameters import (
     G2,
     CylinderParameters,
@@ -661,3 +661,17 @@ def test_a_csv_reference_is_relative_to_the_scenario_file(tmp_path, monkeypatch)
 def test_a_faulty_csv_reference_names_both_files(tmp_path):
     line = File(tmp_path).fault("\nreference: {kind: csv, file: none.csv}")
     assert line.startswith(f"{NAME}:2: reference: {tmp_path}/none.csv: cannot be read")
+
+
+def test_a_copy_of_a_law_replaces_an_earlier_copy_but_no_code_of_the_user(tmp_path):
+    (tmp_path / "law.py").write_text("def law(rod_extension):\n    return 0.0\n")
+    law = Scenario().with_law(f"{tmp_path}/law.py:law")
+    out = tmp_path / "out"
+    out.mkdir()
+    files = scenario_files(law, "scenario.yaml", out)
+    assert files["law.py"] == (tmp_path / "law.py").read_bytes()
+    (out / "law.py").write_text("# the user's own\n")
+    with pytest.raises(OutputError, match=r"out: has another law\.py than law law\.py:law; choose"):
+        scenario_files(law, "scenario.yaml", out)
+    (out / "scenario.yaml").write_text(files["scenario.yaml"])
+    assert scenario_files(law, "scenario.yaml", out) == files
