@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from itertools import chain
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from pydrake.symbolic import Expression, Variable
@@ -28,7 +28,7 @@ from pydrake.systems.primitives import TrajectorySource
 
 from ..errors import CompilationError, DifferenceError
 from ..run_data import Array
-from .comparison import differing_part, is_compared, points_around
+from .comparison import differs_from_leaf, is_compared, points_around
 from .contexts import discrete_values, parameters_of, state_of
 from .equations import Equations, Limit, Section, Update
 from .events import refuse_witness_functions, symbolic_value, to_symbolic
@@ -38,6 +38,9 @@ from .periods import timing_of
 from .ports import find_port, route_of, size_of
 from .symbolic import Conversion, Steps, completed
 from .tree import Node, Port
+
+Evaluate: TypeAlias = Callable[[Any, Any], Sequence[Any]]
+"""A function of a leaf system and its Context, both of floats or both symbolic."""
 
 
 class _Leaf:
@@ -64,9 +67,8 @@ class _Leaf:
         """Dictionary from the index of an input port to its nodes; only ports read so far."""
         self.own: list[int] = []
         """Nodes of the time, of all parameters and of all states of the leaf, in this order."""
-        self.parts: dict[str, list[int]] = {}
-        """Nodes of what was read of the leaf, by the name of an output port, of the derivatives or
-        of the update."""
+        self.parts: dict[str, tuple[Evaluate, list[int]]] = {}
+        """What was read of the leaf, by its name: a function of leaf and Context, and the nodes."""
         graph = equations.graph
 
         if context.num_abstract_states() or context.num_abstract_parameters():
@@ -176,9 +178,11 @@ class _Reader:
                     f"the input port that it feeds, keep that open by inputs=[...], and pass "
                     f"input_table(trajectory)"
                 )
-            values = symbolic_value(where, lambda: port.Eval(leaf.context))
-            read = yield self._section(where, leaf, values)
-            leaf.outputs[index] = leaf.parts[f"output port {port.get_name()}"] = read
+            leaf.outputs[index] = yield self._evaluated(
+                f"output port {port.get_name()}",
+                leaf,
+                lambda system, context: system.get_output_port(index).Eval(context),
+            )
         nodes = leaf.outputs[index]
         if nodes is None:
             raise CompilationError(f"{where}: depends on itself (algebraic loop)")
@@ -186,23 +190,29 @@ class _Reader:
 
     def read(self, leaf: _Leaf) -> None:
         """Add the derivatives, discrete updates and margin of one leaf to the equations."""
-        equations, context, system = self.equations, leaf.context, leaf.system
+        equations, context = self.equations, leaf.context
         if context.num_continuous_states():
-            equations.derivatives += self._evaluated(
-                "time derivatives",
-                leaf,
-                lambda: system.EvalTimeDerivatives(context).CopyToVector().tolist(),
+            equations.derivatives += completed(
+                self._evaluated(
+                    "time derivatives",
+                    leaf,
+                    lambda system, c: system.EvalTimeDerivatives(c).CopyToVector().tolist(),
+                )
             )
         if context.num_discrete_state_groups():
             timing = timing_of(leaf.node)
-            nodes = self._evaluated(
-                "discrete update",
-                leaf,
-                lambda: discrete_values(system.EvalUniquePeriodicDiscreteUpdate(context)),
+            nodes = completed(
+                self._evaluated(
+                    "discrete update",
+                    leaf,
+                    lambda system, c: discrete_values(system.EvalUniquePeriodicDiscreteUpdate(c)),
+                )
             )
             self._add_update(timing, list(enumerate(nodes, leaf.first_discrete)))
-        if callable(margin := getattr(system, "margin", None)):
-            (node,) = self._evaluated("margin", leaf, lambda: [margin(context)])
+        if callable(getattr(leaf.system, "margin", None)):
+            (node,) = completed(
+                self._evaluated("margin", leaf, lambda system, c: [system.margin(c)])
+            )
             equations.limits.append(Limit(leaf.node.path, node))
 
     def read_initial(self, leaf: _Leaf) -> None:
@@ -236,16 +246,15 @@ class _Reader:
                 return
         self.equations.updates.append(Update(period, offset, tuple(values)))
 
-    def _evaluated(
-        self, purpose: str, leaf: _Leaf, evaluate: Callable[[], Sequence[Any]]
-    ) -> list[int]:
-        """Add the expressions that ``evaluate()`` returns as a `Section`; return their nodes.
+    def _evaluated(self, purpose: str, leaf: _Leaf, evaluate: Evaluate) -> Steps[list[int]]:
+        """Add the expressions that ``evaluate`` returns as a `Section`; return their nodes.
 
         ``purpose``: text that the section and error messages use as the name of the expressions.
         """
         where = f"{leaf.node.name}: {purpose}"
-        nodes = completed(self._section(where, leaf, symbolic_value(where, evaluate)))
-        leaf.parts[purpose] = nodes
+        values = symbolic_value(where, lambda: evaluate(leaf.system, leaf.context))
+        nodes = yield self._section(where, leaf, values)
+        leaf.parts[purpose] = evaluate, nodes
         return nodes
 
     def _section(self, where: str, leaf: _Leaf, values: Sequence[Any]) -> Steps[list[int]]:
@@ -295,13 +304,14 @@ class _Reader:
         for leaf in leaves:
             points = values([*leaf.own, *chain(*leaf.inputs.values())])
             inputs = {index: len(nodes) for index, nodes in leaf.inputs.items()}
-            read = {part: values(nodes) for part, nodes in leaf.parts.items() if nodes}
-            if part := differing_part(leaf.node.system, points, inputs, read):
-                raise DifferenceError(
-                    f"{leaf.node.name}: {part}: the equations that were read off differ from "
-                    f"{leaf.node.type_name} called with numbers; its symbolic form must compute "
-                    f"the same, from states and parameters alone"
-                )
+            for purpose, (evaluate, nodes) in leaf.parts.items():
+                system, found = leaf.node.system, values(nodes)
+                if differs_from_leaf(evaluate, system, points, inputs, found):
+                    raise DifferenceError(
+                        f"{leaf.node.name}: {purpose}: the equations that were read off differ "
+                        f"from {leaf.node.type_name} called with numbers; its symbolic form must "
+                        f"compute the same, from states and parameters alone"
+                    )
 
 
 def read_equations(diagram: Any, inputs: Sequence[str] = ()) -> Equations:
