@@ -54,7 +54,7 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
         differ as differ,
         trust as trust,
     )
-    from .equations.periods import holders_of as holders_of, sample_timings as sample_timings
+    from .equations.periods import sampled_leaves as sampled_leaves
     from .equations.truth import truth_of_scalars as truth_of_scalars
     from .errors import (
         CompilationError as CompilationError,
@@ -137,7 +137,7 @@ else:
         "compiled_system": ("CompiledSystem",),
         "diagram_equations": ("DiagramEquations", "ExpressionGraph", "read_diagram"),
         "equations.comparison": ("called_twice", "differ", "trust"),
-        "equations.periods": ("holders_of", "sample_timings"),
+        "equations.periods": ("sampled_leaves",),
         "equations.truth": ("truth_of_scalars",),
         "errors": (
             *("CompilationError", "DifferenceError", "Error", "LinearizationError"),

@@ -369,20 +369,20 @@ def trace(law: Law, states: int) -> Trace:
     if hides_state(law, states):
         return Trace(_CHANGES)
     memo, graph = _memo(law), None
+    known: Trace = memo.get(("trace", states), Trace(""))
     variables = _variables(tuple(argument_sizes(law, states).items()))
     symbols = {name: np.array([Expression(v) for v in vs]) for name, vs in variables.items()}
     try:
         expressions = [_ZERO + value for value in call_law(law, law.copy_of_target(), symbols)]
-        known: Trace | None = memo.get(("trace", states))
-        if known is None or known.graph is None or not known.graph.is_of(expressions):
+        if known.graph is None or not known.graph.is_of(expressions):
             graph = ExpressionGraph(expressions, [*chain(*variables.values())])
     except ParameterError as error:
         return Trace(_reason(error))
     except CompilationError as error:
         return Trace(str(error))
-    if known is None or graph is not None:
+    if graph is not None:
         points = _points(law, states)
-        known = Trace(_fault(law, states, points, graph.values(points.T).T), graph)
+        known = Trace(_fault(law, states, points, graph.values(points)), graph)
         memo["trace", states] = known
     return known
 

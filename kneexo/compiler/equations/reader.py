@@ -32,7 +32,7 @@ from .comparison import differs_from_leaf, is_compared, points_around
 from .contexts import discrete_values, parameters_of, state_of
 from .equations import Equations, Limit, Section, Update
 from .events import refuse_witness_functions, symbolic_value, to_symbolic
-from .graph_values import values_of
+from .graph_values import values_at
 from .names import numbered_names, parameter_groups, state_names
 from .periods import timing_of
 from .ports import find_port, route_of, size_of
@@ -41,6 +41,18 @@ from .tree import Node, Port
 
 Evaluate: TypeAlias = Callable[[Any, Any], Sequence[Any]]
 """A function of a leaf system and its Context, both of floats or both symbolic."""
+
+
+def _derivatives(system: Any, context: Any) -> Any:
+    return system.EvalTimeDerivatives(context).CopyToVector().tolist()
+
+
+def _update(system: Any, context: Any) -> list[Any]:
+    return discrete_values(system.EvalUniquePeriodicDiscreteUpdate(context))
+
+
+def _margin(system: Any, context: Any) -> list[Any]:
+    return [system.margin(context)]
 
 
 class _Leaf:
@@ -192,27 +204,13 @@ class _Reader:
         """Add the derivatives, discrete updates and margin of one leaf to the equations."""
         equations, context = self.equations, leaf.context
         if context.num_continuous_states():
-            equations.derivatives += completed(
-                self._evaluated(
-                    "time derivatives",
-                    leaf,
-                    lambda system, c: system.EvalTimeDerivatives(c).CopyToVector().tolist(),
-                )
-            )
+            equations.derivatives += self._completed("time derivatives", leaf, _derivatives)
         if context.num_discrete_state_groups():
             timing = timing_of(leaf.node)
-            nodes = completed(
-                self._evaluated(
-                    "discrete update",
-                    leaf,
-                    lambda system, c: discrete_values(system.EvalUniquePeriodicDiscreteUpdate(c)),
-                )
-            )
+            nodes = self._completed("discrete update", leaf, _update)
             self._add_update(timing, list(enumerate(nodes, leaf.first_discrete)))
         if callable(getattr(leaf.system, "margin", None)):
-            (node,) = completed(
-                self._evaluated("margin", leaf, lambda system, c: [system.margin(c)])
-            )
+            (node,) = self._completed("margin", leaf, _margin)
             equations.limits.append(Limit(leaf.node.path, node))
 
     def read_initial(self, leaf: _Leaf) -> None:
@@ -245,6 +243,9 @@ class _Reader:
                 self.equations.updates[number] = Update(period, offset, (*update.values, *values))
                 return
         self.equations.updates.append(Update(period, offset, tuple(values)))
+
+    def _completed(self, purpose: str, leaf: _Leaf, evaluate: Evaluate) -> list[int]:
+        return completed(self._evaluated(purpose, leaf, evaluate))
 
     def _evaluated(self, purpose: str, leaf: _Leaf, evaluate: Evaluate) -> Steps[list[int]]:
         """Add the expressions that ``evaluate`` returns as a `Section`; return their nodes.
@@ -297,9 +298,7 @@ class _Reader:
         }
 
         def values(nodes: Iterable[int]) -> Array:
-            values = values_of(self.equations.graph, nodes, sources)
-            columns = [np.broadcast_to(value, sources["time"].shape[1:]) for value in values]
-            return np.array(columns).T
+            return values_at(self.equations.graph, nodes, sources, sources["time"].size)
 
         for leaf in leaves:
             points = values([*leaf.own, *chain(*leaf.inputs.values())])
