@@ -15,7 +15,7 @@ from kneexo.compiler import read_diagram, sampled_leaves
 from kneexo.errors import CompilationError, DifferenceError, KneexoError, ParameterError
 from kneexo.parameters import LAW_INPUTS, Law, LawParameters, Scenario
 from kneexo.rod_polynomial import controller_polynomial
-from kneexo.systems.function_law import trace
+from kneexo.systems.function_law import Trace, trace
 
 T = TypeVar("T")
 
@@ -25,12 +25,17 @@ def why_python(scenario: Scenario) -> str:
 
     Raises `ParameterError` for a law that cannot be run at all.
     """
+    if (traced := function_trace(scenario)) is not None:
+        return traced.why_not_compiled
+    return _system_law(scenario).why_python if scenario.controller.kind == "law" else ""
+
+
+def function_trace(scenario: Scenario) -> Trace | None:
+    """Return the trace of a law that is a function; None for any other controller."""
     law = scenario.controller
-    if not isinstance(law, LawParameters):
-        return ""
-    if law.function.is_system:
-        return _system_law(scenario).why_python
-    return trace(law.function, len(law.loaded().initial_state)).why_not_compiled
+    if not isinstance(law, LawParameters) or law.function.is_system:
+        return None
+    return trace(law.function, len(law.loaded().initial_state))
 
 
 def runs_as_python(scenario: Scenario) -> bool:
