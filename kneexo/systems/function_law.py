@@ -49,30 +49,26 @@ def call_law(law: Law, function: Any, arguments: Mapping[str, Any]) -> list[Any]
     as pydrake's ``if_then_else`` returns, becomes a float. Raises `ParameterError` if the function
     fails or returns something else.
     """
-    with user_code(f"law {law.short_name}: the function fails"):
-        return _called(law, function, arguments)
-
-
-def _called(law: Law, function: Any, arguments: Mapping[str, Any]) -> list[Any]:
-    """Do the work of `call_law`, without a guard against errors of the user's code."""
     kinds = {type(value) for values in arguments.values() for value in values}
     scalars = kinds & {AutoDiffXd, Expression}
     memo = _memo(law)
     # With numbers, pydrake's if_then_else returns constant Expressions.
     has_scalars = bool(scalars) or "if_then_else" in law.names
-    with _arithmetic(has_scalars):
-        if memo.get("needs_constants") and not scalars:
-            arguments = {name: _constants(values) for name, values in arguments.items()}
-        try:
-            result = function(**_plain(arguments))
-        except TypeError as error:
-            # Drake 1.58 accepts no comparison of NumPy scalars, but one of Expressions.
-            # `hides_state` finds that out with a copy, so a run calls no object twice.
-            if scalars or memo.get("needs_constants") or "if_then_else()" not in text_of(error):
-                raise
-            memo["needs_constants"] = True
-            return _called(law, function, arguments)
-    return _checked_result(law, arguments, result, scalars)
+    with user_code(f"law {law.short_name}: the function fails"):
+        with _arithmetic(has_scalars):
+            if memo.get("needs_constants") and not scalars:
+                arguments = {name: _constants(values) for name, values in arguments.items()}
+            try:
+                result = function(**_plain(arguments))
+            except TypeError as error:
+                # Drake 1.58 accepts no comparison of NumPy scalars, but one of Expressions.
+                # `hides_state` finds that out with a copy, so a run calls no object twice.
+                known = scalars or memo.get("needs_constants")
+                if known or "if_then_else()" not in text_of(error):
+                    raise
+                memo["needs_constants"] = True
+                return call_law(law, function, arguments)
+        return _checked_result(law, arguments, result, scalars)
 
 
 def _checked_result(
@@ -442,7 +438,7 @@ def _fault(
     first = _caller(law, function, states, limit_rad_s)
     second, third = (_caller(law, law.copy_of_target(), states, limit_rad_s) for _ in range(2))
     before = _outer_values(function)
-    with user_code(f"law {law.short_name}: the function fails"), np.errstate(all="ignore"):
+    with np.errstate(all="ignore"):
         numbers, repeats = called_twice(first, second, points, _MOST_TIME_S)
         points = points[: len(numbers)]
         if not repeats or before != _outer_values(function):
@@ -477,8 +473,8 @@ def _caller(
     def call(point: Array) -> list[Any]:
         arguments = {name: point[place] for name, place in places.items()}
         try:
-            command, *state = _called(law, function, arguments)
-        except (Exception, SystemExit):
+            command, *state = call_law(law, function, arguments)
+        except ParameterError:
             return [math.nan] * (1 + states)
         return [min(max(command, -limit_rad_s), limit_rad_s), *state]
 

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from ..run_data import Array, State
-from .contexts import parameters_of, set_parameters, set_state, state_of
+from ..run_data import Array
+from .contexts import set_all
 from .tree import Node
 
 _TOLERANCE = 1e-9  # sums in another order; conditioning of a law with gains up to 1e6
@@ -150,15 +150,10 @@ def differs_from_leaf(
 
 def _context(system: Any, point: Array, inputs: Mapping[int, int]) -> Any:
     """Return a new Context of a leaf at a point: see `differs_from_leaf`."""
-    node, context = Node(system), system.CreateDefaultContext()
+    context = system.CreateDefaultContext()
     context.DisableCaching()
-    state = state_of(node, context)
-    sizes = [1, parameters_of(node, context).size, state.continuous.size, state.discrete.size]
-    ends = np.cumsum([*sizes, *inputs.values()])[:-1]
-    (time_s,), parameters, continuous, discrete, *values = np.split(point, ends)
-    context.SetTime(time_s)
-    set_parameters(node, context, parameters)
-    set_state(node, context, State(continuous, discrete))
-    for index, value in zip(inputs, values, strict=True):
-        system.get_input_port(index).FixValue(context, value)
+    left = set_all(Node(system), context, point)
+    for index, size in inputs.items():
+        system.get_input_port(index).FixValue(context, left[:size])
+        del left[:size]
     return context
