@@ -490,6 +490,7 @@ def simulate_together(
         try:
             if model is None:
                 names = chosen_signals(scenario, signals)
+                why_python_in_run(scenario)
                 model = compile_scenario(scenario)
             run_arguments[index] = scenario_run(scenario, model)
             results.append(None)  # until the run has ended

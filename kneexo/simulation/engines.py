@@ -144,11 +144,6 @@ def _compiled_runs(
     for index in indices:
         groups.setdefault(compiled.structure_key(requests[index].scenario), []).append(index)
     for group in groups.values():
-        try:
-            compiled.why_python_in_run(requests[group[0]].scenario)
-        except KneexoError as error:
-            yield from ((index, error) for index in group)
-            continue
         for batch in _batches(group, requests):
             scenarios = [requests[index].scenario for index in batch]
             reductions = [requests[index].reductions for index in batch]

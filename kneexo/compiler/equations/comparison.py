@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from os import sep
 from pathlib import Path
 from time import process_time
@@ -48,13 +48,12 @@ def differ(
     points: Array,
     found: Array,
     numbers: Array,
-    inexact: Iterable[int] = (),
 ) -> bool:
     """Return whether equations gave other values than the function that they were read from.
 
     Equations round differently, which decides at a branch. So values between those that the
-    function returns near the point count as equal too. Flags and counters are whole numbers, which
-    do not change near the point, because they have no rounding error.
+    function returns near the point count as equal too. Flags and counters, which are whole numbers
+    at all points, do not change near a point, because they have no rounding error.
 
     Parameters
     ----------
@@ -64,16 +63,12 @@ def differ(
         Points, (points, size).
     found, numbers
         Values of the equations and of the function, (points, values).
-    inexact
-        Indices of elements of a point that have rounding errors also if they are whole, such as the
-        time.
     """
     random = np.random.default_rng(0)
+    exact = (points == np.rint(points)).all(axis=0)
     close = np.isclose(found, numbers, _TOLERANCE, _TOLERANCE, equal_nan=True)
     for row in np.nonzero(~close.all(axis=1))[0].tolist():
         point = points[row]
-        exact = point == np.rint(point)
-        exact[[*inexact]] = False
         errors = np.where(exact, 0.0, random.choice([-_TOLERANCE, _TOLERANCE], (_NEAR, point.size)))
         near = np.array([numbers[row], *(function(point * (1.0 + error)) for error in errors)])
         slack = _TOLERANCE * (1.0 + np.abs(near).max(axis=0))
@@ -144,7 +139,7 @@ def differs_from_leaf(
 
     numbers, repeats = called_twice(values, values, points)
     counts = np.isfinite(numbers).all(axis=1)
-    differs = differ(values, points[counts], found[counts], numbers[counts], inexact=[0])
+    differs = differ(values, points[counts], found[counts], numbers[counts])
     return differs or not repeats
 
 
