@@ -214,8 +214,7 @@ def _model(key: str, scenario: Scenario) -> CompiledModel:
         inputs += [] if moment_of(scenario) is None else ["biological_moment"]
         traced = function_trace(scenario)
         outputs = [_COMMAND_AND_STATE] if traced and not traced.why_not_compiled else []
-        diagram = partial(_diagram, key, scenario)
-        return compile_by_key(key, diagram, inputs=inputs, outputs=outputs)
+        return compile_by_key(key, partial(_diagram, key, scenario), inputs=inputs, outputs=outputs)
 
     return _models.of(key, make)
 
@@ -399,14 +398,14 @@ def why_python_in_run(scenario: Scenario) -> str:
     if traced is None:
         return why_python(scenario)
     if not traced.why_not_compiled and not traced.replayed and (run := _first_run(scenario)):
-        law, command_and_state = scenario.controller, run[_COMMAND_AND_STATE]
+        law, state = scenario.controller, run[_COMMAND_AND_STATE][:, 1:]
         assert isinstance(law, LawParameters)
         record = {name: run[SIGNAL_OF[name]] for name in law_inputs(scenario)}
-        record |= {"time_s": run.time_s, "state": command_and_state[:, 1:]}
+        record |= {"time_s": run.time_s, "state": state}
         for name, gain in law.loaded().values.items():
             record[name] = np.full_like(run.time_s, gain)
         samples = np.column_stack([record[name] for name in argument_sizes(law.function, 0)])
-        replay(law.function, samples[:-1], command_and_state[1:], scenario.command_limit_rad_s)
+        replay(law.function, samples, state.shape[1])
     return traced.why_not_compiled
 
 

@@ -370,13 +370,10 @@ def trace(law: Law, states: int) -> Trace:
         expressions = [_ZERO + value for value in call_law(law, law.copy_of_target(), symbols)]
         if known.graph is None or not known.graph.is_of(expressions):
             graph = ExpressionGraph(expressions, [*chain(*variables.values())])
-    except ParameterError as error:
+    except (ParameterError, CompilationError) as error:
         return Trace(_reason(error))
-    except CompilationError as error:
-        return Trace(str(error))
     if graph is not None:
-        points = _points(law, states)
-        known = Trace(_fault(law, states, points, graph.values(points)), graph)
+        known = Trace(_fault(law, states, _points(law, states), graph), graph)
         memo["trace", states] = known
     return known
 
@@ -387,7 +384,7 @@ def _variables(sizes: tuple[tuple[str, int], ...]) -> dict[str, Any]:
     return {name: np.array([Variable(f"{name}{n}") for n in range(size)]) for name, size in sizes}
 
 
-def replay(law: Law, samples: Array, command_and_state: Array, command_limit_rad_s: float) -> None:
+def replay(law: Law, samples: Array, states: int) -> None:
     """Compare the equations of a law with calls of its function at samples of a run.
 
     `trace` has read the equations, and knows the result of the comparison from then on.
@@ -398,23 +395,21 @@ def replay(law: Law, samples: Array, command_and_state: Array, command_limit_rad
         A law that is a function.
     samples
         Values of all `argument_sizes`, (samples, size).
-    command_and_state
-        Command and next state that the equations gave for each sample, (samples, 1 + states).
-    command_limit_rad_s
-        Limit of the command.
+    states
+        Number of elements of the argument ``state``.
 
     Raises
     ------
     ParameterError
         The function hides state that cannot be copied.
     """
-    states = command_and_state.shape[1] - 1
-    columns = np.hstack([samples, command_and_state])
+    traced: Trace = _memo(law)["trace", states]
+    assert traced.graph is not None
+    columns = np.hstack([samples, traced.graph.values(samples)])
     extremes = np.concatenate([columns.argmin(axis=0), columns.argmax(axis=0)])
     even = np.linspace(0, len(columns) - 1, min(_SAMPLES, len(columns))).astype(int)
     rows = np.concatenate([extremes, np.random.default_rng(0).permutation(even)])
-    fault = _fault(law, states, samples[rows], command_and_state[rows], command_limit_rad_s)
-    traced = _memo(law)["trace", states]
+    fault = _fault(law, states, samples[rows], traced.graph, in_run=True)
     traced.why_not_compiled, traced.replayed = fault, True
     _memo(law)["hides_state", states] = fault == _CHANGES
 
@@ -423,18 +418,19 @@ def _fault(
     law: Law,
     states: int,
     points: Array,
-    found: Array | None = None,
-    limit_rad_s: float = math.inf,
+    graph: ExpressionGraph | None = None,
+    *,
+    in_run: bool = False,
 ) -> str:
-    """Return why equations that gave the values ``found`` are no equations of a law, or no text.
+    """Return why a graph does not have the equations of a law, or an empty text.
 
-    The function is called at points; without ``found``, only to find out whether it hides state.
-    With a limit of the command, the points are samples of a run, at which the function must not
-    fail. Raises `ParameterError` for a law whose copies do not start afresh, such as a function.
+    The function is called at points; without a graph, only to find out whether it hides state. A
+    point where the function fails does not count, unless the points are samples ``in_run``. Raises
+    `ParameterError` for a law whose copies do not start afresh, such as a function.
     """
     function = law.copy_of_target()
-    first = _caller(law, function, states, limit_rad_s)
-    second, third = (_caller(law, law.copy_of_target(), states, limit_rad_s) for _ in range(2))
+    first = _caller(law, function, states)
+    second, third = (_caller(law, law.copy_of_target(), states) for _ in range(2))
     before = _outer_values(function)
     with np.errstate(all="ignore"):
         numbers, repeats = called_twice(first, second, points, _MOST_TIME_S)
@@ -448,31 +444,26 @@ def _fault(
                     f"(command, next_state)"
                 )
             return _CHANGES
-        if found is None:
+        if graph is None:
             return ""
-        counts = np.isfinite(numbers).all(axis=1) | math.isfinite(limit_rad_s)
-        if not counts.any():
+        finite = np.isfinite(numbers).all(axis=1)
+        if not finite.any():
             return "the function fails for numbers within the usual range"
-        found = found[: len(numbers)]
-        is_other = differ(first, points[counts], found[counts], numbers[counts])
-        return _DIFFER if is_other else ""
+        fails = in_run and not finite.all()
+        return _DIFFER if fails or differ(first, points, graph.values(points), numbers) else ""
 
 
-def _caller(
-    law: Law, function: Any, states: int, limit_rad_s: float = math.inf
-) -> Callable[[Array], list[Any]]:
+def _caller(law: Law, function: Any, states: int) -> Callable[[Array], list[Any]]:
     """Return a function of a point that calls the function of a law: command, next state or nan."""
     places, first = {}, 0
     for name, size in argument_sizes(law, states).items():
         places[name] = slice(first, first := first + size)
 
     def call(point: Array) -> list[Any]:
-        arguments = {name: point[place] for name, place in places.items()}
         try:
-            command, *state = call_law(law, function, arguments)
+            return call_law(law, function, {name: point[place] for name, place in places.items()})
         except ParameterError:
             return [math.nan] * (1 + states)
-        return [min(max(command, -limit_rad_s), limit_rad_s), *state]
 
     return call
 
@@ -546,7 +537,7 @@ def _points(law: Law, states: int) -> Array:
     return random.permutation(np.vstack(points))
 
 
-def _reason(error: ParameterError) -> str:
+def _reason(error: Exception) -> str:
     """Return in words why a call with variables failed, with the line."""
     cause = error.__cause__
     if cause is None:

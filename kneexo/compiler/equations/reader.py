@@ -43,7 +43,7 @@ Evaluate: TypeAlias = Callable[[Any, Any], Sequence[Any]]
 """A function of a leaf system and its Context, both of floats or both symbolic."""
 
 
-def _derivatives(system: Any, context: Any) -> Any:
+def _rates(system: Any, context: Any) -> Any:
     return system.EvalTimeDerivatives(context).CopyToVector().tolist()
 
 
@@ -204,13 +204,13 @@ class _Reader:
         """Add the derivatives, discrete updates and margin of one leaf to the equations."""
         equations, context = self.equations, leaf.context
         if context.num_continuous_states():
-            equations.derivatives += self._completed("time derivatives", leaf, _derivatives)
+            equations.derivatives += completed(self._evaluated("time derivatives", leaf, _rates))
         if context.num_discrete_state_groups():
             timing = timing_of(leaf.node)
-            nodes = self._completed("discrete update", leaf, _update)
+            nodes = completed(self._evaluated("discrete update", leaf, _update))
             self._add_update(timing, list(enumerate(nodes, leaf.first_discrete)))
         if callable(getattr(leaf.system, "margin", None)):
-            (node,) = self._completed("margin", leaf, _margin)
+            (node,) = completed(self._evaluated("margin", leaf, _margin))
             equations.limits.append(Limit(leaf.node.path, node))
 
     def read_initial(self, leaf: _Leaf) -> None:
@@ -243,9 +243,6 @@ class _Reader:
                 self.equations.updates[number] = Update(period, offset, (*update.values, *values))
                 return
         self.equations.updates.append(Update(period, offset, tuple(values)))
-
-    def _completed(self, purpose: str, leaf: _Leaf, evaluate: Evaluate) -> list[int]:
-        return completed(self._evaluated(purpose, leaf, evaluate))
 
     def _evaluated(self, purpose: str, leaf: _Leaf, evaluate: Evaluate) -> Steps[list[int]]:
         """Add the expressions that ``evaluate`` returns as a `Section`; return their nodes.
