@@ -415,8 +415,10 @@ def _first_run(scenario: Scenario) -> Simulation | None:
     Returns None for a loop that does not run; the run of the user says why.
     """
     outputs = {*(SIGNAL_OF[name] for name in law_inputs(scenario)), _COMMAND_AND_STATE}
+    settings = scenario.simulation
+    own = ("integrator", "step_s", "tolerance") if settings.compiled else ()
     rough: dict[str, Any] = {"integrator": "rk4", "step_s": ROUGH_STEP_S}
-    for options in ({}, rough):  # as `serve_runs` does
+    for options in ({name: getattr(settings, name) for name in own}, rough):
         with suppress(KneexoError):
             model = compile_scenario(scenario)
             parameters, state, inputs = scenario_run(scenario, model)

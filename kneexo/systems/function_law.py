@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import pickle
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
 from functools import cache
 from inspect import getclosurevars
@@ -53,11 +53,11 @@ def call_law(law: Law, function: Any, arguments: Mapping[str, Any]) -> list[Any]
     scalars = kinds & {AutoDiffXd, Expression}
     memo = _memo(law)
     # With numbers, pydrake's if_then_else returns constant Expressions.
-    has_scalars = bool(scalars) or "if_then_else" in law.names
+    has_scalars = scalars or "if_then_else" in law.names
     with user_code(f"law {law.short_name}: the function fails"):
-        with _arithmetic(has_scalars):
+        with _arithmetic_of_scalars() if has_scalars else nullcontext():
             if memo.get("needs_constants") and not scalars:
-                arguments = {name: _constants(values) for name, values in arguments.items()}
+                arguments = _expressions(arguments)
             try:
                 result = function(**_plain(arguments))
             except TypeError as error:
@@ -108,11 +108,8 @@ def _number(value: Any) -> float:
 
 
 @contextmanager
-def _arithmetic(with_scalars: bool) -> Iterator[None]:
-    """Context manager: the body calculates with scalars of Drake if ``with_scalars``."""
-    if not with_scalars:
-        yield
-        return
+def _arithmetic_of_scalars() -> Iterator[None]:
+    """Context manager: the body calculates with scalars of Drake."""
     # NumPy raises false alarms for arrays of Expression.
     with truth_of_scalars(), np.errstate(invalid="ignore"):
         yield
@@ -140,14 +137,21 @@ def _plain(arguments: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _constants(values: Any) -> Any:
-    """Return an array of numbers as an array of constant Expressions."""
-    return np.array([Expression(value) for value in values])
+def _expressions(arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Return arrays of numbers or variables as arrays of Expressions."""
+    return {name: np.array([Expression(v) for v in values]) for name, values in arguments.items()}
 
 
 def _wrong_result(law: Law, result: Any, expected: str) -> ParameterError:
     shown = shortened(" ".join(repr(result).split()), 60)
     return ParameterError(f"law {law.short_name}: returns {shown}; {expected}")
+
+
+def _declare_command(leaf: NamedLeaf) -> None:
+    """Declare the output port of the first element of the discrete state, in rad/s."""
+    leaf._declare_output(
+        "motor_speed_command", 1, lambda c: discrete_state(c)[:1], leaf.xd_ticket()
+    )
 
 
 class FunctionLaw(NamedLeaf):
@@ -189,9 +193,7 @@ class FunctionLaw(NamedLeaf):
         self._declare_update(parameters.sample_time_s, 1 + self._states, self._update)
         if self._states:
             self._declare_initialization(self._start)
-        self._declare_output(
-            "motor_speed_command", 1, lambda c: discrete_state(c)[:1], self.xd_ticket()
-        )
+        _declare_command(self)
         self._declare_output(COMMAND_AND_STATE, 1 + self._states, discrete_state, self.xd_ticket())
 
     def _start(self, context: Any) -> list[Any]:
@@ -230,9 +232,7 @@ class HeldCommand(NamedLeaf):
             self.DeclareVectorInputPort(name, LAW_INPUTS[name])
         command = self.DeclareVectorInputPort(LAW_COMMAND, 1)
         self._declare_update(sample_time_s, 1, lambda c: [command.Eval(c)[0]])
-        self._declare_output(
-            "motor_speed_command", 1, lambda c: discrete_state(c)[:1], self.xd_ticket()
-        )
+        _declare_command(self)
 
 
 HeldCommand_ = leaf_template(HeldCommand)
@@ -272,9 +272,7 @@ class LinearLaw(NamedLeaf):
         self._declare_update(
             sample_time_s, 1 + discrete, lambda c: self._linear_form(c)[continuous:]
         )
-        self._declare_output(
-            "motor_speed_command", 1, lambda c: discrete_state(c)[:1], self.xd_ticket()
-        )
+        _declare_command(self)
 
     def set_matrix(self, context: Any, matrix: Any) -> None:
         """Set the Context parameters to a matrix M, whose rows give dx/dt, then u, then z."""
@@ -365,9 +363,9 @@ def trace(law: Law, states: int) -> Trace:
     memo, graph = _memo(law), None
     known: Trace = memo.get(("trace", states), Trace(""))
     variables = _variables(tuple(argument_sizes(law, states).items()))
-    symbols = {name: np.array([Expression(v) for v in vs]) for name, vs in variables.items()}
     try:
-        expressions = [_ZERO + value for value in call_law(law, law.copy_of_target(), symbols)]
+        results = call_law(law, law.copy_of_target(), _expressions(variables))
+        expressions = [_ZERO + value for value in results]
         if known.graph is None or not known.graph.is_of(expressions):
             graph = ExpressionGraph(expressions, [*chain(*variables.values())])
     except (ParameterError, CompilationError) as error:

@@ -83,6 +83,12 @@ class _Leaf:
         """What was read of the leaf, by its name: a function of leaf and Context, and the nodes."""
         graph = equations.graph
 
+        def add(kind: str, vector: Any, names: Iterable[str], known: list[str]) -> None:
+            """Fill a vector with variables of new sources, and add their names to all ``known``."""
+            sources = [graph.source(kind, len(known) + i) for i in range(vector.size())]
+            vector.SetFromVector(self._variables(kind, sources))
+            known += names
+
         if context.num_abstract_states() or context.num_abstract_parameters():
             raise CompilationError(
                 f"{node.name}: {node.type_name} has an abstract state or parameter; only vectors "
@@ -90,25 +96,16 @@ class _Leaf:
             )
         context.SetTime(self._variables("time", [graph.source("time")])[0])
         for group, names in enumerate(parameter_groups(node, context_of_floats)):
-            first = len(equations.parameters)
-            sources = [graph.source("parameter", first + i) for i in range(len(names))]
-            variables = self._variables("parameter", sources)
-            context.get_mutable_numeric_parameter(group).SetFromVector(variables)
-            equations.parameters += names
-        size = context.num_continuous_states()
-        if size:
-            first = len(equations.states)
-            sources = [graph.source("state", first + i) for i in range(size)]
-            variables = self._variables("state", sources)
-            context.get_mutable_continuous_state_vector().SetFromVector(variables)
-            equations.states += state_names(node, context_of_floats)
+            vector = context.get_mutable_numeric_parameter(group)
+            add("parameter", vector, names, equations.parameters)
+        if context.num_continuous_states():
+            vector = context.get_mutable_continuous_state_vector()
+            add("state", vector, state_names(node, context_of_floats), equations.states)
         self.first_discrete = len(equations.discrete)
         for group in range(context.num_discrete_state_groups()):
             vector = context.get_mutable_discrete_state(group)
-            first = len(equations.discrete)
-            sources = [graph.source("discrete", first + i) for i in range(vector.size())]
-            vector.SetFromVector(self._variables("discrete", sources))
-            equations.discrete += numbered_names(node.path, group, vector.size())
+            names = numbered_names(node.path, group, vector.size())
+            add("discrete", vector, names, equations.discrete)
         self.own = [*self.meaning.values()]  # type: ignore[list-item]
         for index in range(self.system.num_input_ports()):
             port = self.system.get_input_port(index)
