@@ -168,7 +168,7 @@ class ExpressionGraph:
 
         ``points`` has the shape (points, variables). An undefined value is nan or inf.
         """
-        return values_at(self._graph, self._nodes, {"input": points.T}, len(points))
+        return values_at(len(points), self._graph, self._nodes, {"input": points.T})
 
 
 def equations_key(equations: Equations) -> str:

@@ -146,13 +146,15 @@ def _require_periods(system: System, sample_time_s: float, subject: str) -> None
         leaves = sampled_leaves(system, "motor_speed_command")
     except CompilationError as error:
         raise ParameterError(f"{subject}: {error}") from None
-    fastest_s = min((leaf.period_s for leaf in leaves if leaf.holds_output), default=sample_time_s)
+    held = (leaf.timing.period_sec() for leaf in leaves if leaf.holds_output)
+    fastest_s = min(held, default=sample_time_s)
     if not math.isclose(fastest_s, sample_time_s):
         raise ParameterError(
             f"controller.sample_time_s = {sample_time_s:g} s: must be {fastest_s:g} s, at which "
             f"{subject} updates"
         )
-    for name, period_s, offset_s, _ in leaves:
+    for name, timing, _ in leaves:
+        period_s, offset_s = timing.period_sec(), timing.offset_sec()
         samples = period_s / sample_time_s
         if offset_s or not math.isclose(samples, max(1, round(samples))):
             raise ParameterError(

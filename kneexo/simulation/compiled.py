@@ -414,22 +414,17 @@ def _first_run(scenario: Scenario) -> Simulation | None:
 
     Returns None for a loop that does not run; the run of the user says why.
     """
-    outputs = {*(SIGNAL_OF[name] for name in law_inputs(scenario)), _COMMAND_AND_STATE}
+    outputs = sorted({*(SIGNAL_OF[name] for name in law_inputs(scenario)), _COMMAND_AND_STATE})
     settings = scenario.simulation
-    own = ("integrator", "step_s", "tolerance") if settings.compiled else ()
-    rough: dict[str, Any] = {"integrator": "rk4", "step_s": ROUGH_STEP_S}
-    for options in ({name: getattr(settings, name) for name in own}, rough):
+    names = ("integrator", "step_s", "tolerance") if settings.compiled else ()
+    own = {name: getattr(settings, name) for name in names}
+    for options in (own, {"integrator": "rk4", "step_s": ROUGH_STEP_S}):
+        options["record_period_s"] = scenario.controller.sample_time_s
         with suppress(KneexoError):
             model = compile_scenario(scenario)
             parameters, state, inputs = scenario_run(scenario, model)
             return model.simulate(
-                parameters,
-                state,
-                scenario.duration_s,
-                outputs=sorted(outputs),
-                record_period_s=scenario.controller.sample_time_s,
-                inputs=inputs,
-                **options,
+                parameters, state, scenario.duration_s, outputs=outputs, inputs=inputs, **options
             )
     return None
 

@@ -413,12 +413,7 @@ def replay(law: Law, samples: Array, states: int) -> None:
 
 
 def _fault(
-    law: Law,
-    states: int,
-    points: Array,
-    graph: ExpressionGraph | None = None,
-    *,
-    in_run: bool = False,
+    law: Law, states: int, points: Array, graph: ExpressionGraph | None, *, in_run: bool = False
 ) -> str:
     """Return why a graph does not have the equations of a law, or an empty text.
 
@@ -477,7 +472,7 @@ def hides_state(law: Law, states: int) -> bool:
         points = _points(law, states)
         if "if_then_else" in law.names:  # a copy apart finds whether pydrake wants Expressions
             _caller(law, law.copy_of_target(), states)(points[0])
-        memo["hides_state", states] = _fault(law, states, points) == _CHANGES
+        memo["hides_state", states] = _fault(law, states, points, None) == _CHANGES
     return bool(memo["hides_state", states])
 
 

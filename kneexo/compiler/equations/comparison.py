@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from os import sep
 from pathlib import Path
 from time import process_time
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -22,11 +22,14 @@ _SCALES = (0.0, 1e-3, 1e-3, 0.1, 0.1, 1.0, 1.0, 10.0, 10.0)
 """Distance from the Context of each point where a leaf is compared."""
 
 
+Function: TypeAlias = Callable[[Array], Sequence[float]]
+"""A function that returns values (values,) at a point (size,)."""
+Evaluate: TypeAlias = Callable[[Any, Any], Sequence[Any]]
+"""A function of a leaf system and its Context, both of floats or both symbolic."""
+
+
 def called_twice(
-    first: Callable[[Array], Sequence[float]],
-    second: Callable[[Array], Sequence[float]],
-    points: Array,
-    most_time_s: float = math.inf,
+    first: Function, second: Function, points: Array, most_time_s: float = math.inf
 ) -> tuple[Array, bool]:
     """Call a function at points, and a copy of it in reverse order, which finds hidden state.
 
@@ -43,12 +46,7 @@ def called_twice(
     return np.array(rows), np.array_equal(rows, again[::-1], equal_nan=True)
 
 
-def differ(
-    function: Callable[[Array], Sequence[float]],
-    points: Array,
-    found: Array,
-    numbers: Array,
-) -> bool:
+def differ(function: Function, points: Array, found: Array, numbers: Array) -> bool:
     """Return whether equations gave other values than the function that they were read from.
 
     Points where the function is not finite do not count.
@@ -60,7 +58,7 @@ def differ(
     Parameters
     ----------
     function
-        Returns the values (values,) at a point (size,).
+        The function.
     points
         Points, (points, size).
     found, numbers
@@ -108,11 +106,7 @@ def points_around(values: Array, random: np.random.Generator, scale: float = 1.0
 
 
 def differs_from_leaf(
-    evaluate: Callable[[Any, Any], Sequence[float]],
-    system: Any,
-    points: Array,
-    inputs: Mapping[int, int],
-    found: Array,
+    evaluate: Evaluate, system: Any, points: Array, inputs: Mapping[int, int], found: Array
 ) -> bool:
     """Return whether a leaf of floats computes otherwise than its equations, or hides state.
 

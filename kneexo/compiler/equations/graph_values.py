@@ -33,9 +33,7 @@ def values_of(graph: Graph, roots: Iterable[int], sources: Mapping[str, Any]) ->
     return [values[root] for root in roots]
 
 
-def values_at(
-    graph: Graph, roots: Iterable[int], sources: Mapping[str, Array], points: int
-) -> Array:
+def values_at(points: int, graph: Graph, roots: Iterable[int], sources: Any) -> Array:
     """Return the value of each root at each of some points, (points, roots): see `values_of`."""
     values = values_of(graph, roots, sources)
     return np.array([np.broadcast_to(v, points) for v in values]).reshape(-1, points).T

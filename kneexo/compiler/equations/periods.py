@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from ..errors import CompilationError
-from .ports import find_port, route_of
 from .tree import Node, upstream
 
 
@@ -27,8 +26,8 @@ class SampledLeaf(NamedTuple):
     """A leaf system with discrete states."""
 
     name: str
-    period_s: float
-    offset_s: float
+    timing: Any
+    """Drake's timing of its update."""
     holds_output: bool
     """Whether the leaf is the first with discrete states on a way back from the output port."""
 
@@ -39,15 +38,10 @@ def sampled_leaves(diagram: Any, output: str) -> list[SampledLeaf]:
     Raises `CompilationError` for a leaf with discrete states and not exactly one period.
     """
     root = Node(diagram)
-    *_, (source, _, _) = route_of(find_port(root, output, "output"))
-    holders = upstream([source], until=_is_sampled)
-    leaves = [leaf for leaf in root.leaves() if _is_sampled(leaf)]
-    timings = [(leaf, timing_of(leaf)) for leaf in leaves]
+    leaves = [leaf for leaf in root.leaves() if leaf.system.num_discrete_state_groups()]
+    source, _ = root.output(diagram.GetOutputPort(output).get_index())
+    holders = upstream([source], ends=leaves)
     return [
-        SampledLeaf(leaf.name or leaf.type_name, t.period_sec(), t.offset_sec(), leaf in holders)
-        for leaf, t in timings
+        SampledLeaf(leaf.name or leaf.type_name, timing_of(leaf), leaf in holders)
+        for leaf in leaves
     ]
-
-
-def _is_sampled(leaf: Node) -> bool:
-    return bool(leaf.system.num_discrete_state_groups())

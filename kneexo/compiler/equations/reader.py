@@ -16,10 +16,10 @@ A leaf system may state three public attributes that the compiler uses:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from itertools import chain
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from pydrake.symbolic import Expression, Variable
@@ -28,7 +28,7 @@ from pydrake.systems.primitives import TrajectorySource
 
 from ..errors import CompilationError, DifferenceError
 from ..run_data import Array
-from .comparison import differs_from_leaf, is_compared, points_around
+from .comparison import Evaluate, differs_from_leaf, is_compared, points_around
 from .contexts import discrete_values, parameters_of, state_of
 from .equations import Equations, Limit, Section, Update
 from .events import refuse_witness_functions, symbolic_value, to_symbolic
@@ -38,9 +38,6 @@ from .periods import timing_of
 from .ports import find_port, route_of, size_of
 from .symbolic import Conversion, Steps, completed
 from .tree import Node, Port
-
-Evaluate: TypeAlias = Callable[[Any, Any], Sequence[Any]]
-"""A function of a leaf system and its Context, both of floats or both symbolic."""
 
 
 def _rates(system: Any, context: Any) -> Any:
@@ -292,7 +289,7 @@ class _Reader:
         }
 
         def values(nodes: Iterable[int]) -> Array:
-            return values_at(self.equations.graph, nodes, sources, sources["time"].size)
+            return values_at(sources["time"].size, self.equations.graph, nodes, sources)
 
         for leaf in leaves:
             points = values([*leaf.own, *chain(*leaf.inputs.values())])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from functools import cached_property
 from typing import Any, TypeAlias
 
@@ -159,16 +159,15 @@ Port: TypeAlias = tuple[Node, str, int]
 """A port of a system: the system, ``input`` or ``output``, and the index of the port."""
 
 
-def upstream(
-    leaves: Iterable[Node], until: Callable[[Node], bool] = lambda leaf: False
-) -> set[Node]:
-    """Return leaves and those from which their inputs come, but none behind a leaf ``until``."""
+def upstream(leaves: Iterable[Node], ends: Collection[Node] = ()) -> set[Node]:
+    """Return leaves and those from which their inputs come, but none behind one of the ``ends``."""
     pending, found = [*leaves], set[Node]()
     while pending:
         leaf = pending.pop()
         if leaf not in found:
             found.add(leaf)
-            drivers = map(leaf.driver, range(0 if until(leaf) else leaf.system.num_input_ports()))
+            count = 0 if leaf in ends else leaf.system.num_input_ports()
+            drivers = map(leaf.driver, range(count))
             pending += [driver[0] for driver in drivers if isinstance(driver, tuple)]
     return found
 

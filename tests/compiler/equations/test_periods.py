@@ -24,7 +24,8 @@ def two_rates():
 
 
 def test_each_leaf_has_its_period_and_the_nearest_leaves_hold_the_output() -> None:
-    assert set(sampled_leaves(two_rates(), "sum")) == {
+    leaves = sampled_leaves(two_rates(), "sum")
+    assert {(n, t.period_sec(), t.offset_sec(), holds) for n, t, holds in leaves} == {
         ("fast", 0.002, 0.0, True),
         ("slow", 0.01, 0.0, True),
         ("before", 0.004, 0.0, False),
