@@ -49,8 +49,12 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
         ExpressionGraph as ExpressionGraph,
         read_diagram as read_diagram,
     )
-    from .equations.comparison import differ as differ, trust as trust
-    from .equations.periods import holders_of as holders_of, sample_timings as sample_timings
+    from .equations.comparison import (
+        called_twice as called_twice,
+        differ as differ,
+        trust as trust,
+    )
+    from .equations.periods import sampled_leaves as sampled_leaves
     from .equations.truth import truth_of_scalars as truth_of_scalars
     from .errors import (
         CompilationError as CompilationError,
@@ -132,8 +136,8 @@ else:
         "c.wasm": ("WasmModule", "wasm_files", "wasm_module", "wasm_table"),
         "compiled_system": ("CompiledSystem",),
         "diagram_equations": ("DiagramEquations", "ExpressionGraph", "read_diagram"),
-        "equations.comparison": ("differ", "trust"),
-        "equations.periods": ("holders_of", "sample_timings"),
+        "equations.comparison": ("called_twice", "differ", "trust"),
+        "equations.periods": ("sampled_leaves",),
         "equations.truth": ("truth_of_scalars",),
         "errors": (
             *("CompilationError", "DifferenceError", "Error", "LinearizationError"),

@@ -9,14 +9,13 @@ from functools import cached_property
 from importlib.metadata import version
 from typing import Any
 
-import numpy as np
 from pydrake.systems.framework import System
 
 from .arguments import names, quoted
 from .equations.contexts import parameters_of, state_of
 from .equations.equations import Equations
 from .equations.graph import Graph
-from .equations.graph_values import values_of
+from .equations.graph_values import values_at
 from .equations.ports import bypass as bypass_system, find_port
 from .equations.reader import read_tree
 from .equations.symbolic import Conversion, Steps, completed
@@ -165,12 +164,11 @@ class ExpressionGraph:
         return _hash((names, self._nodes, self._graph.nodes))
 
     def values(self, points: Array) -> Array:
-        """Return the values of the expressions (expressions, …) where the variables are ``points``.
+        """Return the values of the expressions at points of the variables, (points, expressions).
 
-        ``points`` has the shape (variables, …). An undefined value is nan or inf.
+        ``points`` has the shape (points, variables). An undefined value is nan or inf.
         """
-        values = values_of(self._graph, self._nodes, {"input": points})
-        return np.array([np.broadcast_to(value, points.shape[1:]) for value in values])
+        return values_at(len(points), self._graph, self._nodes, {"input": points.T})
 
 
 def equations_key(equations: Equations) -> str:

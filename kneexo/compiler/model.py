@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -561,11 +561,7 @@ def compile_diagram(diagram: Any, *, inputs: Iterable[str] = ()) -> DiagramModel
 
 
 def compile_by_key(
-    key: str,
-    make_diagram: Callable[[], Any],
-    *,
-    inputs: Sequence[str] = (),
-    outputs: Sequence[str] = (),
+    key: str, make_diagram: Callable[[], Any], **ports: Sequence[str]
 ) -> CompiledModel:
     """Return a compiled model. The diagram is built later, and only if it is needed.
 
@@ -579,16 +575,12 @@ def compile_by_key(
     make_diagram
         Function that returns the diagram of floats. A model can be pickled only if this function
         can be pickled.
-    inputs
-        Names of the input ports that stay open: see `compile_diagram`.
-    outputs
-        Names of ports inside the diagram that become outputs too: see `read_diagram`.
+    ports
+        ``inputs`` that stay open, and ``outputs`` inside the diagram, by name: see `read_diagram`.
     """
-    code = MachineCode(key, partial(_equations, make_diagram, tuple(inputs), tuple(outputs)))
+    code = MachineCode(key, partial(_equations, make_diagram, ports))
     return CompiledModel(code, partial(_context_at, make_diagram))
 
 
-def _equations(
-    make_diagram: Callable[[], Any], inputs: Sequence[str], outputs: Sequence[str]
-) -> Equations:
-    return read_diagram(make_diagram(), inputs=inputs, outputs=outputs).equations
+def _equations(make_diagram: Callable[[], Any], ports: Mapping[str, Sequence[str]]) -> Equations:
+    return read_diagram(make_diagram(), **ports).equations

@@ -11,11 +11,11 @@ from typing import Any, NamedTuple, TypeVar, cast
 from pydrake.systems.framework import System
 
 from kneexo import systems
-from kneexo.compiler import holders_of, read_diagram, sample_timings
+from kneexo.compiler import read_diagram, sampled_leaves
 from kneexo.errors import CompilationError, DifferenceError, KneexoError, ParameterError
 from kneexo.parameters import LAW_INPUTS, Law, LawParameters, Scenario
 from kneexo.rod_polynomial import controller_polynomial
-from kneexo.systems.function_law import trace
+from kneexo.systems.function_law import Trace, trace
 
 T = TypeVar("T")
 
@@ -25,12 +25,17 @@ def why_python(scenario: Scenario) -> str:
 
     Raises `ParameterError` for a law that cannot be run at all.
     """
+    if (traced := function_trace(scenario)) is not None:
+        return traced.why_not_compiled
+    return _system_law(scenario).why_python if scenario.controller.kind == "law" else ""
+
+
+def function_trace(scenario: Scenario) -> Trace | None:
+    """Return the trace of a law that is a function; None for any other controller."""
     law = scenario.controller
-    if not isinstance(law, LawParameters):
-        return ""
-    if law.function.is_system:
-        return _system_law(scenario).why_python
-    return trace(law.function, len(law.loaded().initial_state)).why_not_compiled
+    if not isinstance(law, LawParameters) or law.function.is_system:
+        return None
+    return trace(law.function, len(law.loaded().initial_state))
 
 
 def runs_as_python(scenario: Scenario) -> bool:
@@ -116,10 +121,6 @@ class _SystemLaw(NamedTuple):
     """Why the system cannot be compiled, or an empty text for a system that compiles."""
     inputs: tuple[str, ...]
     """Names of the input ports of the system."""
-    timings: dict[str, tuple[float, float]]
-    """Period and offset in s of each leaf system with discrete states, by its name."""
-    holders: set[str]
-    """Names of the leaf systems that hold the command."""
 
 
 def _system_law(scenario: Scenario) -> _SystemLaw:
@@ -129,24 +130,31 @@ def _system_law(scenario: Scenario) -> _SystemLaw:
     """
     law = users_law(scenario)
     known = known_text(scenario) if law.takes_scenario else ""
-    read = remembered(law, ("system", known), lambda: _read(law, maker_arguments(scenario)))
-    _require_periods(read, scenario.controller.sample_time_s, f"law {law.short_name}")
-    return read
+    period_s = scenario.controller.sample_time_s
+    return remembered(
+        law, ("system", known, period_s), lambda: _read(law, maker_arguments(scenario), period_s)
+    )
 
 
-def _require_periods(read: _SystemLaw, sample_time_s: float, subject: str) -> None:
+def _require_periods(system: System, sample_time_s: float, subject: str) -> None:
     """Raise `ParameterError` unless the system of a law keeps to the samples of the controller.
 
     The command must change at each sample, and any other discrete state at every n-th. ``subject``
     is the name of the law in the message.
     """
-    fastest_s = min((read.timings[name][0] for name in read.holders), default=sample_time_s)
+    try:
+        leaves = sampled_leaves(system, "motor_speed_command")
+    except CompilationError as error:
+        raise ParameterError(f"{subject}: {error}") from None
+    held = (leaf.timing.period_sec() for leaf in leaves if leaf.holds_output)
+    fastest_s = min(held, default=sample_time_s)
     if not math.isclose(fastest_s, sample_time_s):
         raise ParameterError(
             f"controller.sample_time_s = {sample_time_s:g} s: must be {fastest_s:g} s, at which "
             f"{subject} updates"
         )
-    for name, (period_s, offset_s) in read.timings.items():
+    for name, timing, _ in leaves:
+        period_s, offset_s = timing.period_sec(), timing.offset_sec()
         samples = period_s / sample_time_s
         if offset_s or not math.isclose(samples, max(1, round(samples))):
             raise ParameterError(
@@ -156,22 +164,19 @@ def _require_periods(read: _SystemLaw, sample_time_s: float, subject: str) -> No
             )
 
 
-def _read(law: Law, arguments: Mapping[str, Any]) -> _SystemLaw:
+def _read(law: Law, arguments: Mapping[str, Any], sample_time_s: float) -> _SystemLaw:
     system = law.any_system(arguments)
     require_ports(system, f"law {law.short_name}")
+    _require_periods(system, sample_time_s, f"law {law.short_name}")
     inputs = tuple(port_sizes(system, inputs=True))
-    try:
-        timings, holders = sample_timings(system), holders_of(system, "motor_speed_command")
-    except CompilationError as error:
-        raise ParameterError(f"law {law.short_name}: {error}") from None
     # `any_system` accepts a system that runs as Python only, `make_system` one that can be cloned.
     try:
         read_diagram(law.make_system(arguments), inputs=inputs)
     except DifferenceError as error:
         raise ParameterError(f"law {law.short_name}: {error}") from None
     except KneexoError as error:
-        return _SystemLaw(str(error), inputs, timings, holders)
-    return _SystemLaw("", inputs, timings, holders)
+        return _SystemLaw(str(error), inputs)
+    return _SystemLaw("", inputs)
 
 
 def law_inputs(scenario: Scenario) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ import hashlib
 import json
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cache, lru_cache, partial
 from importlib.metadata import version
@@ -47,6 +48,7 @@ from kneexo.diagrams.controller import (
 )
 from kneexo.diagrams.faults import fault_structure
 from kneexo.diagrams.law import (
+    function_trace,
     held_command,
     known_text,
     law_inputs,
@@ -59,7 +61,7 @@ from kneexo.diagrams.law import (
 )
 from kneexo.diagrams.signals import SIGNALS, columns
 from kneexo.diagrams.wearer import moment_of, moment_spline
-from kneexo.errors import KneexoError, StiffnessError
+from kneexo.errors import KneexoError
 from kneexo.parameters import (
     LawParameters,
     MomentTable,
@@ -75,10 +77,8 @@ from kneexo.systems import knee_reference
 from kneexo.systems.function_law import (
     COMMAND_AND_STATE,
     LAW_COMMAND,
-    Trace,
     argument_sizes,
     replay,
-    trace,
 )
 
 _PACKAGE = Path(__file__).parents[1]
@@ -152,7 +152,7 @@ def structure_key(scenario: Scenario) -> str:
         fields["reference"] = scenario.reference.kind  # the samples enter by an open input
     law = scenario.controller
     if isinstance(law, LawParameters):
-        traced = _function_trace(scenario)
+        traced = function_trace(scenario)
         if runs_as_python(scenario) if traced is None else traced.why_not_compiled:
             fields["controller"] = "python", law.sample_time_s, law_inputs(scenario)
         else:
@@ -160,14 +160,6 @@ def structure_key(scenario: Scenario) -> str:
             key = _unknown_parts(scenario).key if traced is None else traced.key
             fields["controller"] = law.sample_time_s, key
     return _key(tuple(fields.items()))
-
-
-def _function_trace(scenario: Scenario) -> Trace | None:
-    """Return the trace of a law that is a function; None for another controller."""
-    law = scenario.controller
-    if not isinstance(law, LawParameters) or law.function.is_system:
-        return None
-    return trace(law.function, len(law.loaded().initial_state))
 
 
 @lru_cache
@@ -220,10 +212,9 @@ def _model(key: str, scenario: Scenario) -> CompiledModel:
         inputs = [LAW_COMMAND] if runs_as_python(scenario) else []
         inputs += ["knee_reference"] if scenario.reference.kind == "samples" else []
         inputs += [] if moment_of(scenario) is None else ["biological_moment"]
-        is_traced = (traced := _function_trace(scenario)) and not traced.why_not_compiled
-        outputs = [_COMMAND_AND_STATE] if is_traced else []
-        diagram = partial(_diagram, key, scenario)
-        return compile_by_key(key, diagram, inputs=inputs, outputs=outputs)
+        traced = function_trace(scenario)
+        outputs = [_COMMAND_AND_STATE] if traced and not traced.why_not_compiled else []
+        return compile_by_key(key, partial(_diagram, key, scenario), inputs=inputs, outputs=outputs)
 
     return _models.of(key, make)
 
@@ -403,55 +394,38 @@ def why_python_in_run(scenario: Scenario) -> str:
 
     Raises `ParameterError` for a law that cannot be run at all.
     """
-    traced = _function_trace(scenario)
+    traced = function_trace(scenario)
     if traced is None:
         return why_python(scenario)
     if not traced.why_not_compiled and not traced.replayed and (run := _first_run(scenario)):
-        law = scenario.controller
+        law, state = scenario.controller, run[_COMMAND_AND_STATE][:, 1:]
         assert isinstance(law, LawParameters)
         record = {name: run[SIGNAL_OF[name]] for name in law_inputs(scenario)}
-        record |= {
-            name: np.full((run.time_s.size, 1), v) for name, v in law.loaded().values.items()
-        }
-        record |= {"time_s": run.time_s[:, None], "state": run[_COMMAND_AND_STATE][:, 1:]}
-        samples = np.hstack([record[name][:-1] for name in argument_sizes(law.function, 0)])
-        found, limit = run[_COMMAND_AND_STATE][1:], scenario.command_limit_rad_s
-        replay(law.function, samples, found, limit)
+        record |= {"time_s": run.time_s, "state": state}
+        for name, gain in law.loaded().values.items():
+            record[name] = np.full_like(run.time_s, gain)
+        samples = np.column_stack([record[name] for name in argument_sizes(law.function, 0)])
+        replay(law.function, samples, state.shape[1])
     return traced.why_not_compiled
 
 
 def _first_run(scenario: Scenario) -> Simulation | None:
-    """Run a loop with a compiled law, as far as it runs, and record what the law reads and gives.
+    """Run a loop with a compiled law, and record what the law reads and gives.
 
-    Returns None for a loop that does not run at all; the run of the user says why.
+    Returns None for a loop that does not run; the run of the user says why.
     """
-    settings, duration_s = scenario.simulation, scenario.duration_s
-    sample_time_s = scenario.controller.sample_time_s
-    options: dict[str, Any] = {}
-    if settings.compiled:
-        names = ("integrator", "step_s", "tolerance")
-        options = {name: getattr(settings, name) for name in names}
-    try:
-        model = compile_scenario(scenario)
-        parameters, state, inputs = scenario_run(scenario, model)
-    except KneexoError:
-        return None
-    outputs = {*(SIGNAL_OF[name] for name in law_inputs(scenario)), _COMMAND_AND_STATE}
-    while duration_s >= sample_time_s:
-        try:
+    outputs = sorted({*(SIGNAL_OF[name] for name in law_inputs(scenario)), _COMMAND_AND_STATE})
+    settings = scenario.simulation
+    names = ("integrator", "step_s", "tolerance") if settings.compiled else ()
+    own = {name: getattr(settings, name) for name in names}
+    for options in (own, {"integrator": "rk4", "step_s": ROUGH_STEP_S}):
+        options["record_period_s"] = scenario.controller.sample_time_s
+        with suppress(KneexoError):
+            model = compile_scenario(scenario)
+            parameters, state, inputs = scenario_run(scenario, model)
             return model.simulate(
-                parameters,
-                state,
-                duration_s,
-                outputs=sorted(outputs),
-                record_period_s=sample_time_s,
-                inputs=inputs,
-                **options,
+                parameters, state, scenario.duration_s, outputs=outputs, inputs=inputs, **options
             )
-        except StiffnessError:
-            options = {"integrator": "rk4", "step_s": ROUGH_STEP_S}
-        except KneexoError:  # such as a divergence, before which the law may differ already
-            duration_s *= 0.5
     return None
 
 
@@ -512,6 +486,7 @@ def simulate_together(
         try:
             if model is None:
                 names = chosen_signals(scenario, signals)
+                why_python_in_run(scenario)
                 model = compile_scenario(scenario)
             run_arguments[index] = scenario_run(scenario, model)
             results.append(None)  # until the run has ended

@@ -140,19 +140,10 @@ def _compiled_runs(
 ) -> Iterator[tuple[int, Run | KneexoError]]:
     from kneexo.simulation import compiled
 
-    groups: dict[Any, list[int]] = {}
+    groups: dict[str, list[int]] = {}
     for index in indices:
-        scenario = requests[index].scenario
-        law = scenario.controller
-        # Two functions with equal equations may differ for numbers.
-        code = getattr(law.function.target, "__code__", None) if law.kind == "law" else None
-        groups.setdefault((compiled.structure_key(scenario), code), []).append(index)
+        groups.setdefault(compiled.structure_key(requests[index].scenario), []).append(index)
     for group in groups.values():
-        try:
-            compiled.why_python_in_run(requests[group[0]].scenario)
-        except KneexoError as error:
-            yield from ((index, error) for index in group)
-            continue
         for batch in _batches(group, requests):
             scenarios = [requests[index].scenario for index in batch]
             reductions = [requests[index].reductions for index in batch]

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import pickle
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass
+from functools import cache
 from inspect import getclosurevars
 from itertools import chain
 from numbers import Real
-from time import process_time
 from types import FunctionType
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -19,7 +19,7 @@ import numpy as np
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.symbolic import Expression, Variable
 
-from kneexo.compiler import ExpressionGraph, differ, truth_of_scalars
+from kneexo.compiler import ExpressionGraph, called_twice, differ, truth_of_scalars
 from kneexo.errors import CompilationError, ParameterError, SimulationError, shortened
 from kneexo.parameters import LAW_INPUTS, CylinderParameters, KneeParameters, Law, LawParameters
 from kneexo.result import Array
@@ -49,30 +49,26 @@ def call_law(law: Law, function: Any, arguments: Mapping[str, Any]) -> list[Any]
     as pydrake's ``if_then_else`` returns, becomes a float. Raises `ParameterError` if the function
     fails or returns something else.
     """
-    with user_code(f"law {law.short_name}: the function fails"):
-        return _called(law, function, arguments)
-
-
-def _called(law: Law, function: Any, arguments: Mapping[str, Any]) -> list[Any]:
-    """Do the work of `call_law`, without a guard against errors of the user's code."""
     kinds = {type(value) for values in arguments.values() for value in values}
     scalars = kinds & {AutoDiffXd, Expression}
     memo = _memo(law)
     # With numbers, pydrake's if_then_else returns constant Expressions.
-    has_scalars = bool(scalars) or "if_then_else" in law.names
-    with _arithmetic(has_scalars):
-        if memo.get("needs_constants") and not scalars:
-            arguments = {name: _constants(values) for name, values in arguments.items()}
-        try:
-            result = function(**_plain(arguments))
-        except TypeError as error:
-            # Drake 1.58 accepts no comparison of NumPy scalars, but one of Expressions.
-            # `hides_state` finds that out with a copy, so a run calls no object twice.
-            if scalars or memo.get("needs_constants") or "if_then_else()" not in text_of(error):
-                raise
-            memo["needs_constants"] = True
-            return _called(law, function, arguments)
-    return _checked_result(law, arguments, result, scalars)
+    has_scalars = scalars or "if_then_else" in law.names
+    with user_code(f"law {law.short_name}: the function fails"):
+        with _arithmetic_of_scalars() if has_scalars else nullcontext():
+            if memo.get("needs_constants") and not scalars:
+                arguments = _expressions(arguments)
+            try:
+                result = function(**_plain(arguments))
+            except TypeError as error:
+                # Drake 1.58 accepts no comparison of NumPy scalars, but one of Expressions.
+                # `hides_state` finds that out with a copy, so a run calls no object twice.
+                known = scalars or memo.get("needs_constants")
+                if known or "if_then_else()" not in text_of(error):
+                    raise
+                memo["needs_constants"] = True
+                return call_law(law, function, arguments)
+        return _checked_result(law, arguments, result, scalars)
 
 
 def _checked_result(
@@ -112,11 +108,8 @@ def _number(value: Any) -> float:
 
 
 @contextmanager
-def _arithmetic(with_scalars: bool) -> Iterator[None]:
-    """Context manager: the body calculates with scalars of Drake if ``with_scalars``."""
-    if not with_scalars:
-        yield
-        return
+def _arithmetic_of_scalars() -> Iterator[None]:
+    """Context manager: the body calculates with scalars of Drake."""
     # NumPy raises false alarms for arrays of Expression.
     with truth_of_scalars(), np.errstate(invalid="ignore"):
         yield
@@ -144,14 +137,21 @@ def _plain(arguments: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _constants(values: Any) -> Any:
-    """Return an array of numbers as an array of constant Expressions."""
-    return np.array([Expression(value) for value in values])
+def _expressions(arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Return arrays of numbers or variables as arrays of Expressions."""
+    return {name: np.array([Expression(v) for v in values]) for name, values in arguments.items()}
 
 
 def _wrong_result(law: Law, result: Any, expected: str) -> ParameterError:
     shown = shortened(" ".join(repr(result).split()), 60)
     return ParameterError(f"law {law.short_name}: returns {shown}; {expected}")
+
+
+def _declare_command(leaf: NamedLeaf) -> None:
+    """Declare the output port of the first element of the discrete state, in rad/s."""
+    leaf._declare_output(
+        "motor_speed_command", 1, lambda c: discrete_state(c)[:1], leaf.xd_ticket()
+    )
 
 
 class FunctionLaw(NamedLeaf):
@@ -193,9 +193,7 @@ class FunctionLaw(NamedLeaf):
         self._declare_update(parameters.sample_time_s, 1 + self._states, self._update)
         if self._states:
             self._declare_initialization(self._start)
-        self._declare_output(
-            "motor_speed_command", 1, lambda c: discrete_state(c)[:1], self.xd_ticket()
-        )
+        _declare_command(self)
         self._declare_output(COMMAND_AND_STATE, 1 + self._states, discrete_state, self.xd_ticket())
 
     def _start(self, context: Any) -> list[Any]:
@@ -234,9 +232,7 @@ class HeldCommand(NamedLeaf):
             self.DeclareVectorInputPort(name, LAW_INPUTS[name])
         command = self.DeclareVectorInputPort(LAW_COMMAND, 1)
         self._declare_update(sample_time_s, 1, lambda c: [command.Eval(c)[0]])
-        self._declare_output(
-            "motor_speed_command", 1, lambda c: discrete_state(c)[:1], self.xd_ticket()
-        )
+        _declare_command(self)
 
 
 HeldCommand_ = leaf_template(HeldCommand)
@@ -276,9 +272,7 @@ class LinearLaw(NamedLeaf):
         self._declare_update(
             sample_time_s, 1 + discrete, lambda c: self._linear_form(c)[continuous:]
         )
-        self._declare_output(
-            "motor_speed_command", 1, lambda c: discrete_state(c)[:1], self.xd_ticket()
-        )
+        _declare_command(self)
 
     def set_matrix(self, context: Any, matrix: Any) -> None:
         """Set the Context parameters to a matrix M, whose rows give dx/dt, then u, then z."""
@@ -302,10 +296,8 @@ LinearLaw_ = leaf_template(LinearLaw)
 
 # ------------------------------------------------------------------------------ tracing
 
-_STROKE_M, _MOTION_RAD = (
-    CylinderParameters().stroke_m,
-    math.radians(KneeParameters().flexion_max_deg),
-)
+_STROKE_M = CylinderParameters().stroke_m
+_MOTION_RAD = math.radians(KneeParameters().flexion_max_deg)
 _LARGEST = {  # magnitudes of the inputs at the points of comparison, in SI units
     "rod_extension": (_STROKE_M,),
     "rod_reference": (_STROKE_M, 0.1, 1.0, 10.0),
@@ -326,7 +318,7 @@ _SCALES = (
 States can be flags, counters or integrals. Small inputs leave a command within its limits.
 """
 _SAMPLES = 300  # a difference in 1 % of the samples is missed by 5 % of such random choices
-_MOST_TIME_S = 0.02  # processor time of a pass through the points, for a slow function
+_MOST_TIME_S = 0.012  # processor time of a pass through the points, for a slow function
 _ZERO = Expression(0.0)
 _CHANGES = "the object changes when it is called"
 _DIFFER = "the equations that were read off differ from calls with numbers"
@@ -368,58 +360,29 @@ def trace(law: Law, states: int) -> Trace:
     """
     if hides_state(law, states):
         return Trace(_CHANGES)
-    memo = _memo(law)
+    memo, graph = _memo(law), None
+    known: Trace = memo.get(("trace", states), Trace(""))
+    variables = _variables(tuple(argument_sizes(law, states).items()))
     try:
-        expressions = _symbolic_call(law, states)
-        known: Trace | None = memo.get(("trace", states))
-        if known is None or not known.graph or not known.graph.is_of(expressions):
-            known = memo["trace", states] = _compared(law, states, expressions)
-    except ParameterError as error:
+        results = call_law(law, law.copy_of_target(), _expressions(variables))
+        expressions = [_ZERO + value for value in results]
+        if known.graph is None or not known.graph.is_of(expressions):
+            graph = ExpressionGraph(expressions, [*chain(*variables.values())])
+    except (ParameterError, CompilationError) as error:
         return Trace(_reason(error))
-    except CompilationError as error:
-        return Trace(str(error))
+    if graph is not None:
+        known = Trace(_fault(law, states, _points(law, states), graph), graph)
+        memo["trace", states] = known
     return known
 
 
-def _variables(law: Law, states: int) -> dict[str, Any]:
-    """Return an array of symbolic variables for each argument of the function."""
-    memo = _memo(law)
-    if ("variables", states) not in memo:
-        memo["variables", states] = {
-            name: np.array([Variable(f"{name}{n}") for n in range(size)])
-            for name, size in argument_sizes(law, states).items()
-        }
-    variables: dict[str, Any] = memo["variables", states]
-    return variables
+@cache
+def _variables(sizes: tuple[tuple[str, int], ...]) -> dict[str, Any]:
+    """Return an array of symbolic variables for each argument of a function, (name, size)."""
+    return {name: np.array([Variable(f"{name}{n}") for n in range(size)]) for name, size in sizes}
 
 
-def _symbolic_call(law: Law, states: int) -> list[Any]:
-    variables = _variables(law, states)
-    symbols = {name: np.array([Expression(v) for v in vs]) for name, vs in variables.items()}
-    return [_ZERO + value for value in call_law(law, law.copy_of_target(), symbols)]
-
-
-def _compared(law: Law, states: int, expressions: list[Any]) -> Trace:
-    """Return the trace of a law whose symbolic call gave ``expressions``.
-
-    They become equations if a second symbolic call gives them too, and if calls with numbers agree
-    with them. A point where the function fails or is not finite does not count.
-    """
-    graph = ExpressionGraph(expressions, [*chain(*_variables(law, states).values())])
-    if not graph.is_of(_symbolic_call(law, states)):
-        return Trace(_DIFFER, graph)
-    points = _points(law, states)
-    numbers = _values(law, states, points)
-    points = points[: len(numbers)]
-    finite = np.isfinite(numbers).all(axis=1)
-    if not finite.any():
-        return Trace("the function fails for numbers within the usual range", graph)
-    found = graph.values(points.T).T
-    differs = _differ(law, states, points[finite], found[finite], numbers[finite])
-    return Trace(_DIFFER if differs else "", graph)
-
-
-def replay(law: Law, samples: Array, command_and_state: Array, command_limit_rad_s: float) -> None:
+def replay(law: Law, samples: Array, states: int) -> None:
     """Compare the equations of a law with calls of its function at samples of a run.
 
     `trace` has read the equations, and knows the result of the comparison from then on.
@@ -430,81 +393,72 @@ def replay(law: Law, samples: Array, command_and_state: Array, command_limit_rad
         A law that is a function.
     samples
         Values of all `argument_sizes`, (samples, size).
-    command_and_state
-        Command and next state that the equations gave for each sample, (samples, 1 + states).
-    command_limit_rad_s
-        Limit of the command.
+    states
+        Number of elements of the argument ``state``.
 
     Raises
     ------
     ParameterError
         The function hides state that cannot be copied.
     """
-    states = command_and_state.shape[1] - 1
-    columns = np.hstack([samples, command_and_state])
+    traced: Trace = _memo(law)["trace", states]
+    assert traced.graph is not None
+    columns = np.hstack([samples, traced.graph.values(samples)])
     extremes = np.concatenate([columns.argmin(axis=0), columns.argmax(axis=0)])
     even = np.linspace(0, len(columns) - 1, min(_SAMPLES, len(columns))).astype(int)
     rows = np.concatenate([extremes, np.random.default_rng(0).permutation(even)])
-    hides, numbers = _find_hidden_state(law, states, samples[rows])
-    rows = rows[: len(numbers)]
-    traced = _memo(law)["trace", states]
-    traced.replayed = True
-    if hides:
-        _memo(law)["hides_state", states] = True
-        traced.why_not_compiled = _CHANGES
-    elif _differ(law, states, samples[rows], command_and_state[rows], numbers, command_limit_rad_s):
-        traced.why_not_compiled = _DIFFER
+    fault = _fault(law, states, samples[rows], traced.graph, in_run=True)
+    traced.why_not_compiled, traced.replayed = fault, True
+    _memo(law)["hides_state", states] = fault == _CHANGES
 
 
-def _differ(
-    law: Law,
-    states: int,
-    points: Array,
-    found: Array,
-    numbers: Array,
-    command_limit_rad_s: float = math.inf,
-) -> bool:
-    """Return whether equations gave other values ``found`` than the function, ``numbers``.
+def _fault(
+    law: Law, states: int, points: Array, graph: ExpressionGraph | None, *, in_run: bool = False
+) -> str:
+    """Return why a graph does not have the equations of a law, or an empty text.
 
-    `kneexo.compiler.differ` says which values count as equal.
+    The function is called at points; without a graph, only to find out whether it hides state. A
+    point where the function fails does not count, unless the points are samples ``in_run``. Raises
+    `ParameterError` for a law whose copies do not start afresh, such as a function.
     """
+    function = law.copy_of_target()
+    first = _caller(law, function, states)
+    second, third = (_caller(law, law.copy_of_target(), states) for _ in range(2))
+    before = _outer_values(function)
+    with np.errstate(all="ignore"):
+        numbers, repeats = called_twice(first, second, points, _MOST_TIME_S)
+        points = points[: len(numbers)]
+        if not repeats or before != _outer_values(function):
+            again = [third(point) for point in points]
+            if function is law.target or not np.array_equal(again, numbers, equal_nan=True):
+                raise ParameterError(
+                    f"law {law.short_name}: hides state: it changes outer variables, or returns "
+                    f"two commands for equal arguments; must take the argument state and return "
+                    f"(command, next_state)"
+                )
+            return _CHANGES
+        if graph is None:
+            return ""
+        finite = np.isfinite(numbers).all(axis=1)
+        if not finite.any():
+            return "the function fails for numbers within the usual range"
+        fails = in_run and not finite.all()
+        return _DIFFER if fails or differ(first, points, graph.values(points), numbers) else ""
 
-    def limited(values: Array) -> Array:
-        command = np.clip(values[:, :1], -command_limit_rad_s, command_limit_rad_s)
-        return np.hstack([command, values[:, 1:]])
 
-    sizes = argument_sizes(law, states)
-    names = [name for name, size in sizes.items() for _ in range(size)]
-    return differ(
-        lambda row: limited(_values(law, states, row[None]))[0],
-        points,
-        found,
-        limited(numbers),
-        inexact=[names.index("time_s")] if "time_s" in names else [],
-    )
-
-
-def _values(law: Law, states: int, points: Array) -> Array:
-    """Return command and next state for the first points, (≤ points, 1 + states).
-
-    A copy of the function is called, until the time for one pass is over. Where the function fails,
-    the values are nan.
-    """
-    function, places, first = law.copy_of_target(), {}, 0
+def _caller(law: Law, function: Any, states: int) -> Callable[[Array], list[Any]]:
+    """Return a function of a point that calls the function of a law: command, next state or nan."""
+    places, first = {}, 0
     for name, size in argument_sizes(law, states).items():
         places[name] = slice(first, first := first + size)
-    rows: list[Any] = []
-    until = process_time() + _MOST_TIME_S
-    with user_code(f"law {law.short_name}: the function fails"), np.errstate(all="ignore"):
-        for point in points:
-            try:
-                arguments = {name: point[place] for name, place in places.items()}
-                rows.append(_called(law, function, arguments))
-            except (Exception, SystemExit):
-                rows.append([math.nan] * (1 + states))
-            if process_time() > until:
-                break
-    return np.array(rows)
+
+    def call(point: Array) -> list[Any]:
+        try:
+            return call_law(law, function, {name: point[place] for name, place in places.items()})
+        except ParameterError:
+            return [math.nan] * (1 + states)
+
+    return call
 
 
 def hides_state(law: Law, states: int) -> bool:
@@ -515,52 +469,28 @@ def hides_state(law: Law, states: int) -> bool:
     """
     memo = _memo(law)
     if ("hides_state", states) not in memo:
-        before, points = _outer_values(law.target), _points(law, states)
+        points = _points(law, states)
         if "if_then_else" in law.names:  # a copy apart finds whether pydrake wants Expressions
-            _values(law, states, points)
-        hides, _ = _find_hidden_state(law, states, points)
-        if before != _outer_values(law.target):
-            raise _hidden_state(law)
-        memo["hides_state", states] = hides
+            _caller(law, law.copy_of_target(), states)(points[0])
+        memo["hides_state", states] = _fault(law, states, points, None) == _CHANGES
     return bool(memo["hides_state", states])
 
 
-def _find_hidden_state(law: Law, states: int, points: Array) -> tuple[bool, Array]:
-    """Call a law at points, then in reverse order; return whether the values differ.
-
-    The second result has the values of the first calls. An object hides state, and its copies can
-    start runs. Raises `ParameterError` for a law whose copies do not start afresh, such as a
-    function.
-    """
-    first = _values(law, states, points)
-    points = points[: len(first)]
-    again = _values(law, states, points[::-1])[::-1]
-    hides = not np.array_equal(first[len(first) - len(again) :], again, equal_nan=True)
-    if hides:
-        copies = law.copy_of_target() is not law.target
-        if not copies or not np.array_equal(_values(law, states, points), first, equal_nan=True):
-            raise _hidden_state(law)
-    return hides, first
-
-
-def _hidden_state(law: Law) -> ParameterError:
-    return ParameterError(
-        f"law {law.short_name}: hides state: it changes outer variables, or returns two commands "
-        f"for equal arguments; must take the argument state and return (command, next_state)"
-    )
-
-
 def _outer_values(function: Any) -> list[bytes]:
-    """Return the pickled variables outside a function: of its closure, and globals that it names.
+    """Return the pickled attributes of a function or object, and the function's outer variables.
 
-    A value that pickle cannot write is left out. The list of an object is empty.
+    The outer variables are those of its closure, and the globals that it names. A value that pickle
+    cannot write is left out.
     """
-    pickled = []
-    with suppress(Exception):  # no function, or an empty cell
+    values: list[Any] = []
+    with suppress(Exception):  # an object without attributes, no function, or an empty cell
+        values += vars(getattr(function, "__self__", function)).values()
         variables = getclosurevars(function)
-        for value in (*variables.nonlocals.values(), *variables.globals.values()):
-            with suppress(Exception):  # a user's object may raise any error
-                pickled.append(pickle.dumps(value))
+        values += [*variables.nonlocals.values(), *variables.globals.values()]
+    pickled = []
+    for value in values:
+        with suppress(Exception):  # a user's object may raise any error
+            pickled.append(pickle.dumps(value))
     return pickled
 
 
@@ -577,32 +507,30 @@ def argument_sizes(law: Law, states: int) -> dict[str, int]:
 
 
 def _points(law: Law, states: int) -> Array:
-    """Return points of comparison in random order, with a column for each argument's element.
+    """Return random points of comparison, with a column for each argument's element.
 
-    Gains have their defaults. Each other element has one value in each of n equal parts of its
-    range, at random (Latin hypercube).
+    Gains have their defaults.
     """
     random = np.random.default_rng(0)
     points = []
     for count, scale, largest_state, largest_time_s in _SCALES:
         columns = []
         for name, size in argument_sizes(law, states).items():
-            parts = random.permuted(np.tile(np.arange(count), (size, 1)), axis=1).T
-            shares = (parts + random.uniform(size=(count, size))) / count
+            shares = random.uniform(-1.0, 1.0, (count, size))
             if name in law.arguments.gains:
                 columns.append(np.full((count, 1), law.arguments.gains[name]))
             elif name == "time_s":
-                columns.append(largest_time_s * shares)
+                columns.append(largest_time_s * np.abs(shares))
             elif name == "state":
-                columns.append(largest_state * (2.0 * shares - 1.0))
+                columns.append(largest_state * shares)
             else:
-                shares[:, 1:] = 2.0 * shares[:, 1:] - 1.0  # positions are positive
+                shares[:, 0] = np.abs(shares[:, 0])  # positions are positive
                 columns.append(scale * np.array(_LARGEST[name]) * shares)
         points.append(np.hstack(columns))
     return random.permutation(np.vstack(points))
 
 
-def _reason(error: ParameterError) -> str:
+def _reason(error: Exception) -> str:
     """Return in words why a call with variables failed, with the line."""
     cause = error.__cause__
     if cause is None:

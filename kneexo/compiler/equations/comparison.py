@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from os import sep
 from pathlib import Path
-from typing import Any
+from time import process_time
+from typing import Any, TypeAlias
 
 import numpy as np
 
-from ..run_data import Array, State
-from .contexts import discrete_values, parameters_of, set_parameters, set_state, state_of
+from ..run_data import Array
+from .contexts import set_all
 from .tree import Node
 
 _TOLERANCE = 1e-9  # sums in another order; conditioning of a law with gains up to 1e6
@@ -20,37 +22,53 @@ _SCALES = (0.0, 1e-3, 1e-3, 0.1, 0.1, 1.0, 1.0, 10.0, 10.0)
 """Distance from the Context of each point where a leaf is compared."""
 
 
-def differ(
-    function: Callable[[Array], Array],
-    points: Array,
-    found: Array,
-    numbers: Array,
-    inexact: Iterable[int] = (),
-) -> bool:
+Function: TypeAlias = Callable[[Array], Sequence[float]]
+"""A function that returns values (values,) at a point (size,)."""
+Evaluate: TypeAlias = Callable[[Any, Any], Sequence[Any]]
+"""A function of a leaf system and its Context, both of floats or both symbolic."""
+
+
+def called_twice(
+    first: Function, second: Function, points: Array, most_time_s: float = math.inf
+) -> tuple[Array, bool]:
+    """Call a function at points, and a copy of it in reverse order, which finds hidden state.
+
+    Returns the values (points, values) of the first, and whether the second gives equal values. The
+    first may take ``most_time_s`` of processor time; the points that it does not reach are left
+    out. Where a function raises an error, its values must be nan.
+    """
+    until, rows = process_time() + most_time_s, []
+    for point in points:
+        rows.append(first(point))
+        if process_time() > until:
+            break
+    again = [second(point) for point in points[: len(rows)][::-1]]
+    return np.array(rows), np.array_equal(rows, again[::-1], equal_nan=True)
+
+
+def differ(function: Function, points: Array, found: Array, numbers: Array) -> bool:
     """Return whether equations gave other values than the function that they were read from.
 
+    Points where the function is not finite do not count.
+
     Equations round differently, which decides at a branch. So values between those that the
-    function returns near the point count as equal too. Flags and counters are whole numbers, which
-    do not change near the point, because they have no rounding error.
+    function returns near the point count as equal too. Flags and counters, which are whole numbers
+    at all points, do not change near a point, because they have no rounding error.
 
     Parameters
     ----------
     function
-        Returns the values (values,) at a point (size,).
+        The function.
     points
         Points, (points, size).
     found, numbers
         Values of the equations and of the function, (points, values).
-    inexact
-        Indices of elements of a point that have rounding errors also if they are whole, such as the
-        time.
     """
     random = np.random.default_rng(0)
-    close = np.isclose(found, numbers, _TOLERANCE, _TOLERANCE, equal_nan=True)
-    for row in np.nonzero(~close.all(axis=1))[0].tolist():
+    exact = (points == np.rint(points)).all(axis=0)
+    close = np.isclose(found, numbers, _TOLERANCE, _TOLERANCE).all(axis=1)
+    for row in np.nonzero(np.isfinite(numbers).all(axis=1) & ~close)[0].tolist():
         point = points[row]
-        exact = point == np.rint(point)
-        exact[[*inexact]] = False
         errors = np.where(exact, 0.0, random.choice([-_TOLERANCE, _TOLERANCE], (_NEAR, point.size)))
         near = np.array([numbers[row], *(function(point * (1.0 + error)) for error in errors)])
         slack = _TOLERANCE * (1.0 + np.abs(near).max(axis=0))
@@ -87,58 +105,44 @@ def points_around(values: Array, random: np.random.Generator, scale: float = 1.0
     return values[:, None] * (1.0 + 0.1 * changes[0]) + scale * np.array(_SCALES) * changes[1]
 
 
-def differing_part(
-    system: Any, points: Array, inputs: Mapping[int, int], read: Mapping[str, Array]
-) -> str:
-    """Return what a leaf of floats computes otherwise than its equations; empty if nothing.
+def differs_from_leaf(
+    evaluate: Evaluate, system: Any, points: Array, inputs: Mapping[int, int], found: Array
+) -> bool:
+    """Return whether a leaf of floats computes otherwise than its equations, or hides state.
 
-    The leaf is called at each point, without cached values, and once more in reverse order, which
-    finds state that it hides. A point where it fails or is not finite does not count.
+    The leaf is called at each point without cached values. A point where it fails or is not finite
+    does not count.
 
     Parameters
     ----------
+    evaluate
+        Function of the leaf and its Context that returns the values.
     system
         The leaf system of floats.
     points
         Time, parameters, continuous and discrete states, and inputs at each point, (points, size).
     inputs
         Number of elements of each input port that has a value, by its index.
-    read
-        Values of the equations (points, values), by the name of what was read: the name of an
-        output port after ``output port``, or ``time derivatives`` or ``discrete update``.
+    found
+        Values of the equations, (points, values).
     """
-    for part, found in read.items():
 
-        def value(row: Array, part: str = part, size: int = found.shape[1]) -> Array:
-            try:
-                return _value(system, part, row, inputs)
-            except (Exception, SystemExit):  # a user's code may raise any error, and Drake exits
-                return np.full(size, np.nan)
+    def values(point: Array) -> Sequence[float]:
+        try:
+            return evaluate(system, _context(system, point, inputs))
+        except (Exception, SystemExit):  # a user's code may raise any error, and Drake exits
+            return [math.nan] * found.shape[1]
 
-        forward = np.array([value(row) for row in points])
-        backward = np.array([value(row) for row in points[::-1]])[::-1]
-        counts = np.isfinite(forward).all(axis=1)
-        hides = not np.array_equal(forward, backward, equal_nan=True)
-        if hides or differ(value, points[counts], found[counts], forward[counts], inexact=[0]):
-            return part
-    return ""
+    numbers, repeats = called_twice(values, values, points)
+    return not repeats or differ(values, points, found, numbers)
 
 
-def _value(system: Any, part: str, row: Array, inputs: Mapping[int, int]) -> Array:
-    """Return the values of a part of a leaf at a point: see `differing_part`."""
-    node, context = Node(system), system.CreateDefaultContext()
+def _context(system: Any, point: Array, inputs: Mapping[int, int]) -> Any:
+    """Return a new Context of a leaf at a point: see `differs_from_leaf`."""
+    context = system.CreateDefaultContext()
     context.DisableCaching()
-    state = state_of(node, context)
-    sizes = [1, parameters_of(node, context).size, state.continuous.size, state.discrete.size]
-    ends = np.cumsum([*sizes, *inputs.values()])[:-1]
-    (time_s,), parameters, continuous, discrete, *values = np.split(row, ends)
-    context.SetTime(time_s)
-    set_parameters(node, context, parameters)
-    set_state(node, context, State(continuous, discrete))
-    for index, value in zip(inputs, values, strict=True):
-        system.get_input_port(index).FixValue(context, value)
-    if part == "time derivatives":
-        return system.EvalTimeDerivatives(context).CopyToVector()
-    if part == "discrete update":
-        return np.array(discrete_values(system.EvalUniquePeriodicDiscreteUpdate(context)))
-    return np.array(system.GetOutputPort(part.removeprefix("output port ")).Eval(context))
+    left = set_all(Node(system), context, point)
+    for index, size in inputs.items():
+        system.get_input_port(index).FixValue(context, left[:size])
+        del left[:size]
+    return context

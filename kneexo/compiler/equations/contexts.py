@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -12,50 +13,30 @@ from .tree import Node
 
 def parameters_of(root: Node, context: Any) -> Array:
     """Return the parameters in the Context of a diagram of floats, (parameters,)."""
-    values: list[float] = []
-    for leaf in root.equation_leaves():
-        leaf_context = leaf.context(context)
-        for group in range(leaf_context.num_numeric_parameter_groups()):
-            values += leaf_context.get_numeric_parameter(group).CopyToVector().tolist()
-    return np.array(values)
+    return _numbers(_parameters(root, context))
 
 
 def set_parameters(root: Node, context: Any, parameters: Array) -> None:
     """Write the parameters (parameters,) into the Context of a diagram of floats."""
-    values = parameters.tolist()
-    for leaf in root.equation_leaves():
-        leaf_context = leaf.context(context)
-        for group in range(leaf_context.num_numeric_parameter_groups()):
-            vector = leaf_context.get_mutable_numeric_parameter(group)
-            vector.SetFromVector(values[: vector.size()])
-            del values[: vector.size()]
+    _fill(_parameters(root, context), parameters)
 
 
 def state_of(root: Node, context: Any) -> State:
     """Return the continuous and discrete states in the Context of a diagram of floats."""
-    continuous: list[float] = []
-    discrete: list[float] = []
-    for leaf in root.equation_leaves():
-        leaf_context = leaf.context(context)
-        continuous += leaf_context.get_continuous_state_vector().CopyToVector().tolist()
-        for group in range(leaf_context.num_discrete_state_groups()):
-            discrete += leaf_context.get_discrete_state(group).CopyToVector().tolist()
-    return State(np.array(continuous), np.array(discrete))
+    return State(_numbers(_continuous(root, context)), _numbers(_discrete(root, context)))
 
 
 def set_state(root: Node, context: Any, state: State) -> None:
     """Write continuous and discrete states into the Context of a diagram of floats."""
-    continuous, discrete = list(state.continuous), list(state.discrete)
-    for leaf in root.equation_leaves():
-        leaf_context = leaf.context(context)
-        size = leaf_context.num_continuous_states()
-        if size:
-            leaf_context.SetContinuousState(continuous[:size])
-        del continuous[:size]
-        for group in range(leaf_context.num_discrete_state_groups()):
-            vector = leaf_context.get_mutable_discrete_state(group)
-            vector.SetFromVector(discrete[: vector.size()])
-            del discrete[: vector.size()]
+    _fill(_continuous(root, context), state.continuous)
+    _fill(_discrete(root, context), state.discrete)
+
+
+def set_all(root: Node, context: Any, numbers: Array) -> list[float]:
+    """Write time, parameters, continuous and discrete states; return the numbers that are left."""
+    context.SetTime(numbers[0])
+    left = _fill(_parameters(root, context), numbers[1:])
+    return _fill(_discrete(root, context), _fill(_continuous(root, context), left))
 
 
 def discrete_values(values: Any) -> list[Any]:
@@ -65,3 +46,35 @@ def discrete_values(values: Any) -> list[Any]:
         for group in range(values.num_groups())
         for element in values.get_vector(group).CopyToVector().tolist()
     ]
+
+
+def _contexts(root: Node, context: Any) -> Iterator[Any]:
+    return (leaf.context(context) for leaf in root.equation_leaves())
+
+
+def _parameters(root: Node, context: Any) -> Iterator[Any]:
+    """Yield the vectors of the parameters of all leaves in the Context of a diagram."""
+    for c in _contexts(root, context):
+        yield from map(c.get_mutable_numeric_parameter, range(c.num_numeric_parameter_groups()))
+
+
+def _continuous(root: Node, context: Any) -> Iterator[Any]:
+    return (c.get_mutable_continuous_state_vector() for c in _contexts(root, context))
+
+
+def _discrete(root: Node, context: Any) -> Iterator[Any]:
+    for c in _contexts(root, context):
+        yield from map(c.get_mutable_discrete_state, range(c.num_discrete_state_groups()))
+
+
+def _numbers(vectors: Iterable[Any]) -> Array:
+    return np.array([number for vector in vectors for number in vector.CopyToVector()])
+
+
+def _fill(vectors: Iterable[Any], values: Iterable[float]) -> list[float]:
+    """Write values into vectors one after the other; return the values that are left."""
+    left = list(values)
+    for vector in vectors:
+        vector.SetFromVector(left[: vector.size()])
+        del left[: vector.size()]
+    return left

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ..run_data import Array
 from .graph import Graph
 from .operations import OPERATIONS
 
@@ -30,3 +31,9 @@ def values_of(graph: Graph, roots: Iterable[int], sources: Mapping[str, Any]) ->
             else:
                 values[node] = OPERATIONS[kind].value(*(values[argument] for argument in rest))
     return [values[root] for root in roots]
+
+
+def values_at(points: int, graph: Graph, roots: Iterable[int], sources: Any) -> Array:
+    """Return the value of each root at each of some points, (points, roots): see `values_of`."""
+    values = values_of(graph, roots, sources)
+    return np.array([np.broadcast_to(v, points) for v in values]).reshape(-1, points).T

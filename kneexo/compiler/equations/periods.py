@@ -1,12 +1,11 @@
-"""Sample periods of the leaf systems of a diagram, and those at which an output port is held."""
+"""Sample periods of the leaf systems of a diagram, and which of them hold an output port."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 from ..errors import CompilationError
-from .ports import find_port, route_of
-from .tree import Node
+from .tree import Node, upstream
 
 
 def timing_of(leaf: Node) -> Any:
@@ -17,40 +16,32 @@ def timing_of(leaf: Node) -> Any:
     timing = leaf.system.GetUniquePeriodicDiscreteUpdateAttribute()
     if timing is None:
         raise CompilationError(
-            f"{_name(leaf)}: has a discrete state but not exactly one sample period; split it"
+            f"{leaf.name or leaf.type_name}: has a discrete state but not exactly one sample "
+            f"period; split it"
         )
     return timing
 
 
-def sample_timings(diagram: Any) -> dict[str, tuple[float, float]]:
-    """Return {name: (period, offset)} in s of the leaf systems that have discrete states.
+class SampledLeaf(NamedTuple):
+    """A leaf system with discrete states."""
+
+    name: str
+    timing: Any
+    """Drake's timing of its update."""
+    holds_output: bool
+    """Whether the leaf is the first with discrete states on a way back from the output port."""
+
+
+def sampled_leaves(diagram: Any, output: str) -> list[SampledLeaf]:
+    """Return the leaf systems of a diagram that have discrete states; ``output`` is a port's name.
 
     Raises `CompilationError` for a leaf with discrete states and not exactly one period.
     """
-    leaves = [leaf for leaf in Node(diagram).leaves() if leaf.system.num_discrete_state_groups()]
-    timings = {_name(leaf): timing_of(leaf) for leaf in leaves}
-    return {name: (t.period_sec(), t.offset_sec()) for name, t in timings.items()}
-
-
-def holders_of(diagram: Any, output: str) -> set[str]:
-    """Return the names of the leaf systems that hold the signal of an output port.
-
-    They are the first leaf systems with discrete states on each way back from the port.
-    """
-    *_, (source, _, _) = route_of(find_port(Node(diagram), output, "output"))
-    holders, pending, seen = set(), [source], set()
-    while pending:
-        leaf = pending.pop()
-        if leaf in seen:
-            continue
-        seen.add(leaf)
-        if leaf.system.num_discrete_state_groups():
-            holders.add(_name(leaf))
-        else:
-            drivers = map(leaf.driver, range(leaf.system.num_input_ports()))
-            pending += [driver[0] for driver in drivers if isinstance(driver, tuple)]
-    return holders
-
-
-def _name(leaf: Node) -> str:
-    return leaf.name or leaf.type_name
+    root = Node(diagram)
+    leaves = [leaf for leaf in root.leaves() if leaf.system.num_discrete_state_groups()]
+    source, _ = root.output(diagram.GetOutputPort(output).get_index())
+    holders = upstream([source], ends=leaves)
+    return [
+        SampledLeaf(leaf.name or leaf.type_name, timing_of(leaf), leaf in holders)
+        for leaf in leaves
+    ]

@@ -16,7 +16,7 @@ A leaf system may state three public attributes that the compiler uses:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from itertools import chain
 from typing import Any
@@ -28,16 +28,28 @@ from pydrake.systems.primitives import TrajectorySource
 
 from ..errors import CompilationError, DifferenceError
 from ..run_data import Array
-from .comparison import differing_part, is_compared, points_around
+from .comparison import Evaluate, differs_from_leaf, is_compared, points_around
 from .contexts import discrete_values, parameters_of, state_of
 from .equations import Equations, Limit, Section, Update
 from .events import refuse_witness_functions, symbolic_value, to_symbolic
-from .graph_values import values_of
+from .graph_values import values_at
 from .names import numbered_names, parameter_groups, state_names
 from .periods import timing_of
 from .ports import find_port, route_of, size_of
 from .symbolic import Conversion, Steps, completed
 from .tree import Node, Port
+
+
+def _rates(system: Any, context: Any) -> Any:
+    return system.EvalTimeDerivatives(context).CopyToVector().tolist()
+
+
+def _update(system: Any, context: Any) -> list[Any]:
+    return discrete_values(system.EvalUniquePeriodicDiscreteUpdate(context))
+
+
+def _margin(system: Any, context: Any) -> list[Any]:
+    return [system.margin(context)]
 
 
 class _Leaf:
@@ -64,10 +76,15 @@ class _Leaf:
         """Dictionary from the index of an input port to its nodes; only ports read so far."""
         self.own: list[int] = []
         """Nodes of the time, of all parameters and of all states of the leaf, in this order."""
-        self.parts: dict[str, list[int]] = {}
-        """Nodes of what was read of the leaf, by the name of an output port, of the derivatives or
-        of the update."""
+        self.parts: dict[str, tuple[Evaluate, list[int]]] = {}
+        """What was read of the leaf, by its name: a function of leaf and Context, and the nodes."""
         graph = equations.graph
+
+        def add(kind: str, vector: Any, names: Iterable[str], known: list[str]) -> None:
+            """Fill a vector with variables of new sources, and add their names to all ``known``."""
+            sources = [graph.source(kind, len(known) + i) for i in range(vector.size())]
+            vector.SetFromVector(self._variables(kind, sources))
+            known += names
 
         if context.num_abstract_states() or context.num_abstract_parameters():
             raise CompilationError(
@@ -76,25 +93,16 @@ class _Leaf:
             )
         context.SetTime(self._variables("time", [graph.source("time")])[0])
         for group, names in enumerate(parameter_groups(node, context_of_floats)):
-            first = len(equations.parameters)
-            sources = [graph.source("parameter", first + i) for i in range(len(names))]
-            variables = self._variables("parameter", sources)
-            context.get_mutable_numeric_parameter(group).SetFromVector(variables)
-            equations.parameters += names
-        size = context.num_continuous_states()
-        if size:
-            first = len(equations.states)
-            sources = [graph.source("state", first + i) for i in range(size)]
-            variables = self._variables("state", sources)
-            context.get_mutable_continuous_state_vector().SetFromVector(variables)
-            equations.states += state_names(node, context_of_floats)
+            vector = context.get_mutable_numeric_parameter(group)
+            add("parameter", vector, names, equations.parameters)
+        if context.num_continuous_states():
+            vector = context.get_mutable_continuous_state_vector()
+            add("state", vector, state_names(node, context_of_floats), equations.states)
         self.first_discrete = len(equations.discrete)
         for group in range(context.num_discrete_state_groups()):
             vector = context.get_mutable_discrete_state(group)
-            first = len(equations.discrete)
-            sources = [graph.source("discrete", first + i) for i in range(vector.size())]
-            vector.SetFromVector(self._variables("discrete", sources))
-            equations.discrete += numbered_names(node.path, group, vector.size())
+            names = numbered_names(node.path, group, vector.size())
+            add("discrete", vector, names, equations.discrete)
         self.own = [*self.meaning.values()]  # type: ignore[list-item]
         for index in range(self.system.num_input_ports()):
             port = self.system.get_input_port(index)
@@ -176,9 +184,11 @@ class _Reader:
                     f"the input port that it feeds, keep that open by inputs=[...], and pass "
                     f"input_table(trajectory)"
                 )
-            values = symbolic_value(where, lambda: port.Eval(leaf.context))
-            read = yield self._section(where, leaf, values)
-            leaf.outputs[index] = leaf.parts[f"output port {port.get_name()}"] = read
+            leaf.outputs[index] = yield self._evaluated(
+                f"output port {port.get_name()}",
+                leaf,
+                lambda system, context: system.get_output_port(index).Eval(context),
+            )
         nodes = leaf.outputs[index]
         if nodes is None:
             raise CompilationError(f"{where}: depends on itself (algebraic loop)")
@@ -186,23 +196,15 @@ class _Reader:
 
     def read(self, leaf: _Leaf) -> None:
         """Add the derivatives, discrete updates and margin of one leaf to the equations."""
-        equations, context, system = self.equations, leaf.context, leaf.system
+        equations, context = self.equations, leaf.context
         if context.num_continuous_states():
-            equations.derivatives += self._evaluated(
-                "time derivatives",
-                leaf,
-                lambda: system.EvalTimeDerivatives(context).CopyToVector().tolist(),
-            )
+            equations.derivatives += completed(self._evaluated("time derivatives", leaf, _rates))
         if context.num_discrete_state_groups():
             timing = timing_of(leaf.node)
-            nodes = self._evaluated(
-                "discrete update",
-                leaf,
-                lambda: discrete_values(system.EvalUniquePeriodicDiscreteUpdate(context)),
-            )
+            nodes = completed(self._evaluated("discrete update", leaf, _update))
             self._add_update(timing, list(enumerate(nodes, leaf.first_discrete)))
-        if callable(margin := getattr(system, "margin", None)):
-            (node,) = self._evaluated("margin", leaf, lambda: [margin(context)])
+        if callable(getattr(leaf.system, "margin", None)):
+            (node,) = completed(self._evaluated("margin", leaf, _margin))
             equations.limits.append(Limit(leaf.node.path, node))
 
     def read_initial(self, leaf: _Leaf) -> None:
@@ -236,16 +238,15 @@ class _Reader:
                 return
         self.equations.updates.append(Update(period, offset, tuple(values)))
 
-    def _evaluated(
-        self, purpose: str, leaf: _Leaf, evaluate: Callable[[], Sequence[Any]]
-    ) -> list[int]:
-        """Add the expressions that ``evaluate()`` returns as a `Section`; return their nodes.
+    def _evaluated(self, purpose: str, leaf: _Leaf, evaluate: Evaluate) -> Steps[list[int]]:
+        """Add the expressions that ``evaluate`` returns as a `Section`; return their nodes.
 
         ``purpose``: text that the section and error messages use as the name of the expressions.
         """
         where = f"{leaf.node.name}: {purpose}"
-        nodes = completed(self._section(where, leaf, symbolic_value(where, evaluate)))
-        leaf.parts[purpose] = nodes
+        values = symbolic_value(where, lambda: evaluate(leaf.system, leaf.context))
+        nodes = yield self._section(where, leaf, values)
+        leaf.parts[purpose] = evaluate, nodes
         return nodes
 
     def _section(self, where: str, leaf: _Leaf, values: Sequence[Any]) -> Steps[list[int]]:
@@ -288,20 +289,19 @@ class _Reader:
         }
 
         def values(nodes: Iterable[int]) -> Array:
-            values = values_of(self.equations.graph, nodes, sources)
-            columns = [np.broadcast_to(value, sources["time"].shape[1:]) for value in values]
-            return np.array(columns).T
+            return values_at(sources["time"].size, self.equations.graph, nodes, sources)
 
         for leaf in leaves:
             points = values([*leaf.own, *chain(*leaf.inputs.values())])
             inputs = {index: len(nodes) for index, nodes in leaf.inputs.items()}
-            read = {part: values(nodes) for part, nodes in leaf.parts.items() if nodes}
-            if part := differing_part(leaf.node.system, points, inputs, read):
-                raise DifferenceError(
-                    f"{leaf.node.name}: {part}: the equations that were read off differ from "
-                    f"{leaf.node.type_name} called with numbers; its symbolic form must compute "
-                    f"the same, from states and parameters alone"
-                )
+            for purpose, (evaluate, nodes) in leaf.parts.items():
+                system, found = leaf.node.system, values(nodes)
+                if differs_from_leaf(evaluate, system, points, inputs, found):
+                    raise DifferenceError(
+                        f"{leaf.node.name}: {purpose}: the equations that were read off differ "
+                        f"from {leaf.node.type_name} called with numbers; its symbolic form must "
+                        f"compute the same, from states and parameters alone"
+                    )
 
 
 def read_equations(diagram: Any, inputs: Sequence[str] = ()) -> Equations:

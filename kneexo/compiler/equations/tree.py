@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterable, Iterator
 from functools import cached_property
 from typing import Any, TypeAlias
 
@@ -90,15 +90,7 @@ class Node:
         """The leaves below this node that have equations: see `has_equations`."""
         pending = [leaf for leaf in self.leaves() if _has_state_or_margin(leaf.system)]
         pending += [self.output(index)[0] for index in range(self.system.num_output_ports())]
-        pending += self.observed
-        needed: set[Node] = set()
-        while pending:
-            leaf = pending.pop()
-            if leaf not in needed:
-                needed.add(leaf)
-                drivers = map(leaf.driver, range(leaf.system.num_input_ports()))
-                pending += [driver[0] for driver in drivers if isinstance(driver, tuple)]
-        return needed
+        return upstream([*pending, *self.observed])
 
     def leaves(self) -> Iterator[Node]:
         """Yield the leaf systems in this system, in the diagram's order; a leaf yields itself."""
@@ -165,6 +157,19 @@ class Node:
 
 Port: TypeAlias = tuple[Node, str, int]
 """A port of a system: the system, ``input`` or ``output``, and the index of the port."""
+
+
+def upstream(leaves: Iterable[Node], ends: Collection[Node] = ()) -> set[Node]:
+    """Return leaves and those from which their inputs come, but none behind one of the ``ends``."""
+    pending, found = [*leaves], set[Node]()
+    while pending:
+        leaf = pending.pop()
+        if leaf not in found:
+            found.add(leaf)
+            count = 0 if leaf in ends else leaf.system.num_input_ports()
+            drivers = map(leaf.driver, range(count))
+            pending += [driver[0] for driver in drivers if isinstance(driver, tuple)]
+    return found
 
 
 def cited_equations(text: str) -> str:

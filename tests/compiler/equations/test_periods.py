@@ -4,7 +4,7 @@ import pytest
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import Adder, Gain, ZeroOrderHold
 
-from kneexo.compiler import CompilationError, holders_of, sample_timings
+from kneexo.compiler import CompilationError, sampled_leaves
 
 
 def two_rates():
@@ -24,14 +24,13 @@ def two_rates():
 
 
 def test_each_leaf_has_its_period_and_the_nearest_leaves_hold_the_output() -> None:
-    diagram = two_rates()
-    assert sample_timings(diagram) == {
-        "fast": (0.002, 0.0),
-        "slow": (0.01, 0.0),
-        "before": (0.004, 0.0),
+    leaves = sampled_leaves(two_rates(), "sum")
+    assert {(n, t.period_sec(), t.offset_sec(), holds) for n, t, holds in leaves} == {
+        ("fast", 0.002, 0.0, True),
+        ("slow", 0.01, 0.0, True),
+        ("before", 0.004, 0.0, False),
     }
-    assert holders_of(diagram, "sum") == {"fast", "slow"}
-    assert holders_of(Gain(1.0, 1), "y0") == set()
+    assert sampled_leaves(Gain(1.0, 1), "y0") == []
 
 
 @pytest.mark.parametrize("periods", [(), (0.1, 0.2)])
@@ -39,9 +38,9 @@ def test_a_state_without_a_single_period_is_refused(periods) -> None:
     class Leaf(LeafSystem):
         def __init__(self):
             LeafSystem.__init__(self)
-            self.DeclareDiscreteState(1)
+            self.DeclareStateOutputPort("y", self.DeclareDiscreteState(1))
             for period in periods:
                 self.DeclarePeriodicDiscreteUpdateEvent(period, 0.0, lambda context, state: None)
 
     with pytest.raises(CompilationError, match="Leaf: has a discrete state but not exactly one"):
-        sample_timings(Leaf())
+        sampled_leaves(Leaf(), "y")

@@ -56,7 +56,7 @@ def test_a_part_that_is_used_again_is_read_once_in_a_large_expression():
     expected = 0.01
     for _ in range(60):
         expected = expected * expected + expected
-    assert graph.values(np.array([0.01])) == pytest.approx([expected], rel=1e-12)
+    assert graph.values(np.array([[0.01]]))[0] == pytest.approx([expected], rel=1e-12)
 
 
 def test_a_large_expression_is_an_error():
