@@ -130,10 +130,8 @@ def _system_law(scenario: Scenario) -> _SystemLaw:
     """
     law = users_law(scenario)
     known = known_text(scenario) if law.takes_scenario else ""
-    period_s = scenario.controller.sample_time_s
-    return remembered(
-        law, ("system", known, period_s), lambda: _read(law, maker_arguments(scenario), period_s)
-    )
+    question = "system", known, scenario.controller.sample_time_s
+    return remembered(law, question, lambda: _read(scenario))
 
 
 def _require_periods(system: System, sample_time_s: float, subject: str) -> None:
@@ -164,10 +162,11 @@ def _require_periods(system: System, sample_time_s: float, subject: str) -> None
             )
 
 
-def _read(law: Law, arguments: Mapping[str, Any], sample_time_s: float) -> _SystemLaw:
+def _read(scenario: Scenario) -> _SystemLaw:
+    law, arguments = users_law(scenario), maker_arguments(scenario)
     system = law.any_system(arguments)
     require_ports(system, f"law {law.short_name}")
-    _require_periods(system, sample_time_s, f"law {law.short_name}")
+    _require_periods(system, scenario.controller.sample_time_s, f"law {law.short_name}")
     inputs = tuple(port_sizes(system, inputs=True))
     # `any_system` accepts a system that runs as Python only, `make_system` one that can be cloned.
     try:

@@ -332,13 +332,10 @@ class Trace:
     """Reason why the function cannot become equations; empty if it can."""
     graph: ExpressionGraph | None = None
     """Command and next state as functions of the arguments; gains are variables."""
+    key: str = ""
+    """Hash of the equations and the names of the arguments; empty without equations."""
     replayed: bool = False
     """Whether the equations were compared with calls at the samples of a run."""
-
-    @property
-    def key(self) -> str:
-        """Hash of the equations and the names of the arguments; empty without equations."""
-        return "" if self.why_not_compiled or self.graph is None else self.graph.key
 
 
 _memos: WeakKeyDictionary[Any, dict[Any, Any]] = WeakKeyDictionary()
@@ -371,8 +368,8 @@ def trace(law: Law, states: int) -> Trace:
     except (ParameterError, CompilationError) as error:
         return Trace(_reason(error))
     if graph is not None:
-        known = Trace(_fault(law, states, _points(law, states), graph), graph)
-        memo["trace", states] = known
+        fault = _fault(law, states, _points(law, states), graph)
+        known = memo["trace", states] = Trace(fault, graph, "" if fault else graph.key)
     return known
 
 
@@ -511,21 +508,18 @@ def _points(law: Law, states: int) -> Array:
 
     Gains have their defaults.
     """
-    random = np.random.default_rng(0)
+    random, gains = np.random.default_rng(0), law.arguments.gains
     points = []
     for count, scale, largest_state, largest_time_s in _SCALES:
+        largest: dict[str, Any] = {name: scale * np.array(v) for name, v in _LARGEST.items()}
+        largest |= {"state": largest_state, "time_s": largest_time_s}
         columns = []
         for name, size in argument_sizes(law, states).items():
             shares = random.uniform(-1.0, 1.0, (count, size))
-            if name in law.arguments.gains:
-                columns.append(np.full((count, 1), law.arguments.gains[name]))
-            elif name == "time_s":
-                columns.append(largest_time_s * np.abs(shares))
-            elif name == "state":
-                columns.append(largest_state * shares)
-            else:
-                shares[:, 0] = np.abs(shares[:, 0])  # positions are positive
-                columns.append(scale * np.array(_LARGEST[name]) * shares)
+            if name != "state":
+                shares[:, 0] = np.abs(shares[:, 0])  # positions and times are positive
+            is_gain = name in gains
+            columns.append(np.full_like(shares, gains[name]) if is_gain else shares * largest[name])
         points.append(np.hstack(columns))
     return random.permutation(np.vstack(points))
 

@@ -127,22 +127,19 @@ def differs_from_leaf(
         Values of the equations, (points, values).
     """
 
+    node = Node(system)
+
     def values(point: Array) -> Sequence[float]:
         try:
-            return evaluate(system, _context(system, point, inputs))
+            context = system.CreateDefaultContext()
+            context.DisableCaching()
+            left = set_all(node, context, point)
+            for index, size in inputs.items():
+                system.get_input_port(index).FixValue(context, left[:size])
+                del left[:size]
+            return evaluate(system, context)
         except (Exception, SystemExit):  # a user's code may raise any error, and Drake exits
             return [math.nan] * found.shape[1]
 
     numbers, repeats = called_twice(values, values, points)
     return not repeats or differ(values, points, found, numbers)
-
-
-def _context(system: Any, point: Array, inputs: Mapping[int, int]) -> Any:
-    """Return a new Context of a leaf at a point: see `differs_from_leaf`."""
-    context = system.CreateDefaultContext()
-    context.DisableCaching()
-    left = set_all(Node(system), context, point)
-    for index, size in inputs.items():
-        system.get_input_port(index).FixValue(context, left[:size])
-        del left[:size]
-    return context
