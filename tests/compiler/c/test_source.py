@@ -201,17 +201,13 @@ def test_each_failure_has_its_status_and_keeps_state_and_outputs(built):
     assert model.get() == [20.0]
 
 
-@pytest.mark.parametrize("precision", ["double", "float"])
-def test_an_interface_gives_outputs_after_a_failure(built, precision):
-    interface = Interface(failed_outputs={"y": -3.5})
-    model = built(replace(guarded(), interface=interface, precision=precision))
+def test_an_interface_gives_outputs_after_a_failure(built):
+    model = built(replace(guarded(), interface=Interface(failed_outputs={"y": -3.5})))
     assert (model.step([2.0]), model.get()) == (8, [-3.5])
     assert (model.init([1.0]), model.step([2.0]), model.get()) == (0, 0, [0.5])
-    before = bytes(model.state)
     for value, status in ((math.nan, 1), (0.0, 2)):
         assert (model.step([value]), model.get()) == (status, [-3.5])
-        assert (model.now([math.nan]), model.get()) == (1, [-3.5])
-        assert bytes(model.state) == before
+    assert (model.now([math.nan]), model.get()) == (1, [-3.5])
     assert (model.step([4.0]), model.get()) == (0, [0.25])
 
 
@@ -400,6 +396,9 @@ def test_any_name_of_a_leaf_system_compiles(built, name):
 # ------------------------------------------------------------------------------ bad input
 
 
+ALL_COUNTS = Interface(integers=frozenset(["u0"]), ranges={"u0": (0, 9)}, accepts_inputs=True)
+
+
 @pytest.mark.parametrize(
     ("options", "match"),
     [
@@ -442,19 +441,14 @@ def test_any_name_of_a_leaf_system_compiles(built, name):
         ({"interface": Interface({"u": ["a"]})}, "fields: the port 'u' is unknown; known: u0, y0"),
         (
             {"interface": Interface({"u0": ["a"]}, ranges={"u0": (0, 1)})},
-            "ranges: the input element 'u0' is unknown; known: a",
+            "ranges: the element 'u0' is unknown; known: a",
         ),
         (
             {"interface": Interface({"y0": ["a"]}, failed_outputs={"y0": 1.0})},
-            "failed_outputs: the output element 'y0' is unknown; known: a",
+            "failed_outputs: the element 'y0' is unknown; known: a",
         ),
         (
-            {
-                "look_up": True,
-                "interface": Interface(
-                    integers=frozenset(["u0"]), ranges={"u0": (0, 9)}, accepts_inputs=True
-                ),
-            },
+            {"look_up": True, "interface": ALL_COUNTS},
             "look_up: nothing depends on an integer input with a range alone",
         ),
         *(
