@@ -186,8 +186,15 @@ def test_a_module_of_webassembly_accepts_bad_inputs(tmp_path, web_run):
     starts, rows = hostile(NAMES, vectors.inputs, 20_000, 3)
     sent = rows.copy()
     sent[rows[:, 0] == INT[0], 0] = NAN  # a count that no int32_t has
-    found = web_run(module.code).run(module.table, sent)[1:]
-    check(SCENARIO, NAMES, starts, rows, dict(zip(names_of(source)[1], found.T, strict=True)))
+    run, (_, outputs) = web_run(module.code), names_of(source)
+    found = run.run(module.table, sent)[1:]
+    check(SCENARIO, NAMES, starts, rows, dict(zip(outputs, found.T, strict=True)))
+    run.vector("params", 1)[:] = NAN
+    assert run("start") == 16
+    first = dict(
+        zip(outputs, run.vector("outputs", len(outputs), len(rows) + 1)[:, 0], strict=True)
+    )
+    assert first | FAILED == first
 
 
 # ------------------------------------------------------------------------------ in Drake

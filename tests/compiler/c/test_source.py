@@ -220,7 +220,7 @@ def test_a_model_that_accepts_its_inputs_fails_until_the_next_start(built):
     assert (model.step([2.0]), model.now([2.0]), model.get()) == (8, 8, [-3.5])
     assert (model.init([2.0]), model.step([2.0]), model.get()) == (0, 0, [0.5])
     right, model.params = model.params, (ctypes.c_double * 1)(math.nan)  # the start of the state
-    assert (model.step([2.0]), model.get()) == (16, [-3.5])
+    assert (model.now([2.0]), model.step([2.0]), model.get()) == (16, 16, [-3.5])
     model.params = right
     assert (model.step([2.0]), model.init([2.0]), model.step([2.0])) == (8, 0, 0)
 
