@@ -266,7 +266,6 @@ def test_a_start_without_a_reading_moves_no_motor_and_can_be_reset(count):
     samples = np.arange(120)
     counts = np.where(samples < 3, count, STILL[0])
     out = standing(120, encoder_count=counts, reset=samples >= 100)
-    assert (out["safety_state"][:100] >= 2.0).all()
     assert (out["safety_reason"][:100] == REASONS.index("range")).all()
     assert not out[COMMAND][:100].any()
     assert out["safety_state"][-1] == 1.0

@@ -184,31 +184,20 @@ def guarded():
     return CSource(equations, "m", np.zeros(0), State(np.zeros(0), np.array([0.5])))
 
 
-def test_each_failure_has_its_status_and_keeps_state_and_outputs(built):
-    model = built(guarded())
-    assert model.init([1.0]) == 0
-    assert model.step([2.0]) == 0
+@pytest.mark.parametrize("failed", [None, -3.5])
+def test_each_failure_has_its_status_and_keeps_the_state(built, failed):
+    """The output is then the last right one, or that of the interface."""
+    interface = Interface(failed_outputs={"y": failed} if failed else {})
+    model = built(replace(guarded(), interface=interface))
+    assert (model.step([2.0]), model.get()) == (8, [failed or 0.0])
+    assert (model.init([1.0]), model.step([2.0]), model.get()) == (0, 0, [0.5])
     before = bytes(model.state)
     for value, status in ((math.nan, 1), (math.inf, 1), (-math.inf, 1), (0.0, 2)):
-        assert model.step([value]) == status
-        assert model.get() == [0.5]
+        assert (model.step([value]), model.get()) == (status, [failed or 0.5])
         assert bytes(model.state) == before
-    assert model.step([0.05]) == 0
-    assert model.get() == [20.0]
-    assert model.step([1.0]) == 4
-    assert model.get() == [20.0]
-    assert model.now([math.nan]) == 1
-    assert model.get() == [20.0]
-
-
-def test_an_interface_gives_outputs_after_a_failure(built):
-    model = built(replace(guarded(), interface=Interface(failed_outputs={"y": -3.5})))
-    assert (model.step([2.0]), model.get()) == (8, [-3.5])
-    assert (model.init([1.0]), model.step([2.0]), model.get()) == (0, 0, [0.5])
-    for value, status in ((math.nan, 1), (0.0, 2)):
-        assert (model.step([value]), model.get()) == (status, [-3.5])
-    assert (model.now([math.nan]), model.get()) == (1, [-3.5])
-    assert (model.step([4.0]), model.get()) == (0, [0.25])
+    assert (model.step([0.05]), model.get()) == (0, [20.0])
+    assert (model.step([1.0]), model.get()) == (4, [failed or 20.0])
+    assert (model.now([math.nan]), model.get()) == (1, [failed or 20.0])
 
 
 def test_a_model_that_accepts_its_inputs_fails_until_the_next_start(built):
