@@ -19,7 +19,7 @@ from kneexo.diagrams.law import (
     remembered,
     users_law,
 )
-from kneexo.diagrams.part import Part, add_parts
+from kneexo.diagrams.part import Part, add_parts, leaf_part
 from kneexo.diagrams.protection import connect_protection, guarded_ports, protection_parts
 from kneexo.diagrams.signals import CONTROLLER_SIGNALS, SIGNALS
 from kneexo.errors import ParameterError
@@ -106,9 +106,8 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
             "knee_angle": coordinates.GetOutputPort("knee_angle"),
             "rod_reference": rod_reference.get_output_port(),
         }
-        reference, reading = rod_reference.get_input_port(), coordinates.get_input_port()
-        if "guard" in subsystems:
-            reference = subsystems["guard"].GetInputPort("knee_reference")
+        reference = subsystems.get("guard", rod_reference).GetInputPort("knee_reference")
+        reading = coordinates.get_input_port()
         inputs["knee_reference"] = builder.ExportInput(reference, "knee_reference")
         inputs["encoder_reading"] = builder.ExportInput(reading, "encoder_reading")
         if "guard" in subsystems:
@@ -175,7 +174,8 @@ def has_unknown_parts(scenario: Scenario) -> bool:
 def _parts(scenario: Scenario, replacement: System | None = None) -> list[Part]:
     """Return the leaf systems of a controller; ``replacement`` replaces the scenario's law."""
     believed, polynomial = scenario.believed_plant, controller_polynomial(scenario)
-    law, offset = scenario.with_loaded_law().controller, encoder_offset_rad(scenario)
+    law = scenario.with_loaded_law().controller
+    measurement = believed.linkage, polynomial, encoder_offset_rad(scenario)
     if law.command_limit_rad_s != scenario.command_limit_rad_s:
         law = law.model_copy(update={"command_limit_rad_s": scenario.command_limit_rad_s})
     if replacement is not None and not isinstance(law, LawParameters):
@@ -189,11 +189,7 @@ def _parts(scenario: Scenario, replacement: System | None = None) -> list[Part]:
         if raw and scenario.protection is None:
             return [_law_part(scenario, law, replacement)]
     parts = [
-        Part(
-            "coordinates",
-            lambda: systems.KneeCoordinates(believed.linkage, polynomial, offset),
-            lambda: knee_coordinates.context_values(believed.linkage, polynomial, offset),
-        ),
+        leaf_part("coordinates", systems.KneeCoordinates, knee_coordinates, *measurement),
         Part(
             "rod_reference",
             lambda: systems.RodReference(polynomial),
@@ -206,29 +202,14 @@ def _parts(scenario: Scenario, replacement: System | None = None) -> list[Part]:
         estimates = "estimated_state" in inputs
     elif isinstance(law, SlidingModeParameters):
         parts.append(
-            Part(
-                "law",
-                lambda: systems.SlidingModeController(law, believed),
-                lambda: sliding_mode_controller.context_values(law, believed),
-            )
+            leaf_part("law", systems.SlidingModeController, sliding_mode_controller, law, believed)
         )
     elif isinstance(law, PidParameters):
-        parts.append(
-            Part(
-                "law",
-                lambda: systems.PidController(law, believed),
-                lambda: pid_controller.context_values(law, believed),
-            )
-        )
+        parts.append(leaf_part("law", systems.PidController, pid_controller, law, believed))
         estimates = False
     elif isinstance(law, TorqueParameters):
-        parts.append(
-            Part(
-                "law",
-                lambda: systems.TorqueController(law, believed, polynomial),
-                lambda: torque_controller.context_values(law, believed, polynomial),
-            )
-        )
+        arguments = law, believed, polynomial
+        parts.append(leaf_part("law", systems.TorqueController, torque_controller, *arguments))
     if estimates:
         parts += _estimator_parts(scenario)
     if scenario.protection is not None:
@@ -250,11 +231,7 @@ def _law_part(scenario: Scenario, law: LawParameters, replacement: System | None
     if replacement is not None:
         return Part("law", lambda: replacement, dict)
     if not law.function.is_system:
-        return Part(
-            "law",
-            lambda: systems.FunctionLaw(law),
-            lambda: function_law.context_values(law),
-        )
+        return leaf_part("law", systems.FunctionLaw, function_law, law)
     system = law.function.make_system(maker_arguments(scenario))
     return Part("law", lambda: system, dict)
 

@@ -6,6 +6,7 @@ The list is used by the builder of the diagram, compiled runs, linear analysis a
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -39,6 +40,23 @@ class Part(NamedTuple):
         """Return the initial values of ``states`` in the units of the Context."""
         start = [0.0] * len(self.states) if self.start is None else self.start()
         return [value / state.factor for value, state in zip(start, self.states, strict=True)]
+
+
+def leaf_part(name: str, component: Any, module: Any, *arguments: Any) -> Part:
+    """Return the part of a leaf system without continuous states.
+
+    Parameters
+    ----------
+    name
+        Name of the leaf system in the diagram.
+    component
+        Class of the leaf system.
+    module
+        Module of the class. Its function ``context_values`` takes the same arguments as the class.
+    arguments
+        Positional arguments of both.
+    """
+    return Part(name, partial(component, *arguments), partial(module.context_values, *arguments))
 
 
 def state_names(part: Part, path: str) -> list[str]:

@@ -11,7 +11,7 @@ import numpy as np
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from kneexo import linkage, systems
-from kneexo.diagrams.part import NO_FAULTS, Part, add_parts, connect
+from kneexo.diagrams.part import NO_FAULTS, Part, add_parts, connect, leaf_part
 from kneexo.diagrams.signals import OPTIONAL_OUTPUTS, PLANT_OUTPUTS
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
@@ -227,13 +227,7 @@ def plant_parts(
         ),
     ]
     if isinstance(load, KneeLoadParameters):
-        parts.append(
-            Part(
-                "load",
-                lambda **fault: systems.KneeLoad(load, **fault),
-                lambda: knee_load.context_values(load),
-            )
-        )
+        parts.append(leaf_part("load", systems.KneeLoad, knee_load, load))
     if thermal is not None:
         parts.append(
             Part(

@@ -12,12 +12,7 @@ import numpy as np
 from kneexo import linkage, systems
 from kneexo.diagrams.law import connect_inputs, port_sizes
 from kneexo.diagrams.part import Part
-from kneexo.parameters import (
-    LinkageParameters,
-    ProtectionParameters,
-    Scenario,
-    TorqueParameters,
-)
+from kneexo.parameters import LinkageParameters, ProtectionParameters, Scenario
 from kneexo.systems import fault_detectors, input_guard, safety_supervisor
 
 
@@ -26,13 +21,13 @@ def protection_parts(scenario: Scenario, protection: ProtectionParameters) -> It
     believed, sample_time_s = scenario.believed_plant, scenario.controller.sample_time_s
     span = reading_range_rad(scenario)
     follows, has_load_cell = scenario.controller.kind != "torque", scenario.has_load_cell
-    reference_range = reference_range_rad(scenario)
-    law, others = scenario.controller, ("measured_force",) * has_load_cell
-    if isinstance(law, TorqueParameters) and law.mode == "assist":
-        others += ("biological_moment",)
+    law, reference_range = scenario.controller, reference_range_rad(scenario)
+    names = ("knee_reference", *["measured_force"] * has_load_cell)
+    if law.kind == "torque" and law.mode == "assist":
+        names += ("biological_moment",)
     yield Part(
         "guard",
-        lambda: systems.InputGuard(reference_range, sample_time_s, others),
+        lambda: systems.InputGuard(reference_range, sample_time_s, (*names, "motor_speed")),
         lambda: input_guard.context_values(reference_range),
     )
     yield Part(
@@ -49,15 +44,8 @@ def protection_parts(scenario: Scenario, protection: ProtectionParameters) -> It
     )
 
 
-PLAUSIBLE = ("encoder_reading", "knee_angle", "rod_extension")
-"""Names of the ports whose implausible values the detectors replace."""
-
-
 def guarded_ports(
-    builder: Any,
-    subsystems: Mapping[str, Any],
-    sources: Mapping[str, Any],
-    inputs: dict[str, Any],
+    builder: Any, subsystems: Mapping[str, Any], sources: Mapping[str, Any], inputs: dict[str, Any]
 ) -> dict[str, Any]:
     """Connect guard and detectors to the coordinates; return the ports of good values by name.
 
@@ -68,7 +56,7 @@ def guarded_ports(
     builder.ConnectInput(inputs["encoder_reading"], detectors.GetInputPort("encoder_reading"))
     for name in ("knee_angle", "rod_extension"):
         builder.Connect(sources[name], detectors.GetInputPort(name))
-    good = {name: detectors.GetOutputPort(name) for name in PLAUSIBLE}
+    good = {name: detectors.GetOutputPort(name) for name in fault_detectors.PLAUSIBLE}
     connect_inputs(builder, guard, good, inputs, ("knee_reference",))
     good |= {name: guard.GetOutputPort(name) for name in port_sizes(guard)}
     builder.Connect(good["knee_reference"], subsystems["rod_reference"].get_input_port())
@@ -94,7 +82,7 @@ def connect_protection(
         "detected": detectors.GetOutputPort("detected"),
     }
     builder.Connect(command, supervisor.GetInputPort("motor_speed_command"))
-    connect_inputs(builder, detectors, sources, inputs, PLAUSIBLE)
+    connect_inputs(builder, detectors, sources, inputs, fault_detectors.PLAUSIBLE)
     del sources["motor_speed"]  # the supervisor gets a bad speed as it is: that is no standstill
     connect_inputs(builder, supervisor, sources, inputs, ("motor_speed_command",))
     return {

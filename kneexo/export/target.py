@@ -9,7 +9,7 @@ import numpy as np
 from pydrake.systems.framework import DiagramBuilder, System
 from pydrake.systems.primitives import Gain
 
-from kneexo.compiler import DiagramEquations, Interface, State, read_diagram, rk4_step_s
+from kneexo.compiler import DiagramEquations, Interface, read_diagram, rk4_step_s
 from kneexo.diagrams.closed_loop import add_encoder, available_signals, make_closed_loop, plant_of
 from kneexo.diagrams.controller import make_controller
 from kneexo.diagrams.protection import reading_range_rad, reference_range_rad
@@ -104,17 +104,16 @@ def largest_step_s(scenario: Scenario, what: str) -> float:
 
 def released_step_s(scenario: Scenario, diagram: DiagramEquations) -> float:
     """Return the result of `largest_step_s` for the diagram of a target."""
-    equations, parameters, start = diagram.equations, diagram.parameters(), diagram.state()
-    steps = [rk4_step_s(equations, parameters, start)]
+    equations, parameters = diagram.equations, diagram.parameters()
     ports = [name for name, size in equations.inputs.items() for _ in range(size)]
     acting = set(ports) if scenario.protection is None else {*ports, scenario.protection.safe_state}
+    steps = [rk4_step_s(equations, parameters, diagram.state())]
     for release in acting & {*RELEASES}:
-        state = State(start.continuous.copy(), start.discrete.copy())
+        state, inputs = diagram.state(), np.array([float(name == release) for name in ports])
         is_valve = [name == "plant/bypass.x[0]" for name in equations.states]
         state.continuous[is_valve] = release == "bypass"
         is_number = [name == "controller/supervisor.0[0]" for name in equations.discrete]
         state.discrete[is_number] = list(STATES).index("released")
-        inputs = np.array([float(name == release) for name in ports])
         steps.append(rk4_step_s(equations, parameters, state, inputs))
     return min(steps)
 
@@ -136,10 +135,13 @@ def _controller(scenario: Scenario, counts: bool) -> Target:
     controller = make_controller(scenario)
     inputs = [controller.get_input_port(i).get_name() for i in range(controller.num_input_ports())]
     outputs = ["motor_speed_command"]
-    if scenario.protection is not None:
+    failed, protection = {_FIELDS["motor_speed_command"][0]: 0.0}, scenario.protection
+    if protection is not None:
         outputs += ["residuals", "safety_state", "safety_reason", "release"]
+        has_release = protection.safe_state in RELEASES
+        end = list(STATES).index("released" if has_release else "stopped")
+        failed |= {"safety_state": end, "release": float(has_release)}  # as at the end of a stop
     ranges = {}
-    failed = {_FIELDS["motor_speed_command"][0]: 0.0}
     if "knee_reference" in inputs:
         ranges[_FIELDS["knee_reference"][0]] = reference_range_rad(scenario)
     diagram = controller
@@ -158,13 +160,7 @@ def _controller(scenario: Scenario, counts: bool) -> Target:
         diagram = builder.Build()
         ranges[ENCODER_COUNT] = count_range(scenario)
     integers = frozenset(name for name in inputs if name == ENCODER_COUNT)
-    if scenario.protection is not None:  # as in the state in which a stop ends
-        has_release = scenario.protection.safe_state in RELEASES
-        state = "released" if has_release else "stopped"
-        failed |= {"safety_state": list(STATES).index(state), "release": float(has_release)}
-    interface = Interface(
-        _fields_of(diagram), integers, ranges, failed, scenario.protection is not None
-    )
+    interface = Interface(_fields_of(diagram), integers, ranges, failed, protection is not None)
     return Target("controller", diagram, tuple(inputs), tuple(outputs), interface, None)
 
 

@@ -200,7 +200,7 @@ def require_slow_modes(scenario: Scenario) -> None:
     RK4 serves the reduced order of the cylinder. Its oil resonates at √(4β_e Ā²/(V_t m)) (Eq. 15,
     16), where m is the least mass that moves with the rod in the range of motion. The damping b_c
     of a cuff makes a mode of b_c/(m r²), largest at the least moment arm r. A rod swings at √(k/m)
-    on an end stop k.
+    on an end stop k. A motor with shorted windings slows down with k_t²/(R J).
     """
     if scenario.plant.full_order is not None:
         return
@@ -233,6 +233,10 @@ def _modes(scenario: Scenario) -> Iterator[tuple[str, str, float, float, int]]:
     if plant.end_stops is not None:
         rate = math.sqrt(plant.end_stops.stiffness_n_per_m / mass_kg)
         yield "plant.end_stops.stiffness_n_per_m", "N/m", rate, _STABLE, -2
+    motor, protection = plant.motor, scenario.protection
+    if motor is not None and protection is not None and protection.safe_state == "dynamic_brake":
+        rate = motor.torque_constant_n_m_per_a**2 / (motor.resistance_ohm * motor.inertia_kg_m2)
+        yield "plant.motor.inertia_kg_m2", "kg·m²", rate, _STABLE, 1
     if isinstance(leg := scenario.wearer, LegParameters):
         knee = plant.knee
         angles = np.radians(np.linspace(knee.flexion_min_deg, knee.flexion_max_deg, 91))

@@ -74,7 +74,7 @@ LAW_ACTS = ("starting", "operating")
 """The states in which the command of the law passes. A stop from one of these sets the reason."""
 
 EVENTS = {
-    "emergency": "the input `emergency_stop` is 1",
+    "emergency": "the input `emergency_stop` is not within ±0.5",
     "implausible": "range, rate, flow or load_cell has detected a fault",
     "disobeyed": "speed has detected a fault: the motor does not obey",
     "away": "following has detected a fault",

@@ -50,9 +50,8 @@ def where_positive(condition: Any, positive: Any, otherwise: Any) -> Any:
 
 def where_within(value: Any, low: Any, high: Any, inside: Any, otherwise: Any) -> Any:
     """Return ``inside`` if ``low`` ≤ ``value`` ≤ ``high``, else ``otherwise``, also for nan."""
-    numbers = value, low, high, inside, otherwise
-    if any(isinstance(number, Expression) for number in numbers):
-        value, low, high, *branches = _expressions(*numbers)
+    if any(isinstance(number, Expression) for number in (value, low, high, inside, otherwise)):
+        value, low, high, *branches = _expressions(value, low, high, inside, otherwise)
         return if_then_else(logical_and(value >= low, value <= high), *branches)
     return inside if low <= value <= high else otherwise
 

@@ -20,6 +20,9 @@ from kneexo.systems._leaf import (
     where_within,
 )
 
+PLAUSIBLE = ("encoder_reading", "knee_angle", "rod_extension")
+"""Names of the ports whose implausible values the detectors replace."""
+
 _TURN = 2.0 * math.pi
 
 
@@ -138,8 +141,7 @@ class FaultDetectors(NamedLeaf):
         )
         self._sample_time, self._follows = sample_time_s, follows
         self._measures_force = measures_force
-        names = ("encoder_reading", "knee_angle", "rod_extension")
-        self._encoder = [self.DeclareVectorInputPort(name, 1) for name in names]
+        self._encoder = [self.DeclareVectorInputPort(name, 1) for name in PLAUSIBLE]
         self._bad = self.DeclareVectorInputPort("bad", len(DETECTORS))
         self._speed = self.DeclareVectorInputPort("motor_speed", 1)
         self._command = self.DeclareVectorInputPort("motor_speed_command", 1)
@@ -155,7 +157,7 @@ class FaultDetectors(NamedLeaf):
         self._declare_initialization(self._initialize)
         self._plausible = [
             self._declare_output(name, 1, partial(self._calc_plausible, index), port, *sources)
-            for index, (name, port) in enumerate(zip(names, self._encoder, strict=True))
+            for index, (name, port) in enumerate(zip(PLAUSIBLE, self._encoder, strict=True))
         ]
         self._residuals = self._declare_output(
             "residuals", len(DETECTORS), self._calc_residuals, *sources, *others
@@ -175,10 +177,8 @@ class FaultDetectors(NamedLeaf):
         beyond = where_positive(-beyond, 0.0, beyond)
         change = drake_math.abs(_within_half_a_turn(reading - last))
         rate = change / (where_positive(age, age, 1.0) * self._sample_time)
-        return (
-            where_positive(is_near, beyond, LARGEST_THRESHOLDS["range"]),
-            where_positive(age, rate, 0.0),
-        )
+        beyond = where_positive(is_near, beyond, LARGEST_THRESHOLDS["range"])
+        return beyond, where_positive(age, rate, 0.0)
 
     def _is_plausible(self, context: Any) -> Any:
         p = self.parameters(context)
@@ -224,15 +224,10 @@ class FaultDetectors(NamedLeaf):
         moved = where_positive(age, extension - before, 0.0)
         travel = travel - dt / p.flow_s * travel + moved - dt * by_motor
         slip = slip + dt / p.speed_s * (self._command.Eval(context)[0] - speed - slip)
-        thresholds = p[: len(DETECTORS)]
-        residuals = self._residuals.Eval(context)
-        steps = [
-            where_positive(threshold - residual, -1.0, 1.0)
-            for threshold, residual in zip(thresholds, residuals, strict=True)
-        ]
-        counts = [
-            clip(c + step, 0.0, p.trip_samples) for c, step in zip(counts, steps, strict=True)
-        ]
+        # The thresholds are the first parameters.
+        for index, residual in enumerate(self._residuals.Eval(context)):
+            step = where_positive(p[index] - residual, -1.0, 1.0)
+            counts[index] = clip(counts[index] + step, 0.0, p.trip_samples)
         older = where_positive(age, age + 1.0, 0.0)  # there is no age before a plausible reading
         age = where_positive(self._is_plausible(context), 1.0, older)
         return [age, reading, angle, extension, travel, slip, *counts]

@@ -72,8 +72,8 @@ class InputGuard(NamedLeaf):
     =================  ====  =============  =======================================================
     knee_angle         1     rad            measured angle, for the start
     knee_reference     4     rad, rad/s, …  θ_ref and derivatives
-    measured_force     2     N, s           reading and its age; if in ``others``
-    biological_moment  1     N·m            if in ``others``
+    measured_force     2     N, s           reading and its age; if in ``names``
+    biological_moment  1     N·m            if in ``names``
     motor_speed        1     rad/s          as the drive reports it
     **output port**
     …                                       each input but ``knee_angle``, without bad values
@@ -82,9 +82,8 @@ class InputGuard(NamedLeaf):
     =================  ====  =============  =======================================================
 
     Discrete states, updated every ``sample_time_s``: reference angle, force, its age, and motor
-    speed. Context parameters
-    by name: ``reference_min_rad`` and ``reference_max_rad``. Source: an assumption. Lee et al. 2020
-    have no guard.
+    speed. Context parameters by name: ``reference_min_rad`` and ``reference_max_rad``. Source: an
+    assumption. Lee et al. 2020 have no guard.
 
     Parameters
     ----------
@@ -92,32 +91,26 @@ class InputGuard(NamedLeaf):
         Least and largest reference of the knee angle in rad.
     sample_time_s
         Time T between two samples in s.
-    others
-        Names of the inputs beside motor speed and knee reference.
+    names
+        The inputs, of `SIGNALS`; knee reference and motor speed are among them.
     """
 
     def __init__(
         self,
         reference_range_rad: tuple[float, float] = (0.0, 0.5 * math.pi),
         sample_time_s: float = 0.002,
-        others: tuple[str, ...] = (),
+        names: tuple[str, ...] = tuple(SIGNALS),
     ) -> None:
         self._declare_parameters(context_values(reference_range_rad))
         self._sample_time = sample_time_s
         self._angle = self.DeclareVectorInputPort("knee_angle", 1)
-        self._inputs = {
-            name: self.DeclareVectorInputPort(name, signal.size)
-            for name, signal in SIGNALS.items()
-            if name in ("knee_reference", "motor_speed", *others)
-        }
+        self._inputs = {n: self.DeclareVectorInputPort(n, SIGNALS[n].size) for n in names}
         self._declare_update(sample_time_s, 4, self._update)
         self._declare_initialization(self._initialize)
-        self._good = {
-            name: self._declare_output(
-                name, port.size(), partial(self._calc_good, name), port, self.xd_ticket()
-            )
-            for name, port in self._inputs.items()
-        }
+        self._good = {}
+        for name, port in self._inputs.items():
+            calc, state = partial(self._calc_good, name), self.xd_ticket()
+            self._good[name] = self._declare_output(name, port.size(), calc, port, state)
         self._declare_output("bad", len(DETECTORS), self._calc_bad, *self._inputs.values())
 
     def _is_good(self, name: str, context: Any) -> Any:

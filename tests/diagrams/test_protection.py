@@ -241,15 +241,6 @@ def test_an_exported_plant_has_the_inputs_of_the_releases(tmp_path):
     assert {"torque_off", "bypass_command"} <= set(re.findall(r"\w+", header.read_text()))
 
 
-@pytest.mark.slow
-def test_exported_c_gets_over_counts_at_which_the_linkage_cannot_close(tmp_path):
-    """Each step of the replay has the status 0."""
-    scenario = with_faults({"kind": "offset", "size": 150.0, "start_s": 0.2})
-    replay = export_firmware(scenario, tmp_path, "controller").replay
-    assert replay.passed
-    assert replay.largest["safety_reason"] == REASONS.index("range")
-
-
 def test_tables_by_the_count_refuse_protection(tmp_path):
     with pytest.raises(ParameterError, match="look_up: the tables have no row for a count"):
         export_firmware(BASE, tmp_path, look_up=True)

@@ -154,18 +154,16 @@ def test_a_step_follows_the_shorted_motor():
 
 
 def test_a_controller_commands_zero_when_it_fails():
-    plain = make_target(Scenario(), "controller").interface
-    assert (plain.failed_outputs, plain.accepts_inputs) == (
+    zero, plain = (
         {"motor_speed_command_rad_s": 0.0},
-        False,
+        make_target(Scenario(), "controller").interface,
     )
+    assert (plain.failed_outputs, plain.accepts_inputs) == (zero, False)
     for safe_state, state, release in (("zero_speed", 3, 0.0), ("dynamic_brake", 4, 1.0)):
-        protection = {"safe_state": safe_state}
-        scenario = scenario_of(plant={"motor": {}}, protection=protection)
+        scenario = scenario_of(plant={"motor": {}}, protection={"safe_state": safe_state})
         interface = make_target(scenario, "controller").interface
-        assert interface.accepts_inputs
-        zero = plain.failed_outputs
-        assert interface.failed_outputs == zero | {"safety_state": state, "release": release}
+        failed = zero | {"safety_state": state, "release": release}
+        assert (interface.failed_outputs, interface.accepts_inputs) == (failed, True)
     for what in ("plant", "loop"):
         interface = make_target(scenario, what).interface
         assert (interface.failed_outputs, interface.accepts_inputs) == ({}, False)

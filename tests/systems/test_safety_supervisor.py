@@ -31,6 +31,7 @@ STOP = 1000.0  # rad/s², 2 rad/s each sample
 SAFE_STATES = ("zero_speed", "dynamic_brake")
 RELEASES = ("dynamic_brake", "torque_off", "bypass")
 NAMES = ("motor_speed_command", "motor_speed", *DETECTORS, "emergency_stop", "reset")
+PORTS = ("motor_speed_command", "motor_speed", "detected", "emergency_stop", "reset")
 OUTPUTS = ("motor_speed_command", "safety_state", "safety_reason", "release")
 
 
@@ -113,11 +114,7 @@ def leaf_run(rows, system):
     """Outputs of the leaf in a Context at each sample, before the update."""
     context, found = system.CreateDefaultContext(), []
     for row in rows:
-        for name, values in zip(
-            ("motor_speed_command", "motor_speed", "detected", "emergency_stop", "reset"),
-            np.split(row, [1, 2, 8, 9]),
-            strict=True,
-        ):
+        for name, values in zip(PORTS, np.split(row, [1, 2, 8, 9]), strict=True):
             system.GetInputPort(name).FixValue(context, values)
         found.append([system.GetOutputPort(name).Eval(context)[0] for name in OUTPUTS])
         update = system.EvalUniquePeriodicDiscreteUpdate(context).get_vector(0).CopyToVector()
@@ -331,9 +328,8 @@ def test_machine_code_and_exported_c_are_the_machine_on_random_sequences(safe_st
 def exported(safe_state, folder):
     """The supervisor as `CSource`, and as a library in the folder; the source and the system."""
     system = supervisor(safe_state)
-    names = ["motor_speed_command", "motor_speed", "detected", "emergency_stop", "reset"]
     interface = Interface(accepts_inputs=True)
-    source = source_of(read_diagram(system, inputs=names), "m", interface=interface)
+    source = source_of(read_diagram(system, inputs=PORTS), "m", interface=interface)
     for name, text in (source.files() | {"driver.c": DRIVER}).items():
         (folder / name).write_text(text)
     command = ["cc", "-std=c99", "-O1", "-shared", "-fPIC", "m.c", "m_params.c", "driver.c"]

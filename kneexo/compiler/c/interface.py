@@ -125,8 +125,8 @@ class Interface:
         includes its parameters, and all further steps fail until the next start.
 
     Raises `CompilationError` if a name is no C identifier, or if a range is empty or not finite, or
-    a value after a failure is no finite number. `CSource` raises it if the diagram lacks a port or
-    an element.
+    a value after a failure is no number. `CSource` raises it if the diagram lacks a port or an
+    element, or a value after a failure does not fit into the type.
     """
 
     fields: Mapping[str, Sequence[str]] = field(default_factory=dict)
@@ -137,7 +137,6 @@ class Interface:
 
     def __post_init__(self) -> None:
         """Check names, ranges and values."""
-        require_type("interface: accepts_inputs", self.accepts_inputs, bool, "True or False")
         for what in ("fields", "ranges", "failed_outputs"):
             require_type(f"interface: {what}", getattr(self, what), Mapping, "a dictionary")
         for port, names in self.fields.items():
@@ -152,11 +151,7 @@ class Interface:
         for name, ends in self.ranges.items():
             _require_range(name, ends)
         for name, value in self.failed_outputs.items():
-            if not (isinstance(value, Real) and math.isfinite(value)):
-                raise CompilationError(
-                    f"interface: {name!r:.60} after a failure = {shown(f'{value!r:.60}')}: must be "
-                    f"a finite number"
-                )
+            require_type(f"interface: {name!r:.60} after a failure", value, Real, "a number")
 
     def require_ports(self, inputs: Mapping[str, int], outputs: Mapping[str, int]) -> None:
         """Raise `CompilationError` if a name of the interface is unknown, or a range empty.
@@ -176,16 +171,13 @@ class Interface:
                     f"{', '.join(inputs) or 'none'}"
                 )
         members = self.members(inputs)
-        for what, kind, names, elements in (
-            ("ranges", "input", self.ranges, members),
-            ("failed_outputs", "output", self.failed_outputs, self.members(outputs)),
-        ):
+        for what, elements in (("ranges", members), ("failed_outputs", self.members(outputs))):
             present = [element.name for element in elements]
-            for name in names:
+            for name in getattr(self, what):
                 if name not in present:
                     raise CompilationError(
-                        f"interface: {what}: the {kind} element {shown(repr(name))} is unknown; "
-                        f"known: {', '.join(present) or 'none'}"
+                        f"interface: {what}: the element {shown(repr(name))} is unknown; known: "
+                        f"{', '.join(present) or 'none'}"
                     )
         for member in members:
             low, high = member.range or (0, 0)

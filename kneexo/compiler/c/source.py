@@ -208,10 +208,10 @@ class CSource:
         ranges = {
             element: (int(ends[0]), int(ends[1]))
             for element, member in enumerate(inputs)
-            if member.is_integer and (ends := member.limits(real))
-        }
-        if self.interface.accepts_inputs:  # a table has no row for an input out of its range
-            ranges = {}
+            if member.is_integer
+            and not self.interface.accepts_inputs
+            and (ends := member.limits(real))
+        }  # a table has no row for an input out of its range, which `accepts_inputs` lets pass
         tables: list[Table] = []
         if self.look_up:
             roots = [*step_nodes(equations, output_nodes), *equations.initial_discrete]

@@ -184,35 +184,20 @@ def guarded():
     return CSource(equations, "m", np.zeros(0), State(np.zeros(0), np.array([0.5])))
 
 
-def test_each_failure_has_its_status_and_keeps_state_and_outputs(built):
-    model = built(guarded())
-    assert model.init([1.0]) == 0
-    assert model.step([2.0]) == 0
-    before = bytes(model.state)
-    for value, status in ((math.nan, 1), (math.inf, 1), (-math.inf, 1), (0.0, 2)):
-        assert model.step([value]) == status
-        assert model.get() == [0.5]
-        assert bytes(model.state) == before
-    assert model.step([0.05]) == 0
-    assert model.get() == [20.0]
-    assert model.step([1.0]) == 4
-    assert model.get() == [20.0]
-    assert model.now([math.nan]) == 1
-    assert model.get() == [20.0]
-
-
-@pytest.mark.parametrize("precision", ["double", "float"])
-def test_an_interface_gives_outputs_after_a_failure(built, precision):
-    interface = Interface(failed_outputs={"y": -3.5})
-    model = built(replace(guarded(), interface=interface, precision=precision))
-    assert (model.step([2.0]), model.get()) == (8, [-3.5])
+@pytest.mark.parametrize("failed", [None, -3.5])
+def test_each_failure_has_its_status_and_keeps_the_state(built, failed):
+    """The output is then the last right one, or that of the interface."""
+    interface = Interface(failed_outputs={"y": failed} if failed else {})
+    model = built(replace(guarded(), interface=interface))
+    assert (model.step([2.0]), model.get()) == (8, [failed or 0.0])
     assert (model.init([1.0]), model.step([2.0]), model.get()) == (0, 0, [0.5])
     before = bytes(model.state)
-    for value, status in ((math.nan, 1), (0.0, 2)):
-        assert (model.step([value]), model.get()) == (status, [-3.5])
-        assert (model.now([math.nan]), model.get()) == (1, [-3.5])
+    for value, status in ((math.nan, 1), (math.inf, 1), (-math.inf, 1), (0.0, 2)):
+        assert (model.step([value]), model.get()) == (status, [failed or 0.5])
         assert bytes(model.state) == before
-    assert (model.step([4.0]), model.get()) == (0, [0.25])
+    assert (model.step([0.05]), model.get()) == (0, [20.0])
+    assert (model.step([1.0]), model.get()) == (4, [failed or 20.0])
+    assert (model.now([math.nan]), model.get()) == (1, [failed or 20.0])
 
 
 def test_a_model_that_accepts_its_inputs_fails_until_the_next_start(built):
@@ -224,7 +209,7 @@ def test_a_model_that_accepts_its_inputs_fails_until_the_next_start(built):
     assert (model.step([2.0]), model.now([2.0]), model.get()) == (8, 8, [-3.5])
     assert (model.init([2.0]), model.step([2.0]), model.get()) == (0, 0, [0.5])
     right, model.params = model.params, (ctypes.c_double * 1)(math.nan)  # the start of the state
-    assert (model.step([2.0]), model.get()) == (16, [-3.5])
+    assert (model.now([2.0]), model.step([2.0]), model.get()) == (16, 16, [-3.5])
     model.params = right
     assert (model.step([2.0]), model.init([2.0]), model.step([2.0])) == (8, 0, 0)
 
@@ -400,6 +385,9 @@ def test_any_name_of_a_leaf_system_compiles(built, name):
 # ------------------------------------------------------------------------------ bad input
 
 
+ALL_COUNTS = Interface(integers=frozenset(["u0"]), ranges={"u0": (0, 9)}, accepts_inputs=True)
+
+
 @pytest.mark.parametrize(
     ("options", "match"),
     [
@@ -442,19 +430,14 @@ def test_any_name_of_a_leaf_system_compiles(built, name):
         ({"interface": Interface({"u": ["a"]})}, "fields: the port 'u' is unknown; known: u0, y0"),
         (
             {"interface": Interface({"u0": ["a"]}, ranges={"u0": (0, 1)})},
-            "ranges: the input element 'u0' is unknown; known: a",
+            "ranges: the element 'u0' is unknown; known: a",
         ),
         (
             {"interface": Interface({"y0": ["a"]}, failed_outputs={"y0": 1.0})},
-            "failed_outputs: the output element 'y0' is unknown; known: a",
+            "failed_outputs: the element 'y0' is unknown; known: a",
         ),
         (
-            {
-                "look_up": True,
-                "interface": Interface(
-                    integers=frozenset(["u0"]), ranges={"u0": (0, 9)}, accepts_inputs=True
-                ),
-            },
+            {"look_up": True, "interface": ALL_COUNTS},
             "look_up: nothing depends on an integer input with a range alone",
         ),
         *(

@@ -607,6 +607,10 @@ uint16_t {{ name }}_outputs(const {{ name }}_params_t *params, const {{ name }}_
     *outputs = state->last;
     if (state->started == 0U) {
         status = {{ NAME }}_NOT_STARTED;
+{% if accepts_inputs %}
+    } else if (!params_are_right(params)) {
+        status = {{ NAME }}_BAD_PARAMETER;
+{% endif %}
     } else {{ "if (inputs_are_right(inputs)) " if not accepts_inputs }}{
         const instant at = instant_of(params, state, inputs);
 

@@ -20,7 +20,7 @@ typedef {{ real.name }} {{ name }}_real_t;
 #define {{ NAME }}_SAMPLE_TIME_S {{ schedule.tick_s | literal(real, "sample_time") }}
 
 /* Status of a call: 0 for success, or one of the codes below. A failed step leaves the state
- * unchanged. Its outputs are those of the last successful step or start, or zeros without a start{{ "," if failing else ". */" }}
+ * unchanged{{ ", except `started`" if accepts_inputs }}. Its outputs are those of the last successful step or start, or zeros without a start{{ "," if failing else ". */" }}
 {% for field in failing %}
  * {{ "but" if loop.first else "and" }} {{ field.name }} = {{ field.failed | literal(real, field.name) }}{{ ". */" if loop.last }}
 {% endfor %}

@@ -109,6 +109,14 @@ EXPORTED("start") uint32_t {{ name }}_web_start(void)
     }
     if (last_status == {{ NAME }}_OK) {
         record(0U, &state.last);
+{% if failing %}
+    } else if (rows > 0U) {
+        const {{ name }}_inputs_t in = inputs_at(0U);
+        {{ name }}_outputs_t out;
+
+        (void){{ name }}_outputs(&params, &state, &in, &out);
+        record(0U, &out); /* the outputs of a failure */
+{% endif %}
     }
     return last_status;
 }
