@@ -16,13 +16,15 @@ from kneexo.analysis.limit_cycle import limit_cycle
 from kneexo.analysis.push_response import PushResponse, push_response
 from kneexo.analysis.reductions import all_metrics, reduce_signals, tracking_reductions
 from kneexo.analysis.signals import settled_s, to_rpm
+from kneexo.analysis.stop import Stop, first_stop
 from kneexo.analysis.verdict import Verdict, verdict_of
 from kneexo.diagrams import available_signals
 from kneexo.diagrams.law import makers_called_once
 from kneexo.diagrams.signals import PROTECTION_OUTPUTS
 from kneexo.parameters import Scenario
+from kneexo.parameters.safety_states import STATES
 from kneexo.parameters.scenario_file import as_scenario
-from kneexo.plotting import BLUE, GOLD, PURPLE, RED, TEAL, axes_or_new
+from kneexo.plotting import BLUE, GOLD, PURPLE, RED, SERIES, TEAL, axes_or_new
 from kneexo.result import Array, Result, data_frame
 from kneexo.simulation import Run, needs_runs, simulate
 
@@ -253,7 +255,13 @@ class TrackingResult(Result):
             self.scenario,
             self.run,
             step=None if step is None else (step.settles, step.line),
+            stop=self.stop,
         )
+
+    @cached_property
+    def stop(self) -> Stop | None:
+        """The first stop of the protection, or None."""
+        return first_stop(self.scenario, self.run)
 
     @property
     def step(self) -> StepMetrics | None:
@@ -327,7 +335,33 @@ class TrackingResult(Result):
         if "wearer_angle_rad" in self.run.data:
             ax.plot(time, np.degrees(self.run["wearer_angle_rad"]), GOLD, lw=1.2, label="leg")
         ax.plot(time, reference, "k--", lw=1, label="reference")
+        self._mark(ax)
         ax.set(xlabel="time (s)", ylabel="knee angle (deg)")
+        _legend_above(ax)
+        return ax
+
+    def _mark(self, ax: Axes) -> None:
+        """Mark the fault before the first stop, or without a stop the first fault, and the stop."""
+        stop, active = self.stop, self.run.columns.get("active_faults", np.zeros(1))
+        fault_s = self.run.time_s[int(np.argmax(active))] if active.any() else math.nan
+        if stop is not None:
+            fault_s = stop.fault_s
+            ax.axvline(stop.time_s, color="k", lw=0.8, label="stop")
+        if not math.isnan(fault_s):  # wider, since the stop may follow at once
+            ax.axvline(fault_s, color=RED, lw=4.0, alpha=0.5, zorder=0, label="fault")
+
+    def plot_states(self, ax: Axes | None = None) -> Axes:
+        """Plot the states of the supervisor over time as a strip; the run has a protection."""
+        ax = axes_or_new(ax, caption="States of the supervisor over time.", figsize=(7, 1.5))
+        # A row shows the state that began at the update of the row before.
+        time, numbers = self.run.time_s, self.run["safety_state"]
+        first = np.flatnonzero(np.diff(numbers, prepend=-1.0))
+        edges = time[np.append(np.maximum(first - 1, 0), -1)]
+        spans = np.column_stack((edges[:-1], np.diff(edges)))
+        for number, (name, colour) in enumerate(zip(STATES, SERIES, strict=True)):
+            if (is_in := numbers[first] == number).any():
+                ax.broken_barh(spans[is_in], (0.0, 1.0), color=colour, lw=0.8, label=name)
+        ax.set(xlabel="time (s)", ylabel="state", yticks=[], ylim=(0.0, 1.8))
         _legend_above(ax)
         return ax
 
@@ -374,8 +408,9 @@ class TrackingResult(Result):
         """Plot angle, error, torques and motor speed command below each other. Return the axes.
 
         A run without wearer and torque controller has no torques, and a run with torque controller
-        has no error. ``ax`` has one Matplotlib axes for each plot. If it is None, a new figure is
-        made.
+        has no error. A run that the protection stops has a strip with its states below. All plots
+        mark fault and stop. ``ax`` has one Matplotlib axes for each plot. If it is None, a new
+        figure is made.
         """
         torque_control = self.scenario.controller.kind == "torque"
         plots = {"knee angle with its reference": self.plot_angle}
@@ -383,12 +418,19 @@ class TrackingResult(Result):
             plots["tracking error (reference minus knee angle)"] = self.plot_error
         if torque_control or "interaction_torque_n_m" in self.run.data:
             plots["torques on the exoskeleton (positive flexes)"] = self.plot_torque
-        plots["and motor speed command"] = self.plot_command
+        if self.stop is None:
+            plots["and motor speed command"] = self.plot_command
+        else:
+            plots["motor speed command"] = self.plot_command
+            plots["and states of the supervisor"] = self.plot_states
         caption = f"{', '.join(plots)} over time.".capitalize()
-        size = (7, 1.0 + 2.0 * len(plots))
-        ax = axes_or_new(ax, len(plots), 1, caption=caption, sharex=True, figsize=size)
+        heights = [0.4 if plot == self.plot_states else 1.0 for plot in plots.values()]
+        options = {"figsize": (7, 1.0 + 2.0 * sum(heights)), "height_ratios": heights}
+        ax = axes_or_new(ax, len(plots), 1, caption=caption, sharex=True, **options)
         for axes, plot in zip(ax, plots.values(), strict=True):
             plot(axes)
+            if axes is not ax[0]:
+                self._mark(axes)
         for upper in ax[:-1]:
             upper.set_xlabel("")
         return ax
@@ -398,17 +440,19 @@ def _legend_above(ax: Axes) -> None:
     """Draw a legend above the curves."""
     low, high = ax.get_ylim()
     ax.set_ylim(low, high + 0.25 * (high - low))
-    ax.legend(loc="upper right", ncols=3)
+    ax.legend(loc="upper right", ncols=5, columnspacing=1.2)
 
 
 def _verdict_signals(scenario: Scenario) -> tuple[str, ...]:
     """Return names of additional signals that the verdict on a run of ``scenario`` requires."""
     names = [*INTERACTION_SIGNALS, "biological_moment", "chamber_pressures", "active_faults"]
-    names += PROTECTION_OUTPUTS
+    names += (*PROTECTION_OUTPUTS, "motor_current")
+    if scenario.protection is not None:
+        names += ("motor_speed", "rod_force", "moment_arm")
     if scenario.controller.kind == "torque":
         names += TORQUE_SIGNALS
     available = available_signals(scenario)
-    return tuple(name for name in names if name in available)
+    return tuple(name for name in dict.fromkeys(names) if name in available)
 
 
 @needs_runs
