@@ -30,7 +30,7 @@ from kneexo.analysis.signals import (
     share_above,
     to_rpm,
 )
-from kneexo.analysis.stop import Stop, peak_motor_current_a
+from kneexo.analysis.stop import Stop, first_stop, peak_motor_current_a
 from kneexo.diagrams.signals import columns
 from kneexo.errors import KneexoError
 from kneexo.linkage import pose
@@ -254,19 +254,19 @@ class Verdict(Result):
         return escape(self.text).replace("\n", "<br>")
 
 
-def verdict_of(
-    scenario: Scenario, run: Run, *, step: tuple[bool, str] | None, stop: Stop | None
-) -> Verdict:
+def verdict_of(scenario: Scenario, run: Run, *, step: tuple[bool, str] | None) -> Verdict:
     """Return the `Verdict` on a run. Linearizes the loop of its scenario.
 
     ``step`` says whether the response to a step settles, and describes it in one line. ``step`` is
-    None if the reference has no step. ``stop`` is the first stop of the protection.
+    None if the reference has no step.
     """
+    stop = first_stop(scenario, run)
     tracking, tracking_lines = _tracking(scenario, run, step)
     if stop is not None:
         tracking_lines = [stop.line]
     torques, torque_lines = _torques(scenario, run, stop)
     cycle, limits = limit_cycle(run), _limits(scenario, run)
+    saturation = _saturation(limits, stop)
     peak_a, logged_a = peak_motor_current_a(scenario, run)
     cycle_lines = [] if cycle is None else [cycle.line]
     stability = Stability.of_scenario(scenario)
@@ -287,13 +287,7 @@ def verdict_of(
         stability=stability,
         omissions=omissions(scenario),
         notices=notes,
-        lines=(
-            *tracking_lines,
-            *cycle_lines,
-            *torque_lines,
-            *_saturation(limits, stop),
-            stability.line,
-        ),
+        lines=(*tracking_lines, *cycle_lines, *torque_lines, *saturation, stability.line),
         model_lines=tuple(model_lines(scenario, notes)),
         limit_cycle=cycle,
         stop=stop,

@@ -260,14 +260,13 @@ def test_tables_by_the_count_refuse_protection(tmp_path):
 
 def test_the_verdict_says_when_and_why_the_protection_acted():
     result = track(with_faults({"kind": "offset", "size": 2.0, "start_s": 0.2}))
-    stop, line = result.stop, result.verdict.lines[0]
+    stop, line = result.verdict.stop, result.verdict.lines[0]
     assert line.startswith(f"Stopped at 0.21 s by the detector rate ({stop.residual:.4g} > 150 ")
-    assert (stop.end_state, stop.safe_state) == ("stopped", "zero_speed")
     # Five samples after the last plausible reading.
     assert stop.residual == pytest.approx(2.0 / (5 * T), rel=0.1)
     assert not [line for line in result.verdict.lines if "error" in line or "Nothing" in line]
     free = track(BASE)
-    assert free.stop is None
+    assert free.verdict.stop is None
     assert free.verdict.lines[0].startswith("Tracks: ")
 
 

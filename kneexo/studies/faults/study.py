@@ -504,12 +504,10 @@ def _stop(scenario: Scenario, settings: FaultsSettings, item: tuple[str, float])
     run, _ = _run(protected, press)
     safe_after_s, end = _safe_after(run, protected, start_s)
     start = _index(run, start_s)
-    turn_deg, torque_n_m = turn_and_torque(run, slice(start, end))
     return {
         "knee_deg": math.degrees(run["knee_angle_rad"][start]),
         "safe_after_s": safe_after_s,
-        "turn_deg": turn_deg,
-        "torque_n_m": torque_n_m,
+        **turn_and_torque(run, slice(start, end)),
         "rest": _rest(run, end, start_s + settings.observed_s),
     }
 
@@ -519,9 +517,8 @@ def _rest(run: Run, end: int | None, end_s: float) -> dict[str, Any]:
     last = _index(run, end_s)
     if end is None or end >= last:
         return {"turn_deg": math.nan, "torque_n_m": math.nan, "complete": False}
-    turn_deg, torque_n_m = turn_and_torque(run, slice(end - 1, last))
-    complete = bool(run.time_s[-1] > end_s - 1e-9)
-    return {"turn_deg": turn_deg, "torque_n_m": torque_n_m, "complete": complete}
+    is_complete = bool(run.time_s[-1] > end_s - 1e-9)
+    return turn_and_torque(run, slice(end - 1, last)) | {"complete": is_complete}
 
 
 def _index(run: Run, time_s: float) -> int:
@@ -597,7 +594,7 @@ def _safe_after(run: Run, protected: Scenario, start_s: float) -> tuple[float, i
 
     Without a `safe_sample` the result is inf and None.
     """
-    safe = safe_sample(protected, run, _index(run, start_s))
+    safe = safe_sample(protected, run, slice(_index(run, start_s), None))
     return (math.inf, None) if safe is None else (float(run.time_s[safe]) - start_s, safe + 1)
 
 
