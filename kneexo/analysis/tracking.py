@@ -16,13 +16,15 @@ from kneexo.analysis.limit_cycle import limit_cycle
 from kneexo.analysis.push_response import PushResponse, push_response
 from kneexo.analysis.reductions import all_metrics, reduce_signals, tracking_reductions
 from kneexo.analysis.signals import settled_s, to_rpm
+from kneexo.analysis.stop import first_stop
 from kneexo.analysis.verdict import Verdict, verdict_of
 from kneexo.diagrams import available_signals
 from kneexo.diagrams.law import makers_called_once
 from kneexo.diagrams.signals import PROTECTION_OUTPUTS
 from kneexo.parameters import Scenario
+from kneexo.parameters.safety_states import STATES
 from kneexo.parameters.scenario_file import as_scenario
-from kneexo.plotting import BLUE, GOLD, PURPLE, RED, TEAL, axes_or_new
+from kneexo.plotting import BLUE, BROWN, GOLD, PURPLE, RED, TEAL, axes_or_new
 from kneexo.result import Array, Result, data_frame
 from kneexo.simulation import Run, needs_runs, simulate
 
@@ -249,11 +251,8 @@ class TrackingResult(Result):
         The loop of the scenario is linearized when the verdict is first asked for.
         """
         step = self.step
-        return verdict_of(
-            self.scenario,
-            self.run,
-            step=None if step is None else (step.settles, step.line),
-        )
+        described = None if step is None else (step.settles, step.line)
+        return verdict_of(self.scenario, self.run, step=described)
 
     @property
     def step(self) -> StepMetrics | None:
@@ -331,6 +330,21 @@ class TrackingResult(Result):
         _legend_above(ax)
         return ax
 
+    def _mark(self, ax: Axes) -> None:
+        """Mark the first stop and the fault before it."""
+        if (stop := first_stop(self.scenario, self.run)) is not None:
+            ax.axvline(stop.time_s, color="k", lw=0.8, label="stop")
+            if stop.fault_s < stop.time_s:  # wider, since the stop may follow at once
+                ax.axvline(stop.fault_s, color=RED, lw=4.0, alpha=0.5, zorder=0, label="fault")
+
+    def plot_states(self, ax: Axes | None = None) -> Axes:
+        """Plot the states of the supervisor over time; the run has a protection."""
+        ax = axes_or_new(ax, caption="States of the supervisor over time.", figsize=(7, 2))
+        # A row shows the state that began at the update of the row before.
+        ax.step(self.run.time_s, self.run["safety_state"], BROWN, where="pre")
+        ax.set(xlabel="time (s)", yticks=range(len(STATES)), yticklabels=STATES)
+        return ax
+
     def plot_error(self, ax: Axes | None = None) -> Axes:
         """Plot the tracking error over time."""
         ax = axes_or_new(ax, caption="Tracking error, reference minus knee angle, over time.")
@@ -374,8 +388,9 @@ class TrackingResult(Result):
         """Plot angle, error, torques and motor speed command below each other. Return the axes.
 
         A run without wearer and torque controller has no torques, and a run with torque controller
-        has no error. ``ax`` has one Matplotlib axes for each plot. If it is None, a new figure is
-        made.
+        has no error. All plots mark the stop of the protection and the fault before it. Such a run
+        has a strip with the states of the supervisor below. ``ax`` has one Matplotlib axes for each
+        plot. If it is None, a new figure is made.
         """
         torque_control = self.scenario.controller.kind == "torque"
         plots = {"knee angle with its reference": self.plot_angle}
@@ -383,11 +398,15 @@ class TrackingResult(Result):
             plots["tracking error (reference minus knee angle)"] = self.plot_error
         if torque_control or "interaction_torque_n_m" in self.run.data:
             plots["torques on the exoskeleton (positive flexes)"] = self.plot_torque
-        plots["and motor speed command"] = self.plot_command
-        caption = f"{', '.join(plots)} over time.".capitalize()
+        plots["motor speed command"] = self.plot_command
+        if first_stop(self.scenario, self.run) is not None:
+            plots["states of the supervisor"] = self.plot_states
+        *names, last = plots
+        caption = f"{', '.join(names)}, and {last} over time.".capitalize()
         size = (7, 1.0 + 2.0 * len(plots))
         ax = axes_or_new(ax, len(plots), 1, caption=caption, sharex=True, figsize=size)
         for axes, plot in zip(ax, plots.values(), strict=True):
+            self._mark(axes)
             plot(axes)
         for upper in ax[:-1]:
             upper.set_xlabel("")
@@ -398,17 +417,17 @@ def _legend_above(ax: Axes) -> None:
     """Draw a legend above the curves."""
     low, high = ax.get_ylim()
     ax.set_ylim(low, high + 0.25 * (high - low))
-    ax.legend(loc="upper right", ncols=3)
+    ax.legend(loc="upper right", ncols=5, columnspacing=1.2)
 
 
 def _verdict_signals(scenario: Scenario) -> tuple[str, ...]:
     """Return names of additional signals that the verdict on a run of ``scenario`` requires."""
     names = [*INTERACTION_SIGNALS, "biological_moment", "chamber_pressures", "active_faults"]
-    names += PROTECTION_OUTPUTS
-    if scenario.controller.kind == "torque":
-        names += TORQUE_SIGNALS
+    names += (*PROTECTION_OUTPUTS, "motor_current")
+    if scenario.controller.kind == "torque" or scenario.protection is not None:
+        names += (*TORQUE_SIGNALS, "motor_speed")
     available = available_signals(scenario)
-    return tuple(name for name in names if name in available)
+    return tuple(name for name in dict.fromkeys(names) if name in available)
 
 
 @needs_runs

@@ -30,12 +30,12 @@ from kneexo.analysis.signals import (
     share_above,
     to_rpm,
 )
+from kneexo.analysis.stop import Stop, first_stop, peak_motor_current_a
 from kneexo.diagrams.signals import columns
 from kneexo.errors import KneexoError
 from kneexo.linkage import pose
 from kneexo.parameters import Scenario
 from kneexo.parameters.plant import LOWEST_PRESSURE_PA
-from kneexo.parameters.safety_states import DETECTORS, REASONS, STATES
 from kneexo.result import Result
 from kneexo.simulation import Run
 from kneexo.systems.knee_reference import run_middle_deg, run_range_deg
@@ -56,6 +56,7 @@ bound stays at the paper's error for the paper's amplitude of 30°.
 
 _VALUES = ("tracks", "max_error_deg", "max_error_time_s", "error_bound_deg", "saturated_share",
     "pressure_over_rating_share", "relief_share", "power_over_rating_share", "torque_error_rms_n_m",
+    "peak_motor_current_a",
 )  # fmt: skip
 """Names of the fields of `Verdict` that its plain data contain as they are."""
 
@@ -198,10 +199,11 @@ class Verdict(Result):
     omissions: tuple[str, ...]
     notices: tuple[str, ...]
     lines: tuple[str, ...]
-    """Lines on tracking, a limit cycle, torques, saturation and the margins of the loop.
+    """Lines on a stop, tracking, a limit cycle, torques, saturation and the margins of the loop.
 
     A run without wearer and torque controller has no line on torques. A run with torque controller
-    has no line on tracking.
+    has no line on tracking. A run that the protection stops has neither errors of angle or torque
+    nor a line that nothing saturates, because they describe the knee at rest.
     """
     model_lines: tuple[str, ...]
     """What the model leaves out, and the notices, as text for a terminal."""
@@ -215,6 +217,10 @@ class Verdict(Result):
     """
     limit_cycle: LimitCycle | None = None
     """Oscillation of the knee while the reference rests at the end of the run, or None."""
+    stop: Stop | None = None
+    """The first stop of the protection, or None."""
+    peak_motor_current_a: float = math.nan
+    """Largest current of the motor, also just after a brake engages; nan without its limits."""
 
     @property
     def text(self) -> str:
@@ -234,6 +240,7 @@ class Verdict(Result):
             "margins_failure": stability.failure,
             "interaction": None if self.interaction is None else asdict(self.interaction),
             "limit_cycle": None if self.limit_cycle is None else asdict(self.limit_cycle),
+            "stop": None if self.stop is None else asdict(self.stop),
             "omissions": list(self.omissions),
             "notices": list(self.notices),
         }
@@ -253,9 +260,14 @@ def verdict_of(scenario: Scenario, run: Run, *, step: tuple[bool, str] | None) -
     ``step`` says whether the response to a step settles, and describes it in one line. ``step`` is
     None if the reference has no step.
     """
+    stop = first_stop(scenario, run)
     tracking, tracking_lines = _tracking(scenario, run, step)
-    torques, torque_lines = _torques(scenario, run)
+    if stop is not None:
+        tracking_lines = [stop.line]
+    torques, torque_lines = _torques(scenario, run, stop)
     cycle, limits = limit_cycle(run), _limits(scenario, run)
+    saturation = _saturation(limits, stop)
+    peak_a, logged_a = peak_motor_current_a(scenario, run)
     cycle_lines = [] if cycle is None else [cycle.line]
     stability = Stability.of_scenario(scenario)
     notes = (
@@ -263,9 +275,8 @@ def verdict_of(scenario: Scenario, run: Run, *, step: tuple[bool, str] | None) -
         *_gap_notices(scenario, run),
         *_pressure_notices(scenario, run),
         *_fault_notices(scenario, run),
-        *_protection_notices(scenario, run),
+        *_current_notices(peak_a, logged_a),
     )
-    saturation = _saturation_line(limits)
     return Verdict(
         **tracking,
         **torques,
@@ -276,9 +287,11 @@ def verdict_of(scenario: Scenario, run: Run, *, step: tuple[bool, str] | None) -
         stability=stability,
         omissions=omissions(scenario),
         notices=notes,
-        lines=(*tracking_lines, *cycle_lines, *torque_lines, saturation, stability.line),
+        lines=(*tracking_lines, *cycle_lines, *torque_lines, *saturation, stability.line),
         model_lines=tuple(model_lines(scenario, notes)),
         limit_cycle=cycle,
+        stop=stop,
+        peak_motor_current_a=peak_a,
     )
 
 
@@ -312,11 +325,11 @@ def _tracking(
     return fields, lines
 
 
-def _torques(scenario: Scenario, run: Run) -> tuple[dict[str, Any], list[str]]:
+def _torques(scenario: Scenario, run: Run, stop: Stop | None) -> tuple[dict[str, Any], list[str]]:
     """Return the fields of the `Verdict` on torques, and its lines.
 
     If the run has the signals, one line describes the interaction with a wearer, and one line
-    describes the error of the torque.
+    describes the error of the torque, unless the protection stops the run.
     """
     fields, lines = dict[str, Any](), []
     if set(columns(INTERACTION_SIGNALS)) <= set(run.data):
@@ -332,10 +345,11 @@ def _torques(scenario: Scenario, run: Run) -> tuple[dict[str, Any], list[str]]:
         worst = int(np.argmax(np.abs(error)))
         desired = np.max(np.abs(run["desired_torque_n_m"][window]))
         fields["torque_error_rms_n_m"] = rms(error)
-        lines.append(
+        line = (
             f"Torque error {rms(error):.3g} N·m rms, peak {abs(error[worst]):.3g} N·m at "
             f"{time_s[worst]:.4g} s; the desired torque reaches {desired:.3g} N·m."
         )
+        lines += [] if stop else [line]
     return fields, lines
 
 
@@ -360,20 +374,13 @@ def _fault_notices(scenario: Scenario, run: Run) -> Iterator[str]:
     )
 
 
-def _protection_notices(scenario: Scenario, run: Run) -> Iterator[str]:
-    """Yield a line that says when and why the protection stopped the motor, if it did."""
-    if scenario.protection is None or not run["safety_reason"].any():
-        return
-    first = int(np.argmax(run["safety_reason"] > 0.0))
-    reason = REASONS[int(run["safety_reason"][first])]
-    text = f"protection acted at {run.time_s[first - 1]:.4g} s: {reason}"
-    if detector := DETECTORS.get(reason):
-        # The residual changes a counter, the counter the state, and the record shows it after that.
-        column = columns(["residuals"])[list(DETECTORS).index(reason)]
-        size = run[column][max(first - 2, 0)] / detector.factor
-        limit = getattr(scenario.protection, detector.field)
-        text += f" was {size:.4g}, above {limit:g} {detector.unit}"
-    yield f"{text}; the run ends in the state {list(STATES)[int(run['safety_state'][-1])]}"
+def _current_notices(peak_a: float, logged_a: float) -> Iterator[str]:
+    """Yield a line if a dynamic brake has a larger current than the log of the run."""
+    if peak_a > logged_a:
+        yield (
+            f"the current of the brake reaches {peak_a:.3g} A as it engages; signals.csv shows at "
+            f"most {logged_a:.3g} A, because its rows are before the updates of the controller"
+        )
 
 
 def _gap_notices(scenario: Scenario, run: Run) -> Iterator[str]:
@@ -517,19 +524,22 @@ def _torque_limits(scenario: Scenario, run: Run) -> dict[str, _Limit]:
     }
 
 
-def _saturation_line(limits: Mapping[str, _Limit]) -> str:
-    """Return one line that says which limits the run reaches, and for which share of its time."""
+def _saturation(limits: Mapping[str, _Limit], stop: Stop | None) -> list[str]:
+    """Return one line that says which limits the run reaches, and for which share of its time.
+
+    A run that the protection stops has no line that nothing saturates.
+    """
     reached = [
         f"{limit.reached} for {_two_digits(100.0 * limit.share)} % of the run"
         for limit in limits.values()
         if limit.share > 0.0
     ]
     if limits["command"].share > 0.5:
-        return f"Saturated most of the time, which the margins leave out: {', '.join(reached)}."
-    if reached:
-        return f"Saturates: {', '.join(reached)}."
+        return [f"Saturated most of the time, which the margins leave out: {', '.join(reached)}."]
+    if reached or stop:
+        return [f"Saturates: {', '.join(reached)}."] if reached else []
     largest = [limit.largest for limit in limits.values() if limit.largest]
-    return f"Nothing saturates: {', '.join(largest)}."
+    return [f"Nothing saturates: {', '.join(largest)}."]
 
 
 def _two_digits(value: float) -> str:

@@ -40,7 +40,7 @@ def _limits(result: TrackingResult) -> Iterator[Row]:
     """Yield a row for each limit of a run, with the verdict on the run's largest value."""
     scenario, metrics, verdict = result.scenario, result.metrics, result.verdict
     plant, run, step = scenario.plant, result.run, result.step
-    if step is not None:
+    if step is not None and verdict.stop is None:
         band_deg = SETTLING_BAND * abs(step.step_deg)
         yield (
             "error after the step",
@@ -48,7 +48,7 @@ def _limits(result: TrackingResult) -> Iterator[Row]:
             f"{number(band_deg)}° ({100.0 * SETTLING_BAND:g} % of the step)",
             "settles" if step.settles else "does not settle",
         )
-    elif verdict.tracks is not None:
+    elif verdict.tracks is not None and verdict.stop is None:
         yield (
             "tracking error",
             f"{number(verdict.max_error_deg)}° at {verdict.max_error_time_s:.4g} s",
@@ -92,6 +92,8 @@ def _numbers(result: TrackingResult) -> Iterator[Row]:
         yield ("overshoot", _with_unit(step.overshoot_percent, "%"))
         yield ("settling time", _with_unit(step.settling_time_s, "s"))
         yield ("final error", _with_unit(step.final_error_deg, "°"))
+    if not math.isnan(verdict.peak_motor_current_a):
+        yield ("motor current, largest", _with_unit(verdict.peak_motor_current_a, "A"))
     if (cycle := verdict.limit_cycle) is not None:
         low, high = cycle.lowest_pressure_mpa, cycle.highest_pressure_mpa
         yield ("limit cycle at rest, amplitude", f"{number(cycle.amplitude_deg)}° of the knee")

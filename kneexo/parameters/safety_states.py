@@ -24,7 +24,7 @@ SAFE_STATES: dict[SafeState, str] = {
     "torque_off": "the motor has no torque",
     "bypass": "the bypass is open",
 }
-"""What a page tells when a safe state is reached."""
+"""What a page and a verdict tell of a safe state."""
 
 RELEASES = tuple(name for name in SAFE_STATES if name != "zero_speed")
 """The safe states with a release, and the inputs of the plant that a release acts on."""

@@ -110,6 +110,17 @@ def test_a_run_that_does_not_track_says_so():
     assert rows_of(tracking_report(result))["tracking error"][2] == "does not track"
 
 
+@pytest.mark.slow
+def test_a_run_that_is_stopped_has_a_current_and_no_error():
+    adds = {"place": "command", "kind": "offset", "size": 1000.0, "start_s": 1.0}
+    values = {"faults": (adds,), "simulation.duration_s": 2.0}
+    result = track(Scenario.preset("protected").changed(values), all_signals=True)
+    rows = rows_of(tracking_report(result))
+    assert "tracking error" not in rows
+    current = number(result.verdict.peak_motor_current_a)
+    assert rows["motor current, largest"] == [f"{current} A"]
+
+
 def test_a_run_with_a_wearer_has_its_torques_in_place_of_tracking():
     values = {
         "plant.load": {"kind": "knee"},

@@ -251,13 +251,14 @@ def test_tables_by_the_count_refuse_protection(tmp_path):
 
 def test_the_verdict_says_when_and_why_the_protection_acted():
     result = track(with_faults({"kind": "offset", "size": 2.0, "start_s": 0.2}))
-    (line,) = [notice for notice in result.verdict.notices if "protection" in notice]
-    assert line.startswith("protection acted at 0.21 s: rate was ")
-    assert line.endswith("above 150 deg/s; the run ends in the state stopped")
-    size = float(line.split("was ")[1].split(",")[0])
+    stop, line = result.verdict.stop, result.verdict.lines[0]
+    assert line.startswith(f"Stopped at 0.21 s by the detector rate ({stop.residual:.4g} > 150 ")
     # Five samples after the last plausible reading.
-    assert size == pytest.approx(2.0 / (5 * T), rel=0.1)
-    assert not [notice for notice in track(BASE).verdict.notices if "protection" in notice]
+    assert stop.residual == pytest.approx(2.0 / (5 * T), rel=0.1)
+    assert not [line for line in result.verdict.lines if "error" in line or "Nothing" in line]
+    free = track(BASE)
+    assert free.verdict.stop is None
+    assert free.verdict.lines[0].startswith("Tracks: ")
 
 
 def test_responses_are_measured_without_protection():

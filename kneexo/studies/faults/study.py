@@ -18,20 +18,19 @@ from typing import Any, Literal, Unpack
 import numpy as np
 
 from kneexo.analysis.signals import period_s
+from kneexo.analysis.stop import knee_torque, safe_sample, turn_and_torque
 from kneexo.analysis.survival import fault_case, fault_name
 from kneexo.diagrams import available_signals
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import (
     UNCERTAINTY,
-    ProtectionParameters,
     Scenario,
     UncertaintySet,
 )
 from kneexo.parameters.criteria import OBSERVED_S, TOLERATED_DEVIATION_DEG
 from kneexo.parameters.fault import OPERATOR_INPUTS, FaultParameters
-from kneexo.parameters.plant import RPM
 from kneexo.parameters.quantity import Parameters, choice, quantity
-from kneexo.parameters.safety_states import REASONS, SAFE_STATES, STATES, SafeState
+from kneexo.parameters.safety_states import REASONS, SAFE_STATES, SafeState
 from kneexo.parameters.typical_faults import typical_faults
 from kneexo.parameters.uncertainty import applicable, draw, options_of, realize
 from kneexo.result import Array, Result, data_frame
@@ -276,8 +275,6 @@ _SIGNALS = (
 )
 """Signals of the runs, as far as the scenario has them."""
 
-_STOPPED, _RELEASED = (list(STATES).index(state) for state in ("stopped", "released"))
-
 
 def faults_study(
     scenario: Scenario = Scenario.preset("protected"),
@@ -506,13 +503,11 @@ def _stop(scenario: Scenario, settings: FaultsSettings, item: tuple[str, float])
     press = FaultParameters(place="emergency_stop", kind="value", size=1.0, start_s=start_s)
     run, _ = _run(protected, press)
     safe_after_s, end = _safe_after(run, protected, start_s)
-    part = slice(_index(run, start_s), end)
-    angle = np.degrees(run["knee_angle_rad"][part])
+    start = _index(run, start_s)
     return {
-        "knee_deg": float(angle[0]),
+        "knee_deg": math.degrees(run["knee_angle_rad"][start]),
         "safe_after_s": safe_after_s,
-        "turn_deg": float(np.max(np.abs(angle - angle[0]))),
-        "torque_n_m": float(np.max(np.abs(_torque(run)[part]))),
+        **turn_and_torque(run, slice(start, end)),
         "rest": _rest(run, end, start_s + settings.observed_s),
     }
 
@@ -522,13 +517,8 @@ def _rest(run: Run, end: int | None, end_s: float) -> dict[str, Any]:
     last = _index(run, end_s)
     if end is None or end >= last:
         return {"turn_deg": math.nan, "torque_n_m": math.nan, "complete": False}
-    part = slice(end - 1, last)
-    angle = np.degrees(run["knee_angle_rad"][part])
-    return {
-        "turn_deg": float(np.max(np.abs(angle - angle[0]))),
-        "torque_n_m": float(np.max(np.abs(_torque(run)[part]))),
-        "complete": bool(run.time_s[-1] > end_s - 1e-9),
-    }
+    is_complete = bool(run.time_s[-1] > end_s - 1e-9)
+    return turn_and_torque(run, slice(end - 1, last)) | {"complete": is_complete}
 
 
 def _index(run: Run, time_s: float) -> int:
@@ -602,33 +592,20 @@ def _deviation_deg(run: Run, healthy: Run) -> Array:
 def _safe_after(run: Run, protected: Scenario, start_s: float) -> tuple[float, int | None]:
     """Return the time from ``start_s`` to the first safe sample, and the index behind this sample.
 
-    At a safe sample the release is on, or the motor has stopped and stands. A motor that does not
-    obey keeps turning in the state ``stopped``, which it reaches when the stop is overdue. Without
-    a safe sample the result is inf and None.
+    Without a `safe_sample` the result is inf and None.
     """
-    protection = protected.protection or ProtectionParameters()
-    stands = np.abs(run["motor_speed_rad_s"]) < protection.standstill_rpm * RPM
-    state, after = run["safety_state"], run.time_s - start_s
-    is_safe = (state == _RELEASED) | ((state == _STOPPED) & stands)
-    safe = np.flatnonzero((after >= 0.0) & is_safe)
-    return (float(after[safe[0]]), int(safe[0]) + 1) if safe.size else (math.inf, None)
+    safe = safe_sample(protected, run, slice(_index(run, start_s), None))
+    return (math.inf, None) if safe is None else (float(run.time_s[safe]) - start_s, safe + 1)
 
 
 def _peaks(run: Run, healthy: Run, part: slice) -> dict[str, Any]:
     """Return the largest values in a part of the samples."""
     values = {
         "deviation_deg": _deviation_deg(run, healthy),
-        "torque_n_m": _torque(run),
+        "torque_n_m": knee_torque(run),
         "pressure_mpa": 1e-6 * _pressure(run),
     }
     return {name: float(np.max(np.abs(value[part]))) for name, value in values.items()}
-
-
-def _torque(run: Run) -> Array:
-    """Return the torque of the wearer, or without a wearer that of the actuator, in N·m."""
-    if "interaction_torque_n_m" in run.columns:
-        return run["interaction_torque_n_m"]
-    return run["rod_force_n"] * run["moment_arm_m"]
 
 
 def _pressure(run: Run) -> Array:
