@@ -187,7 +187,7 @@ class ModelBase:
                 f"derivatives jump too often); use rk4"
             )
         if status == TOO_MANY_SUBSTEPS:
-            return SimulationError(
+            return StiffnessError(
                 f"t = {time_s:.6g} s: {self.state_names[index]} changes too fast for the "
                 f"integrator rosenbrock, whose {MOST_SUBSTEPS} substeps do not reach the end of "
                 f"the tick; check the parameters, or use exact_hold"
