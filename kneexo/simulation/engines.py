@@ -16,6 +16,7 @@ from kneexo.errors import (
     SimulationError,
     StiffnessError,
     UnstableStepError,
+    shortened,
 )
 from kneexo.parameters import Scenario
 from kneexo.parameters.scenario import require_scenario
@@ -101,12 +102,15 @@ def _repeated(
             way = ("rosenbrock", settings.step_s)
         ((_, run),) = _compiled_runs(requests, [index], signals, way)
         if isinstance(run, StiffnessError):
-            reason = str(unstable).split(": ", 1)[-1].split("; ")[0]
-            return StiffnessError(
-                f"{run}; exact_hold cannot hold its tolerance, and {reason}: slow down that part, "
-                f"or let simulation.integrator = rk4 take {steps:.0f} steps a sample with step_s = "
-                f"{unstable.step_s:.1e} s"
+            # The repr of a plant has the values that differ from their defaults.
+            plant = shortened(repr(requests[index].scenario.plant), 300)
+            error = StiffnessError(
+                f"{str(unstable).split('; ')[0]}, and neither can exact_hold nor rosenbrock; change "
+                f"plant = {plant}, or set simulation.integrator = rk4 and step_s = "
+                f"{unstable.step_s:.1e}, which takes {steps:.0f} steps a sample"
             )
+            error.time_s, error.state = unstable.time_s, unstable.state
+            return error
     return run
 
 
