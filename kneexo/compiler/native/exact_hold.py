@@ -102,7 +102,7 @@ _STRICT = 10.0  # factor of the error estimate of explicit and driven steps, if 
 _NEGLIGIBLE = 0.01  # share of the tolerance below which a correction is left out
 _MOST_EXCESS = 1e-2  # largest sum of the errors of finest steps that miss the tolerance
 FASTEST_PER_S = 1e13
-"""Largest norm of A in 1/s. Chains of lags with poles of 1e-3 … 1e14 1/s are right to 1e-14."""
+"""Largest norm of A in 1/s. Chains of lags with poles of 1e-3 … 1e14 1/s are right to 1e-12."""
 _WHOLE = 1 << FINEST  # number of finest steps in a tick
 
 
