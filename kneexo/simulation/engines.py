@@ -105,8 +105,8 @@ def _repeated(
             # The repr of a plant has the values that differ from their defaults.
             plant = shortened(repr(requests[index].scenario.plant), 300)
             error = StiffnessError(
-                f"{str(unstable).split('; ')[0]}, and neither can exact_hold nor rosenbrock; change "
-                f"plant = {plant}, or set simulation.integrator = rk4 and step_s = "
+                f"{str(unstable).split('; ')[0]}, and neither can exact_hold nor rosenbrock; "
+                f"change plant = {plant}, or set simulation.integrator = rk4 and step_s = "
                 f"{unstable.step_s:.1e}, which takes {steps:.0f} steps a sample"
             )
             error.time_s, error.state = unstable.time_s, unstable.state
