@@ -23,7 +23,8 @@ class CompiledSystem(LeafSystem):
     model, and their values are held over a tick. The output ports are the outputs of the model.
     Numeric parameters: ``model.parameter_names``. Discrete state: first the continuous states of
     the model, then the discrete states of the model. The tick is the longest one that divides all
-    sample times of the model.
+    sample times of the model, but at most 2 ms with ``exact_hold``. Ticks at multiples of the
+    shortest sample time have exactly the times that Drake gives to updates of this period.
 
     As in every discrete system, an update at a tick changes the state right after the tick. So
     outputs and logs at a tick equal the outputs of the compiled diagram at that tick. Between two
@@ -76,7 +77,8 @@ class CompiledSystem(LeafSystem):
             "tolerance": tolerance,
             "record_period_s": tick_s,
         }
-        self._tick = Runner(model.code, **self._options).timing.tick
+        grid = Runner(model.code, **self._options).timing
+        self._tick = grid.tick
         self.DeclareNumericParameter(BasicVector(np.asarray(parameters, dtype=float)))
         self.DeclareDiscreteState(np.concatenate((state.continuous, state.discrete)))
         for name, size in model.inputs.items():
@@ -106,7 +108,11 @@ class CompiledSystem(LeafSystem):
             )
             first += size
         self.DeclareInitializationDiscreteUpdateEvent(self._initialize)
-        self.DeclarePeriodicDiscreteUpdateEvent(self._tick, 0.0, self._advance)
+        # The sum of many ticks has other bits than a multiple of the period, and the events of
+        # other systems are at such multiples: one event for each tick of a period.
+        period_s = min(model.sample_times_s, default=grid.unit)
+        for offset_s in grid.times(np.arange(round(period_s / grid.tick))):
+            self.DeclarePeriodicDiscreteUpdateEvent(period_s, offset_s, self._advance)
 
     def _make_runner(self, context: Any, value: Any) -> None:
         parameters = self.model.checked_parameters(context.get_numeric_parameter(0).value()[None])

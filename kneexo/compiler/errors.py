@@ -49,7 +49,7 @@ class SimulationError(Error, RuntimeError):
 
 
 class StiffnessError(SimulationError):
-    """The derivatives jump too often for the integrator exact_hold to meet its tolerance."""
+    """The equations are too stiff for an integrator that controls its error."""
 
 
 class UnstableStepError(SimulationError):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -306,6 +307,8 @@ class CompiledModel(ModelBase):
                 raise ValueError(f"duration_s = {duration} s: must be finite and >= 0")
         tick = runner.timing.tick
         ticks = np.array([int(d / tick * (1.0 + 1e-12)) for d in durations], dtype=np.int64)
+        if note := runner.timing.offset_note(int(ticks.max(initial=0))):
+            warnings.warn(note, stacklevel=3)
         reduced = starts_and_bounds(reductions, runner.timing, len(rows))
         return _Batch(rows, states, ticks, tables, *reduced)
 

@@ -17,6 +17,7 @@ from .native.arguments import (
     TOO_MANY_SUBSTEPS,
     TOO_ROUGH,
 )
+from .native.exact_hold import FASTEST_PER_S
 from .native.machine_code import MachineCode
 from .native.runner import Runner, address, output_elements
 from .native.stability import UnstableStep
@@ -175,13 +176,18 @@ class ModelBase:
             return not_finite(time_s, names[int(np.argmin(finite))])
         if status == OUTPUT_NOT_FINITE:
             return not_finite(time_s, output_elements(self.outputs)[index][0])
+        if status == TOO_ROUGH and index:
+            return StiffnessError(
+                f"t = {time_s:.6g} s: a mode is faster than {FASTEST_PER_S:g} 1/s, the limit of "
+                f"the integrator exact_hold; use rosenbrock, or slower parts"
+            )
         if status == TOO_ROUGH:
             return StiffnessError(
                 f"t = {time_s:.6g} s: the integrator exact_hold cannot hold its tolerance (the "
                 f"derivatives jump too often); use rk4"
             )
         if status == TOO_MANY_SUBSTEPS:
-            return SimulationError(
+            return StiffnessError(
                 f"t = {time_s:.6g} s: {self.state_names[index]} changes too fast for the "
                 f"integrator rosenbrock, whose {MOST_SUBSTEPS} substeps do not reach the end of "
                 f"the tick; check the parameters, or use exact_hold"

@@ -16,6 +16,7 @@ from kneexo.errors import (
     SimulationError,
     StiffnessError,
     UnstableStepError,
+    shortened,
 )
 from kneexo.parameters import Scenario
 from kneexo.parameters.scenario import require_scenario
@@ -51,14 +52,17 @@ LARGEST_RUN_BYTES = 2 * 2**30
 MOST_STEPS = 1_000_000_000
 """Largest number of steps of a run with a fixed step size."""
 
+MOST_STEPS_OF_A_SAMPLE = 2000.0
+"""Largest number of steps of RK4 in a control period where RK4 repeats a run."""
+
 
 def serve_runs(requests: Mapping[int, RunRequest]) -> Iterator[tuple[int, Run | KneexoError]]:
     """Yield the index of each request and its run or its error, as soon as the run ends.
 
     The compiled engine simulates scenarios that differ only in numbers in batches. If the
     integrator ``exact_hold`` fails in a run, RK4 repeats the run with steps of 20 µs, or with the
-    steps that its fastest mode requires. The result of a run does not depend on the other runs in
-    its batch.
+    steps that its fastest mode requires, and ``rosenbrock`` if these are too many. The result of a
+    run does not depend on the other runs in its batch.
     """
     ways: dict[Any, list[int]] = {}
     for index, request in requests.items():
@@ -75,16 +79,39 @@ def serve_runs(requests: Mapping[int, RunRequest]) -> Iterator[tuple[int, Run | 
     rough: dict[Any, list[int]] = {}
     for (signals, kinds, way), indices in ways.items():
         for index, run in _compiled_runs(requests, indices, signals, way):
-            if isinstance(run, StiffnessError):  # such as valves that chatter
+            # Such as valves that chatter; the substeps of rosenbrock that the user chose stay.
+            if isinstance(run, StiffnessError) and way[0] == "exact_hold":
                 rough.setdefault((signals, kinds), []).append(index)
             else:
                 yield index, run
     for (signals, _), indices in rough.items():
         for index, run in _compiled_runs(requests, indices, signals, ("rk4", ROUGH_STEP_S)):
-            while isinstance(run, UnstableStepError):
-                repeated = _compiled_runs(requests, [index], signals, ("rk4", run.step_s))
-                ((_, run),) = repeated
-            yield index, run
+            yield index, _repeated(requests, index, signals, run)
+
+
+def _repeated(
+    requests: Mapping[int, RunRequest], index: int, signals: Any, run: Run | KneexoError
+) -> Run | KneexoError:
+    """Repeat a run of RK4 as long as its steps are unstable; return the last run or its error."""
+    settings = requests[index].scenario.simulation
+    sample_time_s = requests[index].scenario.controller.sample_time_s
+    while isinstance(unstable := run, UnstableStepError):
+        steps = sample_time_s / unstable.step_s
+        way = ("rk4", unstable.step_s)
+        if steps > MOST_STEPS_OF_A_SAMPLE:
+            way = ("rosenbrock", settings.step_s)
+        ((_, run),) = _compiled_runs(requests, [index], signals, way)
+        if isinstance(run, StiffnessError):
+            # The repr of a plant has the values that differ from their defaults.
+            plant = shortened(repr(requests[index].scenario.plant), 300)
+            error = StiffnessError(
+                f"{str(unstable).split('; ')[0]}, and neither can exact_hold nor rosenbrock; "
+                f"change plant = {plant}, or set simulation.integrator = rk4 and step_s = "
+                f"{unstable.step_s:.1e}, which takes {steps:.0f} steps a sample"
+            )
+            error.time_s, error.state = unstable.time_s, unstable.state
+            return error
+    return run
 
 
 def _too_large(request: RunRequest) -> ParameterError | None:
@@ -126,12 +153,24 @@ def _width(request: RunRequest) -> int:
 def _drake_run(request: RunRequest) -> Run | KneexoError:
     scenario = request.scenario
     names = available_signals(scenario) if request.signals is None else tuple(request.signals)
+    settings = scenario.with_duration().simulation
     try:
         diagram = make_closed_loop(scenario, signals=names)
         context = diagram.CreateDefaultContext()
-        settings = scenario.with_duration().simulation
         return simulate_diagram(diagram, context, columns(names), settings, request.progress)
     except KneexoError as error:
+        fixed = settings.integrator == "runge_kutta3" and not settings.error_controlled
+        if isinstance(error, SimulationError) and fixed:
+            from kneexo.simulation.compiled import simulate_compiled
+
+            try:  # the same steps, but the compiled engine tells steps that are too long
+                simulate_compiled(
+                    scenario, signals=(), integrator=settings.integrator, step_s=settings.step_s
+                )
+            except UnstableStepError as unstable:
+                return unstable
+            except KneexoError:
+                pass
         return error
 
 
@@ -181,8 +220,9 @@ def simulate(
 
     ``scenario.simulation.integrator`` chooses between the compiled engine and Drake's Simulator. If
     the integrator ``exact_hold`` fails because the valves make the equations too stiff, RK4 repeats
-    the run with steps of 20 µs, or with the steps that the fastest mode of the run requires. The
-    ``settings`` of the returned run then name RK4.
+    the run with steps of 20 µs, or with the steps that the fastest mode of the run requires. If
+    these are more than `MOST_STEPS_OF_A_SAMPLE`, ``rosenbrock`` repeats the run. The ``settings``
+    of the returned run then name that integrator.
 
     Parameters
     ----------

@@ -6,11 +6,13 @@ from pydrake.symbolic import Variable, sqrt
 from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import (
+    Adder,
     ConstantVectorSource,
     Gain,
     Integrator,
     LogVectorOutput,
     SymbolicVectorSystem,
+    ZeroOrderHold,
 )
 
 from kneexo.compiler import State, compile_diagram
@@ -45,6 +47,28 @@ def test_logs_are_the_records_of_a_direct_run_bit_by_bit(servo, integrator):
         np.testing.assert_array_equal(log.data().T, direct[name])
     final = np.concatenate((direct.final.continuous, direct.final.discrete))
     np.testing.assert_array_equal(context.get_discrete_state(0).value(), final)
+
+
+def counter(period_s):
+    """A diagram that counts its updates."""
+    builder = DiagramBuilder()
+    one = builder.AddSystem(ConstantVectorSource([1.0]))
+    total = builder.AddNamedSystem("total", Adder(2, 1))
+    hold = builder.AddNamedSystem("hold", ZeroOrderHold(period_s, 1))
+    builder.Connect(one.get_output_port(), total.get_input_port(0))
+    builder.Connect(hold.get_output_port(), total.get_input_port(1))
+    builder.Connect(total.get_output_port(), hold.get_input_port())
+    builder.ExportOutput(hold.get_output_port(), "count")
+    return builder.Build()
+
+
+@pytest.mark.parametrize("tick_s", [None, 0.05])
+def test_a_log_with_the_sample_time_sees_the_values_before_each_update(tick_s):
+    """3 · 0.1 is 0.30000000000000004: an event at 150 · 0.002 comes before it."""
+    model = compile_diagram(counter(0.1))
+    system = model.as_system(model.parameters(), model.state(), tick_s=tick_s)
+    (log,), _ = run_logged(system, ["count"], 3.0, 0.1)
+    np.testing.assert_array_equal(log.data()[0], np.arange(31))
 
 
 def test_structure(servo):

@@ -68,6 +68,10 @@ def test_each_outcome_has_its_error(servo):
     assert text.startswith(f"t = 0.01 s: {model.discrete_names[0]} is not finite")
     error = model.fault((TOO_ROUGH, 0, 0), runner, parameters, state)
     assert isinstance(error, StiffnessError)
+    assert str(error).endswith("use rk4")
+    error = model.fault((TOO_ROUGH, 0, 1), runner, parameters, state)
+    assert isinstance(error, StiffnessError)
+    assert "a mode is faster than 1e+13 1/s" in str(error)
     assert model.fault((OK, 5, 0), runner, parameters, state) is None
     # The leaf itself has nothing against this state.
     error = model.fault((OUTSIDE, 1, 0), runner, parameters, state)

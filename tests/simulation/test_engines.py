@@ -206,6 +206,66 @@ def test_small_steps_that_are_too_long_are_repeated_with_those_of_the_error(monk
     assert [run.settings.step_s for run in runs] == [2e-5, 2e-5, 2e-5, 8e-6]
 
 
+@pytest.mark.parametrize("stuck", [False, True])
+def test_rosenbrock_stands_in_where_rk4_needs_too_many_steps(monkeypatch, stuck):
+    original, ways = compiled.simulate_together, []
+
+    def refusing(scenarios, signals, integrator, *options, **named):
+        ways.append((integrator, options[0]))
+        if integrator == "rk4":
+            error = UnstableStepError("t = 0 s: rk4 cannot follow x[2], a mode; set step_s = 1")
+            error.step_s = {2e-5: 1.01e-6}.get(options[0], 0.99e-6)  # 2 ms / 2000 is 1 µs
+            return [error]
+        if integrator == "exact_hold" or stuck:
+            return [StiffnessError("too stiff")]
+        return original(scenarios, signals, integrator, *options, **named)
+
+    monkeypatch.setattr(compiled, "simulate_together", refusing)
+    heavy = SHORT.changed({"plant.cylinder.mass_kg": 9.0})
+    if stuck:
+        with pytest.raises(
+            StiffnessError, match=r"follow x\[2\], a mode, .*=9\.0.*2020 steps a sam"
+        ):
+            simulate(heavy, signals=("knee_angle",))
+    else:
+        run = simulate(heavy, signals=("knee_angle",))
+        assert run.settings.integrator == "rosenbrock"
+    assert ways[1:] == [("rk4", 2e-5), ("rk4", 1.01e-6), ("rosenbrock", 2e-3)]
+
+
+def test_a_user_who_chose_rosenbrock_gets_its_error(monkeypatch):
+    def stuck(scenarios, *options, **named):
+        return [StiffnessError("1000 substeps") for _ in scenarios]
+
+    monkeypatch.setattr(compiled, "simulate_together", stuck)
+    with pytest.raises(StiffnessError, match="1000 substeps"):
+        simulate(SHORT.changed({"simulation.integrator": "rosenbrock"}), signals=("knee_angle",))
+
+
+def test_large_valves_do_not_take_steps_of_nanoseconds():
+    """RK4 would need 16 ns, and takes 44 s of processor time for a second."""
+    values = {
+        "plant.full_order.makeup_conductance_m3_per_s_pa": 1e-6,
+        "simulation.duration_s": 0.05,
+    }
+    run = simulate(Scenario.preset("wearer").changed(values), signals=("knee_angle",))
+    assert run.settings.integrator == "rosenbrock"
+    values |= {"simulation.integrator": "rosenbrock", "simulation.tolerance": 1e-10}
+    right = simulate(Scenario.preset("wearer").changed(values), signals=("knee_angle",))
+    np.testing.assert_allclose(run["knee_angle_rad"], right["knee_angle_rad"], rtol=0, atol=1e-6)
+
+
+def test_drakes_third_order_names_a_step_that_is_too_long():
+    """Its default step is that of the other integrators, and the oil moves at 447 Hz."""
+    scenario = SHORT.changed({"simulation.integrator": "runge_kutta3"})
+    with pytest.raises(
+        UnstableStepError, match=r"with steps of 0\.002 s .* set step_s = "
+    ) as caught:
+        simulate(scenario, signals=("knee_angle",))
+    stable = scenario.changed({"simulation.step_s": caught.value.step_s})
+    assert np.isfinite(simulate(stable, signals=("knee_angle",))["knee_angle_rad"]).all()
+
+
 @pytest.mark.slow
 def test_steps_of_the_user_that_are_too_long_end_the_run():
     """On the way, RK4 at 0.1 ms ended preset ``leg`` at 0.2085 rad, where 0.1747 rad is right."""

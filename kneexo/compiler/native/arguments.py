@@ -10,8 +10,9 @@ OK, NOT_FINITE, OUTSIDE, TOO_ROUGH, OUTPUT_NOT_FINITE, TOO_MANY_SUBSTEPS = range
 
 `OK`: the run reached its end. `NOT_FINITE`: a state is not finite. `OUTSIDE`: the margin of a leaf
 system, its distance from a limit, is below zero. `TOO_ROUGH`: the integrator ``exact_hold`` cannot
-hold its tolerance. `OUTPUT_NOT_FINITE`: a recorded output is not finite. `TOO_MANY_SUBSTEPS`: the
-substeps of the integrator ``rosenbrock`` do not reach the end of a tick.
+hold its tolerance (index 0), or a mode is too fast for it (index 1). `OUTPUT_NOT_FINITE`: a
+recorded output is not finite. `TOO_MANY_SUBSTEPS`: the substeps of the integrator ``rosenbrock`` do
+not reach the end of a tick.
 """
 
 MEMO_LINES = 4096

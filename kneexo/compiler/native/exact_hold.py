@@ -101,6 +101,8 @@ _EASY = 0.05  # share of the tolerance below which a step may double
 _STRICT = 10.0  # factor of the error estimate of explicit and driven steps, if there are many
 _NEGLIGIBLE = 0.01  # share of the tolerance below which a correction is left out
 _MOST_EXCESS = 1e-2  # largest sum of the errors of finest steps that miss the tolerance
+FASTEST_PER_S = 1e13
+"""Largest norm of A in 1/s. Chains of lags with poles of 1e-3 … 1e14 1/s are right to 1e-12."""
 _WHOLE = 1 << FINEST  # number of finest steps in a tick
 
 
@@ -390,10 +392,12 @@ class ExactHold:
                 self.choose(tick, lane, memory, tick.start)
             self._refresh(tick, lane, memory, levels[lane], tick.function.constant(0, BOOL))
 
-    def advance(self, tick: Tick) -> Value:
-        """Emit the steps of a tick; return a condition.
+    def advance(self, tick: Tick) -> tuple[Value, Value]:
+        """Emit the steps of a tick; return two conditions.
 
-        The condition is true in lanes where even the shortest steps miss the tolerance by too much.
+        The first is true in lanes where even the shortest steps miss the tolerance by too much, or
+        where the second is true. The second is true in lanes whose norm of A at the start of the
+        tick exceeds `FASTEST_PER_S`; they take no step.
         """
         f, type_ = tick.function, tick.type
         ints = INT.of(type_.lanes)
@@ -404,7 +408,8 @@ class ExactHold:
         # Position in the tick, and 1 if this step has tried another Jacobian.
         position, tried = (f.variable(f.constant(0, ints)) for _ in range(2))
         # The tolerance is missed by too much, and a step with the Jacobian at its start has failed.
-        rough, bent = (f.variable(f.constant(0, BOOL.of(type_.lanes))) for _ in range(2))
+        stiff = (self._norm(tick) > FASTEST_PER_S) & tick.running
+        rough, bent = (f.variable(value) for value in (stiff, f.constant(0, BOOL.of(type_.lanes))))
         # In any lane a step has moved x without its slope, and a step has changed x.
         moved, changed = (f.variable(f.constant(1, BOOL)) for _ in range(2))
         slope, weight, step = tick.vector(), tick.vector(), _Step(tick)
@@ -458,7 +463,7 @@ class ExactHold:
             for lane, memory in self._lanes(tick):
                 with f.when(flags[lane].differs(0)):
                     self._refresh(tick, lane, memory, levels[lane], f.constant(0, BOOL))
-        return rough.get()
+        return rough.get(), stiff
 
     def _try_step(
         self,

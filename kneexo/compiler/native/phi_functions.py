@@ -1,4 +1,10 @@
-"""Emits code for the matrix functions phi_1, phi_2 and phi_3, which `exact_hold` defines."""
+"""Emits code for the matrix functions phi_1, phi_2 and phi_3, which `exact_hold` defines.
+
+The functions at 2 z follow from those at z. There phi_1 = phi_1 + (z phi_1) phi_1 / 2. The product
+z phi_1 = e^z - 1 loses digits if z has fast and slow modes: each doubling multiplies the rounding
+errors of phi_1 by up to ||z||/2. So from `STIFF` on, e^z - 1 has a table of its own, whose doubling
+(e^z - 1)² + 2 (e^z - 1) needs no z and keeps the digits of slow modes too.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +16,13 @@ from .types import DOUBLE, INT, POINTER
 
 FINEST = 12
 """Largest number of halvings of a step: the exact hold's shortest step is tick/2^FINEST."""
+
+STIFF = 256.0
+"""Norm of A times the tick from which the tables contain e^(A h) - 1.
+
+Below, chains of lags are right to 1e-12 without this table, which takes one more product. Most
+knees have a norm of 6 … 230.
+"""
 
 
 class Columns:
@@ -88,12 +101,14 @@ class Tables:
     """Layout of the tables of one matrix A, in doubles.
 
     The tables begin with a norm of A, its largest sum of magnitudes in a row, and the coarsest and
-    the finest level that are filled. All levels between these two are filled too. Then come A and,
-    for each level 0 … `FINEST` + 1, the matrices phi_1, phi_2 and phi_3 at A h, where
-    h = tick/2^level. Each matrix is stored as `Columns` describes.
+    the finest level that are filled. All levels between these two are filled too. The next element
+    is 1 if the norm of A times the tick is `STIFF` or more. Then come A and, for each level
+    0 … `FINEST` + 1, the matrices phi_1, phi_2, phi_3 and e^(A h) - 1 at A h, where
+    h = tick/2^level. The last one is filled if A is stiff. Each matrix is stored as `Columns`
+    describes.
     """
 
-    NORM, BOUND, COARSEST, FINEST, MATRIX = 0, 1, 2, 3, 8
+    NORM, BOUND, COARSEST, FINEST, STIFF, MATRIX = 0, 1, 2, 3, 4, 8
 
     def __init__(self, size: int) -> None:
         width = 4 if size <= 4 else 8
@@ -103,7 +118,7 @@ class Tables:
         """Number of doubles of a matrix."""
         self.first = self.MATRIX + self.matrix
         """Place of phi_1 of level 0."""
-        self.level = 3 * self.matrix
+        self.level = 4 * self.matrix
         """Number of doubles of a level."""
         self.size = self.first + (FINEST + 2) * self.level
 
@@ -173,6 +188,8 @@ def _define_start_tables(module: Module, size: int) -> Function:
         unit.cast(DOUBLE)[columns.element(j, j)] = 1.0
     level, h = f.variable(least), f.variable(step_of(f, tick, least))
     norm, bound = tables[at.NORM], tables[at.BOUND]
+    stiff = ~(norm * tick < STIFF)
+    tables.cast(INT)[at.STIFF] = f.flags(stiff)
     with f.forever() as loop:
         # A sum of magnitudes up to 8 hardly adds to the remainder of the series.
         large = (norm * h.get() > 1.0) | (bound * h.get() > 8.0)
@@ -185,10 +202,13 @@ def _define_start_tables(module: Module, size: int) -> Function:
         columns.multiply(powers[n], powers[1], powers[n + 1])
     first = f.select(level.get() > FINEST + 1, FINEST + 1, level.get())
     table, doubled = tables.shifted(first * at.level + at.first), f.array(at.level)
-    _taylor(columns, powers, _matrices(table, columns, at, 3))
+    *phi, growth = _matrices(table, columns, at, 4)
+    _taylor(columns, powers, phi)
+    with f.when(stiff):
+        columns.multiply(powers[1], phi[0], growth)
     with f.forever() as loop:
         loop.stop_if(level.get() <= first)
-        f.call(double, h.get(), matrix.pointer, table.pointer, doubled.pointer)
+        f.call(double, h.get(), tables.pointer, table.pointer, doubled.pointer)
         for e in f.loop(at.level):
             table[e] = doubled[e]
         level.set(level.get() - 1)
@@ -223,35 +243,45 @@ def _define_fill_tables(module: Module, size: int) -> Function:
     with f.forever() as loop:
         level = coarsest.get()
         loop.stop_if(level <= requested)
-        h, matrix = step_of(f, tick, level), memory.address(at.MATRIX)
+        h = step_of(f, tick, level)
         table, out = (memory.address((level - n) * at.level + at.first) for n in (0, 1))
-        f.call(double, h, matrix, table, out)
+        f.call(double, h, tables, table, out)
         coarsest.set(level - 1)
     memory.cast(INT)[at.COARSEST] = coarsest.get()
     return f
 
 
 def _double_table(module: Module, size: int) -> Function:
-    """Return ``double_table(h, a, table, out)``: from the table for ``h`` to that for 2 ``h``."""
+    """Return ``double_table(h, tables, table, out)``: from the table for ``h`` to that for 2 ``h``.
+
+    ``tables``: see `Tables`.
+    """
     return module.shared("double_table", lambda: _define_double_table(module, size))
 
 
 def _define_double_table(module: Module, size: int) -> Function:
-    names = ("a", "table", "out")
+    names = ("tables", "table", "out")
     arguments = {"h": DOUBLE} | dict.fromkeys(names, POINTER)
     f = module.function("double_table", arguments, attributes="noinline")
     h, columns, at = f.arguments["h"], Columns(f, size), Tables(size)
-    a, table, out = (Array(f.arguments[name], DOUBLE) for name in names)
-    (matrix,) = _matrices(a, columns, at, 1)
-    phi_1, phi_2, phi_3 = _matrices(table, columns, at, 3)
-    new_1, new_2, new_3 = _matrices(out, columns, at, 3)
+    tables, table, out = (Array(f.arguments[name], DOUBLE) for name in names)
+    (matrix,) = _matrices(tables.shifted(at.MATRIX), columns, at, 1)
+    phi_1, phi_2, phi_3, growth = _matrices(table, columns, at, 4)
+    new_1, new_2, new_3, new_growth = _matrices(out, columns, at, 4)
     square, mixed, moved = (columns.new() for _ in range(3))
     columns.multiply(phi_1, phi_1, square)
     columns.multiply(phi_1, phi_2, mixed)
-    columns.multiply(matrix, square, moved)
     columns.combine(new_3, (0.125, mixed), (0.25, phi_3), (0.125, phi_2))
     columns.combine(new_2, (0.25, square), (0.5, phi_2))
-    columns.combine(new_1, (0.5 * h, moved), (1.0, phi_1))
+    stiff = tables.cast(INT)[at.STIFF].differs(0)
+    with f.when(stiff):
+        columns.multiply(growth, phi_1, moved)
+        columns.combine(new_1, (0.5, moved), (1.0, phi_1))
+        columns.multiply(growth, growth, moved)
+        columns.combine(new_growth, (1.0, moved), (2.0, growth))
+    with f.when(~stiff):
+        columns.multiply(matrix, square, moved)
+        columns.combine(new_1, (0.5 * h, moved), (1.0, phi_1))
     return f
 
 

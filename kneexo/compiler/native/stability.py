@@ -111,17 +111,18 @@ def unstable_step(
         at, steps = partial(rates, d, u), max(1, round((end - start) / h))
         with np.errstate(all="ignore"):  # a run that diverges overflows
             t, points = _suspected(integrator, at, start + h * np.arange(steps), x, h)
-            jacobian = _steepest(partial(at, t), points) if points else np.eye(len(x))
-        if not np.isfinite(jacobian).all():
-            jacobian = points[0][2]
-        values, modes = np.linalg.eig(jacobian)
-        excesses = excess(integrator, h * values)
-        worst = int(np.argmax(excesses))
-        if excesses[worst] > 1.0:
-            shares = np.abs(modes[:, worst] * np.linalg.pinv(modes)[worst])
-            safe_s = SAFETY * h / float(excesses[worst])
-            state = State(points[0][0], d)
-            return UnstableStep(t, float(h), state, complex(values[worst]), shares, safe_s)
+            # A step that is far too long has its stages where no solution goes, so that the
+            # Jacobian between them comes last.
+            jacobians = [points[0][2], _steepest(partial(at, t), points)] if points else []
+        for jacobian in filter(lambda values: np.isfinite(values).all(), jacobians):
+            values, modes = np.linalg.eig(jacobian)
+            excesses = excess(integrator, h * values)
+            worst = int(np.argmax(excesses))
+            if excesses[worst] > 1.0:
+                shares = np.abs(modes[:, worst] * np.linalg.pinv(modes)[worst])
+                safe_s = SAFETY * h / float(excesses[worst])
+                state = State(points[0][0], d)
+                return UnstableStep(t, float(h), state, complex(values[worst]), shares, safe_s)
     return None
 
 

@@ -567,11 +567,11 @@ class _Run:
     def _advance(self, now: _Now, end: Value) -> None:
         f, a, model = self.f, self.arguments, self.model
         tick = model.tick(now.number, now.time, end, a["step"], now.running)
-        rough = None
+        rough = stiff = None
         if self.integrator == "exact_hold":
             with f.when(now.number.equals(a["first"])):
                 self.hold.prepare(tick)
-            rough = self.hold.advance(tick)
+            rough, stiff = self.hold.advance(tick)
         elif self.integrator == "rosenbrock":
             stuck = self.rosenbrock.advance(tick)
             with f.when(f.any_lane(stuck.lanes), rare=True):
@@ -586,8 +586,9 @@ class _Run:
         for i in f.each(self.program.size):
             check_sum.set(f.fma(model.x[i], 0.0, check_sum.get()))
         self._fail(now.running & check_sum.get().differs(0.0), NOT_FINITE, now.number + 1)
-        if rough is not None:
-            self._fail(rough & self.alive.get(), TOO_ROUGH, now.number)
+        if rough is not None and stiff is not None:
+            index = f.select(stiff, f.constant(1, INT.of(self.lanes)), 0)
+            self._fail(rough & self.alive.get(), TOO_ROUGH, now.number, index)
 
     def _worst(self, errors: Array) -> Value:
         """Emit the index of the state whose error is nan, or else largest."""

@@ -14,6 +14,11 @@ import numpy as np
 from ..errors import CompilationError
 from ..run_data import Array, Integers
 
+MANY_TICKS = 1_000_000
+"""Number of ticks of a run from which `Timing.offset_note` names the offset that makes them."""
+
+_FINE = 1000  # least part of the ticks that is due to offsets
+
 
 @dataclass(frozen=True)
 class Timing:
@@ -41,6 +46,22 @@ class Timing:
             return ticks * self.unit
         whole, part = np.divmod(ticks, self.split)
         return whole * self.unit + part * self.tick
+
+    def offset_note(self, last: int) -> str:
+        """Return one line if the offset of an update makes a run of ``last`` ticks long, else "".
+
+        The ticks divide the offsets, so the time that a run takes grows with 1/offset.
+        """
+        pairs = list(zip(self.periods.tolist(), self.offsets.tolist(), strict=True))
+        without_offsets = math.gcd(self.record_every, *(period for period, _ in pairs))
+        if last < MANY_TICKS or without_offsets < _FINE * self.split:
+            return ""
+        period, offset = min(pairs, key=lambda pair: math.gcd(*pair))
+        return (
+            f"an update every {self.times(period):g} s with an offset of {self.times(offset):g} s "
+            f"makes {last} ticks of {self.tick:g} s; an offset of 0 s, or of a larger share of the "
+            f"period, takes less time"
+        )
 
     def record_times(self, last: int) -> Array:
         """Return the times in s of the records from tick 0 to the tick ``last``."""

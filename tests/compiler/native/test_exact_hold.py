@@ -8,9 +8,10 @@ import scipy.integrate
 import scipy.linalg
 import scipy.special
 from pydrake.symbolic import Variable, sin, sqrt, tanh
-from pydrake.systems.primitives import LinearSystem, SymbolicVectorSystem
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import ConstantVectorSource, LinearSystem, SymbolicVectorSystem
 
-from kneexo.compiler import InputTable, State, compile_diagram
+from kneexo.compiler import InputTable, State, StiffnessError, compile_diagram
 from kneexo.compiler.native import exact_hold, phi_functions
 from kneexo.compiler.native.exact_hold import ExactHold, Shared
 from kneexo.compiler.native.integrators import Tick
@@ -88,7 +89,7 @@ def make_rigid_body(second_rate=False):
         tick = replace(tick, second_rate=second)
     hold = ExactHold(tick_s, tolerance, memory, shared, choose)
     hold.prepare(tick)
-    Array(f.arguments["failed"], INT)[0] = f.flags(hold.advance(tick))
+    Array(f.arguments["failed"], INT)[0] = f.flags(hold.advance(tick)[0])
     library = Library(compile_text(module.text()))
     advance = library.function("run", len(names))
 
@@ -313,3 +314,36 @@ def test_a_root_at_zero_whose_second_derivative_is_not_finite():
     np.testing.assert_allclose(state[:2, 0], pulled(0.01)[0], rtol=0, atol=1e-9)
     assert state[2, 0] == 0.0
     assert runner._shared.view(np.int64)[Shared(3).level] == 1  # as without the root
+
+
+def lags(poles_per_s):
+    """The model of a chain of lags x_i' = p_i (x_(i-1) - x_i) behind a step, with output x."""
+    count = len(poles_per_s)
+    a = np.diag(poles_per_s) @ (np.eye(count, k=-1) - np.eye(count))
+    b = np.eye(count)[:, :1] * poles_per_s[0]
+    builder = DiagramBuilder()
+    plant = builder.AddSystem(LinearSystem(a, b, np.eye(count), np.zeros((count, 1))))
+    one = builder.AddSystem(ConstantVectorSource([1.0]))
+    builder.Connect(one.get_output_port(), plant.get_input_port())
+    builder.ExportOutput(plant.get_output_port(), "x")
+    return compile_diagram(builder.Build())
+
+
+@pytest.mark.parametrize(
+    "poles_per_s", [(1e-3, 1e12, 1.0), (1e12, 1e6, 1e-2), (3e5, 40.0, 1e8)], ids=str
+)
+def test_linear_chains_with_fast_poles_are_right(poles_per_s):
+    """The poles are far apart, so the sum of exponentials keeps its digits."""
+    model = lags(poles_per_s)
+    run = model.simulate(model.parameters(), model.state(), 0.2, record_period_s=0.02)
+    right = np.ones_like(run.time_s)
+    for q in poles_per_s:
+        weight = np.prod([p / (p - q) for p in poles_per_s if p != q])
+        right -= weight * np.exp(-q * run.time_s)
+    np.testing.assert_allclose(run["x"][:, -1], right, rtol=0, atol=1e-13)
+
+
+def test_a_pole_beyond_the_limit_of_the_exact_hold_ends_the_run():
+    model = lags((1.0, 1e14))
+    with pytest.raises(StiffnessError, match=r"faster than 1e\+13 1/s.*use rosenbrock"):
+        model.simulate(model.parameters(), model.state(), 0.2, record_period_s=0.02)

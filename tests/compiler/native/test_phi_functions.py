@@ -50,10 +50,10 @@ class Filler:
         return self.tables.view(np.int64)[[Tables.COARSEST, Tables.FINEST]].tolist()
 
     def phi(self, level):
-        """The functions (3, n, n) at a level."""
+        """phi_1, phi_2, phi_3 (3, n, n) at a level."""
         first = self.at.first + level * self.at.level
         flat = self.tables[first : first + self.at.level]
-        return flat.reshape(3, self.size, self.at.rows)[:, :, : self.size].swapaxes(1, 2)
+        return flat.reshape(4, self.size, self.at.rows)[:3, :, : self.size].swapaxes(1, 2)
 
 
 def exact_phi(z):

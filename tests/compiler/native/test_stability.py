@@ -106,3 +106,17 @@ def test_inputs_and_discrete_states_reach_the_rates():
 
     assert unstable_step("rk4", rates, row(0.5, 0.1, [1.0, 7.0, 8.0, 9.0])[None], (1, 1)) is None
     assert times[:5] == pytest.approx([0.5, 0.55, 0.55, 0.6, 0.6])  # the last one begins a step
+
+
+@pytest.mark.parametrize("step_s", [0.05, 0.002])
+def test_the_step_that_is_named_comes_from_the_state_where_the_step_begins(step_s):
+    """Van der Pol with μ = 1000 at (2, 0), where the mode is μ (1 - 4) = -3000 1/s."""
+
+    def rates(d, u, t, x):
+        y, v = x
+        slope = np.array([v, 1e3 * ((1.0 - y * y) * v - y)])
+        return slope, np.array([[0.0, 1.0], [1e3 * (-2.0 * y * v - 1.0), 1e3 * (1.0 - y * y)]])
+
+    step = unstable_step("rk4", rates, row(0.0, step_s, [2.0, 0.0])[None], (2, 0))
+    assert step.eigenvalue == pytest.approx(-3000.0, rel=1e-3)
+    assert step.safe_s == pytest.approx(SAFETY * 2.7853 / 3000.0, rel=1e-3)

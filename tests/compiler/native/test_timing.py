@@ -40,3 +40,14 @@ def test_the_first_record_at_a_time_or_later():
         rows = np.searchsorted(times, chosen)
         np.testing.assert_array_equal(grid.record_after(chosen), rows)
         assert times[-1] == grid.times(3000)
+
+
+def test_a_note_names_the_offset_that_makes_many_ticks():
+    offset = timing_of(((0.01, 0.0), (0.02, 1e-6)), None)
+    note = offset.offset_note(2_000_000)
+    assert note.startswith(
+        "an update every 0.02 s with an offset of 1e-06 s makes 2000000 ticks of 1e-06 s; "
+    )
+    assert offset.offset_note(10_000) == ""
+    records = timing_of(((0.01, 0.0),), 1e-6)
+    assert records.offset_note(2_000_000) == ""  # the ticks are those of the records
