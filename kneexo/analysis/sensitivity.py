@@ -80,7 +80,7 @@ def tracking_sensitivities(
 ) -> Sensitivities:
     """Return the RMS tracking error ``rms_error_deg`` and its gradient.
 
-    The error counts as in `kneexo.analysis.TrackingMetrics.rms_error_deg`. The engine of
+    The error counts as in ``rms_error_deg`` of `TrackingMetrics`. The engine of
     ``scenario.simulation`` runs the scenario once, and four times for each path.
 
     Parameters

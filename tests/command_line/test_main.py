@@ -195,7 +195,8 @@ def started(*arguments, **options):
         for number in alive(process.pid):
             with suppress(ProcessLookupError):
                 os.kill(number, signal.SIGKILL)
-        process.communicate()
+        process.wait()
+        process.stderr.close()
 
 
 SWEEP = ["study", "bandwidth", "--workers", "2"]

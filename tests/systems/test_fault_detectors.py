@@ -73,12 +73,13 @@ def test_a_bad_value_trips_one_detector_at_the_largest_thresholds(port, value, n
     assert found["encoder_reading"].ravel().tolist() == [2.0] * 8
 
 
-def test_without_a_range_no_reading_is_beyond_it():
+def test_without_a_range_only_a_reading_beyond_two_turns_is_implausible():
     system = FaultDetectors()
     parameters = system.parameters(system.CreateDefaultContext())
     assert (parameters.reading_min_rad, parameters.reading_max_rad) == (-math.pi, math.pi)
     readings = np.array([0.0, 3.1, -3.1, 9.4, -31.0])
-    assert not residual("range", 5, FaultDetectors(), encoder_reading=readings).any()
+    found = residual("range", 5, FaultDetectors(), encoder_reading=readings)
+    assert found.tolist() == [0.0, 0.0, 0.0, 0.0, 2.0 * math.pi]
 
 
 def test_rate_is_the_change_since_the_last_plausible_reading_and_a_wrap_is_no_jump():

@@ -33,9 +33,16 @@ def called_twice(
 ) -> tuple[Array, bool]:
     """Call a function at points, and a copy of it in reverse order, which finds hidden state.
 
-    Returns the values (points, values) of the first, and whether the second gives equal values. The
-    first may take ``most_time_s`` of processor time; the points that it does not reach are left
-    out. Where a function raises an error, its values must be nan.
+    Returns the values (points, values) of the first, and whether the second gives equal values.
+
+    Parameters
+    ----------
+    first, second
+        The function and its copy. Where they raise an error, their values must be nan.
+    points
+        Points, (points, size).
+    most_time_s
+        Processor time for the first function. The points that it does not reach are left out.
     """
     until, rows = process_time() + most_time_s, []
     for point in points:
