@@ -8,15 +8,12 @@ a scenario become parameters and initial states of the model. The lists of parts
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache, lru_cache, partial
-from importlib.metadata import version
-from pathlib import Path
 from threading import RLock
 from typing import Any, NamedTuple, get_origin
 
@@ -73,6 +70,7 @@ from kneexo.parameters.quantity import Parameters
 from kneexo.result import Array
 from kneexo.simulation.python_law import SIGNAL_OF, PythonLaw, commands_at_points
 from kneexo.simulation.run import Run
+from kneexo.simulation.sources import fingerprint
 from kneexo.systems import knee_reference
 from kneexo.systems.function_law import (
     COMMAND_AND_STATE,
@@ -81,16 +79,6 @@ from kneexo.systems.function_law import (
     replay,
 )
 
-_PACKAGE = Path(__file__).parents[1]
-_SOURCES = (
-    *(
-        f"{folder}/**/*.py"
-        for folder in ("parameters", "systems", "diagrams", "compiler", "simulation")
-    ),
-    "linkage.py",
-    "rod_inverse.py",
-    "rod_polynomial.py",
-)
 _MADE_CONSTANT = ("sample_time_s",)  # numbers that the leaf systems turn into constants
 _SEED = "seed"  # decides by its presence, not by its number
 
@@ -164,17 +152,7 @@ def structure_key(scenario: Scenario) -> str:
 
 @lru_cache
 def _key(fields: tuple[Any, ...]) -> str:
-    return json.dumps([fields, _fingerprint()])
-
-
-@cache
-def _fingerprint() -> str:
-    """Return a digest of Drake's version and of all source files that make the equations."""
-    digest = hashlib.sha256(version("drake").encode())
-    for pattern in _SOURCES:
-        for path in sorted(_PACKAGE.glob(pattern)):
-            digest.update(path.read_bytes())
-    return digest.hexdigest()
+    return json.dumps([fields, fingerprint()])
 
 
 def scenario_diagram(scenario: Scenario) -> Any:
