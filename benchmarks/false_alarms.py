@@ -2,15 +2,15 @@
 
     python benchmarks/false_alarms.py [RUNS] [WORKERS]
 
-The thresholds in ``kneexo/parameters/protection.py`` lie above the levels. The last case is faster
+The thresholds in ``kneexo/parameters/device/protection.py`` lie above the levels. The last case is faster
 than the pump, so that a detector must stop the motor.
 """
 
 import sys
 
-from kneexo.analysis.thresholds import detector_thresholds
-from kneexo.gait import GAIT_STRIDE_S
+from kneexo.analysis.faults.thresholds import detector_thresholds
 from kneexo.parameters import Scenario, gait_reference, sit_to_stand_reference
+from kneexo.parameters.task.gait import GAIT_STRIDE_S
 from kneexo.parameters.uncertainty import UNCERTAIN_KNEE
 
 STRIDES = {"reference": gait_reference(0.05, 2), "simulation.duration_s": 40.0}

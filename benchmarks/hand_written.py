@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from kneexo.geometry.rod_polynomial import controller_polynomial
 from kneexo.parameters import Scenario
-from kneexo.rod_polynomial import controller_polynomial
 from kneexo.simulation.compiled import scenario_start, scenario_values
 
 Array = NDArray[np.float64]

@@ -24,10 +24,10 @@ from functools import partial
 
 import numpy as np
 
-from kneexo.analysis.assessment import assess
 from kneexo.compiler.native.cores import available_cores
 from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, UncertaintySet
 from kneexo.parameters.uncertainty import draw, options_of
+from kneexo.studies.assessment import assess
 from kneexo.studies.robustness import assess_plant
 from kneexo.sweeps import parallel_map
 

@@ -1,7 +1,7 @@
 """Change one module at many places with mutmut, and show the changes that its tests do not notice.
 
     python benchmarks/mutation.py MODULE TEST [TEST ...] [--only FUNCTION]
-    python benchmarks/mutation.py kneexo/analysis/tracking.py tests/analysis/test_tracking.py
+    python benchmarks/mutation.py kneexo/analysis/tracking/tracking.py tests/analysis/tracking/test_tracking.py
 
 Each mutant is one changed operator, number, text, argument or assignment. mutmut runs for it the
 fast tests among ``TEST`` that call the changed function. ``--only`` is a pattern such as
@@ -43,8 +43,8 @@ def mutmut(tree: Path, *words: str) -> str:
 def main() -> None:
     """Run what the command line asks for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("module", help="such as kneexo/analysis/tracking.py")
-    parser.add_argument("tests", nargs="+", help="such as tests/analysis/test_tracking.py")
+    parser.add_argument("module", help="such as kneexo/analysis/tracking/tracking.py")
+    parser.add_argument("tests", nargs="+", help="such as tests/analysis/tracking/test_tracking.py")
     parser.add_argument("--only", default="*", help="pattern of the functions to change")
     options = parser.parse_args()
     with tempfile.TemporaryDirectory(prefix="kneexo-mutation-") as folder:

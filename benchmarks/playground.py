@@ -34,10 +34,10 @@ from pathlib import Path
 from typing import Any
 
 from kneexo.analysis import large_signal_bandwidth_hz, linearize_loop, track
+from kneexo.page.playground import playground_page
 from kneexo.parameters import Scenario
 from kneexo.parameters.scenario_file import load_scenario
 from kneexo.systems.knee_reference import run_middle_deg
-from kneexo.view.playground import playground_page
 
 PRESETS = ("paper", "bench", "leg", "wearer", "protected")
 SLIDER = "q-plant.pump.gear_ratio"

@@ -7,10 +7,10 @@ of `SizeSettings`. Friction that changes its sign within a fraction of a millise
 part of such a run depend on the solver.
 """
 
-from kneexo.analysis.hardware import ACCELERATION_LIMIT, DISPLACEMENT, scaled, tuned
-from kneexo.analysis.walking import walking_metrics
+from kneexo.analysis.walking.walking import walking_metrics
 from kneexo.parameters import UNCERTAIN_KNEE, FullCylinderParameters
 from kneexo.parameters.paths import changed
+from kneexo.studies.hardware import ACCELERATION_LIMIT, DISPLACEMENT, scaled, tuned
 from kneexo.studies.size import SizeSettings
 
 FLOW, ACCELERATION_RAD_S2 = 14.8, 6671.0

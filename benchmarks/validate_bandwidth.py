@@ -15,18 +15,18 @@ import numpy as np
 from scipy.optimize import brentq
 
 from kneexo.analysis import linearize_loop, rate_limit_bandwidth_hz, simulate
-from kneexo.analysis.bandwidth import (
+from kneexo.analysis.frequency.bandwidth import (
     follower_bandwidth_hz,
     follower_response,
     large_signal_bandwidth_hz,
     rod_limits,
 )
-from kneexo.analysis.frequency_response import MINUS_3_DB
-from kneexo.analysis.sine_estimate import cycle_responses, estimate_sine
-from kneexo.linkage import polynomial
+from kneexo.analysis.frequency.frequency_response import MINUS_3_DB
+from kneexo.analysis.frequency.sine_estimate import cycle_responses, estimate_sine
+from kneexo.geometry.linkage import polynomial
+from kneexo.geometry.rod_polynomial import controller_polynomial
 from kneexo.parameters import SampledReference, Scenario
 from kneexo.parameters.paths import changed
-from kneexo.rod_polynomial import controller_polynomial
 
 STIFFER_PER_S = 40.0
 """Twice the default λ: the sliding surface is met later, and nearer to where the follower does."""

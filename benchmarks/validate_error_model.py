@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kneexo.analysis.error_model import Chamber, ErrorModel, error_model
-from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.analysis.linear.sampled_loop import linearize_loop
 from kneexo.analysis.signals import rms
+from kneexo.common.result import Array
 from kneexo.parameters import (
     CylinderParameters,
     KneeLoadParameters,
@@ -25,8 +25,8 @@ from kneexo.parameters import (
     SlidingModeParameters,
 )
 from kneexo.parameters.paths import changed
-from kneexo.result import Array
 from kneexo.simulation import simulate
+from kneexo.studies.size.error_model import Chamber, ErrorModel, error_model
 from kneexo.sweeps import parallel_map
 
 LAMBDAS = (5.0, 7.0, 10.0, 20.0, 35.0, 50.0)

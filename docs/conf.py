@@ -30,8 +30,8 @@ from sphinx.util.nodes import make_refnode
 import kneexo
 from kneexo.command_line.main import main
 from kneexo.errors import shortened
-from kneexo.parameters.fields import allowed_range, source_of, unit_of
-from kneexo.parameters.quantity import Parameters
+from kneexo.parameters.fields.fields import allowed_range, source_of, unit_of
+from kneexo.parameters.fields.quantity import Parameters
 from kneexo.systems._leaf import NamedLeaf
 
 project = "kneexo"

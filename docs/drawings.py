@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Arc, Circle, FancyArrowPatch, Polygon, Rectangle
 
 from kneexo.analysis.signals import to_rpm
-from kneexo.linkage import icr, pose, rod_anchor
+from kneexo.geometry.linkage import icr, pose, rod_anchor
 from kneexo.parameters import G1, LinkageParameters, PlantParameters, Scenario
 from kneexo.simulation import compile_scenario, scenario_run
 

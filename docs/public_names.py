@@ -13,24 +13,24 @@ import pkgutil
 import kneexo
 
 BESIDE_PACKAGES = {
-    "kneexo.batches": ("BatchResult", "BatchRow"),
+    "kneexo.analysis.batches": ("BatchResult", "BatchRow"),
     "kneexo.errors": ("KneexoError", "ScenarioError", "LinkageError"),
     "kneexo.export.firmware": ("export_firmware", "export_sil"),
     "kneexo.export.fmu": ("export_fmu",),
-    "kneexo.linkage": (
+    "kneexo.geometry.linkage": (
         *("pose", "rod_extension", "encoder_angle", "knee_angle_from_encoder"),
         *("knee_angle_from_rod", "icr"),
     ),
-    "kneexo.linkage_properties": ("linkage_properties", "LinkageProperties", "OverMotion"),
+    "kneexo.geometry.linkage_properties": ("linkage_properties", "LinkageProperties", "OverMotion"),
     "kneexo.parameters.paths": ("changed", "value_at"),
     "kneexo.parameters.scenario_file": ("load_scenario", "dump_scenario", "load_uncertainty"),
     "kneexo.parameters.uncertainty": ("draw", "realize"),
-    "kneexo.responses": ("BodeResponse",),
-    "kneexo.rod_polynomial": ("controller_polynomial", "fitted_polynomial"),
+    "kneexo.analysis.responses": ("BodeResponse",),
+    "kneexo.geometry.rod_polynomial": ("controller_polynomial", "fitted_polynomial"),
     "kneexo.studies.paper": ("FIG_12", "IDEAL_SMC", "EQ_27_EXACT_STATES", "EQ_27_DIFFERENCES"),
     "kneexo.view.drawing": ("mechanism_svg",),
     "kneexo.view.meshcat_view": ("add_meshcat_view",),
-    "kneexo.view.play": ("Playground",),
+    "kneexo.page.play": ("Playground",),
     "kneexo.view.page": ("view_page",),
 }
 """Names that users import from the module that defines them."""

@@ -4,22 +4,22 @@ The short names for users, as in ``import kneexo as kx``:
 
 - `kneexo.parameters.Scenario`: a knee with its controller, reference and simulation settings
 - `kneexo.analysis.track`: simulate it, with metrics, verdict and plots
-- `kneexo.responses.linearize`: poles and margins of its sampled closed loop
-- `kneexo.responses.bode`, `kneexo.responses.step`: frequency response and step response
+- `kneexo.analysis.responses.linearize`: poles and margins of its sampled closed loop
+- `kneexo.analysis.responses.bode`, `kneexo.analysis.responses.step`: frequency response and step response
 - `kneexo.analysis.design_linkage`: search a four-bar linkage that follows a knee
-- `kneexo.batches.batch`: simulate many variants of it
-- `kneexo.view.play.play`: make a page with sliders on which a scenario runs in the browser
+- `kneexo.analysis.batches.batch`: simulate many variants of it
+- `kneexo.page.play.play`: make a page with sliders on which a scenario runs in the browser
 - `kneexo.simulation.compile`: machine code of a scenario, or of a Drake diagram with symbolic
   support
 
 All but `design_linkage` accept a scenario or the path of a scenario file.
 
 Each subpackage of this list imports only those before it: ``kneexo.compiler`` (Drake diagrams as
-machine code, C and FMU), ``kneexo.parameters`` (every physical number), ``kneexo.linkage``
+machine code, C and FMU), ``kneexo.parameters`` (every physical number), ``kneexo.geometry.linkage``
 (four-bar mathematics as plain functions), ``kneexo.systems`` (leaf systems), ``kneexo.diagrams``
 (systems wired to plant, controller and loop), ``kneexo.simulation`` (one run), ``kneexo.sweeps``
 (many runs), ``kneexo.export`` (C and FMU of a scenario), ``kneexo.analysis`` (measures of one
-scenario), ``kneexo.responses`` and ``kneexo.batches`` (the short names), ``kneexo.studies``
+scenario), ``kneexo.analysis.responses`` and ``kneexo.analysis.batches`` (the short names), ``kneexo.studies``
 (comparisons of many scenarios), ``kneexo.view`` (the knee in three dimensions) and
 ``kneexo.command_line``.
 """
@@ -46,21 +46,21 @@ __all__ = [
 
 if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and for editors
     from kneexo.analysis import design_linkage as design_linkage, track as track
-    from kneexo.batches import batch as batch
+    from kneexo.analysis.batches import batch as batch
+    from kneexo.analysis.responses import bode as bode, linearize as linearize, step as step
+    from kneexo.page.play import play as play
     from kneexo.parameters import Scenario as Scenario
-    from kneexo.responses import bode as bode, linearize as linearize, step as step
     from kneexo.simulation import compile as compile
-    from kneexo.view.play import play as play
 else:
     _MODULES = {
         "Scenario": "kneexo.parameters",
-        "batch": "kneexo.batches",
-        "bode": "kneexo.responses",
+        "batch": "kneexo.analysis.batches",
+        "bode": "kneexo.analysis.responses",
         "compile": "kneexo.simulation",
         "design_linkage": "kneexo.analysis",
-        "linearize": "kneexo.responses",
-        "play": "kneexo.view.play",
-        "step": "kneexo.responses",
+        "linearize": "kneexo.analysis.responses",
+        "play": "kneexo.page.play",
+        "step": "kneexo.analysis.responses",
         "track": "kneexo.analysis",
     }
     """Module of each name. It is imported at the first use, so that kneexo alone loads no Drake."""

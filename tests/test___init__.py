@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 
 import kneexo
-from kneexo import analysis, batches, parameters, responses, simulation
-from kneexo.view import play
+from kneexo import analysis, parameters, simulation
+from kneexo.analysis import batches, responses
+from kneexo.page import play
 
 HOMES = {
     "Scenario": parameters,

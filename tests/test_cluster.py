@@ -18,14 +18,14 @@ from waiting import wait_for
 
 from kneexo import __version__
 from kneexo.analysis import sinestream
-from kneexo.analysis.assessment import assess
-from kneexo.analysis.frequency_response import SinestreamSettings
+from kneexo.analysis.frequency.frequency_response import SinestreamSettings
 from kneexo.command_line.main import main
 from kneexo.command_line.output import to_json
 from kneexo.errors import OutputError, WorkerError
 from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, UncertaintySet
 from kneexo.parameters.paths import changed
 from kneexo.parameters.uncertainty import draw
+from kneexo.studies.assessment import assess
 from kneexo.studies.bandwidth import BandwidthSettings, bandwidth_study
 from kneexo.studies.bandwidth.figures import plot_bode
 from kneexo.studies.contest import ContestSettings, contest_study

@@ -11,11 +11,11 @@ from pathlib import Path
 from pydantic.fields import FieldInfo
 
 from kneexo import parameters
+from kneexo.page.sliders import SLIDERS, Slider
+from kneexo.page.thrown_faults import THROWN_FAULTS
 from kneexo.parameters import Scenario
-from kneexo.parameters.fields import models_of, more_models_of, unit_of
-from kneexo.parameters.quantity import Parameters
-from kneexo.parameters.sliders import SLIDERS, Slider
-from kneexo.parameters.thrown_faults import THROWN_FAULTS
+from kneexo.parameters.fields.fields import models_of, more_models_of, unit_of
+from kneexo.parameters.fields.quantity import Parameters
 from kneexo.studies import paper
 from kneexo.studies.catalogue import STUDIES
 

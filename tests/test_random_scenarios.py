@@ -9,9 +9,9 @@ from hypothesis import given, settings, strategies as st
 from kneexo.analysis import linearize_loop, track
 from kneexo.errors import KneexoError
 from kneexo.parameters import Scenario
+from kneexo.parameters.fields.quantity import Parameters
 from kneexo.parameters.paths import changed
 from kneexo.parameters.presets import with_preset
-from kneexo.parameters.quantity import Parameters
 
 LONGEST_LINE = 1200
 SAMPLES = {"kind": "samples", "times_s": (0.0, 0.1, 0.6), "angles_deg": (10.0, 30.0, 20.0)}

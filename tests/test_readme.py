@@ -12,7 +12,7 @@ import pytest
 from kneexo.analysis import interaction_metrics, linearize_plant, simulate
 from kneexo.command_line.main import main
 from kneexo.parameters import Cia402Parameters, Scenario
-from kneexo.parameters.safety_states import SAFE_STATES
+from kneexo.parameters.device.safety_states import SAFE_STATES
 from kneexo.parameters.scenario_file import load_scenario
 
 ROOT = Path(__file__).parents[1]

@@ -8,7 +8,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from kneexo.linkage import pose
+from kneexo.geometry.linkage import pose
 from kneexo.parameters import LINKAGES
 
 DOCS = Path(__file__).parents[1] / "docs"

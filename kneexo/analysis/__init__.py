@@ -4,48 +4,41 @@ Most functions return a frozen result object, which holds data and has a method 
 `kneexo.simulation` runs scenarios, and `kneexo.studies` compares many scenarios.
 """
 
-from kneexo.alignment import (
-    Alignment,
-    CuffForces,
-    Placement,
-    SlottedStrap,
-    align,
-)
-from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
-from kneexo.analysis.coupling import (
-    CoupledStability,
-    StiffnessInterval,
-    coupled_stability,
-    stability_map,
-    stable_interval,
-    stiffness_interval,
-)
-from kneexo.analysis.energy import EnergyBalance, energy_balance
-from kneexo.analysis.frequency_response import (
+from kneexo.analysis.faults.survival import FaultCase, FaultSurvival, fault_survival
+from kneexo.analysis.faults.thresholds import DetectorThresholds, detector_thresholds
+from kneexo.analysis.frequency.bandwidth import large_signal_bandwidth_hz
+from kneexo.analysis.frequency.frequency_response import (
     FrequencyResponse,
     crossing,
     draw_trials,
     fundamental,
     sinestream,
 )
-from kneexo.analysis.impedance import (
-    MeasuredImpedance,
-    OutputImpedance,
-    measure_impedance,
-    output_impedance,
-)
-from kneexo.analysis.interaction import InteractionMetrics, interaction_metrics
-from kneexo.analysis.linkage_design import LinkageDesign, TradeOff, design_linkage, trade_off
-from kneexo.analysis.margins import Margins
-from kneexo.analysis.passivity import PassivityLimits, passivity_limits
-from kneexo.analysis.plant_linearization import (
+from kneexo.analysis.frequency.rate_limit import rate_limit_bandwidth_hz, rate_limited_gain
+from kneexo.analysis.frequency.sine_estimate import SineEstimate, estimate_sine
+from kneexo.analysis.linear.margins import Margins
+from kneexo.analysis.linear.plant_linearization import (
     OperatingPoint,
     PlantLinearization,
     find_operating_point,
     linearize_plant,
 )
-from kneexo.analysis.polynomial_fit import PolynomialFit, fit_polynomials
-from kneexo.analysis.prosthetic_leg import (
+from kneexo.analysis.linear.sampled_loop import SampledLoop, linearize_loop
+from kneexo.analysis.mechanism.alignment import (
+    Alignment,
+    CuffForces,
+    Placement,
+    SlottedStrap,
+    align,
+)
+from kneexo.analysis.mechanism.linkage_design import (
+    LinkageDesign,
+    TradeOff,
+    design_linkage,
+    trade_off,
+)
+from kneexo.analysis.mechanism.polynomial_fit import PolynomialFit, fit_polynomials
+from kneexo.analysis.mechanism.prosthetic_leg import (
     LegLength,
     SwingClearance,
     VoluntaryStability,
@@ -53,14 +46,9 @@ from kneexo.analysis.prosthetic_leg import (
     swing_clearance,
     voluntary_stability,
 )
-from kneexo.analysis.rate_limit import rate_limit_bandwidth_hz, rate_limited_gain
-from kneexo.analysis.sampled_loop import SampledLoop, linearize_loop
-from kneexo.analysis.sine_estimate import SineEstimate, estimate_sine
-from kneexo.analysis.stride import StrideLoad, stride_load
-from kneexo.analysis.survival import FaultCase, FaultSurvival, fault_survival
-from kneexo.analysis.thresholds import DetectorThresholds, detector_thresholds
-from kneexo.analysis.torque_bandwidth import TorqueResponse, torque_response
-from kneexo.analysis.tracking import (
+from kneexo.analysis.tracking.energy import EnergyBalance, energy_balance
+from kneexo.analysis.tracking.interaction import InteractionMetrics, interaction_metrics
+from kneexo.analysis.tracking.tracking import (
     StepMetrics,
     TrackingMetrics,
     TrackingResult,
@@ -68,7 +56,24 @@ from kneexo.analysis.tracking import (
     track,
     tracking_metrics,
 )
-from kneexo.analysis.verdict import Stability, Verdict
+from kneexo.analysis.tracking.verdict import Stability, Verdict
+from kneexo.analysis.walking.stride import StrideLoad, stride_load
+from kneexo.analysis.wearer.coupling import (
+    CoupledStability,
+    StiffnessInterval,
+    coupled_stability,
+    stability_map,
+    stable_interval,
+    stiffness_interval,
+)
+from kneexo.analysis.wearer.impedance import (
+    MeasuredImpedance,
+    OutputImpedance,
+    measure_impedance,
+    output_impedance,
+)
+from kneexo.analysis.wearer.passivity import PassivityLimits, passivity_limits
+from kneexo.analysis.wearer.torque_bandwidth import TorqueResponse, torque_response
 from kneexo.simulation import Run, simulate, simulate_diagram
 
 __all__ = [

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from kneexo.common.result import Array
 from kneexo.parameters import Scenario
-from kneexo.result import Array
 
 
 def period_s(scenario: Scenario) -> float:
@@ -22,7 +22,7 @@ def settled_s(scenario: Scenario) -> float:
 
     It is the period of a sine if the run has at least two periods, else zero: the rest of a shorter
     run after its first period would hide a part of the motion. As in
-    `kneexo.analysis.interaction.whole_periods`, the last period may lack its last sample.
+    `kneexo.analysis.tracking.interaction.whole_periods`, the last period may lack its last sample.
     """
     period, sample_s = period_s(scenario), scenario.controller.sample_time_s
     samples = math.floor(scenario.duration_s / sample_s + 1e-6) + 1

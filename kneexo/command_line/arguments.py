@@ -16,15 +16,15 @@ from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from kneexo.command_line.html_page import ReportPage
 from kneexo.command_line.outcome import Outcome, Request
+from kneexo.common.files.table import NUMBER
+from kneexo.common.progress import line_width
 from kneexo.errors import ParameterError, shown
-from kneexo.files.table import NUMBER
-from kneexo.progress import line_width
 from kneexo.studies.catalogue import PAPER
 from kneexo.version import __version__
 
 if TYPE_CHECKING:
     from kneexo.parameters import Scenario
-    from kneexo.parameters.quantity import Parameters
+    from kneexo.parameters.fields.quantity import Parameters
 
 _P = TypeVar("_P", bound="Parameters")
 
@@ -341,7 +341,7 @@ def origin_of(scenario: Scenario, settings: Parameters | None = None) -> dict[st
 
     The scenario has explicit duration and polynomials, also where its user left them out.
     """
-    from kneexo.rod_polynomial import completed
+    from kneexo.geometry.rod_polynomial import completed
 
     origin = {"kneexo": __version__, "scenario": completed(scenario).model_dump(mode="json")}
     return origin if settings is None else origin | {"settings": settings.model_dump(mode="json")}

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 from kneexo.command_line import arguments
 from kneexo.command_line.arguments import ScenarioChoice
 from kneexo.command_line.outcome import Outcome
+from kneexo.common.progress import line_width
 from kneexo.errors import shown
-from kneexo.progress import line_width
 
 if TYPE_CHECKING:  # the compiler loads NumPy
     from kneexo.compiler import Measurement, SilMeasurement

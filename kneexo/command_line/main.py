@@ -15,9 +15,9 @@ from typing import Any
 from kneexo import system
 from kneexo.command_line.outcome import Delivery, named_in_errors
 from kneexo.command_line.parser import LONGEST_LINE, parsed
+from kneexo.common.interruption import Terminated, interrupt_later, sigterm_raises
+from kneexo.common.user_code import cause_of, place_in_user_code
 from kneexo.errors import KneexoError, WorkerError, escaped, shortened, shown
-from kneexo.interruption import Terminated, interrupt_later, sigterm_raises
-from kneexo.user_code import cause_of, place_in_user_code
 
 FIRST_STEPS = """\
 kneexo simulates a polycentric knee exoskeleton with electro-hydraulic actuator. Try:

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, get_args
 
 from kneexo.command_line import arguments
 from kneexo.command_line.outcome import Outcome
+from kneexo.common.files.writing import create_files
 from kneexo.errors import ParameterError, shown
-from kneexo.files.writing import create_files
 from kneexo.version import __version__
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ def reference_text() -> str:
 def _lines(csv: str) -> Iterator[str]:
     """Yield the lines of the scenario file."""
     from kneexo.parameters import CsvReference, PidParameters, Scenario
-    from kneexo.parameters.fields import source_of
+    from kneexo.parameters.fields.fields import source_of
     from kneexo.parameters.presets import PRESETS
 
     scenario = Scenario.preset(PRESET)
@@ -143,7 +143,7 @@ def _lines(csv: str) -> Iterator[str]:
 
 def _section_lines(scenario: Scenario, section: str) -> Iterator[str]:
     """Yield the lines of the values at ``section``, with their provenance."""
-    from kneexo.parameters.fields import source_of
+    from kneexo.parameters.fields.fields import source_of
     from kneexo.parameters.paths import value_at
 
     fields = type(value_at(scenario, section)).model_fields
@@ -153,7 +153,7 @@ def _section_lines(scenario: Scenario, section: str) -> Iterator[str]:
 
 def _value_line(scenario: Scenario, section: str, name: str, remark: str) -> str:
     """Return a line with a value, its unit and range, and the first phrase of ``remark``."""
-    from kneexo.parameters.fields import limits_of, unit_of
+    from kneexo.parameters.fields.fields import limits_of, unit_of
     from kneexo.parameters.paths import value_at
 
     holder = value_at(scenario, section)

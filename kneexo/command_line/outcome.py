@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from kneexo.common.files.writing import output_directory, write_file
+from kneexo.common.progress import progress_bar
 from kneexo.errors import (
     KneexoError,
     OutputError,
@@ -18,8 +20,6 @@ from kneexo.errors import (
     WorkerError,
     shown,
 )
-from kneexo.files.writing import output_directory, write_file
-from kneexo.progress import progress_bar
 from kneexo.studies.catalogue import FILES
 
 if TYPE_CHECKING:

@@ -9,9 +9,10 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from kneexo.common.progress import line_width
 from kneexo.errors import ParameterError, close_names, question, shortened
 from kneexo.parameters import LINKAGES, UNCERTAINTY, WEARER_UNCERTAINTY, Scenario
-from kneexo.parameters.fields import (
+from kneexo.parameters.fields.fields import (
     allowed_range,
     kind_of,
     models_of,
@@ -21,7 +22,6 @@ from kneexo.parameters.fields import (
 )
 from kneexo.parameters.paths import value_at
 from kneexo.parameters.presets import PRESETS
-from kneexo.progress import line_width
 from kneexo.studies.catalogue import STUDIES
 
 Row = dict[str, Any]

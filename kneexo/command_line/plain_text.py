@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import re
 
-from kneexo.progress import line_width
+from kneexo.common.progress import line_width
 
 
 def plain_text(markdown: str) -> str:

@@ -69,8 +69,8 @@ def play(
         Name of a preset that the page also has, without the changes ``values``.
     """
     from kneexo.command_line.output import to_json
+    from kneexo.page.playground import LONGEST_RUN_S, playground_page
     from kneexo.parameters import Scenario
-    from kneexo.view.playground import LONGEST_RUN_S, playground_page
     from kneexo.view.web_page import require_page_name
 
     require_page_name(out)

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from kneexo.analysis.signals import settled_s, to_rpm
-from kneexo.analysis.tracking import SETTLING_BAND
+from kneexo.analysis.tracking.tracking import SETTLING_BAND
 from kneexo.parameters.criteria import SOUND_DISK_MARGIN
 from kneexo.studies.markdown import document, markdown_table, number
 
 if TYPE_CHECKING:
     from kneexo.analysis import PlantLinearization, SampledLoop, TrackingResult
-    from kneexo.analysis.margins import Margins
+    from kneexo.analysis.linear.margins import Margins
 
 Row = tuple[str, ...]
 """The cells of a row of a table."""
@@ -149,7 +149,7 @@ def linear_report(
 ) -> str:
     """Return the report on a linearized plant and sampled loop in Markdown.
 
-    ``lines`` are the lines of `kneexo.analysis.verdict.loop_lines`. A table replaces the lines with
+    ``lines`` are the lines of `kneexo.analysis.tracking.verdict.loop_lines`. A table replaces the lines with
     margins. ``model`` has the lines on the omissions of the model.
     """
     margins, table = loop.margins(), list[Row]()

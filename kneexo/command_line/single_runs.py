@@ -65,10 +65,10 @@ def simulate(choice: ScenarioChoice, out: Path, page: ReportPage | None = None) 
     """
     scenario = choice.load()
     from kneexo.analysis import track
-    from kneexo.analysis.notices import wrapped
+    from kneexo.analysis.tracking.notices import wrapped
     from kneexo.command_line.output import to_json, write_csv
+    from kneexo.geometry.rod_polynomial import completed
     from kneexo.parameters.scenario_file import scenario_files
-    from kneexo.rod_polynomial import completed
     from kneexo.studies.markdown import number
 
     if scenario.simulation.compiled:
@@ -111,8 +111,8 @@ def simulate(choice: ScenarioChoice, out: Path, page: ReportPage | None = None) 
 def _track_with_bar(scenario: Scenario) -> TrackingResult:
     """Run a scenario in Drake's Simulator, and show a progress bar of the simulated time."""
     from kneexo.analysis import track
+    from kneexo.common.progress import progress_bar
     from kneexo.diagrams import make_closed_loop
-    from kneexo.progress import progress_bar
 
     make_closed_loop(scenario)  # so that its errors come before the bar
     with progress_bar(scenario.duration_s, "simulated time") as bar:
@@ -138,8 +138,8 @@ def linearize(
     """
     scenario = choice.load()
     from kneexo.analysis import linearize_loop, linearize_plant
-    from kneexo.analysis.notices import model_lines, model_notices, wrapped
-    from kneexo.analysis.verdict import loop_lines
+    from kneexo.analysis.tracking.notices import model_lines, model_notices, wrapped
+    from kneexo.analysis.tracking.verdict import loop_lines
     from kneexo.command_line.output import to_json
     from kneexo.systems.knee_reference import run_middle_deg
 

@@ -14,8 +14,8 @@ from kneexo.command_line.arguments import ScenarioChoice
 from kneexo.command_line.html_page import ReportPage
 from kneexo.command_line.outcome import Outcome, files_line
 from kneexo.command_line.plain_text import head_of, plain_text
+from kneexo.common.progress import progress_bar, whole_bar
 from kneexo.errors import ParameterError
-from kneexo.progress import progress_bar, whole_bar
 from kneexo.studies.catalogue import FIGURES, Study, failure_file
 
 if TYPE_CHECKING:

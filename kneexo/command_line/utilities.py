@@ -89,7 +89,7 @@ def params(choice: ScenarioChoice, yaml: bool, schema: bool, find: str | None = 
         setting_rows,
         uncertainty_rows,
     )
-    from kneexo.rod_polynomial import completed
+    from kneexo.geometry.rod_polynomial import completed
 
     everything = choice.path is None and choice.preset is None
     rows = list(parameter_rows(completed(scenario), all_kinds=everything))

@@ -40,8 +40,8 @@ from kneexo.parameters import (
     SampledReference,
     Scenario,
 )
-from kneexo.parameters.fault import OPERATOR_INPUTS
 from kneexo.parameters.scenario import require_scenario
+from kneexo.parameters.task.fault import OPERATOR_INPUTS
 from kneexo.systems import StateVariable, drive, knee_reference, push as push_system
 from kneexo.systems.function_law import LAW_COMMAND
 from kneexo.systems.knee_reference import require_reference_in_range

@@ -23,6 +23,7 @@ from kneexo.diagrams.part import Part, add_parts, leaf_part
 from kneexo.diagrams.protection import connect_protection, guarded_ports, protection_parts
 from kneexo.diagrams.signals import CONTROLLER_SIGNALS, SIGNALS
 from kneexo.errors import ParameterError
+from kneexo.geometry.rod_polynomial import controller_polynomial
 from kneexo.parameters import (
     LawParameters,
     ObserverParameters,
@@ -31,7 +32,6 @@ from kneexo.parameters import (
     SlidingModeParameters,
     TorqueParameters,
 )
-from kneexo.rod_polynomial import controller_polynomial
 from kneexo.systems import (
     function_law,
     knee_coordinates,

@@ -14,8 +14,8 @@ from kneexo.diagrams.signals import NEEDED_SETTINGS, SIGNALS
 from kneexo.diagrams.wearer import wearer_parts
 from kneexo.errors import ParameterError, close_names, question, shown
 from kneexo.parameters import FaultParameters, Scenario
-from kneexo.parameters.fault import FAULTY_SIGNALS, LOSING, OPERATOR_INPUTS
 from kneexo.parameters.paths import changed, has_path, value_at
+from kneexo.parameters.task.fault import FAULTY_SIGNALS, LOSING, OPERATOR_INPUTS
 from kneexo.systems import drive_watchdog, fault as fault_system
 
 _CHANGING = ("plant", "wearer", "load_cell")  # parts of a scenario whose numbers can change

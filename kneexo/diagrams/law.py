@@ -13,8 +13,8 @@ from pydrake.systems.framework import System
 from kneexo import systems
 from kneexo.compiler import read_diagram, sampled_leaves
 from kneexo.errors import CompilationError, DifferenceError, KneexoError, ParameterError
+from kneexo.geometry.rod_polynomial import controller_polynomial
 from kneexo.parameters import LAW_INPUTS, Law, LawParameters, Scenario
-from kneexo.rod_polynomial import controller_polynomial
 from kneexo.systems.function_law import Trace, trace
 
 T = TypeVar("T")

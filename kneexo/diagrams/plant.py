@@ -10,10 +10,13 @@ from typing import Any
 import numpy as np
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
-from kneexo import linkage, systems
+from kneexo import systems
 from kneexo.diagrams.part import NO_FAULTS, Part, add_parts, connect, leaf_part
 from kneexo.diagrams.signals import OPTIONAL_OUTPUTS, PLANT_OUTPUTS
 from kneexo.errors import ParameterError
+from kneexo.geometry import linkage
+from kneexo.geometry.rod_inverse import RodInverse, fit_rod_inverse, rounded_rod_extension
+from kneexo.geometry.rod_polynomial import controller_polynomial
 from kneexo.parameters import (
     KneeLoadParameters,
     LinkageParameters,
@@ -22,9 +25,7 @@ from kneexo.parameters import (
     Scenario,
     SineReference,
 )
-from kneexo.parameters.quantity import require_object
-from kneexo.rod_inverse import RodInverse, fit_rod_inverse, rounded_rod_extension
-from kneexo.rod_polynomial import controller_polynomial
+from kneexo.parameters.fields.quantity import require_object
 from kneexo.systems import (
     bldc_pump,
     bypass_valve,

@@ -14,8 +14,8 @@ from kneexo import systems
 from kneexo.diagrams.part import Part, add_parts, connect
 from kneexo.diagrams.plant import start_rod_force
 from kneexo.diagrams.signals import WEARER_OUTPUTS
+from kneexo.geometry.rod_polynomial import controller_polynomial
 from kneexo.parameters import LegParameters, MomentTable, NoLoad, Scenario
-from kneexo.rod_polynomial import controller_polynomial
 from kneexo.systems import cuff, knee_reference, load_cell, wearer_knee
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from kneexo.common.result import Array
 from kneexo.compiler import (
     CSource,
     Measurement,
@@ -33,12 +34,11 @@ from kneexo.export.target import (
     released_step_s,
     require_step,
 )
+from kneexo.geometry.rod_polynomial import completed
 from kneexo.parameters import SampledReference, Scenario
-from kneexo.parameters.fault import OPERATOR_INPUTS
-from kneexo.parameters.safety_states import RELEASES
+from kneexo.parameters.device.safety_states import RELEASES
 from kneexo.parameters.scenario_file import scenario_files
-from kneexo.result import Array
-from kneexo.rod_polynomial import completed
+from kneexo.parameters.task.fault import OPERATOR_INPUTS
 from kneexo.simulation.compiled import compile_scenario, scenario_run
 
 OUTSIDE = ("disturbance_force", "knee_torque", *RELEASES, *OPERATOR_INPUTS)

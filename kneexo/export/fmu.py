@@ -26,11 +26,11 @@ from kneexo.diagrams.closed_loop import make_closed_loop, plant_states
 from kneexo.diagrams.controller import has_unknown_parts
 from kneexo.errors import KneexoError, ParameterError
 from kneexo.export.target import Target, make_target, released_step_s, require_step
+from kneexo.geometry.rod_polynomial import completed
 from kneexo.parameters import Scenario, SlidingModeParameters
-from kneexo.parameters.fields import limits_of, source_of as provenance_of
+from kneexo.parameters.fields.fields import limits_of, source_of as provenance_of
+from kneexo.parameters.fields.quantity import Parameters
 from kneexo.parameters.paths import changed, value_at
-from kneexo.parameters.quantity import Parameters
-from kneexo.rod_polynomial import completed
 from kneexo.simulation.compiled import scenario_start, scenario_values, structure_key
 from kneexo.systems import knee_reference
 from kneexo.version import __version__

@@ -16,9 +16,9 @@ from kneexo.diagrams.protection import reading_range_rad, reference_range_rad
 from kneexo.diagrams.signals import SIGNALS
 from kneexo.errors import ParameterError
 from kneexo.parameters import SampledReference, Scenario, SimulationParameters
-from kneexo.parameters.fault import OPERATOR_INPUTS
-from kneexo.parameters.fields import limits_of
-from kneexo.parameters.safety_states import RELEASES, STATES
+from kneexo.parameters.device.safety_states import RELEASES, STATES
+from kneexo.parameters.fields.fields import limits_of
+from kneexo.parameters.task.fault import OPERATOR_INPUTS
 from kneexo.simulation.compiled import why_python_in_run
 from kneexo.systems import EncoderCount
 

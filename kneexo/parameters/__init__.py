@@ -14,9 +14,8 @@ All classes are frozen and validated on construction. A bad value raises `Parame
 message of one line. To change a number, pass it by name: ``CylinderParameters(mass_kg=1.8)``.
 """
 
-from kneexo.parameters.anatomical_knee import GAIT2392, AnatomicalKneeParameters
-from kneexo.parameters.bus import Cia402Parameters, NoBus
-from kneexo.parameters.control import (
+from kneexo.parameters.device.bus import Cia402Parameters, NoBus
+from kneexo.parameters.device.control import (
     DifferenceParameters,
     EncoderParameters,
     ExactParameters,
@@ -25,10 +24,8 @@ from kneexo.parameters.control import (
     PidParameters,
     SlidingModeParameters,
 )
-from kneexo.parameters.design_limits import DesignLimits
-from kneexo.parameters.fault import FaultParameters
-from kneexo.parameters.law import LAW_INPUTS, Law
-from kneexo.parameters.linkages import (
+from kneexo.parameters.device.law import LAW_INPUTS, Law
+from kneexo.parameters.device.linkages import (
     G1,
     G2,
     G3,
@@ -39,7 +36,7 @@ from kneexo.parameters.linkages import (
     TABLE_1_LINKAGES,
     LinkageParameters,
 )
-from kneexo.parameters.plant import (
+from kneexo.parameters.device.plant import (
     AIR_EXPONENT,
     ATMOSPHERE_PA,
     RPM,
@@ -57,9 +54,12 @@ from kneexo.parameters.plant import (
     RodPolynomialParameters,
     ThermalParameters,
 )
-from kneexo.parameters.protection import ProtectionParameters
-from kneexo.parameters.push import PushParameters
-from kneexo.parameters.reference import (
+from kneexo.parameters.device.protection import ProtectionParameters
+from kneexo.parameters.device.torque import LoadCellParameters, TorqueParameters
+from kneexo.parameters.scenario import DEFAULT_DURATION_S, Scenario, SimulationParameters
+from kneexo.parameters.task.fault import FaultParameters
+from kneexo.parameters.task.push import PushParameters
+from kneexo.parameters.task.reference import (
     CsvReference,
     GaitReference,
     Interpolation,
@@ -71,9 +71,6 @@ from kneexo.parameters.reference import (
     gait_reference,
     sit_to_stand_reference,
 )
-from kneexo.parameters.scenario import DEFAULT_DURATION_S, Scenario, SimulationParameters
-from kneexo.parameters.strap import StrapParameters
-from kneexo.parameters.torque import LoadCellParameters, TorqueParameters
 from kneexo.parameters.uncertainty import (
     UNCERTAIN_KNEE,
     UNCERTAINTY,
@@ -81,8 +78,11 @@ from kneexo.parameters.uncertainty import (
     Uncertainty,
     UncertaintySet,
 )
-from kneexo.parameters.walking_leg import WalkingLegParameters
-from kneexo.parameters.wearer import (
+from kneexo.parameters.wearer.anatomical_knee import GAIT2392, AnatomicalKneeParameters
+from kneexo.parameters.wearer.design_limits import DesignLimits
+from kneexo.parameters.wearer.strap import StrapParameters
+from kneexo.parameters.wearer.walking_leg import WalkingLegParameters
+from kneexo.parameters.wearer.wearer import (
     BODIES,
     MOMENT_MASS_KG,
     WEARERS,

@@ -13,7 +13,7 @@ TOLERATED_DEVIATION_DEG = 5.0
 """Largest deviation of the knee in deg that a wearer tolerates from a fault.
 
 Assumption. It is more than twice the standard deviation of measured strides, at most 2.1°
-(`kneexo.gait.gait_knee_flexion`).
+(`kneexo.parameters.task.gait.gait_knee_flexion`).
 """
 
 OBSERVED_S = 12.0

@@ -7,8 +7,8 @@ from typing import Any
 
 from pydantic.fields import FieldInfo
 
-from kneexo.parameters.fields import unit_of, words_of
-from kneexo.parameters.names import Place
+from kneexo.parameters.fields.fields import unit_of, words_of
+from kneexo.parameters.fields.names import Place
 from kneexo.parameters.scenario import Scenario
 
 _UNITS = frozenset(

@@ -7,8 +7,8 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
-from kneexo.parameters.fields import models_of
-from kneexo.parameters.quantity import Parameters
+from kneexo.parameters.fields.fields import models_of
+from kneexo.parameters.fields.quantity import Parameters
 from kneexo.parameters.scenario import Scenario
 
 _Changed = TypeVar("_Changed", bound=Parameters)

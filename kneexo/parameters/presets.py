@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from kneexo.errors import ParameterError, close_names, question, shortened
-from kneexo.parameters.plant import SEAL_FRICTION_N
+from kneexo.parameters.device.plant import SEAL_FRICTION_N
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from kneexo.errors import ParameterError
-from kneexo.parameters.bus import INT32_MAX, Cia402Parameters, NoBus
-from kneexo.parameters.control import (
+from kneexo.parameters.device.bus import INT32_MAX, Cia402Parameters, NoBus
+from kneexo.parameters.device.control import (
     DifferenceParameters,
     EncoderParameters,
     ExactParameters,
@@ -19,16 +19,17 @@ from kneexo.parameters.control import (
     PidParameters,
     SlidingModeParameters,
 )
-from kneexo.parameters.fault import OPERATOR_INPUTS, FaultParameters
-from kneexo.parameters.fields import Words
-from kneexo.parameters.law import Law
-from kneexo.parameters.names import searched_for_names
-from kneexo.parameters.plant import RPM, PlantParameters, RodPolynomialParameters
+from kneexo.parameters.device.law import Law
+from kneexo.parameters.device.plant import RPM, PlantParameters, RodPolynomialParameters
+from kneexo.parameters.device.protection import ProtectionParameters
+from kneexo.parameters.device.torque import LoadCellParameters, TorqueParameters
+from kneexo.parameters.fields.fields import Words
+from kneexo.parameters.fields.names import searched_for_names
+from kneexo.parameters.fields.quantity import Parameters, choice, quantity, require_object
 from kneexo.parameters.presets import PRESETS, with_preset
-from kneexo.parameters.protection import ProtectionParameters
-from kneexo.parameters.push import PushParameters
-from kneexo.parameters.quantity import Parameters, choice, quantity, require_object
-from kneexo.parameters.reference import (
+from kneexo.parameters.task.fault import OPERATOR_INPUTS, FaultParameters
+from kneexo.parameters.task.push import PushParameters
+from kneexo.parameters.task.reference import (
     SHORTEST_RUN_S,
     Reference,
     SampledReference,
@@ -38,8 +39,7 @@ from kneexo.parameters.reference import (
     stride_frequency_hz,
     table_mapping,
 )
-from kneexo.parameters.torque import LoadCellParameters, TorqueParameters
-from kneexo.parameters.wearer import (
+from kneexo.parameters.wearer.wearer import (
     LegParameters,
     MomentTable,
     NoWearer,

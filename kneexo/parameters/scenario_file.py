@@ -22,8 +22,8 @@ from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 from yaml.reader import ReaderError
 
+from kneexo.common.files.reading import MIB, file_error, read_text
 from kneexo.errors import OutputError, ParameterError, ScenarioError, shortened, shown
-from kneexo.files.reading import MIB, file_error, read_text
 from kneexo.parameters import (
     UNCERTAIN_KNEE,
     Law,
@@ -32,10 +32,10 @@ from kneexo.parameters import (
     Uncertainty,
     UncertaintySet,
 )
-from kneexo.parameters.faults import one_line
-from kneexo.parameters.fields import allowed_range, source_of, unit_of
+from kneexo.parameters.fields.fields import allowed_range, source_of, unit_of
+from kneexo.parameters.fields.messages import one_line
+from kneexo.parameters.fields.quantity import Parameters
 from kneexo.parameters.presets import PRESETS, with_preset
-from kneexo.parameters.quantity import Parameters
 from kneexo.parameters.scenario import require_scenario
 from kneexo.parameters.uncertainty import require_applicable
 

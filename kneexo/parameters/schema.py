@@ -13,7 +13,7 @@ from pydantic.fields import FieldInfo
 from pydantic.json_schema import models_json_schema
 
 from kneexo.parameters import Scenario
-from kneexo.parameters.fields import (
+from kneexo.parameters.fields.fields import (
     allowed_range,
     kind_of,
     models_of,

@@ -12,9 +12,9 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from kneexo.errors import ParameterError
+from kneexo.parameters.device.plant import SEAL_FRICTION_N, KneeLoadParameters, PlantParameters
+from kneexo.parameters.fields.quantity import Parameters
 from kneexo.parameters.paths import changed, has_path, known_path, value_at
-from kneexo.parameters.plant import SEAL_FRICTION_N, KneeLoadParameters, PlantParameters
-from kneexo.parameters.quantity import Parameters
 from kneexo.parameters.scenario import Scenario
 
 

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple, get_origin
 
 import numpy as np
 
+from kneexo.common.result import Array
 from kneexo.compiler import (
     ROUGH_STEP_S,
     STEP_S,
@@ -65,9 +66,8 @@ from kneexo.parameters import (
     SampledReference,
     Scenario,
 )
-from kneexo.parameters.fields import models_of
-from kneexo.parameters.quantity import Parameters
-from kneexo.result import Array
+from kneexo.parameters.fields.fields import models_of
+from kneexo.parameters.fields.quantity import Parameters
 from kneexo.simulation.python_law import SIGNAL_OF, PythonLaw, commands_at_points
 from kneexo.simulation.run import Run
 from kneexo.simulation.sources import fingerprint

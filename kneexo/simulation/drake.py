@@ -9,10 +9,10 @@ import numpy as np
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 from pydrake.systems.framework import Context, Diagram
 
+from kneexo.common.user_code import cause_of, place_in_user_code
 from kneexo.errors import KneexoError, SimulationError
 from kneexo.parameters import DEFAULT_DURATION_S, SimulationParameters
 from kneexo.simulation.run import Run
-from kneexo.user_code import cause_of, place_in_user_code
 
 
 def simulate_diagram(

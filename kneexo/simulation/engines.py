@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from kneexo.common.result import Array
 from kneexo.compiler import ROUGH_STEP_S, Reduction
 from kneexo.diagrams import SIGNALS, available_signals, columns, make_closed_loop
 from kneexo.diagrams.closed_loop import chosen_signals
@@ -20,7 +21,6 @@ from kneexo.errors import (
 )
 from kneexo.parameters import Scenario
 from kneexo.parameters.scenario import require_scenario
-from kneexo.result import Array
 from kneexo.simulation.drake import simulate_diagram
 from kneexo.simulation.lockstep import ask, needs_runs
 from kneexo.simulation.python_law import sign_hint

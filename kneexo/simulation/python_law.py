@@ -11,16 +11,16 @@ from functools import partial
 import numpy as np
 from pydrake.systems.analysis import Simulator
 
+from kneexo.common.result import Array
+from kneexo.common.user_code import user_code
 from kneexo.diagrams.controller import encoder_offset_rad
 from kneexo.diagrams.law import law_inputs, maker_arguments, why_python
 from kneexo.errors import KneexoError
-from kneexo.linkage import encoder_angle, polynomial
+from kneexo.geometry.linkage import encoder_angle, polynomial
+from kneexo.geometry.rod_polynomial import controller_polynomial
 from kneexo.parameters import Law, LawParameters, Scenario
-from kneexo.result import Array
-from kneexo.rod_polynomial import controller_polynomial
 from kneexo.systems.function_law import call_law, require_finite_result
 from kneexo.systems.knee_reference import start_angle_rad
-from kneexo.user_code import user_code
 
 SIGNAL_OF = {
     "rod_extension": "measured_rod_extension",

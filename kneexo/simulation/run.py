@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from kneexo.common.result import Array, Result, data_frame
 from kneexo.diagrams.signals import SIGNALS
 from kneexo.errors import ResultError, close_names, question
 from kneexo.parameters import SimulationParameters
-from kneexo.result import Array, Result, data_frame
 
 
 @dataclass(frozen=True, repr=False)

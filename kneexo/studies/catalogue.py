@@ -14,14 +14,14 @@ from dataclasses import dataclass
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from kneexo.progress import Stage
+from kneexo.common.progress import Stage
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from kneexo.common.result import Array
     from kneexo.parameters import PlantParameters, Scenario
-    from kneexo.parameters.quantity import Parameters
-    from kneexo.result import Array
+    from kneexo.parameters.fields.quantity import Parameters
 
     Motion = tuple[PlantParameters, Mapping[str, Array]]
     """A plant, and a run of this plant: columns (n,) by name. ``time_s`` starts at 0."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from kneexo.analysis.frequency_response import SinestreamSettings
+from kneexo.analysis.frequency.frequency_response import SinestreamSettings
 from kneexo.parameters import (
     BldcPumpParameters,
     DifferenceParameters,

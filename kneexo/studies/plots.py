@@ -14,8 +14,8 @@ from matplotlib.patheffects import AbstractPathEffect, withStroke
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from numpy.typing import ArrayLike
 
-from kneexo.plotting import decimal_ticks
-from kneexo.result import Array
+from kneexo.common.plotting import decimal_ticks
+from kneexo.common.result import Array
 
 CENTRED: dict[str, Any] = {"ha": "center", "va": "center"}
 """Keyword arguments that centre a Matplotlib text at its point."""

@@ -14,9 +14,9 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from kneexo.common.files.locking import LockedFile
+from kneexo.common.files.reading import MIB
 from kneexo.errors import KneexoError, OutputError, shown
-from kneexo.files.locking import LockedFile
-from kneexo.files.reading import MIB
 from kneexo.parameters import LawParameters, Scenario
 from kneexo.simulation.compiled import law_key
 from kneexo.version import __version__

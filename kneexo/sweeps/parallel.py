@@ -22,11 +22,11 @@ from importlib import import_module
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
+from kneexo.common.interruption import interrupt_later
+from kneexo.common.progress import progress_bar
 from kneexo.compiler import available_cores
 from kneexo.diagrams.law import makers_called_once
 from kneexo.errors import ParameterError, WorkerError
-from kneexo.interruption import interrupt_later
-from kneexo.progress import progress_bar
 from kneexo.simulation.lockstep import is_in_lockstep, map_in_lockstep
 from kneexo.sweeps.checkpoint import Checkpoint, UnknownLawError, piece_keys
 from kneexo.version import __version__

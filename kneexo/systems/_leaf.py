@@ -19,7 +19,7 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 
 from kneexo.compiler import trust
 from kneexo.errors import SimulationError
-from kneexo.parameters.quantity import Parameters, require_object
+from kneexo.parameters.fields.quantity import Parameters, require_object
 
 if TYPE_CHECKING:
     from pydrake.systems.framework import LeafSystem

@@ -8,7 +8,7 @@ import pydrake.math as drake_math
 from pydrake.systems.framework import BasicVector_
 
 from kneexo.parameters import BldcPumpParameters, MotorParameters, ThermalParameters
-from kneexo.parameters.plant import WINDING_REFERENCE_DEGC
+from kneexo.parameters.device.plant import WINDING_REFERENCE_DEGC
 from kneexo.systems._leaf import (
     NamedLeaf,
     clip,

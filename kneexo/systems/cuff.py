@@ -6,7 +6,7 @@ from typing import Any
 
 from pydrake.systems.framework import BasicVector_
 
-from kneexo.parameters.wearer import CuffParameters
+from kneexo.parameters.wearer.wearer import CuffParameters
 from kneexo.systems._leaf import NamedLeaf, clip, fill, leaf_template, require_finite, values_of
 from kneexo.systems.state_variable import StateVariable
 

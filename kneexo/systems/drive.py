@@ -7,7 +7,7 @@ from typing import Any
 import pydrake.math as drake_math
 
 from kneexo.parameters import Cia402Parameters
-from kneexo.parameters.bus import INT32_MAX, INT32_MIN
+from kneexo.parameters.device.bus import INT32_MAX, INT32_MIN
 from kneexo.systems._leaf import NamedLeaf, clip, leaf_template, values_of, where_positive
 
 

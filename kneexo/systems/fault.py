@@ -8,8 +8,8 @@ from typing import Any
 
 import pydrake.math as drake_math
 
-from kneexo.parameters.fault import LATEST, LOSING, FaultParameters
-from kneexo.parameters.torque import AS_183
+from kneexo.parameters.device.torque import AS_183
+from kneexo.parameters.task.fault import LATEST, LOSING, FaultParameters
 from kneexo.systems._leaf import NamedLeaf, discrete_state, leaf_template, where_positive
 from kneexo.systems.drive import nearest_integer
 from kneexo.systems.load_cell import next_seeds, unit_noise

@@ -9,8 +9,8 @@ from typing import Any
 import pydrake.math as drake_math
 
 from kneexo.parameters import PlantParameters, ProtectionParameters
-from kneexo.parameters.protection import LARGEST_THRESHOLDS
-from kneexo.parameters.safety_states import DETECTORS
+from kneexo.parameters.device.protection import LARGEST_THRESHOLDS
+from kneexo.parameters.device.safety_states import DETECTORS
 from kneexo.systems._leaf import (
     NamedLeaf,
     clip,

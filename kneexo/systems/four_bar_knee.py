@@ -1,4 +1,4 @@
-"""Four-bar knee driven by the rod (Lee et al. 2020, Eq. 1–9); mathematics in `kneexo.linkage`."""
+"""Four-bar knee driven by the rod (Lee et al. 2020, Eq. 1–9); mathematics in `kneexo.geometry.linkage`."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import pydrake.math as drake_math
 from pydrake.systems.framework import BasicVector_
 
 from kneexo.errors import SimulationError
-from kneexo.linkage import FIT_RANGE_DEG, icr, polynomial, polynomial_derivative
+from kneexo.geometry.linkage import FIT_RANGE_DEG, icr, polynomial, polynomial_derivative
+from kneexo.geometry.rod_inverse import RodInverse, fit_rod_inverse
 from kneexo.parameters import KneeParameters, LinkageParameters, RodPolynomialParameters
-from kneexo.rod_inverse import RodInverse, fit_rod_inverse
 from kneexo.systems._leaf import NamedLeaf, leaf_template, values_of
 
 
@@ -65,7 +65,7 @@ class FourBarKnee(NamedLeaf):
 
     θ_p, θ_4 and r are polynomials of degree 25 in √(x_dc − x), where x_dc is the extension at the
     rod's dead centre. They are fitted to the linkage when the system is made (see
-    `kneexo.rod_inverse.RodInverse`).
+    `kneexo.geometry.rod_inverse.RodInverse`).
 
     ================  ====  ==========  =================================================
     input port        size  unit

@@ -19,12 +19,12 @@ import numpy as np
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.symbolic import Expression, Variable
 
+from kneexo.common.result import Array
+from kneexo.common.user_code import place_in_user_code, text_of, user_code
 from kneexo.compiler import ExpressionGraph, called_twice, differ, truth_of_scalars
 from kneexo.errors import CompilationError, ParameterError, SimulationError, shortened
 from kneexo.parameters import LAW_INPUTS, CylinderParameters, KneeParameters, Law, LawParameters
-from kneexo.result import Array
 from kneexo.systems._leaf import NamedLeaf, clip, discrete_state, fill, leaf_template
-from kneexo.user_code import place_in_user_code, text_of, user_code
 
 LAW_COMMAND = "law_command"
 """Name of the input port of `HeldCommand`."""
@@ -157,7 +157,7 @@ def _declare_command(leaf: NamedLeaf) -> None:
 class FunctionLaw(NamedLeaf):
     """Control law of the user, a function that is called once a sample: u⁺ = clip(f(…), ±u_max).
 
-    The names of f's arguments choose the input ports among `kneexo.parameters.law.LAW_INPUTS`. A
+    The names of f's arguments choose the input ports among `kneexo.parameters.device.law.LAW_INPUTS`. A
     port of one element gives f a scalar, any other port an array. ``time_s`` is the time in s, and
     ``state`` is an array of the discrete states after the first. With ``state``, f returns the
     command and the next state.
@@ -165,7 +165,7 @@ class FunctionLaw(NamedLeaf):
     ====================  =====  ======  ================================================
     port                  size   unit
     ====================  =====  ======  ================================================
-    inputs of the law     1…4    SI      see `kneexo.parameters.law.LAW_INPUTS`
+    inputs of the law     1…4    SI      see `kneexo.parameters.device.law.LAW_INPUTS`
     **output port**
     motor_speed_command   1      rad/s   within ±``command_limit_rad_s``
     command_and_state     1…     rad/s   the whole discrete state
@@ -253,7 +253,7 @@ class LinearLaw(NamedLeaf):
     sample_time_s
         Time in s between two updates.
     inputs
-        Names of the inputs that the law reads, see `kneexo.parameters.law.LAW_INPUTS`.
+        Names of the inputs that the law reads, see `kneexo.parameters.device.law.LAW_INPUTS`.
     continuous, discrete
         Numbers of elements of x and z.
     """

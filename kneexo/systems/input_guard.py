@@ -6,9 +6,9 @@ import math
 from functools import partial
 from typing import Any, NamedTuple
 
-from kneexo.parameters.protection import LARGEST_THRESHOLDS
-from kneexo.parameters.safety_states import DETECTORS
-from kneexo.parameters.wearer import LARGEST_MOMENT_N_M
+from kneexo.parameters.device.protection import LARGEST_THRESHOLDS
+from kneexo.parameters.device.safety_states import DETECTORS
+from kneexo.parameters.wearer.wearer import LARGEST_MOMENT_N_M
 from kneexo.systems._leaf import (
     NamedLeaf,
     discrete_state,

@@ -7,7 +7,12 @@ from typing import Any
 
 import pydrake.math as drake_math
 
-from kneexo.linkage import eq6_sign, knee_angle_from_encoder, polynomial, polynomial_derivative
+from kneexo.geometry.linkage import (
+    eq6_sign,
+    knee_angle_from_encoder,
+    polynomial,
+    polynomial_derivative,
+)
 from kneexo.parameters import LinkageParameters, RodPolynomialParameters
 from kneexo.systems._leaf import NamedLeaf, leaf_template, values_of
 

@@ -22,7 +22,7 @@ from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from kneexo.errors import ParameterError
-from kneexo.linkage import polynomial, polynomial_derivative
+from kneexo.geometry.linkage import polynomial, polynomial_derivative
 from kneexo.parameters import (
     KneeParameters,
     RampReference,

@@ -9,7 +9,7 @@ import pydrake.math as drake_math
 from pydrake.systems.framework import BasicVector_
 
 from kneexo.parameters import LoadCellParameters
-from kneexo.parameters.torque import AS_183, TorqueParameters
+from kneexo.parameters.device.torque import AS_183, TorqueParameters
 from kneexo.systems._leaf import (
     NamedLeaf,
     clip,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from kneexo.parameters.push import PushParameters
+from kneexo.parameters.task.push import PushParameters
 from kneexo.systems._leaf import NamedLeaf, leaf_template, values_of, where_positive
 
 _SAME_S = 1e-9

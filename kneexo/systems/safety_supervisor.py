@@ -9,8 +9,8 @@ import pydrake.math as drake_math
 from pydrake.math import max as _max, min as _min
 
 from kneexo.parameters import ProtectionParameters
-from kneexo.parameters.plant import RPM
-from kneexo.parameters.safety_states import (
+from kneexo.parameters.device.plant import RPM
+from kneexo.parameters.device.safety_states import (
     DETECTORS,
     EMERGENCY_STOP,
     LAW_ACTS,
@@ -44,7 +44,7 @@ def context_values(parameters: ProtectionParameters) -> dict[str, float]:
 class SafetySupervisor(NamedLeaf):
     """State machine between law and drive: passes the command of the law, or stops the motor.
 
-    `kneexo.parameters.safety_states` has the table of states, events and transitions. A stop keeps
+    `kneexo.parameters.device.safety_states` has the table of states, events and transitions. A stop keeps
     its first reason until a reset.
 
     ===================  ====  =====  ===========================================================

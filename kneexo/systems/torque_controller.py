@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from kneexo.linkage import polynomial, polynomial_derivative
+from kneexo.geometry.linkage import polynomial, polynomial_derivative
 from kneexo.parameters import PlantParameters, RodPolynomialParameters, TorqueParameters
 from kneexo.systems._leaf import (
     NamedLeaf,

@@ -8,7 +8,7 @@ from typing import Any
 from pydrake.systems.framework import BasicVector_
 
 from kneexo.parameters import KneeLoadParameters, LegParameters
-from kneexo.parameters.wearer import MAXWELL_BANK
+from kneexo.parameters.wearer.wearer import MAXWELL_BANK
 from kneexo.systems._leaf import (
     NamedLeaf,
     fill,
@@ -91,7 +91,7 @@ class WearerKnee(NamedLeaf):
     State: θ_h in rad, dθ_h/dt in rad/s and ξ_i in rad. Context parameters by name: numbers of
     `LegParameters`, with ``bare_stiffness_n_m_per_rad`` (k_0) in place of k, and
     ``thigh_inclination_rad`` (α_thigh) and ``gravity_m_s2`` of the load. Source: the Maxwell
-    elements approximate hysteretic damping (see `kneexo.parameters.wearer.MAXWELL_BANK`). The
+    elements approximate hysteretic damping (see `kneexo.parameters.wearer.wearer.MAXWELL_BANK`). The
     Maxwell element i has the weight κ_i and the corner frequency f_i, and h is the loss modulus.
 
     Parameters

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kneexo.linkage import shank_is_ground
+from kneexo.geometry.linkage import shank_is_ground
 from kneexo.parameters import LinkageParameters
 from kneexo.view.mechanism import points
 

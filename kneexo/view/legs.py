@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from kneexo.common.files.table import read_table
+from kneexo.common.result import Array
 from kneexo.errors import ScenarioError, SimulationError, shown
-from kneexo.files.table import read_table
 from kneexo.parameters import CylinderParameters, LinkageParameters, PlantParameters, Scenario
-from kneexo.parameters.reference import LONGEST_TIME_S
-from kneexo.result import Array
+from kneexo.parameters.task.reference import LONGEST_TIME_S
 from kneexo.simulation import Run, simulate
 
 SIGNALS = ("knee_angle", "knee_reference", "load_pressure")

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from kneexo.linkage import icr, pose, rod_anchor, shank_is_ground
+from kneexo.geometry.linkage import icr, pose, rod_anchor, shank_is_ground
 from kneexo.parameters import LinkageParameters
 
 Points = NDArray[np.complex128]

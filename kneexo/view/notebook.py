@@ -9,8 +9,8 @@ from typing import Any
 
 LINKAGES = {
     ("kneexo.parameters.scenario", "Scenario"): "plant.linkage",
-    ("kneexo.parameters.plant", "PlantParameters"): "linkage",
-    ("kneexo.parameters.linkages", "LinkageParameters"): "",
+    ("kneexo.parameters.device.plant", "PlantParameters"): "linkage",
+    ("kneexo.parameters.device.linkages", "LinkageParameters"): "",
 }
 """Module and name of each class with a drawing, and the path from the class to its linkage."""
 

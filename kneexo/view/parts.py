@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 from pydrake.geometry import Box, Capsule, Cylinder, Ellipsoid, Meshcat, Rgba, Shape
 from pydrake.math import RigidTransform, RotationMatrix
 
+from kneexo.common.result import Array
 from kneexo.parameters import LinkageParameters
-from kneexo.result import Array
 from kneexo.view.mechanism import BARS, FRAMES, LIMB_LAYER_M, PINS, Points, points
 
 ICR_COLOUR = Rgba(0.8, 0.0, 0.5)

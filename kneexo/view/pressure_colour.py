@@ -9,8 +9,8 @@ import numpy as np
 from pydrake.geometry import Meshcat
 from pydrake.systems.framework import EventStatus, LeafSystem
 
+from kneexo.common.result import Array
 from kneexo.errors import ParameterError
-from kneexo.result import Array
 
 BLUE, GREY, RED = np.array([0.1, 0.3, 0.9]), np.array([0.85] * 3), np.array([0.9, 0.15, 0.1])
 """Red, green and blue from 0 to 1 at the largest negative pressure, at none, at the largest."""

@@ -16,10 +16,10 @@ from numpy.typing import ArrayLike
 from pydrake.geometry import Box, Capsule, Cylinder, Ellipsoid, Shape
 from scipy.spatial import ConvexHull
 
-from kneexo.alignment import align
+from kneexo.analysis.mechanism.alignment import align
+from kneexo.common.result import Array
+from kneexo.geometry.shank_motion import anatomical_motion
 from kneexo.parameters import LinkageParameters
-from kneexo.result import Array
-from kneexo.shank_motion import anatomical_motion
 from kneexo.view.parts import Part, icr_path, parts, placements
 from kneexo.view.pressure_colour import BLUE, GREY, RED
 
@@ -93,7 +93,7 @@ def stage_leg(
 def _centre_paths(linkage: LinkageParameters) -> list[dict[str, Any]]:
     """Return the paths of the centres of rotation of the linkage and of a wearer's knee, as data.
 
-    The wearer's path is relative to a device at its best place (`kneexo.alignment.align`).
+    The wearer's path is relative to a device at its best place (`kneexo.analysis.mechanism.alignment.align`).
     """
     best = align(linkage)
     wearer = anatomical_motion(best.knee, np.radians(best.knee_angle_deg))

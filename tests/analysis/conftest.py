@@ -5,7 +5,7 @@ import pytest
 from linear_cases import SCENARIOS, STABLE, eq_27
 from scipy.interpolate import CubicSpline
 
-from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.analysis.linear.sampled_loop import linearize_loop
 from kneexo.parameters import (
     G1,
 )

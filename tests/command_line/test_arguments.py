@@ -6,11 +6,11 @@ import pytest
 import kneexo
 from kneexo.analysis import track
 from kneexo.command_line.main import main
+from kneexo.geometry.rod_polynomial import completed
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 from kneexo.parameters.presets import PRESETS
 from kneexo.parameters.scenario_file import load_scenario
-from kneexo.rod_polynomial import completed
 from kneexo.studies.contest.study import ContestSettings
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -14,7 +14,7 @@ from waiting import wait_for
 
 from kneexo.command_line import single_runs, utilities
 from kneexo.command_line.main import main
-from kneexo.interruption import Terminated
+from kneexo.common.interruption import Terminated
 
 
 def test_a_stream_without_greek_letters_gets_escapes(short, monkeypatch):

@@ -9,10 +9,10 @@ import pytest
 import yaml
 
 from kneexo.command_line.main import main
+from kneexo.geometry.rod_polynomial import controller_polynomial, largest_error_mm
 from kneexo.parameters import LINKAGES, Scenario
 from kneexo.parameters.paths import value_at
 from kneexo.parameters.scenario_file import load_scenario
-from kneexo.rod_polynomial import controller_polynomial, largest_error_mm
 
 FOUR_SECTIONS = ("plant.linkage", "plant.cylinder", "plant.load", "controller")
 

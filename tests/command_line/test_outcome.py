@@ -7,6 +7,7 @@ import pytest
 
 from kneexo.command_line.main import main
 from kneexo.command_line.outcome import Delivery, Outcome, Request, file_names, named_in_errors
+from kneexo.common.interruption import Terminated
 from kneexo.errors import (
     OutputError,
     PackageError,
@@ -14,7 +15,6 @@ from kneexo.errors import (
     ScenarioError,
     WorkerError,
 )
-from kneexo.interruption import Terminated
 
 
 @pytest.mark.parametrize(

@@ -12,10 +12,10 @@ from kneexo.command_line.parameter_list import (
     uncertainty_rows,
 )
 from kneexo.errors import ParameterError
+from kneexo.geometry.rod_polynomial import completed
 from kneexo.parameters import CylinderParameters, Scenario
-from kneexo.parameters.fields import source_of
+from kneexo.parameters.fields.fields import source_of
 from kneexo.parameters.paths import changed
-from kneexo.rod_polynomial import completed
 from kneexo.studies.catalogue import STUDIES
 
 

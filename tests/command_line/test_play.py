@@ -3,7 +3,7 @@ import json
 import pytest
 
 from kneexo.command_line.main import main
-from kneexo.view import playground
+from kneexo.page import playground
 
 
 @pytest.fixture

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kneexo.analysis import linearize_loop, linearize_plant, track
-from kneexo.analysis.verdict import loop_lines
+from kneexo.analysis.tracking.verdict import loop_lines
 from kneexo.command_line.run_reports import linear_report, tracking_report
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from kneexo.analysis import TrackingMetrics, linearize_loop, linearize_plant, track
-from kneexo.analysis.tracking import StepMetrics
-from kneexo.analysis.verdict import loop_lines
+from kneexo.analysis.tracking.tracking import StepMetrics
+from kneexo.analysis.tracking.verdict import loop_lines
 from kneexo.command_line.main import main
 from kneexo.command_line.output import to_json
 from kneexo.parameters import PlantParameters, Scenario

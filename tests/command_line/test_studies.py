@@ -3,12 +3,12 @@ import json
 import pytest
 
 import kneexo
-from kneexo.analysis.frequency_response import SinestreamSettings
+from kneexo.analysis.frequency.frequency_response import SinestreamSettings
 from kneexo.command_line.main import main
+from kneexo.geometry.rod_polynomial import completed
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 from kneexo.parameters.scenario_file import load_scenario
-from kneexo.rod_polynomial import completed
 from kneexo.studies.bandwidth import study as bandwidth
 from kneexo.studies.catalogue import STUDIES, Study, repeating_commands
 

@@ -24,7 +24,7 @@ class FourBarOracle:
     """Geometry G1 by intersecting circles, in m and rad (Lee et al. 2020, Eq. 1–9).
 
     Joint A lies on the circle around O_A with radius a_2; the second circle follows from whichever
-    angle is given. It shares neither code nor formula with `kneexo.linkage`.
+    angle is given. It shares neither code nor formula with `kneexo.geometry.linkage`.
     """
 
     o_a, o_b = complex(22.2063e-3, -34.732e-3), complex(-6.679e-3, -17.5701e-3)

@@ -13,7 +13,6 @@ from pydrake.systems.primitives import ConstantVectorSource, ZeroOrderHold
 
 import kneexo
 from kneexo.analysis import linearize_loop, simulate, track
-from kneexo.analysis.assessment import assess
 from kneexo.diagrams import SIGNALS, make_closed_loop, make_controller
 from kneexo.diagrams.law import known_to_controller
 from kneexo.errors import ParameterError, SimulationError
@@ -24,6 +23,7 @@ from kneexo.parameters import (
     Scenario,
 )
 from kneexo.parameters.paths import changed
+from kneexo.studies.assessment import assess
 from kneexo.systems import SlidingModeController
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "backstepping.py"

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from kneexo.analysis import estimate_sine, sinestream, track
-from kneexo.analysis.frequency_response import SinestreamSettings
+from kneexo.analysis.frequency.frequency_response import SinestreamSettings
 from kneexo.diagrams import make_closed_loop
 from kneexo.diagrams.faults import fault_structure
 from kneexo.errors import ParameterError
@@ -99,7 +99,7 @@ def test_the_knee_takes_over_an_error_of_the_encoder(size, kind):
 
 def _encoder_slope(base):
     """dθ_4/dθ_p of the linkage in the reference's posture."""
-    from kneexo.linkage import pose
+    from kneexo.geometry.linkage import pose
 
     angles = [float(pose(base.plant.linkage, math.radians(a)).theta_4) for a in (40.0, 40.1)]
     return angles[1] - angles[0]

@@ -9,7 +9,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, Linearize, LogVectorOutput
 
 from kneexo.analysis import linearize_loop, sinestream, track
-from kneexo.analysis.frequency_response import SinestreamSettings
+from kneexo.analysis.frequency.frequency_response import SinestreamSettings
 from kneexo.diagrams import PLANT_OUTPUTS, make_closed_loop, make_plant
 from kneexo.diagrams.signals import OPTIONAL_OUTPUTS
 from kneexo.errors import ParameterError

@@ -15,9 +15,9 @@ from kneexo.errors import ParameterError
 from kneexo.export.firmware import export_firmware, export_sil
 from kneexo.export.fmu import export_fmu
 from kneexo.export.target import count_range, make_target
-from kneexo.linkage import moment_arm, pose
+from kneexo.geometry.linkage import moment_arm, pose
 from kneexo.parameters import Scenario
-from kneexo.parameters.safety_states import REASONS, STATES, SafeState
+from kneexo.parameters.device.safety_states import REASONS, STATES, SafeState
 from kneexo.simulation import simulate
 from kneexo.simulation.compiled import scenario_values, simulate_together
 

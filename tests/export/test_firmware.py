@@ -18,10 +18,10 @@ from kneexo.errors import ParameterError
 from kneexo.export import firmware
 from kneexo.export.firmware import loop_inputs, make_firmware, make_sil
 from kneexo.export.target import largest_step_s, make_target
+from kneexo.geometry.rod_polynomial import completed
 from kneexo.parameters import Scenario
 from kneexo.parameters.presets import with_preset
 from kneexo.parameters.scenario_file import load_scenario
-from kneexo.rod_polynomial import completed
 from kneexo.simulation import simulate_compiled
 from kneexo.studies.paper import PID_TUNED
 

@@ -28,6 +28,8 @@ from kneexo.errors import OutputError, ParameterError
 from kneexo.export import fmu as exports
 from kneexo.export.fmu import export_fmu, parameter_effects
 from kneexo.export.target import WHAT, largest_step_s
+from kneexo.geometry.rod_polynomial import completed
+from kneexo.page.sliders import SLIDERS
 from kneexo.parameters import (
     CuffParameters,
     FullCylinderParameters,
@@ -42,11 +44,9 @@ from kneexo.parameters import (
     SimulationParameters,
     TorqueParameters,
 )
-from kneexo.parameters.fields import unit_of
+from kneexo.parameters.fields.fields import unit_of
 from kneexo.parameters.paths import changed, value_at
 from kneexo.parameters.presets import with_preset
-from kneexo.parameters.sliders import SLIDERS
-from kneexo.rod_polynomial import completed
 from kneexo.simulation.compiled import scenario_values, simulate_compiled
 
 ROOT = Path(__file__).parents[2]

@@ -15,7 +15,7 @@ from kneexo.export.firmware import make_firmware
 from kneexo.export.fmu import export_fmu
 from kneexo.export.target import count_range, make_target
 from kneexo.parameters import Scenario
-from kneexo.parameters.safety_states import REASONS
+from kneexo.parameters.device.safety_states import REASONS
 
 ROWS_C = Path(__file__).with_name("rows.c")
 SHORT = {"healthy_s": 0.02, "overdue_s": 0.1, "safe_state": "dynamic_brake"}

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from kneexo import linkage
 from kneexo.analysis import linearize_plant
 from kneexo.diagrams import make_closed_loop, make_plant
 from kneexo.errors import ParameterError
 from kneexo.export.firmware import make_firmware
 from kneexo.export.target import WHAT, count_range, largest_step_s, make_target, require_step
+from kneexo.geometry import linkage
 from kneexo.parameters import MotorParameters, Scenario
 
 LOADED = {"plant": {"load": {"kind": "knee"}}}

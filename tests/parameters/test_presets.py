@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kneexo.analysis import linearize_loop, linearize_plant, simulate, track
-from kneexo.analysis.coupling import coupled_loop
+from kneexo.analysis.wearer.coupling import coupled_loop
 from kneexo.errors import ParameterError, ScenarioError
 from kneexo.parameters import Cia402Parameters, KneeLoadParameters, NoBus, NoLoad, Scenario
 from kneexo.parameters.criteria import SOUND_DISK_MARGIN

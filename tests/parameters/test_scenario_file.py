@@ -40,7 +40,7 @@ from kneexo.parameters import (
     TorqueParameters,
     scenario_file,
 )
-from kneexo.parameters.quantity import Parameters
+from kneexo.parameters.fields.quantity import Parameters
 from kneexo.parameters.scenario_file import (
     dump_scenario,
     load_scenario,

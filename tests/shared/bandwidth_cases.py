@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 
-from kneexo.analysis.sine_estimate import SineEstimateSettings
+from kneexo.analysis.frequency.sine_estimate import SineEstimateSettings
 from kneexo.parameters import Scenario
 from kneexo.studies.bandwidth import BandwidthResult, BandwidthSettings
 

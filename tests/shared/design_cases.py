@@ -5,8 +5,9 @@ from functools import cache
 
 import numpy as np
 
-from kneexo.alignment import align
-from kneexo.analysis.linkage_design import _design, _points_of, _Problem
+from kneexo.analysis.mechanism.alignment import align
+from kneexo.analysis.mechanism.linkage_design import _design, _points_of, _Problem
+from kneexo.geometry.shank_motion import anatomical_motion
 from kneexo.parameters import (
     G1,
     G3,
@@ -16,7 +17,6 @@ from kneexo.parameters import (
     RodPolynomialParameters,
     Scenario,
 )
-from kneexo.shank_motion import anatomical_motion
 from kneexo.studies.design import DesignResult, DesignSettings
 
 GROUND_M = math.hypot(G3.o_b_x_m - G3.o_a_x_m, G3.o_b_y_m - G3.o_a_y_m)

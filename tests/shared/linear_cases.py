@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from kneexo.analysis.sampled_loop import SampledLoop
+from kneexo.analysis.linear.sampled_loop import SampledLoop
 from kneexo.compiler import LinearModel, OperatingPoint, TickModel
 from kneexo.compiler.linear.model import over_period
 from kneexo.parameters import (

@@ -11,7 +11,7 @@ from kneexo.analysis import (
     TrackingMetrics,
     TrackingResult,
 )
-from kneexo.analysis.frequency_response import SinestreamSettings
+from kneexo.analysis.frequency.frequency_response import SinestreamSettings
 from kneexo.parameters import RodPolynomialParameters, Scenario, SimulationParameters
 from kneexo.studies.paper import EQ_27_DIFFERENCES, EQ_27_EXACT_STATES, FIG_12
 from kneexo.studies.reproduce.study import (

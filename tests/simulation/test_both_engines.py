@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from kneexo.analysis import track
-from kneexo.analysis.frequency_response import SinestreamSettings
-from kneexo.analysis.sine_estimate import SineEstimateSettings
+from kneexo.analysis.frequency.frequency_response import SinestreamSettings
+from kneexo.analysis.frequency.sine_estimate import SineEstimateSettings
 from kneexo.command_line.main import main
 from kneexo.command_line.output import to_json
 from kneexo.compiler.model import CompiledModel

@@ -14,6 +14,7 @@ from kneexo.compiler.equations.reader import read_equations
 from kneexo.compiler.equations.tree import Node
 from kneexo.diagrams import SIGNALS, make_closed_loop
 from kneexo.errors import LinkageError, ParameterError, SimulationError
+from kneexo.geometry.rod_polynomial import completed
 from kneexo.parameters import (
     G1,
     G3,
@@ -34,8 +35,7 @@ from kneexo.parameters import (
     SlidingModeParameters,
     StepReference,
 )
-from kneexo.parameters.quantity import Parameters
-from kneexo.rod_polynomial import completed
+from kneexo.parameters.fields.quantity import Parameters
 from kneexo.simulation import compiled, simulate_compiled
 from kneexo.simulation.compiled import (
     scenario_diagram,

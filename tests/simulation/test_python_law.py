@@ -13,12 +13,12 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import Gain, LinearSystem
 
 from kneexo.analysis import linearize_loop, track
-from kneexo.analysis.reduced_tracking import track_basic_metrics
-from kneexo.batches import batch
+from kneexo.analysis.batches import batch
+from kneexo.analysis.tracking.reduced_tracking import track_basic_metrics
 from kneexo.diagrams.controller import encoder_offset_rad
 from kneexo.diagrams.law import runs_as_python, why_python
 from kneexo.errors import LinearizationError, ParameterError, SimulationError
-from kneexo.linkage import encoder_angle
+from kneexo.geometry.linkage import encoder_angle
 from kneexo.parameters import (
     ExactParameters,
     LawParameters,

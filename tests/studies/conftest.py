@@ -7,7 +7,7 @@ from unicodedata import combining
 import numpy as np
 import pytest
 
-from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.analysis.linear.sampled_loop import linearize_loop
 from kneexo.command_line.plain_text import head_of, plain_text
 from kneexo.simulation.engines import simulate
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import kneexo.studies
-from kneexo.analysis.frequency_response import sinestream
+from kneexo.analysis.frequency.frequency_response import sinestream
 from kneexo.studies.catalogue import FIGURES, FILES, STUDIES
 
 

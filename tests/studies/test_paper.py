@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from kneexo.analysis.bandwidth import rod_amplitude_m, rod_limits
+from kneexo.analysis.frequency.bandwidth import rod_amplitude_m, rod_limits
 from kneexo.studies.paper import (
     EQ_27_DIFFERENCES,
     EQ_27_EXACT_STATES,

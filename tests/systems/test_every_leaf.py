@@ -1,7 +1,7 @@
 """What all leaf systems have in common: names of Context parameters, conversion, periods.
 
 The numbers of a leaf are tested in its own file against an independent source, and the ranges of
-all parameters in ``tests/parameters/test_quantity.py``.
+all parameters in ``tests/parameters/fields/test_quantity.py``.
 """
 
 import inspect

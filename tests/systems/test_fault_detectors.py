@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from kneexo.parameters import PlantParameters, ProtectionParameters
-from kneexo.parameters.safety_states import DETECTORS
+from kneexo.parameters.device.safety_states import DETECTORS
 from kneexo.systems import FaultDetectors
 from kneexo.systems.fault_detectors import context_values
 

@@ -8,7 +8,7 @@ from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from kneexo.errors import LinkageError, SimulationError
-from kneexo.linkage import rod_extension
+from kneexo.geometry.linkage import rod_extension
 from kneexo.parameters import (
     G1,
     G2,

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from kneexo.parameters.safety_states import DETECTORS
+from kneexo.parameters.device.safety_states import DETECTORS
 from kneexo.systems import InputGuard
 
 T, SPAN = 0.002, (0.1, 1.5)

@@ -12,7 +12,7 @@ from kneexo.compiler import Interface, read_diagram
 from kneexo.compiler.c.source import source_of
 from kneexo.compiler.c.vectors import recorded_vectors
 from kneexo.parameters import ProtectionParameters
-from kneexo.parameters.safety_states import (
+from kneexo.parameters.device.safety_states import (
     DETECTORS,
     EVENTS,
     LAW_ACTS,

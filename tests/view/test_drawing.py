@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kneexo.errors import LinkageError
-from kneexo.linkage import rod_extension
+from kneexo.geometry.linkage import rod_extension
 from kneexo.parameters import G1, HINGE, LINKAGES
 from kneexo.view.drawing import HEIGHT, WIDTH, mechanism_svg
 

@@ -8,7 +8,7 @@ import pytest
 from pydrake.geometry import Box, Capsule, Cylinder, Rgba, SceneGraph
 
 from kneexo.errors import LinkageError, ParameterError
-from kneexo.linkage import encoder_angle
+from kneexo.geometry.linkage import encoder_angle
 from kneexo.parameters import G1, LINKAGES, LinkageParameters
 from kneexo.view.knee_frames import KneeFrames
 

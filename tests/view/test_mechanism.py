@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from kneexo.linkage import rod_extension
-from kneexo.parameters.linkages import G5, HINGE, LINKAGES
+from kneexo.geometry.linkage import rod_extension
+from kneexo.parameters.device.linkages import G5, HINGE, LINKAGES
 from kneexo.view.mechanism import (
     BARS,
     HEAD,

@@ -17,7 +17,7 @@ from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput
 
 from kneexo.diagrams import make_closed_loop
 from kneexo.errors import LinkageError, ParameterError
-from kneexo.linkage import icr, pose, rod_extension
+from kneexo.geometry.linkage import icr, pose, rod_extension
 from kneexo.parameters import G1, G3, LinkageParameters, Scenario
 from kneexo.view.mechanism import PINS
 from kneexo.view.meshcat_view import add_meshcat_view

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from pydrake.math import RigidTransform
 
-from kneexo.parameters.linkages import LINKAGES
+from kneexo.parameters.device.linkages import LINKAGES
 from kneexo.view.mechanism import BARS, FRAMES, PINS, points
 from kneexo.view.parts import Placement, icr_path, parts, placements
 

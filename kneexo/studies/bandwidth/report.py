@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from kneexo.analysis.bandwidth import rod_limits
-from kneexo.analysis.frequency_response import require_sine
+from kneexo.analysis.frequency.bandwidth import rod_limits
+from kneexo.analysis.frequency.frequency_response import require_sine
 from kneexo.studies.bandwidth.study import BandwidthResult
 from kneexo.studies.markdown import number
 from kneexo.studies.template import filled

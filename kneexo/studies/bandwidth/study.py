@@ -10,7 +10,7 @@ from typing import Any, Unpack
 import numpy as np
 from pydantic import field_validator
 
-from kneexo.analysis.bandwidth import (
+from kneexo.analysis.frequency.bandwidth import (
     acceleration_bound_hz,
     follower_bandwidth_hz,
     follower_response,
@@ -19,19 +19,19 @@ from kneexo.analysis.bandwidth import (
     rod_limits,
     speed_limit_reached_hz,
 )
-from kneexo.analysis.frequency_response import (
+from kneexo.analysis.frequency.frequency_response import (
     require_sampled,
     require_sine,
 )
-from kneexo.analysis.plant_linearization import Complex
-from kneexo.analysis.rate_limit import rate_limit_bandwidth_hz
-from kneexo.analysis.sampled_loop import linearize_loop
-from kneexo.analysis.sine_estimate import SineEstimateSettings, estimate_sine
+from kneexo.analysis.frequency.rate_limit import rate_limit_bandwidth_hz
+from kneexo.analysis.frequency.sine_estimate import SineEstimateSettings, estimate_sine
+from kneexo.analysis.linear.plant_linearization import Complex
+from kneexo.analysis.linear.sampled_loop import linearize_loop
+from kneexo.common.result import Array, Result, data_frame
 from kneexo.errors import LinearizationError, SimulationError, failure_noted
 from kneexo.parameters import Scenario
+from kneexo.parameters.fields.quantity import Parameters, quantities, require_increasing
 from kneexo.parameters.paths import changed
-from kneexo.parameters.quantity import Parameters, quantities, require_increasing
-from kneexo.result import Array, Result, data_frame
 from kneexo.simulation import needs_runs
 from kneexo.sweeps import SweepOptions, open_sweep
 

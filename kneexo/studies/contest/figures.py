@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from kneexo.plotting import RED, SERIES, decimal_ticks
+from kneexo.common.plotting import RED, SERIES, decimal_ticks
 from kneexo.studies.contest.study import INFEASIBLE_DEG, ContestResult, errors_of
 from kneexo.studies.plots import ecdf, legend_below
 

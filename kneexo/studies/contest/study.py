@@ -19,7 +19,8 @@ import numpy as np
 import scipy
 from pydantic import Field
 
-from kneexo.analysis.assessment import assess
+from kneexo.common.progress import progress_bar
+from kneexo.common.result import Array, Result
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import (
     UNCERTAIN_KNEE,
@@ -32,12 +33,11 @@ from kneexo.parameters import (
     UncertaintySet,
 )
 from kneexo.parameters.criteria import SOUND_DISK_MARGIN
+from kneexo.parameters.fields.quantity import Parameters, quantities, quantity
 from kneexo.parameters.paths import changed
-from kneexo.parameters.quantity import Parameters, quantities, quantity
 from kneexo.parameters.uncertainty import applicable, draw, realize
-from kneexo.progress import progress_bar
-from kneexo.result import Array, Result
 from kneexo.simulation import needs_runs
+from kneexo.studies.assessment import assess
 from kneexo.studies.paper import PID_FEEDFORWARD, PID_PAPER, PID_TUNED
 from kneexo.studies.robustness.study import Values
 from kneexo.sweeps import Sweep, SweepOptions, open_sweep

@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 
-from kneexo.plotting import BLUE, GOLD, RED, SERIES
-from kneexo.result import Array
+from kneexo.common.plotting import BLUE, GOLD, RED, SERIES
+from kneexo.common.result import Array
 from kneexo.studies.controller.result import ControllerResult, ideal_settling_time_s, observed_smc
 from kneexo.studies.controller.settings import ControllerSettings
 from kneexo.studies.plots import (

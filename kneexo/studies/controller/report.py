@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from kneexo.analysis.margins import soundness
+from kneexo.analysis.linear.margins import soundness
 from kneexo.parameters import RPM
 from kneexo.studies.controller.result import ControllerResult, LimitCycleCase
 from kneexo.studies.markdown import number

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import scipy
 
+from kneexo.common.result import Array, Result
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
     ObserverParameters,
     Scenario,
     SlidingModeParameters,
 )
-from kneexo.result import Array, Result
 from kneexo.studies.controller.settings import ControllerSettings
 
 METRICS = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import field_validator, model_validator
 
 from kneexo.parameters.criteria import SOUND_DISK_MARGIN
-from kneexo.parameters.quantity import (
+from kneexo.parameters.fields.quantity import (
     Parameters,
     positive_values,
     quantity,

@@ -14,9 +14,8 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from kneexo.analysis.assessment import assess
-from kneexo.analysis.hardware import tuned
-from kneexo.analysis.tracking import track
+from kneexo.analysis.tracking.tracking import track
+from kneexo.common.result import Array
 from kneexo.errors import failure_noted
 from kneexo.parameters import (
     Scenario,
@@ -24,8 +23,8 @@ from kneexo.parameters import (
     StepReference,
 )
 from kneexo.parameters.paths import changed
-from kneexo.result import Array
 from kneexo.simulation import needs_runs
+from kneexo.studies.assessment import assess
 from kneexo.studies.controller.result import (
     MAP_METRICS,
     METRICS,
@@ -34,6 +33,7 @@ from kneexo.studies.controller.result import (
     observed_smc,
 )
 from kneexo.studies.controller.settings import ControllerSettings
+from kneexo.studies.hardware import tuned
 from kneexo.sweeps import SweepOptions, open_sweep
 from kneexo.systems.knee_reference import run_middle_deg, run_range_deg
 

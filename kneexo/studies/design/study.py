@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Unpack
 
-from kneexo.alignment import Alignment, align
 from kneexo.analysis import LinkageDesign, design_linkage
-from kneexo.analysis.linkage_design import RodTarget
+from kneexo.analysis.mechanism.alignment import Alignment, align
+from kneexo.analysis.mechanism.linkage_design import RodTarget
+from kneexo.common.files.table import SUFFIXES, read_table
+from kneexo.common.progress import progress_bar
+from kneexo.common.result import Result
 from kneexo.errors import ParameterError, shown
-from kneexo.files.table import SUFFIXES, read_table
-from kneexo.linkage_properties import linkage_properties
+from kneexo.geometry.linkage_properties import linkage_properties
 from kneexo.parameters import (
     GAIT2392,
     HINGE,
@@ -19,10 +21,8 @@ from kneexo.parameters import (
     RodPolynomialParameters,
     Scenario,
 )
-from kneexo.parameters.anatomical_knee import KneeChoice
-from kneexo.parameters.quantity import Parameters, choice, quantity
-from kneexo.progress import progress_bar
-from kneexo.result import Result
+from kneexo.parameters.fields.quantity import Parameters, choice, quantity
+from kneexo.parameters.wearer.anatomical_knee import KneeChoice
 from kneexo.sweeps import SweepOptions
 
 

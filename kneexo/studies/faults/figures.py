@@ -9,7 +9,7 @@ from typing import Any
 import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
-from kneexo.plotting import BLUE, GOLD, RED, TEAL, decimal_ticks
+from kneexo.common.plotting import BLUE, GOLD, RED, TEAL, decimal_ticks
 from kneexo.studies.faults.study import FaultRow, FaultsResult, not_seen
 from kneexo.studies.plots import legend_below
 

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable
 from itertools import product
 from typing import Any, TypeVar
 
-from kneexo.parameters.typical_faults import TYPICAL_FAULTS, typical_faults
 from kneexo.studies.faults.study import (
     FAILED,
     EmergencyStop,
@@ -17,6 +16,7 @@ from kneexo.studies.faults.study import (
     not_seen,
     urgency,
 )
+from kneexo.studies.faults.typical_faults import TYPICAL_FAULTS, typical_faults
 from kneexo.studies.markdown import number
 from kneexo.studies.template import filled
 

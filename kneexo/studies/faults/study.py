@@ -17,9 +17,10 @@ from typing import Any, Literal, Unpack
 
 import numpy as np
 
+from kneexo.analysis.faults.survival import fault_case, fault_name
 from kneexo.analysis.signals import period_s
-from kneexo.analysis.stop import knee_torque, safe_sample, turn_and_torque
-from kneexo.analysis.survival import fault_case, fault_name
+from kneexo.analysis.tracking.stop import knee_torque, safe_sample, turn_and_torque
+from kneexo.common.result import Array, Result, data_frame
 from kneexo.diagrams import available_signals
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import (
@@ -28,13 +29,12 @@ from kneexo.parameters import (
     UncertaintySet,
 )
 from kneexo.parameters.criteria import OBSERVED_S, TOLERATED_DEVIATION_DEG
-from kneexo.parameters.fault import OPERATOR_INPUTS, FaultParameters
-from kneexo.parameters.quantity import Parameters, choice, quantity
-from kneexo.parameters.safety_states import REASONS, SAFE_STATES, SafeState
-from kneexo.parameters.typical_faults import typical_faults
+from kneexo.parameters.device.safety_states import REASONS, SAFE_STATES, SafeState
+from kneexo.parameters.fields.quantity import Parameters, choice, quantity
+from kneexo.parameters.task.fault import OPERATOR_INPUTS, FaultParameters
 from kneexo.parameters.uncertainty import applicable, draw, options_of, realize
-from kneexo.result import Array, Result, data_frame
 from kneexo.simulation import Run, needs_runs, simulate
+from kneexo.studies.faults.typical_faults import typical_faults
 from kneexo.sweeps import SweepOptions, open_sweep
 
 

@@ -8,11 +8,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from kneexo.alignment import MM
 from kneexo.analysis import TradeOff
-from kneexo.analysis.prosthetic_leg import contacts, voluntary_margin_n_m
+from kneexo.analysis.mechanism.alignment import MM
+from kneexo.analysis.mechanism.prosthetic_leg import contacts, voluntary_margin_n_m
+from kneexo.common.plotting import SERIES
 from kneexo.parameters import WalkingLegParameters
-from kneexo.plotting import SERIES
 from kneexo.studies.mechanism.study import MechanismResult
 from kneexo.studies.plots import legend_below
 

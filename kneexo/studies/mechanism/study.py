@@ -8,9 +8,9 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from kneexo.alignment import MM, Alignment, CuffForces, SlottedStrap, align
 from kneexo.analysis import TradeOff, fit_polynomials, trade_off
-from kneexo.analysis.prosthetic_leg import (
+from kneexo.analysis.mechanism.alignment import MM, Alignment, CuffForces, SlottedStrap, align
+from kneexo.analysis.mechanism.prosthetic_leg import (
     LegLength,
     SwingClearance,
     VoluntaryStability,
@@ -18,8 +18,10 @@ from kneexo.analysis.prosthetic_leg import (
     swing_clearance,
     voluntary_stability,
 )
-from kneexo.gait import gait_knee_flexion
-from kneexo.linkage_properties import LinkageProperties, linkage_properties
+from kneexo.common.progress import progress_bar
+from kneexo.common.result import Array, Result
+from kneexo.geometry.linkage_properties import LinkageProperties, linkage_properties
+from kneexo.geometry.shank_motion import ShankMotion, anatomical_motion
 from kneexo.parameters import (
     GAIT2392,
     HINGE,
@@ -28,11 +30,9 @@ from kneexo.parameters import (
     Scenario,
     StrapParameters,
 )
-from kneexo.parameters.anatomical_knee import KneeChoice
-from kneexo.parameters.quantity import Parameters, choice, quantity
-from kneexo.progress import progress_bar
-from kneexo.result import Array, Result
-from kneexo.shank_motion import ShankMotion, anatomical_motion
+from kneexo.parameters.fields.quantity import Parameters, choice, quantity
+from kneexo.parameters.task.gait import gait_knee_flexion
+from kneexo.parameters.wearer.anatomical_knee import KneeChoice
 from kneexo.sweeps import SweepOptions
 
 

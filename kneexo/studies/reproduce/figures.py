@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from kneexo.analysis import FrequencyResponse, Run, TrackingResult
-from kneexo.plotting import BLUE, PURPLE, SERIES
+from kneexo.common.plotting import BLUE, PURPLE, SERIES
 from kneexo.studies.markdown import number
 from kneexo.studies.paper import PAPER_BANDWIDTH_HZ
 from kneexo.studies.reproduce.study import FIG_12_TITLES, ReproduceResult, rod_error_mm

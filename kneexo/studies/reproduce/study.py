@@ -21,13 +21,13 @@ from kneexo.analysis import (
     sinestream,
     track,
 )
-from kneexo.analysis.bandwidth import speed_limit_reached_hz
-from kneexo.analysis.frequency_response import SinestreamSettings
+from kneexo.analysis.frequency.bandwidth import speed_limit_reached_hz
+from kneexo.analysis.frequency.frequency_response import SinestreamSettings
 from kneexo.analysis.signals import rms, to_rpm
-from kneexo.analysis.tracking import mean_change
+from kneexo.analysis.tracking.tracking import mean_change
+from kneexo.common.result import Array, Result
 from kneexo.parameters import G4, RodPolynomialParameters, Scenario, SineReference
 from kneexo.parameters.paths import changed
-from kneexo.result import Array, Result
 from kneexo.simulation import needs_runs
 from kneexo.studies.paper import (
     EQ_27_DIFFERENCES,

@@ -14,12 +14,12 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from kneexo.analysis.sampled_loop import SampledLoop, linearize_loop
+from kneexo.analysis.linear.sampled_loop import SampledLoop, linearize_loop
+from kneexo.common.plotting import BLUE, GOLD, RED, SERIES, decimal_ticks
 from kneexo.errors import KneexoError
 from kneexo.parameters import Uncertainty
 from kneexo.parameters.labels import labels, value_text
 from kneexo.parameters.uncertainty import realize
-from kneexo.plotting import BLUE, GOLD, RED, SERIES, decimal_ticks
 from kneexo.studies.plots import CENTRED, ecdf, legend_below
 from kneexo.studies.robustness.study import (
     MERITS,

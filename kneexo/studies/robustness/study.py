@@ -17,15 +17,19 @@ from typing import Any, NamedTuple, Unpack
 import numpy as np
 import scipy
 
-from kneexo.analysis.assessment import assess
-from kneexo.analysis.sensitivity import differentiable, loop_sensitivities, tracking_sensitivities
+from kneexo.common.result import Array, Result
 from kneexo.errors import failure_noted
 from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, Uncertainty, UncertaintySet
+from kneexo.parameters.fields.quantity import Parameters, choice, quantity
 from kneexo.parameters.paths import value_at
-from kneexo.parameters.quantity import Parameters, choice, quantity
 from kneexo.parameters.uncertainty import applicable, draw, options_of, realize
-from kneexo.result import Array, Result
 from kneexo.simulation import needs_runs
+from kneexo.studies.assessment import assess
+from kneexo.studies.robustness.sensitivity import (
+    differentiable,
+    loop_sensitivities,
+    tracking_sensitivities,
+)
 from kneexo.sweeps import Sweep, SweepOptions, open_sweep
 
 

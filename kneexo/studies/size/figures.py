@@ -12,9 +12,15 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from kneexo.analysis.bandwidth import rod_amplitude_m, rod_limits
-from kneexo.analysis.frequency_response import require_sine
-from kneexo.analysis.hardware import (
+from kneexo.analysis.frequency.bandwidth import rod_amplitude_m, rod_limits
+from kneexo.analysis.frequency.frequency_response import require_sine
+from kneexo.analysis.signals import to_rpm
+from kneexo.common.plotting import BLUE, GOLD, RED, SERIES, decimal_ticks
+from kneexo.common.result import Array
+from kneexo.parameters import Scenario
+from kneexo.parameters.device.plant import LOWEST_PRESSURE_PA
+from kneexo.parameters.task.gait import gait_knee_flexion, gait_start_percent
+from kneexo.studies.hardware import (
     ACCELERATION_ALONE_RATIO,
     ACCELERATION_LIMIT,
     DISPLACEMENT,
@@ -22,12 +28,6 @@ from kneexo.analysis.hardware import (
     ONE_PERCENT_RATIO,
     SPEED_LIMIT,
 )
-from kneexo.analysis.signals import to_rpm
-from kneexo.gait import gait_knee_flexion, gait_start_percent
-from kneexo.parameters import Scenario
-from kneexo.parameters.plant import LOWEST_PRESSURE_PA
-from kneexo.plotting import BLUE, GOLD, RED, SERIES, decimal_ticks
-from kneexo.result import Array
 from kneexo.studies.plots import (
     CENTRED,
     OUTLINE,

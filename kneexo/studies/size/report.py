@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
-from kneexo.analysis.frequency_response import require_sine
-from kneexo.analysis.hardware import HARDWARE, sliding_mode
+from kneexo.analysis.frequency.frequency_response import require_sine
 from kneexo.parameters import FullCylinderParameters
+from kneexo.parameters.device.plant import LOWEST_PRESSURE_PA
 from kneexo.parameters.paths import value_at
-from kneexo.parameters.plant import LOWEST_PRESSURE_PA
+from kneexo.studies.hardware import HARDWARE, sliding_mode
 from kneexo.studies.markdown import number
 from kneexo.studies.size.result import CHECKED, SizeResult
 from kneexo.studies.template import filled

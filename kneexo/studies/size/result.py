@@ -8,9 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from kneexo.analysis.bandwidth import rod_amplitude_m, rod_limits
-from kneexo.analysis.error_model import error_model
-from kneexo.analysis.hardware import (
+from kneexo.analysis.frequency.bandwidth import rod_amplitude_m, rod_limits
+from kneexo.analysis.signals import to_rpm
+from kneexo.analysis.walking.stride import StrideLoad, stride_load
+from kneexo.analysis.walking.walking import WalkingDemand, linear_error_deg
+from kneexo.common.result import Array, Result
+from kneexo.parameters import Scenario
+from kneexo.parameters.paths import value_at
+from kneexo.studies.hardware import (
     ACCELERATION_ALONE_RATIO,
     DISPLACEMENT,
     HARDWARE,
@@ -19,12 +24,7 @@ from kneexo.analysis.hardware import (
     sliding_mode,
     tuned,
 )
-from kneexo.analysis.signals import to_rpm
-from kneexo.analysis.stride import StrideLoad, stride_load
-from kneexo.analysis.walking import WalkingDemand, linear_error_deg
-from kneexo.parameters import Scenario
-from kneexo.parameters.paths import value_at
-from kneexo.result import Array, Result
+from kneexo.studies.size.error_model import error_model
 from kneexo.studies.size.settings import SizeSettings
 
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pydantic import field_validator
 
-from kneexo.gait import GAIT_STRIDE_S
 from kneexo.parameters import SEAL_FRICTION_N
-from kneexo.parameters.quantity import (
+from kneexo.parameters.fields.quantity import (
     Parameters,
     ordered_limits,
     positive_values,
@@ -14,6 +13,7 @@ from kneexo.parameters.quantity import (
     quantity,
     require_increasing,
 )
+from kneexo.parameters.task.gait import GAIT_STRIDE_S
 
 
 class SizeSettings(Parameters):

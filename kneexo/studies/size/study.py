@@ -1,6 +1,6 @@
 """Sizing: bandwidth and error for different hardware, and the smallest hardware that walks.
 
-The closed forms are in `kneexo.analysis.hardware`. This study simulates: it varies a scenario's
+The closed forms are in `kneexo.studies.hardware`. This study simulates: it varies a scenario's
 hardware, and searches for the smallest hardware with which the closed loop walks.
 """
 
@@ -14,23 +14,14 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from kneexo.analysis.assessment import assess
-from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
-from kneexo.analysis.frequency_response import require_sine
-from kneexo.analysis.hardware import (
-    ACCELERATION_LIMIT,
-    DISPLACEMENT,
-    HARDWARE,
-    expected_bandwidth_hz,
-    scaled,
-    tuned,
-    with_piston,
-)
-from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.analysis.frequency.bandwidth import large_signal_bandwidth_hz
+from kneexo.analysis.frequency.frequency_response import require_sine
+from kneexo.analysis.linear.sampled_loop import linearize_loop
 from kneexo.analysis.signals import to_rpm
-from kneexo.analysis.stride import smallest_piston_factor
-from kneexo.analysis.tracking import track
-from kneexo.analysis.walking import walk, walking_demand, walking_metrics
+from kneexo.analysis.tracking.tracking import track
+from kneexo.analysis.walking.stride import smallest_piston_factor
+from kneexo.analysis.walking.walking import walk, walking_demand, walking_metrics
+from kneexo.common.result import Array
 from kneexo.errors import KneexoError, ParameterError, failure_noted
 from kneexo.parameters import (
     UNCERTAIN_KNEE,
@@ -39,8 +30,17 @@ from kneexo.parameters import (
     Scenario,
 )
 from kneexo.parameters.paths import changed, value_at
-from kneexo.result import Array
 from kneexo.simulation import needs_runs
+from kneexo.studies.assessment import assess
+from kneexo.studies.hardware import (
+    ACCELERATION_LIMIT,
+    DISPLACEMENT,
+    HARDWARE,
+    expected_bandwidth_hz,
+    scaled,
+    tuned,
+    with_piston,
+)
 from kneexo.studies.size.result import Search, SizeResult, WalkingDesign
 from kneexo.studies.size.settings import SizeSettings
 from kneexo.sweeps import SweepOptions, open_sweep

@@ -11,9 +11,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from kneexo.gait import gait_start_percent
-from kneexo.plotting import BLUE, BROWN, GOLD, PURPLE, SERIES, TEAL
-from kneexo.result import Array
+from kneexo.common.plotting import BLUE, BROWN, GOLD, PURPLE, SERIES, TEAL
+from kneexo.common.result import Array
+from kneexo.parameters.task.gait import gait_start_percent
 from kneexo.studies.plots import OUTLINE, legend_below
 from kneexo.studies.wearer.study import (
     HELD,

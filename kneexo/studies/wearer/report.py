@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from statistics import median_low
 
-from kneexo.analysis.margins import soundness
+from kneexo.analysis.linear.margins import soundness
 from kneexo.parameters import BODIES, SEAL_FRICTION_N
-from kneexo.parameters.plant import LOWEST_PRESSURE_PA
+from kneexo.parameters.device.plant import LOWEST_PRESSURE_PA
 from kneexo.studies.markdown import number
 from kneexo.studies.template import filled
 from kneexo.studies.wearer.study import (

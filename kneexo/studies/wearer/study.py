@@ -17,10 +17,10 @@ from typing import Any, Unpack
 import numpy as np
 from pydantic import TypeAdapter
 
-from kneexo.analysis.coupling import coupled_stability, stiffness_interval
-from kneexo.analysis.hardware import DISPLACEMENT, scaled
-from kneexo.analysis.interaction import INTERACTION_SIGNALS, interaction_metrics
 from kneexo.analysis.signals import saturated_share
+from kneexo.analysis.tracking.interaction import INTERACTION_SIGNALS, interaction_metrics
+from kneexo.analysis.wearer.coupling import coupled_stability, stiffness_interval
+from kneexo.common.result import Result
 from kneexo.diagrams import SIGNALS
 from kneexo.errors import LinearizationError, ParameterError, failure_noted
 from kneexo.parameters import (
@@ -34,10 +34,10 @@ from kneexo.parameters import (
     leg_of_body,
     sit_to_stand_reference,
 )
+from kneexo.parameters.fields.quantity import Parameters, quantities, quantity
 from kneexo.parameters.paths import changed, value_at
-from kneexo.parameters.quantity import Parameters, quantities, quantity
-from kneexo.result import Result
 from kneexo.simulation import Run, needs_runs, simulate
+from kneexo.studies.hardware import DISPLACEMENT, scaled
 from kneexo.sweeps import SweepOptions, open_sweep
 
 

@@ -16,8 +16,8 @@ from bandwidth_cases import (
     SMALL_MAP,
 )
 
-from kneexo.analysis import bandwidth
-from kneexo.analysis.bandwidth import (
+from kneexo.analysis.frequency import bandwidth
+from kneexo.analysis.frequency.bandwidth import (
     acceleration_bound_hz,
     follower_bandwidth_hz,
     follower_response,
@@ -26,8 +26,8 @@ from kneexo.analysis.bandwidth import (
     rod_limits,
     speed_limit_reached_hz,
 )
-from kneexo.analysis.sampled_loop import linearize_loop
-from kneexo.analysis.sine_estimate import SineEstimate
+from kneexo.analysis.frequency.sine_estimate import SineEstimate
+from kneexo.analysis.linear.sampled_loop import linearize_loop
 from kneexo.command_line.output import to_json
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import RampReference, Scenario

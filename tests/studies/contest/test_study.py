@@ -10,9 +10,8 @@ from contest_cases import (
     made_up,
 )
 
-from kneexo.analysis.assessment import assess
-from kneexo.analysis.sampled_loop import linearize_loop
-from kneexo.analysis.tracking import track
+from kneexo.analysis.linear.sampled_loop import linearize_loop
+from kneexo.analysis.tracking.tracking import track
 from kneexo.command_line.output import to_json
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import (
@@ -25,6 +24,7 @@ from kneexo.parameters import (
 )
 from kneexo.parameters.paths import changed
 from kneexo.parameters.uncertainty import draw, realize
+from kneexo.studies.assessment import assess
 from kneexo.studies.contest.report import report
 from kneexo.studies.contest.study import (
     COLUMNS,

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from design_cases import made_up
 
-from kneexo.alignment import align
 from kneexo.analysis import design_linkage
+from kneexo.analysis.mechanism.alignment import align
 from kneexo.command_line.main import main
 from kneexo.errors import ParameterError
-from kneexo.linkage import rod_extension
+from kneexo.geometry.linkage import rod_extension
 from kneexo.parameters import G1, HINGE, DesignLimits, RodPolynomialParameters, Scenario
 from kneexo.parameters.paths import changed
 from kneexo.parameters.scenario_file import load_scenario

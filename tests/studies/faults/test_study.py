@@ -11,7 +11,7 @@ from faults_cases import made_up, row
 from kneexo.analysis import fault_survival
 from kneexo.errors import ParameterError
 from kneexo.parameters import UNCERTAIN_KNEE, FaultParameters, PidParameters
-from kneexo.parameters.safety_states import REASONS
+from kneexo.parameters.device.safety_states import REASONS
 from kneexo.simulation import simulate
 from kneexo.studies.faults import FaultsSettings, faults_study
 from kneexo.studies.faults.figures import plot_worst_case

@@ -9,7 +9,8 @@ from mechanism_cases import made_up
 
 from kneexo.analysis import TradeOff, align, swing_clearance
 from kneexo.errors import LinkageError, ParameterError
-from kneexo.linkage import rod_extension
+from kneexo.geometry.linkage import rod_extension
+from kneexo.geometry.shank_motion import anatomical_motion, linkage_motion
 from kneexo.parameters import (
     G1,
     GAIT2392,
@@ -19,7 +20,6 @@ from kneexo.parameters import (
     Scenario,
 )
 from kneexo.parameters.paths import changed
-from kneexo.shank_motion import anatomical_motion, linkage_motion
 from kneexo.studies.catalogue import STUDIES
 from kneexo.studies.mechanism import MechanismSettings, mechanism_study, study
 

@@ -14,7 +14,7 @@ from kneexo.analysis import (
     linearize_loop,
     simulate,
 )
-from kneexo.analysis.frequency_response import SinestreamSettings
+from kneexo.analysis.frequency.frequency_response import SinestreamSettings
 from kneexo.command_line.output import to_json
 from kneexo.parameters import G5, Scenario, SimulationParameters
 from kneexo.parameters.paths import changed

@@ -7,12 +7,12 @@ from robustness_cases import (
     assessment,
 )
 
-from kneexo.analysis.sampled_loop import linearize_loop
+from kneexo.analysis.linear.sampled_loop import linearize_loop
+from kneexo.common.plotting import RED
 from kneexo.parameters import (
     UNCERTAIN_KNEE,
 )
 from kneexo.parameters.paths import changed
-from kneexo.plotting import RED
 from kneexo.studies.robustness.figures import distribution, figures, tornado
 
 ROWS = {  # the largest effect on top, with unit, and with the mark of each level

@@ -25,7 +25,6 @@ from robustness_cases import (
 )
 from scipy.stats import spearmanr
 
-from kneexo.analysis.assessment import MARGIN_METRICS, assess
 from kneexo.command_line.output import to_json
 from kneexo.errors import LinearizationError, ParameterError, SimulationError
 from kneexo.parameters import (
@@ -39,6 +38,7 @@ from kneexo.parameters import (
 from kneexo.parameters.paths import changed
 from kneexo.parameters.uncertainty import draw
 from kneexo.simulation import engines, simulate
+from kneexo.studies.assessment import MARGIN_METRICS, assess
 from kneexo.studies.markdown import number
 from kneexo.studies.robustness import study as module
 from kneexo.studies.robustness.report import report

@@ -12,14 +12,14 @@ from size_cases import (
     SPEED_MM_S,
 )
 
-from kneexo.analysis.hardware import (
+from kneexo.analysis.linear.sampled_loop import linearize_loop
+from kneexo.command_line.output import to_json
+from kneexo.parameters import UNCERTAIN_KNEE
+from kneexo.studies.hardware import (
     DISPLACEMENT,
     scaled,
     tuned,
 )
-from kneexo.analysis.sampled_loop import linearize_loop
-from kneexo.command_line.output import to_json
-from kneexo.parameters import UNCERTAIN_KNEE
 
 FLOW_L_MIN = 0.8e-3 * 5000.0 / 6.0
 

@@ -13,8 +13,15 @@ from size_cases import (
     SMALL,
 )
 
-from kneexo.analysis.bandwidth import large_signal_bandwidth_hz
-from kneexo.analysis.hardware import (
+from kneexo.analysis.frequency.bandwidth import large_signal_bandwidth_hz
+from kneexo.analysis.linear.sampled_loop import linearize_loop
+from kneexo.analysis.walking.stride import smallest_piston_factor
+from kneexo.analysis.walking.walking import walking_demand, walking_metrics
+from kneexo.command_line.output import to_json
+from kneexo.errors import ParameterError, SimulationError
+from kneexo.parameters import UNCERTAIN_KNEE, PlantParameters, RampReference, Scenario
+from kneexo.parameters.paths import changed
+from kneexo.studies.hardware import (
     ACCELERATION_LIMIT,
     DISPLACEMENT,
     HARDWARE,
@@ -25,13 +32,6 @@ from kneexo.analysis.hardware import (
     tuned,
     with_piston,
 )
-from kneexo.analysis.sampled_loop import linearize_loop
-from kneexo.analysis.stride import smallest_piston_factor
-from kneexo.analysis.walking import walking_demand, walking_metrics
-from kneexo.command_line.output import to_json
-from kneexo.errors import ParameterError, SimulationError
-from kneexo.parameters import UNCERTAIN_KNEE, PlantParameters, RampReference, Scenario
-from kneexo.parameters.paths import changed
 from kneexo.studies.paper import PID_TUNED
 from kneexo.studies.size import study as size
 from kneexo.studies.size.figures import figures

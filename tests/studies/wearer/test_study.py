@@ -9,7 +9,7 @@ import pytest
 from wearer_cases import SMALL, WALKING, walking
 
 from kneexo.analysis import measure_impedance
-from kneexo.analysis.coupling import coupled_stability
+from kneexo.analysis.wearer.coupling import coupled_stability
 from kneexo.errors import ParameterError
 from kneexo.parameters import WEARERS, Scenario
 from kneexo.parameters.paths import changed

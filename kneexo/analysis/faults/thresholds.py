@@ -1,0 +1,236 @@
+"""Thresholds of fault detectors from the residuals of healthy runs over an uncertainty set."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from kneexo.common.plotting import SERIES, axes_or_new
+from kneexo.common.result import Array, Result
+from kneexo.diagrams.signals import columns
+from kneexo.errors import ParameterError, SimulationError
+from kneexo.parameters import UNCERTAINTY, ProtectionParameters, Scenario, UncertaintySet
+from kneexo.parameters.device.safety_states import DETECTORS, REASONS
+from kneexo.parameters.fields.fields import limits_of
+from kneexo.parameters.fields.quantity import Parameters, quantities, quantity
+from kneexo.parameters.scenario import require_scenario
+from kneexo.parameters.uncertainty import applicable, draw, realize
+from kneexo.simulation import needs_runs, simulate
+from kneexo.sweeps.parallel import parallel_map
+
+MARGIN = 1.5
+"""Proposed threshold divided by the largest level of a healthy run."""
+
+_SIGNALS = ("residuals", "safety_reason")
+_LATER = ("speed", "following")  # detectors that are not watched during the start
+
+
+@dataclass(frozen=True, repr=False)
+class DetectorThresholds(Result):
+    """False alarms and levels of the residuals in healthy runs. `detector_thresholds` makes it.
+
+    The level of a detector in a run is the largest threshold at which the detector would have
+    detected a fault. ``levels`` maps the name of a detector to the levels (trips, runs) in the unit
+    of its threshold, with a row for each of ``trips_s``. The first of ``trips_s`` is that of the
+    protection.
+    """
+
+    protection: ProtectionParameters
+    runs: int
+    failed: int
+    """Number of runs that ended with an error. They have no levels."""
+    hours: float
+    """Simulated time of all runs that did not fail."""
+    alarms: Mapping[str, int]
+    """Number of runs that the protection stopped, by the reason; empty without a false alarm."""
+    trips_s: tuple[float, ...]
+    levels: Mapping[str, Array]
+
+    def largest(self, name: str) -> float:
+        """Return the largest level of a detector with the first of ``trips_s``."""
+        return float(np.max(self.levels[name][0]))
+
+    def false_alarms(self, name: str, threshold: float) -> int:
+        """Return the number of runs in which a detector with a threshold detects a fault."""
+        return int(np.sum(self.levels[name][0] > threshold))
+
+    def __str__(self) -> str:
+        """Return a line for each detector."""
+        lines = [
+            f"{self.runs} healthy runs, {self.hours:.3g} h, {self.failed} failed, "
+            f"{sum(self.alarms.values())} false alarms",
+            "detector   largest  proposed  threshold  false alarms",
+        ]
+        for name, detector in DETECTORS.items():
+            threshold = getattr(self.protection, detector.field)
+            largest = self.largest(name)
+            lines.append(
+                f"{name:9} {largest:8.4g} {MARGIN * largest:9.4g} {threshold:10g} "
+                f"{self.alarms.get(name, 0):13d}  {detector.unit}"
+            )
+        if others := {name: n for name, n in self.alarms.items() if name not in DETECTORS}:
+            lines.append(", ".join(f"{name}: {count}" for name, count in others.items()))
+        return "\n".join(lines)
+
+    def plot(self, ax: Any = None) -> Any:
+        """Plot the largest level, divided by the threshold, over the trip time; return the axes."""
+        caption = (
+            "Largest threshold at which a detector would have stopped a healthy run, divided by "
+            "its threshold, over the trip time. Above 1 the detector raises a false alarm."
+        )
+        ax = axes_or_new(ax, caption=caption)
+        for (name, levels), colour in zip(self.levels.items(), SERIES, strict=False):
+            threshold = getattr(self.protection, DETECTORS[name].field)
+            order = np.argsort(self.trips_s)
+            shares = np.max(levels, axis=1)[order] / threshold
+            trips_ms = 1e3 * np.array(self.trips_s)[order]
+            ax.plot(trips_ms, shares, "o-", color=colour, label=name)
+        ax.axhline(1.0, color="0.7", lw=0.8, zorder=0)
+        ax.set(xlabel="trip time (ms)", ylabel="largest level / threshold")
+        ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, fontsize="small")
+        return ax
+
+
+class ThresholdArguments(Parameters):
+    """Arguments of `detector_thresholds`."""
+
+    uncertainty: UncertaintySet
+    runs: int = quantity(1000, "1", "given by the user", ge=1, le=1_000_000)
+    seed: int = quantity(1, "1", "given by the user", ge=0)
+    trips_s: tuple[float, ...] = quantities((), "s", "given", ge=0, le=1e5, min_length=None)
+
+
+def detector_thresholds(
+    scenario: Scenario,
+    uncertainty: UncertaintySet = UNCERTAINTY,
+    runs: int = 1000,
+    *,
+    seed: int = 1,
+    trips_s: Sequence[float] = (),
+    workers: int | None = 1,
+) -> DetectorThresholds:
+    """Return the levels that the residuals of a scenario reach in healthy runs.
+
+    Each run has the protection of the scenario. If the protection stops the motor, which is a false
+    alarm, the run is repeated with thresholds out of reach. The levels of ``speed`` and
+    ``following`` count from ``protection.overdue_s`` on, when the start has ended.
+
+    Parameters
+    ----------
+    scenario
+        The scenario, with ``protection``. Its faults and its push are left out.
+    uncertainty
+        Uncertain values, from which each run gets a sample.
+    runs
+        Number of runs.
+    seed
+        Seed of the samples.
+    trips_s
+        More values of ``protection.trip_s`` in s, whose levels are computed too.
+    workers
+        Number of worker processes, as in `kneexo.sweeps.parallel_map`.
+
+    Raises
+    ------
+    ParameterError
+        The scenario has no protection, ``runs`` is not positive, a run is not longer than
+        ``overdue_s`` and all trip times, all runs fail, or the uncertainty set does not suit the
+        scenario.
+    """
+    require_scenario(scenario)
+    given = ThresholdArguments.model_validate(
+        {"uncertainty": uncertainty, "runs": runs, "seed": seed, "trips_s": trips_s}
+    )
+    kept, _ = applicable(scenario, given.uncertainty)
+    protection = scenario.protection
+    if protection is None:
+        raise ParameterError("protection: is missing; add protection: {}")
+    trips = (protection.trip_s, *given.trips_s)
+    own = {f"protection.{name}": getattr(protection, name) for name in ("overdue_s", "trip_s")}
+    for name, time_s in (*own.items(), *(("trips_s", time_s) for time_s in given.trips_s)):
+        if not time_s < scenario.duration_s:
+            raise ParameterError(
+                f"{name} = {time_s:g} s: must be < {scenario.duration_s:g} s, the "
+                f"duration of a run; reduce it, or extend simulation.duration_s"
+            )
+    watched = scenario.changed({"push": None, "faults": ()})
+    observing = watched.changed({"protection": _observing(watched)})
+    healthy = partial(_healthy_run, watched, observing, kept, trips)
+    found = parallel_map(healthy, draw(kept, runs, seed), workers=workers)
+    succeeded = [run for run in found if run is not None]
+    if not succeeded:
+        raise ParameterError(f"all {runs} runs fail; simulate one of them to see why")
+    levels = np.stack([level for _, level in succeeded], axis=-1)
+    alarms = Counter(REASONS[reason] for reason, _ in succeeded if reason)
+    return DetectorThresholds(
+        protection,
+        runs,
+        runs - len(succeeded),
+        len(succeeded) * scenario.duration_s / 3600.0,
+        alarms,
+        trips,
+        {name: levels[:, index] for index, name in enumerate(DETECTORS)},
+    )
+
+
+def _observing(scenario: Scenario) -> ProtectionParameters:
+    """Return the protection of a scenario with thresholds that only a full load cell reaches."""
+    assert scenario.protection is not None
+    fields = ProtectionParameters.model_fields
+    limits = {d.field: limits_of(fields[d.field])[1] for d in DETECTORS.values()}
+    limits["load_cell_n"] = 0.999 * scenario.load_cell.range_n
+    return scenario.protection.model_copy(update=limits)
+
+
+@needs_runs
+def _healthy_run(
+    watched: Scenario,
+    observing: Scenario,
+    uncertainty: UncertaintySet,
+    trips_s: Sequence[float],
+    values: Mapping[str, Any],
+) -> tuple[int, Array] | None:
+    """Return the reason of a false alarm, or 0, and the levels (trips, detectors).
+
+    The result is None if the run fails.
+    """
+    try:
+        run = simulate(realize(watched, uncertainty, values), signals=_SIGNALS)
+        reason = int(run["safety_reason"].max())
+        if reason:
+            run = simulate(realize(observing, uncertainty, values), signals=_SIGNALS)
+    except SimulationError:
+        return None
+    assert watched.protection is not None
+    period_s = watched.controller.sample_time_s
+    started = int(watched.protection.overdue_s / period_s)
+    levels = np.zeros((len(trips_s), len(DETECTORS)))
+    for index, (name, column) in enumerate(zip(DETECTORS, columns(["residuals"]), strict=True)):
+        residual = run[column][started if name in _LATER else 0 :] / DETECTORS[name].factor
+        for row, trip_s in enumerate(trips_s):
+            levels[row, index] = level_of(residual, max(1, round(trip_s / period_s)))
+    return reason, levels
+
+
+def level_of(residual: Array, trip_samples: int) -> float:
+    """Return the largest threshold at which a counter of a residual (n,) reaches its end.
+
+    The counter goes up by one above the threshold, else down by one, but not below zero. The result
+    is 0 if the residual has fewer samples than ``trip_samples``.
+    """
+    values = np.unique(residual)
+    low, high = 0, values.size  # the counter trips below values[low − 1], and not from values[high]
+    while low < high:
+        middle = (low + high) // 2
+        sums = np.cumsum(np.where(residual >= values[middle], 1, -1))
+        counts = sums - np.minimum(np.minimum.accumulate(sums), 0)
+        if counts.max() >= trip_samples:
+            low = middle + 1
+        else:
+            high = middle
+    return float(values[low - 1]) if low else 0.0

@@ -1,0 +1,714 @@
+// Runs closed loops as WebAssembly and computes the metrics of kneexo.analysis.tracking.tracking.
+// No imports and no DOM, so that it works in a worker and in tests.
+// Modules, models and maps are described in kneexo/page/model.py.
+"use strict";
+
+const Simulator = (() => {
+  const PIECE_MS = 8; // time between two pauses, in which a worker hears of newer values
+  const PIECE_TICKS = [100, 20000]; // fewest and most ticks of a piece
+  const FIRST_PART_MS = 16; // time after which the page gets the first part of a run
+  const NEXT_PART_MS = 200;
+  const SOON_MS = 24; // a run that ends within this time needs no part before
+  const STATUS = {
+    1: "an input is not finite or out of its range",
+    2: "the motion diverges: a value is no longer finite",
+    4: "the knee or the cylinder leaves its range of motion",
+    16: "a parameter is not finite",
+    64: "the plant changes too fast for the tolerance of the integrator",
+  };
+  const ERROR_SHARE = 2 / 30; // of the amplitude; see ERROR_SHARE in kneexo/analysis/tracking/verdict.py
+  const LARGEST_COUNT_DEG = ERROR_SHARE * 30; // as LARGEST_COUNT_DEG there
+  const SETTLING_BAND = 0.02; // share of a step, as SETTLING_BAND in kneexo/analysis/tracking/tracking.py
+  const SMALLEST_CYCLE_DEG = 1e-3; // this and the next two as in kneexo/analysis/tracking/limit_cycle.py
+  const REST_RAD = 1e-6;
+  const SUSTAINED = 0.9;
+  const PUSH = ["push.torque_n_m", "push.start_s", "push.duration_s"];
+  const KNEE_TORQUE = "plant.load.knee_torque_n_m";
+  const SAME_S = 1e-9; // as in kneexo/systems/push.py
+
+  function bytesOf(base64) {
+    const text = atob(base64);
+    const bytes = new Uint8Array(text.length);
+    for (let k = 0; k < bytes.length; k++) bytes[k] = text.charCodeAt(k);
+    return bytes;
+  }
+
+  const radians = (degrees) => (degrees * Math.PI) / 180;
+
+  // ------------------------------------------------------------------------------- modules
+
+  const sources = new Map(); // key of a module: {code, table}
+  const loaded = new Map(); // key of a model: the model
+  const instances = new Map();
+
+  function load({ modules = {}, models = {} }) {
+    for (const [key, { code, table }] of Object.entries(modules)) {
+      if (!sources.has(key)) sources.set(key, { code, table });
+    }
+    for (const [key, model] of Object.entries(models)) loaded.set(key, model);
+  }
+
+  // The model of a request. The request has the key of the model, or the model.
+  function modelOf({ model }) {
+    const data = typeof model === "string" ? loaded.get(model) : model;
+    if (!data) throw new Error(`model ${model} is not loaded`);
+    return data;
+  }
+
+  // The instance of a module for a purpose. Each purpose has a memory of its own, so a sweep can
+  // pause while another run uses the same module.
+  function instanceOf(key, purpose) {
+    const name = `${purpose} ${key}`;
+    if (!instances.has(name)) {
+      const source = sources.get(key);
+      if (!source) throw new Error(`module ${key} is not loaded`);
+      source.module ??= new WebAssembly.Module(bytesOf(source.code));
+      instances.set(name, new Instance(source.module, source.table));
+    }
+    return instances.get(name);
+  }
+
+  class Instance {
+    constructor(module, table) {
+      this.table = table;
+      this.wasm = new WebAssembly.Instance(module, {}).exports;
+      this.wasm._initialize?.();
+      this.ticks = 0;
+    }
+
+    // Set all parameters, and provide rows for ``ticks`` ticks.
+    prepare(parameters, ticks) {
+      if (!this.wasm.reserve(ticks)) {
+        throw new Error(`too little memory for a run of ${ticks * this.table.sample_time_s} s`);
+      }
+      this.ticks = ticks;
+      this.view(this.wasm.params(), parameters.length).set(parameters);
+    }
+
+    view(address, length) {
+      return new Float64Array(this.wasm.memory.buffer, address, length);
+    }
+
+    input(index) {
+      return this.view(this.wasm.inputs() + 8 * index * (this.ticks + 1), this.ticks + 1);
+    }
+
+    // Return a copy of the first ``rows`` values of an output, or null if the module lacks it.
+    output(name, rows) {
+      const index = this.table.outputs.indexOf(name);
+      if (index < 0) return null;
+      return this.view(this.wasm.outputs() + 8 * index * (this.ticks + 1), rows).slice();
+    }
+
+    states() {
+      const { states, discrete } = this.table;
+      return this.view(this.wasm.states(), states.length + discrete.length);
+    }
+
+    // Start and step through all rows. Return the number of rows before a failure. ``pause`` gets the
+    // number of ticks until then, and may throw. ``changes`` maps ticks to the parameters that are
+    // valid from then on. The memory before the first change is kept for `goOn`.
+    async run(pause, changes = new Map()) {
+      this.kept = null;
+      if (this.wasm.start()) return 0;
+      const stops = [...changes.keys(), this.ticks].sort((a, b) => a - b);
+      let tick = 0;
+      for (const [index, stop] of stops.entries()) {
+        tick = await this.advance(tick, stop, pause);
+        if (tick < stop || !changes.has(stop)) break;
+        if (index === 0) this.kept = { tick, memory: this.wasm.memory.buffer.slice(0) };
+        this.view(this.wasm.params(), changes.get(stop).length).set(changes.get(stop));
+      }
+      return tick + 1;
+    }
+
+    // Go on from the first change of the last run, as if there were no change.
+    async goOn(pause) {
+      const { tick, memory } = this.kept;
+      new Uint8Array(this.wasm.memory.buffer).set(new Uint8Array(memory));
+      return await this.advance(tick, this.ticks, pause) + 1;
+    }
+
+    // Step from a tick to another one, in pieces of about `PIECE_MS`. Return the tick before a failure.
+    async advance(tick, stop, pause) {
+      let piece = PIECE_TICKS[0];
+      while (tick < stop) {
+        const start = performance.now();
+        const count = Math.min(piece, stop - tick);
+        const good = this.wasm.advance(tick, count);
+        tick += good;
+        if (good < count) break;
+        const wanted = (count * PIECE_MS) / Math.max(performance.now() - start, 0.1);
+        piece = Math.round(Math.min(Math.max(wanted, PIECE_TICKS[0]), PIECE_TICKS[1]));
+        if (tick < this.ticks) await pause(tick);
+      }
+      return tick;
+    }
+
+    // Why a run ended early, or null.
+    endAt(rows) {
+      if (rows > this.ticks) return null;
+      const status = this.wasm.status();
+      const reason = STATUS[status] ?? `the model stops with status ${status}`;
+      return { time_s: Math.max(rows - 1, 0) * this.table.sample_time_s, reason };
+    }
+  }
+
+  // ---------------------------------------------------------------------------- parameters
+
+  // Return the value of a formula, as map_value in kneexo/page/maps.py does.
+  const KINDS = {
+    affine: (map, q) => q.reduce((sum, value, i) => sum + map.factors[i] * value, map.offset),
+    power: (map, q) => q.reduce((value, x, i) => value * x ** map.exponents[i], map.factor),
+    least: ({ limit, factors, unit }, q) => {
+      const least = Math.min(limit ?? Infinity, ...q.map((x, i) => factors[i] * x));
+      return unit ? unit * Math.floor((least / unit) * (1 + 1e-12)) : least;
+    },
+    chebyshev: (map, q) => {
+      const polynomials = q.map((value, i) => chebyshev(map.terms, i, placeOf(value, map.domain[i])));
+      return map.terms.reduce(
+        (sum, [c, ...orders]) => sum + orders.reduce((t, n, i) => t * polynomials[i][n], c),
+        0,
+      );
+    },
+  };
+
+  // Scale a value from its domain to −1 … 1.
+  const placeOf = (value, [low, high]) => (2 * value - low - high) / (high - low);
+
+  // Chebyshev polynomials T_0, T_1 … at u, up to the highest order of variable i in the terms.
+  function chebyshev(terms, i, u) {
+    const highest = terms.reduce((most, term) => Math.max(most, term[i + 1]), 1);
+    const values = [1, u];
+    for (let n = 2; n <= highest; n++) values.push(2 * u * values[n - 1] - values[n - 2]);
+    return values;
+  }
+
+  function mapped(map, values) {
+    const at = map.of.map((name) => {
+      if (!Number.isFinite(values[name])) throw new Error(`${name} has no value`);
+      return values[name];
+    });
+    return Math.max(KINDS[map.kind](map, at), map.at_least ?? -Infinity);
+  }
+
+  // Return the parameters of a module. Formulas replace some elements of its base.
+  function parametersOf(part, values) {
+    const parameters = Float64Array.from(part.base);
+    for (const map of part.maps) parameters[map.index] = mapped(map, values);
+    return parameters;
+  }
+
+  // A limit is a number, the name of a quantity, a formula, or null for no limit.
+  function limitOf(limit, values) {
+    if (limit === null || limit === undefined) return Infinity;
+    if (typeof limit === "number") return limit;
+    return typeof limit === "string" ? values[limit] : mapped(limit, values);
+  }
+
+  // Return all limits at the present values.
+  function limitsOf(model, values) {
+    const names = [
+      "command_limit_rad_s",
+      "motor_speed_limit_rad_s",
+      "motor_acceleration_limit_rad_s2",
+      "pressure_rating_pa",
+      "power_rating_w",
+      "relief_pressure_pa",
+    ];
+    return Object.fromEntries(names.map((name) => [name, limitOf(model.limits[name], values)]));
+  }
+
+  // Return the values of all quantities of a model. Values of the request replace the defaults.
+  function valuesOf(model, reference, values) {
+    const quantities = [...model.quantities, ...(model.references[reference]?.quantities ?? [])];
+    const defaults = quantities.map(({ name, value }) => [name, value]);
+    return { ...model.faults?.idle, ...Object.fromEntries(defaults), ...values };
+  }
+
+  // ---------------------------------------------------------------------------------- runs
+
+  // The four columns of the reference: θ_d and its derivatives at ticks 0 … ticks.
+  async function referenceColumns(source, values, ticks, period_s, pause, purpose) {
+    if (source.powers !== undefined) return sampledColumns(source, ticks, period_s);
+    const instance = instanceOf(source.module, purpose);
+    instance.prepare(parametersOf(source, values), ticks);
+    const rows = await instance.run(pause);
+    if (rows <= ticks) throw new Error(`reference: ${instance.endAt(rows).reason}`);
+    return instance.table.outputs.map((name) => instance.output(name, rows));
+  }
+
+  // Angle and three derivatives of a piecewise polynomial at the ticks.
+  function sampledColumns(source, ticks, period_s) {
+    const columns = [0, 1, 2, 3].map(() => new Float64Array(ticks + 1));
+    eachTick(source, ticks, period_s, (tick, segment) => {
+      const powers = segmentAt(source, segment, tick * period_s);
+      columns.forEach((column, order) => { column[tick] = powers[order]; });
+    });
+    return columns;
+  }
+
+  // Call `visit` with each tick and the segment of a piecewise polynomial at this tick.
+  function eachTick(source, ticks, period_s, visit) {
+    source.decoded ??= [source.breaks, source.powers].map((text) => new Float64Array(bytesOf(text).buffer));
+    const [breaks] = source.decoded;
+    let segment = 0;
+    for (let tick = 0; tick <= ticks; ++tick) {
+      const time = tick * period_s;
+      // A segment is closed on the left; the last break also belongs to the segment before.
+      while (segment < breaks.length - 1 && time >= breaks[segment]) ++segment;
+      if (time > breaks[segment]) ++segment;
+      visit(tick, segment, breaks[segment] ?? Infinity);
+    }
+  }
+
+  // Return value and three derivatives of a segment at a time. Its powers are of the time since its start.
+  function segmentAt({ decoded: [breaks, powers] }, segment, time) {
+    const width = powers.length / (breaks.length + 1);
+    const row = powers.subarray(segment * width, (segment + 1) * width);
+    const since = time - (breaks[segment - 1] ?? 0);
+    return [0, 1, 2, 3].map((order) => derivativeAt(row, since, order));
+  }
+
+  // The derivative of this order of the polynomial with the coefficients `row`, at x.
+  function derivativeAt(row, x, order) {
+    let sum = 0;
+    for (let power = row.length - 1; power >= order; --power) {
+      let factor = row[power];
+      for (let down = 0; down < order; ++down) factor *= power - down;
+      sum = sum * x + factor;
+    }
+    return sum;
+  }
+
+  // Return the input of a loop with a wearer (IntervalReference in kneexo.systems). For each tick it
+  // has the start, a break, and the coefficients of two polynomials, eight up to the break and four
+  // after it. Their variable u is the share of the tick that has passed.
+  function intervalColumns(source, columns, ticks, period_s) {
+    const result = Array.from({ length: 14 }, () => new Float64Array(ticks + 1));
+    const fill = (tick, first, values) => values.forEach((value, k) => { result[first + k][tick] = value; });
+    const scaled = (values) => values.map((value, n) => (value * period_s ** n) / FACTORIALS[n]);
+    const rowAt = (tick) => scaled(columns.map((column) => column[tick]));
+    for (let tick = 0; tick <= ticks; ++tick) fill(tick, 0, [tick * period_s, NEVER_S]);
+    if (source.powers === undefined) {
+      for (let tick = 0; tick < ticks; ++tick) fill(tick, 2, powersBetween(rowAt(tick), rowAt(tick + 1)));
+      return result;
+    }
+    eachTick(source, ticks, period_s, (tick, segment, end) => {
+      const time = tick * period_s;
+      fill(tick, 2, rowAt(tick));
+      if (end >= time + period_s) return;
+      result[1][tick] = end;
+      fill(tick, 10, scaled(segmentAt(source, segment + 1, time)));
+    });
+    return result;
+  }
+
+  const NEVER_S = 1e9;
+  const FACTORIALS = [1, 1, 2, 6];
+
+  // Return the coefficients of the polynomial of degree 7 with given value and scaled derivatives at u = 0 and 1.
+  function powersBetween([a, b, c, d], [value, slope, half, sixth]) {
+    const gap = [value - a - b - c - d, slope - b - 2 * c - 3 * d, 2 * half - 2 * c - 6 * d, 6 * sixth - 6 * d];
+    const sum = (...factors) => factors.reduce((total, factor, k) => total + factor * gap[k], 0);
+    return [a, b, c, d, sum(35, -15, 2.5, -1 / 6), sum(-84, 39, -7, 0.5), sum(70, -34, 6.5, -0.5), sum(-20, 10, -2, 1 / 6)];
+  }
+
+  const periodOf = (model) => sources.get(model.loop.module).table.sample_time_s;
+
+  const lastInputs = new Map(); // by purpose: the reference of the last run, its columns and the inputs
+
+  // The columns of a reference and the inputs of a loop: those of the last run if they are the same.
+  async function inputsOf({ model, reference, values }, ticks, period_s, pause, purpose) {
+    const source = model.references[reference];
+    if (!source) throw new Error(`reference ${reference} is not in this model`);
+    const names = Object.keys(values).filter((name) => name.startsWith("reference."));
+    const key = JSON.stringify([reference, ticks, ...names.map((name) => [name, values[name]])]);
+    const last = lastInputs.get(purpose);
+    if (last?.key === key && last.model === model) return last;
+    const columns = await referenceColumns(source, values, ticks, period_s, pause, purpose);
+    const inputs = model.wearer ? intervalColumns(source, columns, ticks, period_s) : [...columns];
+    if (model.moment) inputs.push(sampledColumns(model.moment, ticks, period_s)[0]);
+    lastInputs.set(purpose, { model, key, columns, inputs });
+    return { columns, inputs };
+  }
+
+  // Prepare a run of a closed loop. Return its instance, the reference, and the changes by a push.
+  async function prepare(request, pause, purpose) {
+    const { model, values, duration_s, setup = 0 } = request;
+    const { module } = model.loop;
+    const instance = instanceOf(module, `${purpose} ${setup}`);
+    const ticks = Math.max(1, Math.floor(duration_s / instance.table.sample_time_s + 1e-6));
+    const period_s = instance.table.sample_time_s;
+    const { columns, inputs } = await inputsOf(request, ticks, period_s, pause, `${purpose} ${setup}`);
+    const all = { ...values, start_angle_rad: columns[0][0], start_rate_rad_s: columns[1][0] };
+    instance.prepare(parametersOf(model.loop, all), ticks);
+    inputs.forEach((column, index) => instance.input(index).set(column));
+    return { instance, columns, changes: pushOf(model, all, period_s) };
+  }
+
+  // Run a closed loop and return its instance, the reference and the number of good rows.
+  async function simulate(request, pause, purpose) {
+    const { instance, columns, changes } = await prepare(request, pause, purpose);
+    const rows = await instance.run(pause, changes);
+    return { instance, columns, rows, end: instance.endAt(rows) };
+  }
+
+  // The parameters of a loop by the tick at which a push starts or ends, as Push in kneexo.systems.
+  function pushOf(model, values, period_s) {
+    const [torque, start, duration] = PUSH.map((name) => values[name]);
+    if (!torque) return new Map();
+    const pushed = { ...values, [KNEE_TORQUE]: values[KNEE_TORQUE] + torque };
+    const tickAt = (time) => Math.ceil((time - SAME_S) / period_s);
+    return new Map([[tickAt(start), parametersOf(model.loop, pushed)], [tickAt(start + duration), parametersOf(model.loop, values)]]);
+  }
+
+  // The answer to a request of kind "run": columns over time, metrics, and an early end with its reason.
+  // ``send`` receives the parts of a long run, each from the start. The first part comes when the run
+  // has passed the end of the time in view, or after a short time.
+  async function run(request, pause, send) {
+    const { reference, duration_s } = request;
+    const model = modelOf(request);
+    const values = valuesOf(model, reference, request.values);
+    const { instance, columns, changes } = await prepare({ ...request, model, values }, pause, "run");
+    const limits = limitsOf(model, values);
+    const answerOf = (rows, end = null) => {
+      const signals = signalsOf(instance, columns[0].slice(0, rows), limits.command_limit_rad_s);
+      const { time, shaft, hydraulic, chambers, rate, kneeTorque, ...shown } = signals;
+      const metrics = rows > 1 ? metricsOf(model, reference, values, limits, signals) : {};
+      if (model.faults) metrics.protection = protectionMetrics(signals, model.faults, request.fault_s ?? 0);
+      return { time, columns: shown, metrics, limits, end };
+    };
+    const isDue = partsOf(instance, request.view_s ?? [0, duration_s]);
+    const rows = await instance.run(async (tick) => {
+      await pause();
+      if (isDue(tick)) send({ unfinished: true, ...answerOf(tick + 1) });
+    }, changes);
+    const answer = answerOf(rows, instance.endAt(rows));
+    if (!instance.kept || answer.end) return answer;
+    const free = await freeAngle(request, instance, pause, () => send({ unfinished: true, ...answerOf(rows) }));
+    if (free) answer.metrics.push = pushMetrics({ time: answer.time, angle: answer.columns.angle }, free, values[PUSH[1]], request.band_deg);
+    return answer;
+  }
+
+  // Return a function that tells whether a part of a run that begins now is due at a tick.
+  function partsOf({ ticks, table: { sample_time_s: period_s } }, [low, high]) {
+    const start = performance.now();
+    let due = FIRST_PART_MS;
+    let seen = false; // the end of the time in view
+    return (tick) => {
+      const passed = performance.now() - start;
+      const isSeen = tick * period_s >= high;
+      if (tick * period_s <= low || (passed * (ticks - tick)) / tick < SOON_MS) return false;
+      if (passed < due && (seen || !isSeen)) return false;
+      seen = isSeen;
+      due = passed + NEXT_PART_MS;
+      return true;
+    };
+  }
+
+  const freeRuns = new Map(); // by set-up: the model and values of the last run without its push, and its angle
+
+  // The angle of the last run of an instance as if there were no push, or null if that run ends early.
+  // A change of the push alone does not change it. ``wait`` is called before a computation.
+  async function freeAngle({ setup = 0, ...request }, instance, pause, wait) {
+    const values = Object.entries(request.values).filter(([name]) => !PUSH.includes(name));
+    const key = JSON.stringify([request.reference, request.duration_s, values]);
+    const known = freeRuns.get(setup);
+    if (known?.key === key && known.instance === instance && known.model === modelOf(request)) return known.angle;
+    wait();
+    const rows = await instance.goOn(pause);
+    const angle = instance.endAt(rows) ? null : instance.output("knee_angle_rad", rows);
+    freeRuns.set(setup, { key, instance, model: modelOf(request), angle });
+    return angle;
+  }
+
+  // The signals of a run over time: the curves of a page, and those that only metrics need.
+  function signalsOf(instance, reference, limit) {
+    const rows = reference.length;
+    const signal = (name) => instance.output(name, rows);
+    const angle = signal("knee_angle_rad");
+    const torque = signal("interaction_torque_n_m"); // null without a wearer
+    const state = signal("safety_state"); // null without protection
+    const arm = signal("moment_arm_m");
+    return {
+      ...(state && { state, reason: signal("safety_reason"), speed: signal("motor_speed_rad_s"),
+        kneeTorque: signal("rod_force_n").map((force, tick) => force * arm[tick]) }),
+      ...(torque && { torque, wearer: signal("wearer_angle_rad"), rate: signal("wearer_rate_rad_s") }),
+      time: Float64Array.from({ length: rows }, (_, tick) => tick * instance.table.sample_time_s),
+      angle,
+      reference,
+      error: reference.map((value, tick) => value - angle[tick]),
+      command: signal("motor_speed_command_rad_s"),
+      limit: new Float64Array(rows).fill(limit),
+      pressure: signal("load_pressure_pa"),
+      shaft: signal("shaft_power_w"),
+      hydraulic: signal("hydraulic_power_w"),
+      chambers: ["cap_pressure_pa", "rod_side_pressure_pa"].map(signal).filter((column) => column),
+    };
+  }
+
+  // ------------------------------------------------------------------------------- metrics
+
+  // Loops, because a function for each of 15,000 elements would take milliseconds.
+  function largest(values) {
+    let most = 0;
+    for (let k = 0; k < values.length; k++) most = Math.max(most, Math.abs(values[k]));
+    return most;
+  }
+
+  function mean(values, term) {
+    let sum = 0;
+    for (let k = 0; k < values.length; k++) sum += term(values[k]);
+    return sum / values.length;
+  }
+
+  const share = (values, holds) => mean(values, (value) => (holds(value) ? 1 : 0));
+
+  const rms = (values) => Math.sqrt(mean(values, (value) => value * value));
+
+  const saturatedShare = (command, limit) =>
+    share(command, (value) => Math.abs(value) >= limit * (1 - 1e-6));
+
+  // The integral over time by the trapezoidal rule.
+  function integral(values, period, term) {
+    let sum = 0;
+    for (let k = 1; k < values.length; k++) sum += term(values[k - 1]) + term(values[k]);
+    return 0.5 * period * sum;
+  }
+
+  function meanChange(values) {
+    let sum = 0;
+    for (let k = 1; k < values.length; k++) sum += Math.abs(values[k] - values[k - 1]);
+    return sum / (values.length - 1);
+  }
+
+  // The index of the first sample at or after a time.
+  function indexAt(time, limit) {
+    const index = time.findIndex((t) => t >= limit - 1e-9);
+    return index < 0 ? time.length : index;
+  }
+
+  // The angles in degrees of the reference at both ends of a run and where it turns between them,
+  // as run_range_deg in kneexo/systems/knee_reference.py.
+  const TURNS = {
+    sine(value, duration_s) {
+      const [period, ramp_s] = [1 / value("frequency_hz"), value("ramp_s")];
+      const grown = (time) => {
+        const u = ramp_s > 0 ? Math.min(time / ramp_s, 1) : 1;
+        return u ** 4 * (35 - 84 * u + 70 * u ** 2 - 20 * u ** 3);
+      };
+      const turns = Math.floor((2 * duration_s) / period);
+      const times = [0, duration_s, ...[turns - 1, turns].filter((n) => n >= 0).map((n) => (n * period) / 2)];
+      const from = Math.max(0, duration_s - period);
+      if (duration_s < ramp_s + period) {
+        for (let k = 0; k <= 100; k++) times.push(from + (k / 100) * (duration_s - from));
+      }
+      return times.map((time) => value("mean_deg")
+        - grown(time) * value("amplitude_deg") * Math.cos((2 * Math.PI * time) / period));
+    },
+    step: (value, duration_s) => [value("start_deg"), value(duration_s > value("time_s") ? "end_deg" : "start_deg")],
+    ramp(value, duration_s) {
+      const [start, end] = [value("start_deg"), value("end_deg")];
+      const way = Math.max(0, duration_s - value("time_s")) * value("rate_deg_s");
+      return [start, start + Math.sign(end - start) * Math.min(way, Math.abs(end - start))];
+    },
+    samples(value, duration_s, source) {
+      const angles = [];
+      const add = (segment, time) => { angles.push((segmentAt(source, segment, time)[0] * 180) / Math.PI); };
+      eachTick(source, 1, duration_s, (tick, segment) => add(segment, tick * duration_s));
+      source.decoded[0].forEach((time, k) => { if (time >= 0 && time <= duration_s) add(k + 1, time); });
+      return angles;
+    },
+  };
+
+  // The smallest and the largest angle in degrees of a reference within a run.
+  function rangeOf({ references }, reference, values, duration_s) {
+    const angles = TURNS[reference]((name) => values[`reference.${name}`], duration_s, references[reference]);
+    return [angles.reduce((a, b) => Math.min(a, b)), angles.reduce((a, b) => Math.max(a, b))];
+  }
+
+  // The largest error of a run that tracks: a share of the amplitude, or one count of the encoder.
+  function errorBound(model, range) {
+    const bound = (ERROR_SHARE * (range[1] - range[0])) / 2;
+    const counts = model.limits.encoder_count_knee_deg;
+    if (!counts) return radians(bound);
+    const last = counts.values.length - 1;
+    const span = counts.high_deg - counts.low_deg;
+    const at = (angle) => {
+      const place = Math.min(Math.max(((angle - counts.low_deg) / span) * last, 0), last);
+      // The cubic through four values: a straight line would be off by 3e-5.
+      const index = Math.min(Math.max(Math.floor(place) - 1, 0), last - 3);
+      const [t, v] = [place - index, counts.values.slice(index, index + 4)];
+      return (v[3] * t - v[0] * (t - 3)) * (t - 1) * (t - 2) / 6
+        + (v[1] * (t - 2) - v[2] * (t - 1)) * t * (t - 3) / 2;
+    };
+    const angles = Array.from({ length: 91 }, (_, i) => range[0] + (i / 90) * (range[1] - range[0]));
+    return radians(Math.max(bound, Math.min(LARGEST_COUNT_DEG, Math.max(...angles.map(at)))));
+  }
+
+  // Metrics of a run from a time on.
+  function settledMetrics({ time, error: all, command }, settled) {
+    const first = indexAt(time, settled);
+    const error = all.subarray(first);
+    const size = largest(error);
+    const worst = error.findIndex((value) => Math.abs(value) === size);
+    return {
+      largest_error_rad: size,
+      largest_error_time_s: time[first + worst],
+      rms_error_rad: rms(error),
+      mean_command_change_rad_s: meanChange(command.subarray(first)),
+    };
+  }
+
+  // The number of whole periods of a run, as periods_in in kneexo/analysis/signals.py. The last one may lack its
+  // last sample.
+  function periodsOf({ time }, period_s) {
+    return period_s > 0 ? Math.floor((time[time.length - 1] + time[1]) / period_s + 1e-9) : 0;
+  }
+
+  function metricsOf(model, reference, values, limits, signals) {
+    const period_s = reference === "sine" ? 1 / values["reference.frequency_hz"] : 0;
+    const periods = periodsOf(signals, period_s);
+    const main = settledMetrics(signals, periods >= 2 ? period_s : 0); // as settled_s in signals.py
+    const cycle = limitCycle(signals);
+    const step = reference === "step" ? stepMetrics(signals.time, signals.angle, values, cycle) : null;
+    const { time } = signals;
+    const bound = errorBound(model, rangeOf(model, reference, values, time[time.length - 1]));
+    return {
+      ...main,
+      ...(step ?? {}),
+      limit_cycle: cycle,
+      error_bound_rad: bound,
+      tracks: signals.torque ? null : step ? step.settling_time_s !== null : main.largest_error_rad <= bound,
+      largest_error_overall_rad: largest(signals.error),
+      rms_error_overall_rad: rms(signals.error),
+      saturated_share: saturatedShare(signals.command, limits.command_limit_rad_s),
+      peak_command_rad_s: largest(signals.command),
+      ...pressureMetrics(signals, limits),
+      ...powerMetrics(signals, limits),
+      ...interactionMetrics(signals, period_s, periods),
+    };
+  }
+
+  // Return metrics of kneexo.analysis.tracking.interaction, of the whole periods after the first if there are any.
+  function interactionMetrics({ time, torque, rate }, period_s, periods) {
+    if (!torque) return {};
+    const last = time.length - 1;
+    const ends = periods < 2 ? [0, last] : [1, periods].map(
+      (count) => Math.min(indexAt(time, count * period_s), last));
+    const [power, torques] = [torque.map((value, k) => value * rate[k]), torque].map(
+      (column) => column.subarray(ends[0], ends[1] + 1));
+    const share = (time[1] - time[0]) / (time[ends[1]] - time[ends[0]]);
+    return {
+      periods: Math.max(periods - 1, 0),
+      rms_torque_n_m: Math.sqrt(integral(torques, share, (value) => value * value)),
+      peak_torque_n_m: largest(torques),
+      power_from_wearer_w: integral(power, share, (value) => Math.max(value, 0)),
+      power_to_wearer_w: integral(power, share, (value) => Math.max(-value, 0)),
+    };
+  }
+
+  const shareAbove = (values, bound) => share(values, (value) => Math.abs(value) > bound);
+
+  function pressureMetrics({ pressure, chambers: [cap, rodSide] }, limits) {
+    const highest = cap?.map((value, tick) => Math.max(value, rodSide[tick]));
+    return {
+      peak_pressure_pa: largest(pressure),
+      pressure_over_rating_share: shareAbove(pressure, limits.pressure_rating_pa),
+      relief_share: highest ? shareAbove(highest, limits.relief_pressure_pa) : null,
+    };
+  }
+
+  function powerMetrics({ time, shaft, hydraulic }, limits) {
+    const period = time[1] - time[0];
+    return {
+      peak_shaft_power_w: largest(shaft),
+      power_over_rating_share: shareAbove(shaft, limits.power_rating_w),
+      shaft_energy_j: integral(shaft, period, (value) => value),
+      shaft_energy_delivered_j: integral(shaft, period, (value) => Math.max(value, 0)),
+      hydraulic_energy_j: integral(hydraulic, period, (value) => value),
+    };
+  }
+
+  // The oscillation of the knee at the end of a run whose reference rests, or null; see limit_cycle
+  // in kneexo/analysis/tracking/limit_cycle.py.
+  function limitCycle({ time, reference, angle, pressure }) {
+    const start = reference.findLastIndex((value) => Math.abs(value - reference[reference.length - 1]) > REST_RAD) + 1;
+    const half = (start + reference.length) >> 1;
+    const rest = angle.subarray(half);
+    if (rest.length < 4) return null;
+    const cut = Math.ceil(rest.length / 2);
+    const ends = (values) => values.reduce(([a, b], value) => [Math.min(a, value), Math.max(b, value)], [Infinity, -Infinity]);
+    const [all, before, after] = [rest, rest.subarray(0, cut), rest.subarray(cut)].map(ends);
+    const [amplitude, middle] = [(after[1] - after[0]) / 2, (all[0] + all[1]) / 2];
+    if (amplitude < Math.max(radians(SMALLEST_CYCLE_DEG), (SUSTAINED * (before[1] - before[0])) / 2)) return null;
+    const crossings = [];
+    let side = 0;
+    rest.forEach((value, k) => {
+      if (Math.abs(value - middle) <= amplitude / 2) return;
+      if (side * (value - middle) < 0) crossings.push(half + k);
+      side = value - middle;
+    });
+    const periods = Math.floor((crossings.length - 1) / 2);
+    if (periods < 1) return null;
+    const [low, high] = ends(pressure.subarray(half));
+    return {
+      start_s: time[start],
+      amplitude_rad: amplitude,
+      period_s: (time[crossings[2 * periods]] - time[crossings[0]]) / periods,
+      lowest_pressure_pa: low,
+      highest_pressure_pa: high,
+    };
+  }
+
+  // How a push moves the knee, as push_response in kneexo/analysis/tracking/push_response.py.
+  function pushMetrics({ time, angle }, freeAngle, start, band_deg) {
+    const deviation = angle.map((value, k) => Math.abs(value - freeAngle[k]));
+    const back = deviation.findLastIndex((value) => value > radians(band_deg)) + 1;
+    return {
+      largest_deviation_rad: largest(deviation),
+      recovery_time_s: back < time.length ? Math.max(time[back] - start, 0) : null,
+    };
+  }
+
+  // When and why the protection stopped the motor, when the knee was safe, and the largest error and torque on the
+  // knee until then. All count from a time on. A signal at a sample shows the state before the update at this sample,
+  // so the supervisor decided a sample before, as in kneexo/analysis/tracking/verdict.py.
+  function protectionMetrics({ time, state, reason, speed, error, kneeTorque }, { names, standstill_rad_s }, from_s) {
+    const first = indexAt(time, from_s);
+    const [stopped, released] = ["stopped", "released"].map((name) => names.indexOf(name));
+    const stop = reason.findIndex((value) => value > 0);
+    const safe = state.findIndex((value, k) => k >= first
+      && (value === released || (value === stopped && Math.abs(speed[k]) < standstill_rad_s)));
+    const end = safe < 0 ? time.length : safe + 1;
+    return {
+      stop: stop < 0 ? null : { time_s: time[Math.max(stop - 1, 0)], reason: reason[stop] },
+      safe_time_s: safe < 0 ? null : time[Math.max(safe - 1, 0)],
+      largest_error_rad: largest(error.subarray(first, end)),
+      peak_torque_n_m: largest(kneeTorque.subarray(first, end)),
+    };
+  }
+
+  // Rise time, overshoot, settling time and final error of a step. Null if the run does not reach the step.
+  function stepMetrics(time, angle, values, cycle) {
+    const [start, end] = ["start_deg", "end_deg"].map((name) => radians(values[`reference.${name}`]));
+    const begin = values["reference.time_s"];
+    const first = indexAt(time, begin);
+    if (start === end || first >= time.length - 1) return null;
+    const response = angle.subarray(first).map((value) => (value - start) / (end - start));
+    const [low, high] = [0.1, 0.9].map((level) => response.findIndex((value) => value >= level));
+    const settled = response.findLastIndex((value) => Math.abs(value - 1) >= SETTLING_BAND) + 1;
+    const since = settled < response.length ? time[first + settled] - begin : Infinity;
+    // A limit cycle that leaves the band goes on for ever, also if the run ends in the band.
+    const latest = cycle ? (time[time.length - 1] - begin) / 2 : Number.MAX_VALUE;
+    return {
+      rise_time_s: high < 0 ? null : time[first + high] - time[first + low],
+      overshoot_percent: 100 * Math.max(0, response.reduce((a, b) => Math.max(a, b)) - 1),
+      settling_time_s: since <= latest ? since : null,
+      final_error_rad: end - angle[angle.length - 1],
+    };
+  }
+
+  return { load, modelOf, periodOf, instanceOf, parametersOf, limitsOf, valuesOf, rangeOf, partsOf, simulate, run, radians };
+})();

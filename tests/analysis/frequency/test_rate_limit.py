@@ -1,0 +1,79 @@
+import math
+
+import numpy as np
+import pytest
+
+from kneexo.analysis import fundamental
+from kneexo.analysis.frequency.frequency_response import MINUS_3_DB, crossing
+from kneexo.analysis.frequency.rate_limit import (
+    TRIANGLE_RATIO,
+    rate_limit_bandwidth_hz,
+    rate_limited_follower,
+    rate_limited_gain,
+)
+from kneexo.errors import ParameterError
+from kneexo.geometry import linkage
+from kneexo.parameters import G1, BldcPumpParameters, CylinderParameters
+
+
+def simulated_gain(ratio):
+    time = np.linspace(0.0, 6.0, 60_001)  # six periods of 1 Hz
+    target = np.sin(2 * np.pi * time)
+    last = slice(50_000, 60_000)
+    follower = rate_limited_follower(time, target, 2 * np.pi * ratio)
+    return fundamental(time[last], follower[last], 1.0) / fundamental(time[last], target[last], 1.0)
+
+
+@pytest.mark.parametrize("ratio", [0.3, 0.55, 0.7, 0.9, 1.1])
+def test_the_closed_form_is_what_a_follower_does(ratio):
+    # 10 000 steps a period: the follower turns within one step, 1e-4 of a period.
+    assert rate_limited_gain(ratio) == pytest.approx(simulated_gain(ratio), abs=1e-3)
+
+
+@pytest.mark.parametrize("ratio", [TRIANGLE_RATIO, 1.0])
+def test_the_branches_join(ratio):
+    below, above = rate_limited_gain([ratio - 1e-9, ratio + 1e-9])
+    assert above == pytest.approx(below, abs=1e-6)
+
+
+def test_minus_3_db_lies_at_a_ratio_of_0_55539():
+    assert abs(rate_limited_gain(0.55539)) == pytest.approx(MINUS_3_DB, abs=1e-5)
+    assert rate_limit_bandwidth_hz(1.0, 1.0) == pytest.approx(0.28656, abs=5e-6)
+
+
+def test_the_papers_actuator_follows_a_sine_of_the_rod_to_0_2313_hz():
+    pump = BldcPumpParameters()
+    speed = pump.speed_limit_rad_s / pump.gear_ratio * pump.displacement_m3_per_rad
+    speed /= CylinderParameters().mean_area_m2
+    assert 1e3 * speed == pytest.approx(40.4, abs=0.05)
+    assert rate_limit_bandwidth_hz(speed, 0.05007) == pytest.approx(0.2313, abs=2e-4)
+
+
+def test_a_sine_of_the_knee_is_followed_to_0_2247_hz():
+    gains, frequencies = [], np.array([0.20, 0.21, 0.22, 0.23, 0.24])
+    for frequency in frequencies:
+        time = np.linspace(0.0, 3.0 / frequency, 6001)
+        knee = np.radians(40.0 - 30.0 * np.cos(2 * np.pi * frequency * time))
+        rod = rate_limited_follower(time, linkage.rod_extension(G1, knee), 0.0404)
+        angle = linkage.knee_angle_from_rod(G1, rod)
+        last = time >= 2.0 / frequency
+        last[-1] = False
+        ratio = fundamental(time[last], angle[last], frequency) / fundamental(
+            time[last], knee[last], frequency
+        )
+        gains.append(abs(ratio))
+    assert crossing(frequencies, np.array(gains)) == pytest.approx(0.2247, abs=5e-4)
+
+
+def test_gain_rises_with_the_speed_limit_and_never_leads():
+    gains = rate_limited_gain(np.linspace(0.05, 1.5, 400))
+    assert np.all(np.diff(np.abs(gains)) > -1e-12)
+    assert np.all(np.angle(gains) <= 1e-12)
+
+
+@pytest.mark.parametrize("ratio", [0.0, -1.0, math.nan])
+def test_a_ratio_that_is_not_positive_is_refused(ratio):
+    with pytest.raises(ParameterError, match="must be > 0"):
+        rate_limited_gain(ratio)
+    with pytest.raises(ParameterError, match="amplitude"):
+        rate_limit_bandwidth_hz(1.0, ratio)
