@@ -2,8 +2,8 @@
 
     python benchmarks/false_alarms.py [RUNS] [WORKERS]
 
-The thresholds in ``kneexo/parameters/device/protection.py`` lie above the levels. The last case is faster
-than the pump, so that a detector must stop the motor.
+The thresholds in ``kneexo/parameters/device/protection.py`` lie above the levels. The last case is
+faster than the pump, so that a detector must stop the motor.
 """
 
 import sys

@@ -1,7 +1,7 @@
 """Change one module at many places with mutmut, and show the changes that its tests do not notice.
 
     python benchmarks/mutation.py MODULE TEST [TEST ...] [--only FUNCTION]
-    python benchmarks/mutation.py kneexo/analysis/tracking/tracking.py tests/analysis/tracking/test_tracking.py
+    python benchmarks/mutation.py kneexo/sweeps/sweep.py tests/sweeps/test_sweep.py
 
 Each mutant is one changed operator, number, text, argument or assignment. mutmut runs for it the
 fast tests among ``TEST`` that call the changed function. ``--only`` is a pattern such as

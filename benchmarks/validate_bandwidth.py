@@ -21,11 +21,11 @@ from kneexo.analysis.frequency.bandwidth import (
     large_signal_bandwidth_hz,
     rod_limits,
 )
-from kneexo.analysis.frequency.frequency_response import MINUS_3_DB
 from kneexo.analysis.frequency.sine_estimate import cycle_responses, estimate_sine
 from kneexo.geometry.linkage import polynomial
 from kneexo.geometry.rod_polynomial import controller_polynomial
 from kneexo.parameters import SampledReference, Scenario
+from kneexo.parameters.criteria import MINUS_3_DB
 from kneexo.parameters.paths import changed
 
 STIFFER_PER_S = 40.0

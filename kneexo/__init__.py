@@ -5,7 +5,8 @@ The short names for users, as in ``import kneexo as kx``:
 - `kneexo.parameters.Scenario`: a knee with its controller, reference and simulation settings
 - `kneexo.analysis.track`: simulate it, with metrics, verdict and plots
 - `kneexo.analysis.responses.linearize`: poles and margins of its sampled closed loop
-- `kneexo.analysis.responses.bode`, `kneexo.analysis.responses.step`: frequency response and step response
+- `kneexo.analysis.responses.bode`: its frequency response
+- `kneexo.analysis.responses.step`: its step response
 - `kneexo.analysis.design_linkage`: search a four-bar linkage that follows a knee
 - `kneexo.analysis.batches.batch`: simulate many variants of it
 - `kneexo.page.play.play`: make a page with sliders on which a scenario runs in the browser
@@ -14,14 +15,22 @@ The short names for users, as in ``import kneexo as kx``:
 
 All but `design_linkage` accept a scenario or the path of a scenario file.
 
-Each subpackage of this list imports only those before it: ``kneexo.compiler`` (Drake diagrams as
-machine code, C and FMU), ``kneexo.parameters`` (every physical number), ``kneexo.geometry.linkage``
-(four-bar mathematics as plain functions), ``kneexo.systems`` (leaf systems), ``kneexo.diagrams``
-(systems wired to plant, controller and loop), ``kneexo.simulation`` (one run), ``kneexo.sweeps``
-(many runs), ``kneexo.export`` (C and FMU of a scenario), ``kneexo.analysis`` (measures of one
-scenario), ``kneexo.analysis.responses`` and ``kneexo.analysis.batches`` (the short names), ``kneexo.studies``
-(comparisons of many scenarios), ``kneexo.view`` (the knee in three dimensions) and
-``kneexo.command_line``.
+The floors, from the ground up; each knows only those before it. ``kneexo.compiler`` turns Drake
+diagrams into machine code, C and FMU, and knows no knee.
+
+- `kneexo.common`: results, plots, progress, files, code of the user
+- `kneexo.parameters`: every physical number
+- `kneexo.geometry`: four-bar mathematics as plain functions
+- `kneexo.systems`: leaf systems
+- `kneexo.diagrams`: systems wired to plant, controller and loop
+- `kneexo.simulation`: one run
+- `kneexo.sweeps`: many runs
+- `kneexo.export`: C and FMU of a scenario
+- `kneexo.analysis`: one scenario in, one result out
+- `kneexo.view`: the knee in three dimensions, drawings
+- `kneexo.studies`: comparisons of many scenarios
+- `kneexo.page`: the page to play with
+- `kneexo.command_line`
 """
 
 from __future__ import annotations

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kneexo.analysis.frequency.frequency_response import MINUS_3_DB
 from kneexo.analysis.linear.plant_linearization import Complex
 from kneexo.analysis.linear.sampled_loop import SampledLoop, linearize_loop
 from kneexo.analysis.tracking.tracking import TrackingResult, track
@@ -19,6 +18,7 @@ from kneexo.common.plotting import BLUE, GOLD, axes_or_new, label_bode
 from kneexo.common.result import Array, Result, data_frame
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario, StepReference
+from kneexo.parameters.criteria import MINUS_3_DB
 from kneexo.parameters.scenario_file import as_scenario
 from kneexo.systems.knee_reference import run_middle_deg
 

@@ -149,8 +149,8 @@ def linear_report(
 ) -> str:
     """Return the report on a linearized plant and sampled loop in Markdown.
 
-    ``lines`` are the lines of `kneexo.analysis.tracking.verdict.loop_lines`. A table replaces the lines with
-    margins. ``model`` has the lines on the omissions of the model.
+    ``lines`` are the lines of `kneexo.analysis.tracking.verdict.loop_lines`. A table replaces the
+    lines with margins. ``model`` has the lines on the omissions of the model.
     """
     margins, table = loop.margins(), list[Row]()
     findings = [next(iter(lines))]

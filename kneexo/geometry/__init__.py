@@ -1,1 +1,1 @@
-"""Geometry."""
+"""Four-bar mathematics without Drake: linkage, rod and its inverse, motion of the shank."""

@@ -1,1 +1,1 @@
-"""Page."""
+"""The page to play with: sliders, faults and modules of a scenario, and the page itself."""

@@ -20,6 +20,7 @@ from typing import Any, get_args
 
 import numpy as np
 
+from kneexo.common import PACKAGE
 from kneexo.compiler import (
     CSource,
     Interface,
@@ -318,4 +319,4 @@ def write_shipped(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    write_shipped(Path(__file__).parents[1].joinpath(*_FOLDER))
+    write_shipped(PACKAGE.joinpath(*_FOLDER))

@@ -30,18 +30,23 @@ LONGEST_RUN_S = 60.0
 _SHORTEST_RUN_S = 0.5
 
 _SCRIPTS = (
-    "playground_setups.js",
-    "playground_curves.js",
-    "playground_safety.js",
-    "playground_bode.js",
-    "playground_controls.js",
-    "playground_numbers.js",
-    "playground_runner.js",
-    "playground_history.js",
-    "playground.js",
+    "page/web/playground_setups.js",
+    "page/web/playground_curves.js",
+    "page/web/playground_safety.js",
+    "page/web/playground_bode.js",
+    "page/web/playground_controls.js",
+    "page/web/playground_numbers.js",
+    "page/web/playground_runner.js",
+    "page/web/playground_history.js",
+    "page/web/playground.js",
 )
 
-_WORKER = ("simulator.js", "linear_loop.js", "sine_sweep.js", "worker.js")
+_WORKER = (
+    "page/web/simulator.js",
+    "page/web/linear_loop.js",
+    "page/web/sine_sweep.js",
+    "page/web/worker.js",
+)
 
 _CONTROLLERS, _LOADS = ("smc", "pid"), ("none", "knee")
 """Kinds of controller and load between which switches of the page choose."""
@@ -127,11 +132,11 @@ def playground_page(scenarios: Sequence[Scenario], names: Sequence[str]) -> str:
             f"{len(scenarios)} scenarios: a page has at least 1 and at most {MOST_SCENARIOS}"
         )
     data = playground_data(scenarios, names)
-    styles = (*STAGE_STYLES, "playground.css")
+    styles = (*STAGE_STYLES, "page/web/playground.css")
     scripts = (*STAGE_SCRIPTS, *_SCRIPTS)
     return self_contained_page(
         f"kneexo: {', '.join(names)}",
-        web_text("playground.html"),
+        web_text("page/web/playground.html"),
         [web_text(name) for name in styles],
         [web_text(name) for name in scripts],
         {"playground": data},

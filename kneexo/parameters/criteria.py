@@ -1,4 +1,9 @@
-"""Bounds by which kneexo calls stability margins and recoveries good."""
+"""Bounds by which kneexo calls margins and recoveries good, and the gain of a bandwidth."""
+
+import math
+
+MINUS_3_DB = 1.0 / math.sqrt(2.0)
+"""Gain of the fundamental that defines the bandwidth, 1/√2."""
 
 SOUND_DISK_MARGIN = 0.5
 """Smallest disk margin of a sound loop. Assumption: 28° of phase alone, or gains of 0.6…1.67."""

@@ -9,7 +9,7 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
-import kneexo
+from kneexo.common import PACKAGE
 
 _START = "kneexo.simulation.compiled"
 # A regular expression, because `ast` needs 0.15 s for these files, in each process; 5 ms so.
@@ -19,18 +19,18 @@ _IMPORT = re.compile(r"^ *from (kneexo[.\w]*) import (\([^)]*\)|.*)", re.MULTILI
 @cache
 def fingerprint() -> str:
     """Return the digest of the source files that make the equations of a scenario."""
-    return digest(sources(Path(kneexo.__file__).parents[1]))
+    return digest(sources(PACKAGE.parent))
 
 
-def digest(files: Iterable[Path]) -> str:
+def digest(paths: Iterable[Path]) -> str:
     """Return a digest of Drake's version and of the content of files.
 
     Versions of kneexo do not count, because sources are edited at an unchanged version. The
     compiler adds the digest of its own files to each key.
     """
     digest = hashlib.sha256(version("drake").encode())
-    for file in files:
-        digest.update(file.read_bytes())
+    for path in paths:
+        digest.update(path.read_bytes())
     return digest.hexdigest()
 
 

@@ -29,9 +29,10 @@ from typing import Any
 import scipy
 
 from kneexo.analysis.frequency.bandwidth import acceleration_bound_hz, rod_amplitude_m, rod_limits
-from kneexo.analysis.frequency.frequency_response import MINUS_3_DB, require_sine
+from kneexo.analysis.frequency.frequency_response import require_sine
 from kneexo.errors import ParameterError
 from kneexo.parameters import RPM, Scenario, SlidingModeParameters
+from kneexo.parameters.criteria import MINUS_3_DB
 from kneexo.parameters.paths import changed, value_at
 
 DISPLACEMENT = "plant.pump.displacement_m3_per_rad"

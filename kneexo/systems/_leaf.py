@@ -9,7 +9,6 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from inspect import signature
 from numbers import Real
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
 from pydrake.math import max as _max, min as _min
@@ -17,6 +16,7 @@ from pydrake.symbolic import Expression, if_then_else, logical_and
 from pydrake.systems.framework import BasicVector_, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
+from kneexo.common import PACKAGE
 from kneexo.compiler import trust
 from kneexo.errors import SimulationError
 from kneexo.parameters.fields.quantity import Parameters, require_object
@@ -27,7 +27,7 @@ else:  # `leaf_template` adds Drake's class of the scalar
     LeafSystem = object
 
 
-trust(Path(__file__).parents[1])  # tests compare every leaf of kneexo for all scalar types
+trust(PACKAGE)  # tests compare every leaf of kneexo for all scalar types
 
 
 def clip(value: Any, lower: Any, upper: Any) -> Any:

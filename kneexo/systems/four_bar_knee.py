@@ -1,4 +1,4 @@
-"""Four-bar knee driven by the rod (Lee et al. 2020, Eq. 1–9); mathematics in `kneexo.geometry.linkage`."""
+"""Four-bar knee driven by the rod (Lee et al. 2020, Eq. 1–9); see `kneexo.geometry.linkage`."""
 
 from __future__ import annotations
 

@@ -157,10 +157,10 @@ def _declare_command(leaf: NamedLeaf) -> None:
 class FunctionLaw(NamedLeaf):
     """Control law of the user, a function that is called once a sample: u⁺ = clip(f(…), ±u_max).
 
-    The names of f's arguments choose the input ports among `kneexo.parameters.device.law.LAW_INPUTS`. A
-    port of one element gives f a scalar, any other port an array. ``time_s`` is the time in s, and
-    ``state`` is an array of the discrete states after the first. With ``state``, f returns the
-    command and the next state.
+    The names of f's arguments choose the input ports among
+    `kneexo.parameters.device.law.LAW_INPUTS`. A port of one element gives f a scalar, any other
+    port an array. ``time_s`` is the time in s, and ``state`` is an array of the discrete states
+    after the first. With ``state``, f returns the command and the next state.
 
     ====================  =====  ======  ================================================
     port                  size   unit

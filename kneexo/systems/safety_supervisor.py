@@ -44,8 +44,8 @@ def context_values(parameters: ProtectionParameters) -> dict[str, float]:
 class SafetySupervisor(NamedLeaf):
     """State machine between law and drive: passes the command of the law, or stops the motor.
 
-    `kneexo.parameters.device.safety_states` has the table of states, events and transitions. A stop keeps
-    its first reason until a reset.
+    `kneexo.parameters.device.safety_states` has the table of states, events and transitions. A stop
+    keeps its first reason until a reset.
 
     ===================  ====  =====  ===========================================================
     input port           size  unit

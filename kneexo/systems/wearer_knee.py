@@ -91,8 +91,9 @@ class WearerKnee(NamedLeaf):
     State: θ_h in rad, dθ_h/dt in rad/s and ξ_i in rad. Context parameters by name: numbers of
     `LegParameters`, with ``bare_stiffness_n_m_per_rad`` (k_0) in place of k, and
     ``thigh_inclination_rad`` (α_thigh) and ``gravity_m_s2`` of the load. Source: the Maxwell
-    elements approximate hysteretic damping (see `kneexo.parameters.wearer.wearer.MAXWELL_BANK`). The
-    Maxwell element i has the weight κ_i and the corner frequency f_i, and h is the loss modulus.
+    elements approximate hysteretic damping (see `kneexo.parameters.wearer.wearer.MAXWELL_BANK`).
+    The Maxwell element i has the weight κ_i and the corner frequency f_i, and h is the loss
+    modulus.
 
     Parameters
     ----------

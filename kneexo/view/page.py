@@ -55,7 +55,7 @@ def view_page(legs: Sequence[Leg]) -> str:
     return self_contained_page(
         f"kneexo: {', '.join(leg.name for leg in legs)}",
         f"<main>\n<h1>The knee in motion</h1>\n{content.body_html}\n</main>",
-        [*content.styles, web_text("view.css")],
+        [*content.styles, web_text("view/web/view.css")],
         content.scripts,
         content.data,
     )
@@ -80,7 +80,7 @@ linkage. Limbs, brace, pump and motor are illustrative. kneexo {__version__}</p>
     return StageContent(
         body,
         [*map(web_text, STAGE_STYLES)],
-        [*map(web_text, STAGE_SCRIPTS), web_text("view.js")],
+        [*map(web_text, STAGE_SCRIPTS), web_text("view/web/view.js")],
         {"legs": [_stage_leg(leg) for leg in legs], "runs": [_run(leg, end_s) for leg in legs]},
     )
 

@@ -23,18 +23,18 @@ from kneexo.parameters import LinkageParameters
 from kneexo.view.parts import Part, icr_path, parts, placements
 from kneexo.view.pressure_colour import BLUE, GREY, RED
 
-STAGE_STYLES = ("vendor/uPlot.min.css", "stage.css")
+STAGE_STYLES = ("view/web/vendor/uPlot.min.css", "view/web/stage.css")
 """Names of the stage's style sheets for `kneexo.view.web_page.web_text`."""
 
 STAGE_SCRIPTS = (
-    "vendor/three.min.js",
-    "vendor/uPlot.iife.min.js",
-    "stage_model.js",
-    "stage_solid.js",
-    "stage_flat.js",
-    "stage_arrow.js",
-    "stage_elements.js",
-    "stage.js",
+    "view/web/vendor/three.min.js",
+    "view/web/vendor/uPlot.iife.min.js",
+    "view/web/stage_model.js",
+    "view/web/stage_solid.js",
+    "view/web/stage_flat.js",
+    "view/web/stage_arrow.js",
+    "view/web/stage_elements.js",
+    "view/web/stage.js",
 )
 """Names of the stage's scripts in order, for `kneexo.view.web_page.web_text`."""
 
@@ -93,7 +93,8 @@ def stage_leg(
 def _centre_paths(linkage: LinkageParameters) -> list[dict[str, Any]]:
     """Return the paths of the centres of rotation of the linkage and of a wearer's knee, as data.
 
-    The wearer's path is relative to a device at its best place (`kneexo.analysis.mechanism.alignment.align`).
+    The wearer's path is relative to a device at its best place
+    (`kneexo.analysis.mechanism.alignment.align`).
     """
     best = align(linkage)
     wearer = anatomical_motion(best.knee, np.radians(best.knee_angle_deg))

@@ -14,14 +14,17 @@ from typing import Any
 from kneexo.errors import OutputError, shown
 
 _LICENCES = {
-    "vendor/three.min.js": "vendor/three.LICENSE.txt",
-    "vendor/uPlot.iife.min.js": "vendor/uPlot.LICENSE.txt",
+    "view/web/vendor/three.min.js": "view/web/vendor/three.LICENSE.txt",
+    "view/web/vendor/uPlot.iife.min.js": "view/web/vendor/uPlot.LICENSE.txt",
 }
 
 
 def web_text(name: str) -> str:
-    """Return the text of a file of ``kneexo/view/web``. A library begins with its licence."""
-    folder = resources.files("kneexo.view") / "web"
+    """Return the text of a file of the package, such as ``view/web/stage.js``.
+
+    A library begins with its licence.
+    """
+    folder = resources.files("kneexo")
     text = (folder / name).read_text(encoding="utf-8")
     if name in _LICENCES:
         licence = (folder / _LICENCES[name]).read_text(encoding="utf-8")

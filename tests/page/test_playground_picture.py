@@ -1,6 +1,7 @@
 """The first picture of the README, `docs/playground.png`, shows the page to play with as it is now.
 
-After a change of the page, ``python tests/page/test_playground_picture.py`` takes the picture again.
+After a change of the page, ``python tests/page/test_playground_picture.py`` takes the picture
+again.
 """
 
 from __future__ import annotations

@@ -89,7 +89,7 @@ def test_numbers_that_json_lacks_are_refused():
 
 def test_a_library_comes_with_its_licence():
     for name, holder in (("three.min.js", "three.js"), ("uPlot.iife.min.js", "Leon Sorokin")):
-        text = web_text(f"vendor/{name}")
+        text = web_text(f"view/web/vendor/{name}")
         head = text[: text.index("*/")]
         assert "Permission is hereby granted" in head
         assert re.search(f"Copyright .*{holder}", head)

@@ -1,1 +1,1 @@
-"""Faults."""
+"""What faults do: which a scenario survives, and thresholds of detectors."""

@@ -21,7 +21,6 @@ import numpy as np
 import scipy
 
 from kneexo.analysis.frequency.frequency_response import (
-    MINUS_3_DB,
     fundamental,
     highest_frequency_hz,
     require_sine,
@@ -38,6 +37,7 @@ from kneexo.errors import LinearizationError
 from kneexo.geometry import linkage
 from kneexo.geometry.rod_polynomial import controller_polynomial
 from kneexo.parameters import Scenario
+from kneexo.parameters.criteria import MINUS_3_DB
 from kneexo.parameters.paths import changed
 from kneexo.simulation import needs_runs
 

@@ -22,6 +22,7 @@ from kneexo.common.plotting import BLUE, TEAL, axes_or_new
 from kneexo.common.result import Array, Result, data_frame
 from kneexo.errors import ParameterError
 from kneexo.parameters import UNCERTAINTY, Scenario, SineReference, Uncertainty, UncertaintySet
+from kneexo.parameters.criteria import MINUS_3_DB
 from kneexo.parameters.fields.quantity import Parameters, ordered_limits, quantities, quantity
 from kneexo.parameters.paths import changed
 from kneexo.parameters.uncertainty import draw
@@ -92,9 +93,6 @@ class SinestreamSettings(Parameters):
             raise ValueError("frequencies_hz must not repeat a value")
         return self
 
-
-MINUS_3_DB = 1.0 / math.sqrt(2.0)
-"""Gain of the fundamental that defines the bandwidth, 1/√2."""
 
 _TICKS_HZ = (0.05, 0.1, 0.2, 0.3, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 

@@ -23,9 +23,9 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from kneexo.analysis.frequency.frequency_response import MINUS_3_DB
 from kneexo.common.result import Array
 from kneexo.errors import ParameterError
+from kneexo.parameters.criteria import MINUS_3_DB
 
 TRIANGLE_RATIO = 2.0 / math.sqrt(math.pi**2 + 4.0)
 """Largest ratio ρ = R/(aω), 0.5370, at which the follower is a triangle wave."""

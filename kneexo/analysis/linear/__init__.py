@@ -1,1 +1,1 @@
-"""Linear."""
+"""Linear models of plant and sampled loop, their poles and margins."""

@@ -17,7 +17,6 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
-from kneexo.analysis.frequency.frequency_response import MINUS_3_DB
 from kneexo.analysis.linear.eigenvalue_plot import plot_eigenvalues
 from kneexo.analysis.linear.loop_equilibrium import find_equilibrium
 from kneexo.analysis.linear.margins import Margins, stability_margins
@@ -28,6 +27,7 @@ from kneexo.compiler import LinearModel, Transfer, linearize
 from kneexo.diagrams.law import makers_called_once
 from kneexo.errors import LinearizationError
 from kneexo.parameters import Scenario
+from kneexo.parameters.criteria import MINUS_3_DB
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

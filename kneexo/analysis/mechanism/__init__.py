@@ -1,1 +1,1 @@
-"""Mechanism."""
+"""The mechanism beside an anatomical knee: alignment, design, fits, prosthetic leg."""

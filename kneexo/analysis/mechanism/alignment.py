@@ -5,8 +5,8 @@ about different centres, so that the strap migrates on the leg: across the shank
 (pistoning). A rigid cuff makes the angles of both knees equal. A strap that slides along the leg
 like a pin in a slot makes the angles differ.
 
-Coordinates are those of `kneexo.geometry.shank_motion`. The frame of the tibia is that of the thigh at full
-extension: across is backwards, along is up.
+Coordinates are those of `kneexo.geometry.shank_motion`. The frame of the tibia is that of the thigh
+at full extension: across is backwards, along is up.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Tracking."""
+"""A run in time: metrics, verdict, notices, energy, stops and pushes."""

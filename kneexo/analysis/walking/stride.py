@@ -1,7 +1,7 @@
 """Computes force, speed and pressure of an actuator that carries the moment of a whole stride.
 
-Unlike `kneexo.analysis.walking.walking`, the moment includes the reaction of the ground in stance and the
-braking of the leg in late swing.
+Unlike `kneexo.analysis.walking.walking`, the moment includes the reaction of the ground in stance
+and the braking of the leg in late swing.
 """
 
 from __future__ import annotations
@@ -142,7 +142,8 @@ def stride_load(
         their default values.
     file
         CSV file with the columns ``time_s``, ``knee_angle_deg`` and ``knee_moment_nm``, positive in
-        flexion. None stands for the measured stride (`kneexo.parameters.task.gait.gait_knee_moment`).
+        flexion. None stands for the measured stride
+        (`kneexo.parameters.task.gait.gait_knee_moment`).
     share
         Share of the moment that the actuator carries, 0 … 1.
 

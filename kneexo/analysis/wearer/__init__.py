@@ -1,1 +1,1 @@
-"""Wearer."""
+"""The wearer coupled to the device: impedance, passivity, torque bandwidth."""

@@ -146,8 +146,8 @@ class StiffnessInterval(Result):
     def felt_n_m_per_rad(self) -> float:
         """Dynamic stiffness |jωZ| in N·m/rad of zero torque, at the leg's side of the cuff.
 
-        The frequency is `kneexo.parameters.wearer.wearer.STIFFNESS_FREQUENCY_HZ`. A wearer cannot feel a
-        virtual spring that is much softer. Raises `ParameterError` without a wearer.
+        The frequency is `kneexo.parameters.wearer.wearer.STIFFNESS_FREQUENCY_HZ`. A wearer cannot
+        feel a virtual spring that is much softer. Raises `ParameterError` without a wearer.
         """
         free = changed(self.scenario, {"controller.mode": "zero_torque"})
         f = STIFFNESS_FREQUENCY_HZ

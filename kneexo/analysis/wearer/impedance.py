@@ -333,10 +333,11 @@ class MeasuredImpedance(Result):
 
     ``impedance`` in N·m·s/rad is the fundamental of the interaction torque, divided by the
     fundamental of the leg's rate, and averaged over the last cycles of a run. ``uncertainty`` is
-    the absolute error of ``impedance`` (`kneexo.analysis.frequency.sine_estimate.response_uncertainty`).
-    ``settled`` is True if each of these cycles agrees with the next. ``torque_amplitude_n_m`` is
-    the amplitude of the fundamental. ``speed_limited_share`` is the share of the averaged time in
-    which the motor is within 1 % of its speed limit.
+    the absolute error of ``impedance``
+    (`kneexo.analysis.frequency.sine_estimate.response_uncertainty`). ``settled`` is True if each of
+    these cycles agrees with the next. ``torque_amplitude_n_m`` is the amplitude of the fundamental.
+    ``speed_limited_share`` is the share of the averaged time in which the motor is within 1 % of
+    its speed limit.
     """
 
     frequency_hz: float

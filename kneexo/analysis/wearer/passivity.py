@@ -26,8 +26,8 @@ class PassivityLimits(Result):
 
     Passive means that the real part of the impedance Z at the cuff is not negative. The gains K_p,
     K_i and the feedforward γ are those of `TorqueController`. With the motor's displacement, k_p
-    and k_i are flows per pressure, as is the leakage C_t (see `kneexo.analysis.wearer.passivity`). T is
-    the sample time, τ_F the lag of the load cell, and τ_m the lag of motor and bus latency.
+    and k_i are flows per pressure, as is the leakage C_t (see `kneexo.analysis.wearer.passivity`).
+    T is the sample time, τ_F the lag of the load cell, and τ_m the lag of motor and bus latency.
 
     ``integral_rad_s2_per_n`` is the largest K_i for the scenario's K_p and γ. At low frequency Re Z
     ≥ 0 requires (1 − γ)(C_t + k_p) ≥ k_i (τ_m + γ T/2 + (1 − γ) τ_F). The estimator ``difference``

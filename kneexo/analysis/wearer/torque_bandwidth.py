@@ -8,13 +8,14 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from kneexo.analysis.frequency.frequency_response import MINUS_3_DB, crossing
+from kneexo.analysis.frequency.frequency_response import crossing
 from kneexo.analysis.linear.plant_linearization import MID_RANGE_DEG, Complex, frequency_array
 from kneexo.analysis.wearer.impedance import ROD_STATES, posed, wearer_model, with_prescribed_leg
 from kneexo.common.plotting import BLUE, TEAL, axes_or_new, label_bode
 from kneexo.common.result import Array, Result
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario, TorqueParameters
+from kneexo.parameters.criteria import MINUS_3_DB
 
 Held = Literal["rod", "leg", "nothing"]
 """The part that does not move, ``rod``, ``leg`` (the other side of the cuff) or ``nothing``."""

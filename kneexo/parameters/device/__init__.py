@@ -1,1 +1,1 @@
-"""Device."""
+"""The device: plant, linkages, sensors and controllers, bus, protection."""

@@ -204,8 +204,8 @@ class LawParameters(Parameters):
     beside or below that file. Then the law is imported, and its values are checked, when the law is
     used first, by `loaded`.
 
-    The law reads the signals of `kneexo.parameters.device.law.LAW_INPUTS` whose names are arguments of the
-    function, or input ports of the system. A function may have the arguments ``time_s`` and
+    The law reads the signals of `kneexo.parameters.device.law.LAW_INPUTS` whose names are arguments
+    of the function, or input ports of the system. A function may have the arguments ``time_s`` and
     ``state`` too. An argument with a number as default is a gain. ``values`` contains all gains.
     ``--set`` and uncertainty sets reach a gain by the path ``controller.values.NAME``.
 

@@ -69,8 +69,8 @@ class TorqueParameters(Parameters):
     """Torque controller of the knee: PI on the rod force, with feedforward of the rod speed.
 
     The default gains suit a cuff of 1500 N·m/rad and the default observer. With each leg of
-    `kneexo.parameters.wearer.wearer.WEARERS` the gain margin is at least 2. On a locked rod the loop gain
-    is about 90 times larger, and the loop is unstable.
+    `kneexo.parameters.wearer.wearer.WEARERS` the gain margin is at least 2. On a locked rod the
+    loop gain is about 90 times larger, and the loop is unstable.
     """
 
     kind: Literal["torque"] = "torque"

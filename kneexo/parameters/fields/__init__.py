@@ -1,1 +1,1 @@
-"""Fields."""
+"""Machinery of all parameter classes: quantities with units and ranges, names, messages."""

@@ -1,1 +1,1 @@
-"""Task."""
+"""What the knee shall do and what happens to it: reference, push, fault, gait."""

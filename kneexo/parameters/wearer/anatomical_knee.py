@@ -106,7 +106,9 @@ That of gait2392 is 28 mm.
 
 
 def read_anatomical_knee(path: str | os.PathLike[str]) -> AnatomicalKneeParameters:
-    """Read a knee from a file with a row for each flexion; see `kneexo.common.files.table.read_table`.
+    """Read a knee from a file with a row for each flexion.
+
+    The file is read by `kneexo.common.files.table.read_table`.
 
     The columns are ``knee_flexion_deg`` and either ``anterior_mm`` and ``up_mm``, the place of the
     tibia's origin, or ``icr_anterior_mm`` and ``icr_up_mm``, the instantaneous centre of rotation.
@@ -163,7 +165,8 @@ def _place_of_centres(angles: Array, forwards: Array, up: Array) -> tuple[Array,
     """Return the place of the tibia's origin, forwards and up in m, for the centres of rotation.
 
     With x backwards the place t follows from the centre c by dt/dθ = j(t − c), see
-    `kneexo.geometry.shank_motion`. Its solution is t = −j e^{jθ} ∫ c e^{−jθ} dθ, with t = 0 at θ = 0.
+    `kneexo.geometry.shank_motion`. Its solution is t = −j e^{jθ} ∫ c e^{−jθ} dθ, with t = 0 at θ =
+    0.
     """
     from scipy.interpolate import CubicSpline
 

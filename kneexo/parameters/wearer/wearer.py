@@ -59,7 +59,10 @@ LARGEST_MOMENT_N_M = 1e3
 """Largest magnitude in N·m of a moment of the knee that a file may have."""
 
 MOMENT_MASS_KG = 75.0
-"""Assumption: mass in kg of the adult of `kneexo.parameters.task.gait.gait_knee_moment`. The file has no mass."""
+"""Assumption: mass in kg of the adult of `kneexo.parameters.task.gait.gait_knee_moment`.
+
+The file has no mass.
+"""
 
 BODIES = {"light": (50.0, 1.55), "average": (75.0, 1.75), "heavy": (110.0, 1.90)}
 """Assumption: mass in kg and height in m of three wearers."""

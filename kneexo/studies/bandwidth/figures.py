@@ -11,7 +11,6 @@ from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from kneexo.analysis.frequency.frequency_response import MINUS_3_DB
 from kneexo.analysis.frequency.rate_limit import (
     rate_limit_bandwidth_hz,
     rate_limited_follower,
@@ -19,6 +18,7 @@ from kneexo.analysis.frequency.rate_limit import (
 )
 from kneexo.common.plotting import BLUE, RED, SERIES, decimal_ticks, phase_ticks
 from kneexo.common.result import Array
+from kneexo.parameters.criteria import MINUS_3_DB
 from kneexo.studies.bandwidth.study import BandwidthResult, decibel, unwrapped_deg
 from kneexo.studies.plots import (
     OUTLINE,

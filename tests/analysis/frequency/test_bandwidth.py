@@ -17,11 +17,11 @@ from kneexo.analysis.frequency.bandwidth import (
     rod_limits,
     speed_limit_reached_hz,
 )
-from kneexo.analysis.frequency.frequency_response import MINUS_3_DB
 from kneexo.analysis.frequency.rate_limit import rate_limit_bandwidth_hz
 from kneexo.analysis.frequency.sine_estimate import SineEstimate, SineEstimateSettings
 from kneexo.errors import ParameterError
 from kneexo.parameters import RampReference, Scenario, SineReference
+from kneexo.parameters.criteria import MINUS_3_DB
 from kneexo.parameters.paths import changed
 from kneexo.studies.paper import IDEAL_SMC
 

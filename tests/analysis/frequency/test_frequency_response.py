@@ -7,7 +7,6 @@ from hypothesis import given, strategies as st
 from kneexo.analysis import Run, crossing, draw_trials, fundamental, sinestream
 from kneexo.analysis.frequency import frequency_response
 from kneexo.analysis.frequency.frequency_response import (
-    MINUS_3_DB,
     FrequencyResponse,
     SinestreamSettings,
 )
@@ -20,6 +19,7 @@ from kneexo.parameters import (
     SimulationParameters,
     SineReference,
 )
+from kneexo.parameters.criteria import MINUS_3_DB
 from kneexo.parameters.paths import changed
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from kneexo.analysis import fundamental
-from kneexo.analysis.frequency.frequency_response import MINUS_3_DB, crossing
+from kneexo.analysis.frequency.frequency_response import crossing
 from kneexo.analysis.frequency.rate_limit import (
     TRIANGLE_RATIO,
     rate_limit_bandwidth_hz,
@@ -14,6 +14,7 @@ from kneexo.analysis.frequency.rate_limit import (
 from kneexo.errors import ParameterError
 from kneexo.geometry import linkage
 from kneexo.parameters import G1, BldcPumpParameters, CylinderParameters
+from kneexo.parameters.criteria import MINUS_3_DB
 
 
 def simulated_gain(ratio):

@@ -9,7 +9,12 @@ import pytest
 
 from kneexo.view.web_page import web_text
 
-FILES = ("simulator.js", "linear_loop.js", "sine_sweep.js", "worker.js")
+FILES = (
+    "page/web/simulator.js",
+    "page/web/linear_loop.js",
+    "page/web/sine_sweep.js",
+    "page/web/worker.js",
+)
 
 
 def _numbers(value):
