@@ -42,7 +42,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 
-from kneexo.compiler import Simulation
+from diagramc import Simulation
 from kneexo.diagrams import columns, make_closed_loop
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
@@ -494,7 +494,7 @@ def measure_batch_with_avx2(case: Case, quick: bool, cores: set[int]) -> Batch:
     """`measure_batch`, and the same in a process whose machine code is for AVX2."""
     measured, bits = measure_batch(case, QUICK if quick else Effort(), cores)
     command = [sys.executable, __file__, "--batch", case.name, *["--quick"] * quick]
-    environment = os.environ | {"KNEEXO_CPU": "x86-64-v3"}
+    environment = os.environ | {"DIAGRAMC_CPU": "x86-64-v3"}
     run = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=False)
     if run.returncode:  # another processor
         return measured

@@ -27,7 +27,7 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem_
 from pydrake.systems.primitives import Integrator
 from pydrake.systems.scalar_conversion import TemplateSystem
 
-from kneexo.compiler import compile_diagram
+from diagramc import compile_diagram
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 from kneexo.simulation import compile_scenario, scenario_run
@@ -126,7 +126,7 @@ def in_a_process(arguments: list[str], cache: Path) -> tuple[float, str]:
         check=True,
         stdout=subprocess.PIPE,
         text=True,
-        env=os.environ | {"KNEEXO_CACHE_DIR": str(cache)},
+        env=os.environ | {"DIAGRAMC_CACHE_DIR": str(cache)},
     )
     return time.perf_counter() - start, run.stdout
 

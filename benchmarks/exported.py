@@ -15,10 +15,10 @@ import numpy as np
 from hand_written import c_compiler
 from numpy.typing import NDArray
 
-from kneexo.compiler import read_diagram
-from kneexo.compiler.c.interface import Field
-from kneexo.compiler.c.source import CSource, source_of
-from kneexo.compiler.c.vectors import recorded_vectors
+from diagramc import read_diagram
+from diagramc.c.interface import Field
+from diagramc.c.source import CSource, source_of
+from diagramc.c.vectors import recorded_vectors
 from kneexo.export.firmware import loop_inputs
 from kneexo.export.target import ENCODER_COUNT, Target, make_target
 from kneexo.parameters import Scenario

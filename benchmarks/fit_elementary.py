@@ -1,4 +1,4 @@
-"""Constants of `kneexo.compiler.native.elementary`; prints them.
+"""Constants of `diagramc.native.elementary`; prints them.
 
 python benchmarks/fit_elementary.py
 

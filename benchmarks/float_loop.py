@@ -23,8 +23,8 @@ import numpy as np
 from exported import Loop, Replay, exported_source, replayed, without_kahan
 from pydrake.systems.primitives import DiscreteTimeIntegrator
 
-from kneexo.compiler import read_diagram
-from kneexo.compiler.c.source import source_of
+from diagramc import read_diagram
+from diagramc.c.source import source_of
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 from kneexo.parameters.uncertainty import UNCERTAIN_KNEE

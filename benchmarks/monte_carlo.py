@@ -24,7 +24,7 @@ from functools import partial
 
 import numpy as np
 
-from kneexo.compiler.native.cores import available_cores
+from diagramc.native.cores import available_cores
 from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, UncertaintySet
 from kneexo.parameters.uncertainty import draw, options_of
 from kneexo.studies.assessment import assess

@@ -156,7 +156,7 @@ def run(mutant: Mutant, tests: dict[str, list[Path]], folder: Path) -> str:
     mirror = mirror_of(mutant.file)
     own = [mirror] if (tree / mirror).exists() else []
     module = ".".join(mutant.file.with_suffix("").parts).removesuffix(".__init__")
-    environment = os.environ | {"KNEEXO_CACHE_DIR": str(tree / "cache"), "PYTHONPATH": str(tree)}
+    environment = os.environ | {"DIAGRAMC_CACHE_DIR": str(tree / "cache"), "PYTHONPATH": str(tree)}
     outcome = "survives"
     for name, options in STEPS:
         files = [*own, *(t for t in tests.get(module, []) if t not in own)]

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from kneexo.compiler.c.export import files_of
+from diagramc.c.export import files_of
 from kneexo.export.firmware import make_firmware
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed

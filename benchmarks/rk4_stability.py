@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from kneexo.compiler.native.runner import Runner, Snapshots
+from diagramc.native.runner import Runner, Snapshots
 from kneexo.diagrams import available_signals
 from kneexo.errors import SimulationError, UnstableStepError
 from kneexo.parameters import Scenario

@@ -41,7 +41,7 @@ import numpy as np
 from pydrake.symbolic import Expression, Variable
 from pydrake.systems.primitives import SymbolicVectorSystem
 
-from kneexo.compiler import InputTable, compile_diagram
+from diagramc import InputTable, compile_diagram
 from kneexo.diagrams import make_closed_loop
 from kneexo.diagrams.law import runs_as_python
 from kneexo.diagrams.signals import SIGNALS, columns
@@ -276,7 +276,7 @@ def check_alone(seed: int, plants: Path) -> Findings:
         try:
             scenario = scenario_of(law, folder)
             found.python = runs_as_python(scenario)
-            os.environ["KNEEXO_CACHE_DIR"] = str(plants if found.python else Path(name, "cache"))
+            os.environ["DIAGRAMC_CACHE_DIR"] = str(plants if found.python else Path(name, "cache"))
             run = run_of(scenario)
             found.digest = digest(run)
             plain = replayed(law, plain_folder, run)
@@ -289,7 +289,7 @@ def check_alone(seed: int, plants: Path) -> Findings:
 
 def session(seeds: Sequence[int], folder: Path) -> dict[int, str]:
     """Run laws one after another; return the digest of each run, or the text of its error."""
-    os.environ["KNEEXO_CACHE_DIR"] = str(folder / "cache")
+    os.environ["DIAGRAMC_CACHE_DIR"] = str(folder / "cache")
     results = {}
     for seed in seeds:
         try:
@@ -305,7 +305,7 @@ def warm_up() -> None:
         make_closed_loop(Scenario.preset(preset)).ToSymbolic()
     x = Variable("x")
     with tempfile.TemporaryDirectory() as name:
-        os.environ["KNEEXO_CACHE_DIR"] = name
+        os.environ["DIAGRAMC_CACHE_DIR"] = name
         model = compile_diagram(SymbolicVectorSystem(state=[x], dynamics=[-x], output=[x]))
         model.simulate(model.parameters(), model.state(), 0.1, record_period_s=0.1)
 

@@ -95,7 +95,7 @@ _startup.write_text(
     """\
 import warnings
 warnings.filterwarnings("error", module="__main__|kneexo|matplotlib|numpy|pydrake|scipy")
-from kneexo.compiler.native import machine_code
+from diagramc.native import machine_code
 machine_code.ANNOUNCED_AFTER_S = 1e6
 del machine_code, warnings
 """,
@@ -112,7 +112,7 @@ EXTERNAL = {
     *("RotaryEncoders", "PassThrough", "DiscreteTimeDelay", "VectorLogSink", "TrajectorySource"),
     *("Linearize", "ValueError", "TypeError", "SystemExit", "pydrake.math"),
     *("Expression", "FramePoseVector", "MeshcatVisualizer"),
-    *("kneexo.compiler.equations.symbolic.T", "kneexo.simulation.lockstep.Result"),
+    *("diagramc.equations.symbolic.T", "kneexo.simulation.lockstep.Result"),
     *("kneexo.simulation.lockstep.Function", "functools.partial", "numpy.linalg.lstsq"),
     *("jinja2.UndefinedError", "Multiplexer", "RandomSource", "Stage.unpack"),
     *("control.StateSpace", "pandas.DataFrame", "concurrent.futures.Executor"),

@@ -15,7 +15,7 @@ The short names for users, as in ``import kneexo as kx``:
 
 All but `design_linkage` accept a scenario or the path of a scenario file.
 
-The floors, from the ground up; each knows only those before it. ``kneexo.compiler`` turns Drake
+The floors, from the ground up; each knows only those before it. ``diagramc`` turns Drake
 diagrams into machine code, C and FMU, and knows no knee.
 
 - `kneexo.common`: results, plots, progress, files, code of the user

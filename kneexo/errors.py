@@ -1,6 +1,6 @@
 """The errors that kneexo raises for wrong input or a failed run. Each message is one line.
 
-The module ``kneexo.compiler.errors`` defines the errors of the compiler, which are imported here.
+The module ``diagramc.errors`` defines the errors of the compiler, which are imported here.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from difflib import get_close_matches
 from typing import Any
 
-from kneexo.compiler import (
+from diagramc import (
     CompilationError as CompilationError,
     DifferenceError as DifferenceError,
     Error,

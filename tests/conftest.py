@@ -34,7 +34,7 @@ import pydrake.common.cpp_template
 import pytest
 from waiting import LOOK_S, wait_for
 
-from kneexo.compiler.native.cache import cache_directory
+from diagramc.native.cache import cache_directory
 
 # The tests start dozens of Pythons: none translates every module anew.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -62,7 +62,7 @@ def pytest_configure(config):
     """
     fast = config.option.markexpr.endswith("not slow")
     new = bool(os.environ.get("KNEEXO_NEW_EXAMPLES"))
-    os.environ.setdefault("KNEEXO_LLVM_LEVEL", "0" if fast else "3")
+    os.environ.setdefault("DIAGRAMC_LLVM_LEVEL", "0" if fast else "3")
     hypothesis.settings.register_profile(
         "kneexo",
         max_examples=(25 if fast else 100) * (10 if new else 1),

@@ -24,7 +24,7 @@ hypothesis.settings.load_profile("loaded machine")
 
 def copied_text(text):
     """The text of a test with the name of the copy in place of that of the package."""
-    text = text.replace("kneexo.compiler", NAME)
+    text = text.replace("diagramc", NAME)
     return text.replace("kneexo", NAME).replace("KNEEXO", NAME.upper())
 
 

@@ -147,7 +147,7 @@ def public():
 
 def test_the_reference_lists_what_users_import(public):
     assert "kneexo.analysis.tracking.tracking.track" in public["kneexo.analysis"]
-    assert "kneexo.compiler.model.compile_diagram" in public["kneexo.compiler"]
+    assert "diagramc.model.compile_diagram" in public["diagramc"]
     assert "kneexo.systems.bldc_pump.BldcPump" in public["kneexo.systems"]
     listed = {name for names in public.values() for name in names}
     assert not [name for name in listed if re.search(r"\.(printer|passes)\.", name)]

@@ -15,7 +15,7 @@ from kneexo.common.progress import line_width
 from kneexo.errors import shown
 
 if TYPE_CHECKING:  # the compiler loads NumPy
-    from kneexo.compiler import Measurement, SilMeasurement
+    from diagramc import Measurement, SilMeasurement
 
 NO_BINARY = "none; a binary needs 64-bit Linux and a C compiler (cc, gcc, clang)"
 """Text in place of the names of platforms, for an FMU that has C sources alone."""

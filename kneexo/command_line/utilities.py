@@ -58,8 +58,8 @@ def add_utilities(subparsers: Any) -> Any:
         "cache",
         cache,
         "show or delete the compiled models that are kept on disk",
-        "They stand in KNEEXO_CACHE_DIR, else in kneexo below XDG_CACHE_HOME, else in "
-        "~/.cache/kneexo. KNEEXO_CACHE_SIZE_MB limits their total size in MiB; left out: 512.",
+        "They stand in DIAGRAMC_CACHE_DIR, else in kneexo below XDG_CACHE_HOME, else in "
+        "~/.cache/kneexo. DIAGRAMC_CACHE_SIZE_MB limits their total size in MiB; left out: 512.",
         uses_drake=False,
     )
     parser.add_argument("--clear", action="store_true", help="delete all of them")
@@ -123,7 +123,7 @@ def cache(clear: bool) -> Outcome:
     """Return size, limit and last use of the compiled models on disk. Delete all if ``clear``."""
     import time
 
-    from kneexo.compiler import cache_directory, cache_entries, cache_size_limit, clear_cache
+    from diagramc import cache_directory, cache_entries, cache_size_limit, clear_cache
 
     directory = cache_directory()
     origin = {"kneexo": __version__, "directory": str(directory)}

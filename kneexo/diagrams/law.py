@@ -10,8 +10,8 @@ from typing import Any, NamedTuple, TypeVar, cast
 
 from pydrake.systems.framework import System
 
+from diagramc import read_diagram, sampled_leaves
 from kneexo import systems
-from kneexo.compiler import read_diagram, sampled_leaves
 from kneexo.errors import CompilationError, DifferenceError, KneexoError, ParameterError
 from kneexo.geometry.rod_polynomial import controller_polynomial
 from kneexo.parameters import LAW_INPUTS, Law, LawParameters, Scenario

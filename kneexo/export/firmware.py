@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from kneexo.common.result import Array
-from kneexo.compiler import (
+from diagramc import (
     CSource,
     Measurement,
     Sil,
@@ -24,6 +23,7 @@ from kneexo.compiler import (
     write_c,
     write_sil,
 )
+from kneexo.common.result import Array
 from kneexo.diagrams.wearer import moment_of
 from kneexo.errors import ParameterError
 from kneexo.export.target import (

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from kneexo.compiler import (
+from diagramc import (
     FMI_VERSIONS,
     CSource,
     Fmu,
@@ -76,7 +76,7 @@ def export_fmu(
     fmi, integrator, tolerance, step_s
         Version of the standard, and the method for continuous states, as in `make_fmu`.
     platforms
-        Platforms of the binaries, as in `kneexo.compiler.export_fmu`. None: a binary for this
+        Platforms of the binaries, as in `diagramc.export_fmu`. None: a binary for this
         machine if it has a C compiler.
 
     Raises

@@ -9,7 +9,7 @@ import numpy as np
 from pydrake.systems.framework import DiagramBuilder, System
 from pydrake.systems.primitives import Gain
 
-from kneexo.compiler import DiagramEquations, Interface, read_diagram, rk4_step_s
+from diagramc import DiagramEquations, Interface, read_diagram, rk4_step_s
 from kneexo.diagrams.closed_loop import add_encoder, available_signals, make_closed_loop, plant_of
 from kneexo.diagrams.controller import make_controller
 from kneexo.diagrams.protection import reading_range_rad, reference_range_rad

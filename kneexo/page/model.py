@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from diagramc import CSource, InputTable, input_table
 from kneexo.common.result import Array
-from kneexo.compiler import CSource, InputTable, input_table
 from kneexo.diagrams.closed_loop import plant_start
 from kneexo.diagrams.wearer import moment_of, moment_spline
 from kneexo.errors import KneexoError
@@ -78,7 +78,7 @@ def with_structure(scenario: Scenario, controller: str, load: str) -> Scenario:
 def web_modules(models: Iterable[Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     """Return a dictionary from key to module, for all modules that results of `web_model` name.
 
-    A module has its ``code`` as base64 and its ``table``; see `kneexo.compiler.WasmModule`.
+    A module has its ``code`` as base64 and its ``table``; see `diagramc.WasmModule`.
     """
     keys = set()
     for model in models:

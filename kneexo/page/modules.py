@@ -20,8 +20,7 @@ from typing import Any, get_args
 
 import numpy as np
 
-from kneexo.common import PACKAGE
-from kneexo.compiler import (
+from diagramc import (
     CSource,
     Interface,
     read_diagram,
@@ -30,6 +29,7 @@ from kneexo.compiler import (
     wasm_module,
     wasm_table,
 )
+from kneexo.common import PACKAGE
 from kneexo.diagrams.closed_loop import available_signals, make_closed_loop
 from kneexo.diagrams.plant import moving_masses_kg
 from kneexo.diagrams.signals import SIGNALS

@@ -1,6 +1,6 @@
 """Simulates closed loops by compiled equations or by Drake's Simulator.
 
-`compiled` runs a scenario with `kneexo.compiler`, `drake` runs a diagram with Drake's Simulator.
+`compiled` runs a scenario with `diagramc`, `drake` runs a diagram with Drake's Simulator.
 `engines` chooses between these two engines. `run` holds the result of a run. `lockstep` lets many
 calls of a function share batches of runs.
 """

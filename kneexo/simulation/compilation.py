@@ -8,7 +8,7 @@ from typing import overload
 
 from pydrake.systems.framework import System
 
-from kneexo.compiler import CompiledModel, DiagramModel, compile_diagram
+from diagramc import CompiledModel, DiagramModel, compile_diagram
 from kneexo.errors import CompilationError
 from kneexo.parameters import Scenario
 from kneexo.parameters.scenario_file import as_scenario
@@ -28,7 +28,7 @@ def compile(
 ) -> CompiledModel:
     """Compile a Drake diagram, or the closed loop of a scenario or scenario file.
 
-    See `kneexo.simulation.compile_scenario` and `kneexo.compiler.compile_diagram`.
+    See `kneexo.simulation.compile_scenario` and `diagramc.compile_diagram`.
 
     Parameters
     ----------

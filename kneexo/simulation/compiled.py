@@ -19,8 +19,7 @@ from typing import Any, NamedTuple, get_origin
 
 import numpy as np
 
-from kneexo.common.result import Array
-from kneexo.compiler import (
+from diagramc import (
     ROUGH_STEP_S,
     STEP_S,
     CompiledModel,
@@ -34,6 +33,7 @@ from kneexo.compiler import (
     simulate_with_feedback,
     stack_tables,
 )
+from kneexo.common.result import Array
 from kneexo.diagrams.closed_loop import (
     chosen_signals,
     loop_values,

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from diagramc import ROUGH_STEP_S, Reduction
 from kneexo.common.result import Array
-from kneexo.compiler import ROUGH_STEP_S, Reduction
 from kneexo.diagrams import SIGNALS, available_signals, columns, make_closed_loop
 from kneexo.diagrams.closed_loop import chosen_signals
 from kneexo.diagrams.law import makers_called_once

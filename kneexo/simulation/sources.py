@@ -46,7 +46,7 @@ def sources(folder: Path) -> list[Path]:
         module = modules.pop()
         path = folder.joinpath(*module.split("."))
         path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
-        if module in (*found, "kneexo") or module.startswith("kneexo.compiler"):
+        if module in (*found, "kneexo") or module.startswith("diagramc"):
             continue
         if not path.is_file():  # a name inside a module
             continue

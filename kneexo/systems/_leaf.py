@@ -16,8 +16,8 @@ from pydrake.symbolic import Expression, if_then_else, logical_and
 from pydrake.systems.framework import BasicVector_, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
+from diagramc import trust
 from kneexo.common import PACKAGE
-from kneexo.compiler import trust
 from kneexo.errors import SimulationError
 from kneexo.parameters.fields.quantity import Parameters, require_object
 

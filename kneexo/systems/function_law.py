@@ -19,9 +19,9 @@ import numpy as np
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.symbolic import Expression, Variable
 
+from diagramc import ExpressionGraph, called_twice, differ, truth_of_scalars
 from kneexo.common.result import Array
 from kneexo.common.user_code import place_in_user_code, text_of, user_code
-from kneexo.compiler import ExpressionGraph, called_twice, differ, truth_of_scalars
 from kneexo.errors import CompilationError, ParameterError, SimulationError, shortened
 from kneexo.parameters import LAW_INPUTS, CylinderParameters, KneeParameters, Law, LawParameters
 from kneexo.systems._leaf import NamedLeaf, clip, discrete_state, fill, leaf_template

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 
 import kneexo
+from diagramc.native import cache
 from kneexo.command_line.main import main
-from kneexo.compiler.native import cache
 from kneexo.parameters import Scenario
 from kneexo.parameters.scenario_file import load_scenario
 
@@ -94,8 +94,8 @@ def test_diagram_writes_the_loop_as_svg_and_png(capsys, scenario_file, tmp_path)
 
 
 def test_cache_shows_and_clears_what_is_kept(capsys, tmp_path, monkeypatch):
-    monkeypatch.setenv("KNEEXO_CACHE_DIR", str(tmp_path / "cache"))
-    monkeypatch.setenv("KNEEXO_CACHE_SIZE_MB", "7")
+    monkeypatch.setenv("DIAGRAMC_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setenv("DIAGRAMC_CACHE_SIZE_MB", "7")
     assert main(["setup", "cache"]) == 0
     assert "entries    0\n" in capsys.readouterr().out
     assert not (tmp_path / "cache").exists()

@@ -85,7 +85,7 @@ def test_a_controller_alone_repeats_the_commands_of_the_loop(case):
     )
     # A sample sees the state before its update: the reading at kT makes the command after it.
     middles = run.time_s[1:] - 0.001
-    table = kneexo.compiler.InputTable(middles, rows[:, :, None])
+    table = diagramc.InputTable(middles, rows[:, :, None])
     state = model.initialized(model.parameters(), model.state(), table)
     alone = model.simulate(model.parameters(), state, 0.4, inputs=table)
     # Other sums in other machine code: rounding is all that may differ.

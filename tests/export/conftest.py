@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from kneexo.compiler.c import build as c_build
+from diagramc.c import build as c_build
 
 ROOT = Path(__file__).parents[2]
 
@@ -21,9 +21,9 @@ def module_of(name, path):
     return sys.modules[name]
 
 
-fmus = module_of("fmus_elsewhere", ROOT / "tests/compiler/fmu/conftest.py")
+fmus = module_of("fmus_elsewhere", ROOT / "tests/diagramc/fmu/conftest.py")
 fmu_instance, run_elsewhere = fmus.fmu_instance, fmus.run_elsewhere
-wasm = module_of("wasm_runs", ROOT / "tests/compiler/c/conftest.py")
+wasm = module_of("wasm_runs", ROOT / "tests/diagramc/c/conftest.py")
 web_run = wasm.web_run
 
 

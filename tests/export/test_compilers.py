@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from pydrake.systems.primitives import Gain, Integrator, LinearSystem, ZeroOrderHold
 
-from kneexo.compiler import read_diagram
-from kneexo.compiler.c.export import files_of
-from kneexo.compiler.c.source import source_of
+from diagramc import read_diagram
+from diagramc.c.export import files_of
+from diagramc.c.source import source_of
 from kneexo.export.firmware import make_firmware
 from kneexo.export.target import count_range, reference_range_rad
 from kneexo.parameters import Scenario

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from diagramc.c import build as c_build, export as c_export
 from kneexo.analysis import simulate
 from kneexo.command_line.main import main
-from kneexo.compiler.c import build as c_build, export as c_export
 from kneexo.errors import ParameterError
 from kneexo.export import firmware
 from kneexo.export.firmware import loop_inputs, make_firmware, make_sil

@@ -18,11 +18,11 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
 
+from diagramc import write_fmu
+from diagramc.c import build as c_build
+from diagramc.fmu.units import unit_of_name
 from kneexo.command_line.main import main
 from kneexo.command_line.parameter_list import parameter_rows
-from kneexo.compiler import write_fmu
-from kneexo.compiler.c import build as c_build
-from kneexo.compiler.fmu.units import unit_of_name
 from kneexo.diagrams import SIGNALS, available_signals, columns, make_closed_loop, make_controller
 from kneexo.errors import OutputError, ParameterError
 from kneexo.export import fmu as exports

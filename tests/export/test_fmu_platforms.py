@@ -5,8 +5,8 @@ import shutil
 import numpy as np
 import pytest
 
+from diagramc.c import build, cross
 from kneexo.command_line.main import main
-from kneexo.compiler.c import build, cross
 from kneexo.diagrams import SIGNALS
 from kneexo.export.fmu import export_fmu
 from kneexo.export.target import largest_step_s

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kneexo.compiler import wasm_module
+from diagramc import wasm_module
 from kneexo.diagrams import SIGNALS
 from kneexo.export import fmu as exports
 from kneexo.export.firmware import make_firmware

@@ -17,9 +17,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kneexo.compiler.c.vectors import recorded_vectors
-from kneexo.compiler.equations.contexts import parameters_of, state_of
-from kneexo.compiler.equations.tree import Node
+from diagramc.c.vectors import recorded_vectors
+from diagramc.equations.contexts import parameters_of, state_of
+from diagramc.equations.tree import Node
 from kneexo.export.firmware import loop_inputs
 from kneexo.export.target import largest_step_s, make_target
 from kneexo.parameters import Scenario

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import kneexo
-from kneexo.compiler.c import cross
+from diagramc.c import cross
 from kneexo.errors import CompilationError, ParameterError
 from kneexo.page import modules as web_code
 from kneexo.page.modules import (
@@ -81,7 +81,7 @@ def test_every_shipped_module_has_the_key_of_its_source():
 def test_the_shipped_modules_are_those_that_zig_makes(tmp_path, monkeypatch):
     if find_spec("ziglang") is None or version("ziglang") != listed()["zig"]:
         pytest.skip(f"needs Zig: pip install ziglang=={listed()['zig']}")
-    monkeypatch.setenv("KNEEXO_CACHE_DIR", str(tmp_path / "cache"))
+    monkeypatch.setenv("DIAGRAMC_CACHE_DIR", str(tmp_path / "cache"))
     made = tmp_path / "made"
     write_shipped(made)
     for file in FOLDER.iterdir():

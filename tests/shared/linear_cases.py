@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
+from diagramc import LinearModel, OperatingPoint, TickModel
+from diagramc.linear.model import over_period
 from kneexo.analysis.linear.sampled_loop import SampledLoop
-from kneexo.compiler import LinearModel, OperatingPoint, TickModel
-from kneexo.compiler.linear.model import over_period
 from kneexo.parameters import (
     BldcPumpParameters,
     CylinderParameters,

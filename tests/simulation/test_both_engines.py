@@ -12,12 +12,12 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
+from diagramc.model import CompiledModel
 from kneexo.analysis import track
 from kneexo.analysis.frequency.frequency_response import SinestreamSettings
 from kneexo.analysis.frequency.sine_estimate import SineEstimateSettings
 from kneexo.command_line.main import main
 from kneexo.command_line.output import to_json
-from kneexo.compiler.model import CompiledModel
 from kneexo.errors import KneexoError
 from kneexo.parameters import PidParameters, Scenario, SineReference, Uncertainty, UncertaintySet
 from kneexo.parameters.paths import changed

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
 
-from kneexo.compiler.diagram_equations import equations_key
-from kneexo.compiler.equations.contexts import parameters_of, state_of
-from kneexo.compiler.equations.reader import read_equations
-from kneexo.compiler.equations.tree import Node
+from diagramc.diagram_equations import equations_key
+from diagramc.equations.contexts import parameters_of, state_of
+from diagramc.equations.reader import read_equations
+from diagramc.equations.tree import Node
 from kneexo.diagrams import SIGNALS, make_closed_loop
 from kneexo.errors import LinkageError, ParameterError, SimulationError
 from kneexo.geometry.rod_polynomial import completed

@@ -3,8 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from diagramc import Reduction
 from kneexo.analysis import simulate
-from kneexo.compiler import Reduction
 from kneexo.errors import (
     KneexoError,
     LinkageError,

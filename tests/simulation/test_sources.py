@@ -34,7 +34,7 @@ def closure(folder):
     found, todo = set(), ["kneexo.simulation.compiled"]
     while todo:
         module = todo.pop()
-        known = module in found or module == "kneexo" or module.startswith("kneexo.compiler")
+        known = module in found or module == "kneexo" or module.startswith("diagramc")
         if known or not module.startswith("kneexo.") or not path_of(module, folder).is_file():
             continue
         found.add(module)

@@ -6,7 +6,7 @@ from pydrake.autodiffutils import AutoDiffXd
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
-from kneexo.compiler import InputTable, compile_diagram
+from diagramc import InputTable, compile_diagram
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import BypassParameters, CylinderParameters, FullCylinderParameters
 from kneexo.systems import FullCylinder, ReducedCylinder

@@ -5,7 +5,7 @@ import pytest
 from pydrake.systems.analysis import Simulator
 from scipy import stats
 
-from kneexo.compiler import compile_diagram
+from diagramc import compile_diagram
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import LoadCellParameters
 from kneexo.systems import LoadCell

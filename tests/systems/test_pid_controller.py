@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
 
-from kneexo.compiler import read_diagram
-from kneexo.compiler.c.plan import compensated_sums
-from kneexo.compiler.c.printer import FLOAT
+from diagramc import read_diagram
+from diagramc.c.plan import compensated_sums
+from diagramc.c.printer import FLOAT
 from kneexo.parameters import (
     BldcPumpParameters,
     CylinderParameters,

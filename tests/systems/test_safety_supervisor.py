@@ -8,9 +8,9 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from kneexo.compiler import Interface, read_diagram
-from kneexo.compiler.c.source import source_of
-from kneexo.compiler.c.vectors import recorded_vectors
+from diagramc import Interface, read_diagram
+from diagramc.c.source import source_of
+from diagramc.c.vectors import recorded_vectors
 from kneexo.parameters import ProtectionParameters
 from kneexo.parameters.device.safety_states import (
     DETECTORS,

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from pydrake.systems.analysis import Simulator
 
+from diagramc import DiagramEquations, read_diagram
 from kneexo import compiler
 from kneexo.analysis.linear.law_tangent import LawTangent
 from kneexo.analysis.linear.plant_linearization import MID_RANGE_DEG
 from kneexo.analysis.linear.shared_equations import context_with, recent_equations, set_parameters
 from kneexo.common.result import Array
-from kneexo.compiler import DiagramEquations, read_diagram
 from kneexo.diagrams import make_closed_loop
 from kneexo.diagrams.closed_loop import loop_values, plant_start
 from kneexo.diagrams.controller import has_unknown_parts

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from diagramc import LoopMargins, Transfer, margins
 from kneexo.common.result import Result
-from kneexo.compiler import LoopMargins, Transfer, margins
 from kneexo.parameters.criteria import SOUND_DISK_MARGIN
 
 
@@ -14,13 +14,13 @@ from kneexo.parameters.criteria import SOUND_DISK_MARGIN
 class Margins(Result, LoopMargins):
     """Stability margins of a sampled loop, broken at the motor speed command.
 
-    `kneexo.compiler.LoopMargins` describes the numbers. Only frequencies up to the Nyquist
+    `diagramc.LoopMargins` describes the numbers. Only frequencies up to the Nyquist
     frequency count.
     """
 
 
 def stability_margins(loop: Transfer) -> Margins:
-    """Return gain, phase, delay and disk margins of a loop as `kneexo.compiler.margins` does."""
+    """Return gain, phase, delay and disk margins of a loop as `diagramc.margins` does."""
     return Margins(**vars(margins(loop)))
 
 

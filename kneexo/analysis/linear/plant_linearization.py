@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.systems.framework import Diagram
 
+from diagramc import DiagramEquations, Transfer, find_equilibrium, linearize, read_diagram
 from kneexo.analysis.linear.shared_equations import context_with, recent_equations
 from kneexo.analysis.signals import to_rpm
 from kneexo.common.result import Array, Result
-from kneexo.compiler import DiagramEquations, Transfer, find_equilibrium, linearize, read_diagram
 from kneexo.diagrams import SIGNALS, make_plant
 from kneexo.diagrams.plant import plant_parts
 from kneexo.errors import LinearizationError, NoEquilibriumError

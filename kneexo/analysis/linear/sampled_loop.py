@@ -1,6 +1,6 @@
 """Exact linearization of the sampled-data loop, a continuous plant with a sampled controller.
 
-`kneexo.compiler.linearize` gives the linear model. The quantizers of encoder and bus, whose
+`diagramc.linearize` gives the linear model. The quantizers of encoder and bus, whose
 derivatives are zero, are left out. The linear loop is valid inside the boundary layer and the speed
 limit.
 """
@@ -17,13 +17,13 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike
 
+from diagramc import LinearModel, Transfer, linearize
 from kneexo.analysis.linear.eigenvalue_plot import plot_eigenvalues
 from kneexo.analysis.linear.loop_equilibrium import find_equilibrium
 from kneexo.analysis.linear.margins import Margins, stability_margins
 from kneexo.analysis.linear.plant_linearization import MID_RANGE_DEG, Complex, frequency_array
 from kneexo.common.plotting import BLUE, GOLD, RED, TEAL, axes_or_new, label_bode
 from kneexo.common.result import Array, Result
-from kneexo.compiler import LinearModel, Transfer, linearize
 from kneexo.diagrams.law import makers_called_once
 from kneexo.errors import LinearizationError
 from kneexo.parameters import Scenario

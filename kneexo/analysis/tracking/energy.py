@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from pydrake.systems.framework import DiagramBuilder
 
+from diagramc import Simulation, compile_diagram
 from kneexo.common.result import Array, Result, data_frame
-from kneexo.compiler import Simulation, compile_diagram
 from kneexo.diagrams.law import runs_as_python
 from kneexo.errors import ParameterError
 from kneexo.parameters import FullCylinderParameters, Scenario

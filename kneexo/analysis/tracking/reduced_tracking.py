@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from diagramc import Reduction
 from kneexo.analysis.signals import settled_s
 from kneexo.analysis.tracking.interaction import INTERACTION_METRICS
 from kneexo.analysis.tracking.reductions import (
@@ -15,7 +16,6 @@ from kneexo.analysis.tracking.reductions import (
     tracking_reductions,
 )
 from kneexo.analysis.tracking.tracking import TrackingMetrics
-from kneexo.compiler import Reduction
 from kneexo.parameters import Scenario
 from kneexo.simulation import can_reduce, needs_runs, reduce_run, simulate
 

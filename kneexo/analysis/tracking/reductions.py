@@ -12,9 +12,9 @@ from functools import lru_cache, partial
 
 import numpy as np
 
+from diagramc import Reduction
 from kneexo.analysis.signals import rms, saturation, to_rpm
 from kneexo.common.result import Array
-from kneexo.compiler import Reduction
 from kneexo.diagrams import SIGNALS
 from kneexo.errors import ParameterError
 

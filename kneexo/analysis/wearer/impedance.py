@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from diagramc import LinearModel, linearize
 from kneexo.analysis.frequency.frequency_response import require_sampled
 from kneexo.analysis.frequency.sine_estimate import (
     SineEstimateSettings,
@@ -27,7 +28,6 @@ from kneexo.analysis.linear.loop_equilibrium import find_equilibrium
 from kneexo.analysis.linear.plant_linearization import MID_RANGE_DEG, Complex, frequency_array
 from kneexo.common.plotting import BLUE, GOLD, RED, TEAL, axes_or_new, label_bode
 from kneexo.common.result import Array, Result, data_frame
-from kneexo.compiler import LinearModel, linearize
 from kneexo.errors import LinearizationError, ParameterError
 from kneexo.parameters import (
     KneeLoadParameters,
@@ -293,7 +293,7 @@ def wearer_model(
     """Return the linear loop of a scenario with a wearer, and the angle in rad of its knee.
 
     The quantizers are bypassed, and the leg rests at ``knee_angle_deg``. ``inputs`` and ``outputs``
-    are ports as in `kneexo.compiler.linearize`. Raises `LinearizationError` if the loop does not
+    are ports as in `diagramc.linearize`. Raises `LinearizationError` if the loop does not
     rest there.
     """
     equilibrium = find_equilibrium(scenario, knee_angle_deg=knee_angle_deg)

@@ -1,5 +1,5 @@
 // Linearizes a sampled loop and computes its margins, as kneexo.analysis.linear.sampled_loop and
-// kneexo.compiler.margins do. The linear model comes from differences of single ticks of the module
+// diagramc.margins do. The linear model comes from differences of single ticks of the module
 // without quantizers.
 "use strict";
 

@@ -21,10 +21,10 @@ from linear_cases import (
 )
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 
+from diagramc import linearize
 from kneexo.analysis.linear import loop_equilibrium
 from kneexo.analysis.linear.loop_equilibrium import find_equilibrium
 from kneexo.analysis.linear.sampled_loop import linearize_loop
-from kneexo.compiler import linearize
 from kneexo.errors import LinearizationError
 from kneexo.parameters import (
     BldcPumpParameters,

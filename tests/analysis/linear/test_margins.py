@@ -16,10 +16,10 @@ from linear_cases import (
     sampled_loop,
 )
 
+from diagramc import loop_at
 from kneexo.analysis.linear.loop_equilibrium import find_equilibrium
 from kneexo.analysis.linear.margins import soundness, stability_margins
 from kneexo.analysis.linear.sampled_loop import linearize_loop
-from kneexo.compiler import loop_at
 from kneexo.diagrams import make_closed_loop
 from kneexo.errors import LinearizationError
 from kneexo.parameters import (

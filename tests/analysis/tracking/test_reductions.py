@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from diagramc import Reduction
 from kneexo.analysis.tracking.reductions import (
     TRACKING_METRICS,
     all_metrics,
@@ -15,7 +16,6 @@ from kneexo.analysis.tracking.reductions import (
     tracking_reductions,
 )
 from kneexo.analysis.tracking.tracking import TrackingMetrics
-from kneexo.compiler import Reduction
 from kneexo.errors import ParameterError
 
 TIME_S = np.array([0.0, 0.5, 1.0, 1.5])

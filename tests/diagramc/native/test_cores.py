@@ -1,0 +1,37 @@
+import os
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+from pydrake.systems.primitives import Integrator
+
+from diagramc import compile_diagram
+from diagramc.native.cores import available_cores
+
+
+def test_cores_are_those_of_this_process():
+    assert available_cores() == len(os.sched_getaffinity(0))
+
+
+def test_cores_are_not_those_of_another_process():
+    def on_one_core():
+        os.sched_setaffinity(0, [min(os.sched_getaffinity(0))])  # this thread alone
+        return available_cores()
+
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(on_one_core).result() == 1
+
+
+@pytest.mark.parametrize(("count", "cores"), [(5, 5), (None, 1)])
+def test_cores_without_affinity_are_those_of_the_machine(monkeypatch, count, cores):
+    """As on macOS."""
+    monkeypatch.delattr(os, "sched_getaffinity")
+    monkeypatch.setattr(os, "cpu_count", lambda: count)
+    assert available_cores() == cores
+
+
+def test_threads_need_no_affinity(monkeypatch):
+    monkeypatch.delattr(os, "sched_getaffinity")
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)
+    model = compile_diagram(Integrator(1), inputs=["u0"])
+    runs = model.simulate_batch([model.parameters()] * 9, model.state(), 0.1, record_period_s=0.1)
+    assert [run["y0"][-1, 0] for run in runs] == [0.0] * 9
