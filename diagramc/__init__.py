@@ -11,12 +11,14 @@ The equations are written once, in the leaf systems. They pass through these fol
 The names below are the whole interface. A name is imported when it is first used. So the command
 line can use some names without loading NumPy or Drake.
 
-The compiler reads three public attributes that a leaf system can have: ``margin``, ``check`` and
+diagramc reads three public attributes that a leaf system can have: ``margin``, ``check`` and
 ``parameter_names``; see `diagramc.equations.reader`.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
+
+from .version import __version__ as __version__
 
 if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and for editors
     from .c.cross import PLATFORMS as PLATFORMS, require_platforms as require_platforms

@@ -1,28 +1,26 @@
-"""The name of the package that contains the compiler, as a part of file and variable names.
-
-If the compiler is copied into a package with another name, the copy has its own cache, environment
-variables and mark in written files.
-"""
+"""Names of diagramc in files and in the environment."""
 
 from __future__ import annotations
 
-from importlib.metadata import PackageNotFoundError, version
+import os
+import warnings
 
-ROOT = __name__.partition(".")[0]
-"""Name of the top-level package that contains the compiler, such as ``kneexo``."""
+from .version import __version__
+
+ROOT = "diagramc"
+"""First letters of the names of caches and of temporary folders."""
+
+TOOL = f"{ROOT} {__version__}"
+"""The program that makes C and FMUs, with its version."""
 
 
 def variable(name: str) -> str:
-    """Return the name of an environment variable with its prefix: ``DIAGRAMC_CPU`` for ``CPU``."""
-    return f"{ROOT.upper()}_{name}"
+    """Return the name of the environment variable for a setting: ``DIAGRAMC_CPU`` for ``CPU``.
 
-
-def tool() -> str:
-    """Return `ROOT` and the version of the installed package, such as ``kneexo 0.2.0``.
-
-    A package that is not installed, such as a copied folder, has no version.
+    If only the name of before is set, such as ``KNEEXO_CPU``, the call warns and returns this name.
     """
-    try:
-        return f"{ROOT} {version(ROOT)}"
-    except PackageNotFoundError:
-        return ROOT
+    new, old = f"{ROOT.upper()}_{name}", f"KNEEXO_{name}"
+    if new in os.environ or old not in os.environ:
+        return new
+    warnings.warn(f"{old}: is accepted in this release only; set {new} instead", stacklevel=2)
+    return old

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from kneexo import compiler
+import diagramc
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGE = (DOCS / "diagram_examples.md").read_text(encoding="utf-8")
@@ -77,6 +77,6 @@ def test_each_name_of_the_chapter_is_a_name_of_the_compiler():
     )
     names = [name for row in rows for name in re.findall(r"`(\w+)`", row)]
     assert len(names) > 8
-    assert [n for n in names if n not in {*compiler.__all__, "simulate_batch"}] == []
+    assert [n for n in names if n not in {*diagramc.__all__, "simulate_batch"}] == []
     sections = re.findall(r"diagram_examples\.md#(\d)", FIRST_PAGE)
     assert [*dict.fromkeys(sections)] == [*SECTIONS]

@@ -245,7 +245,7 @@ def exported(source: CSource, vectors: Vectors) -> tuple[dict[str, str], Measure
         "sha256": source.checksums,
         "origin": source.origin[0] if source.origin else None,
     }
-    return files | {MANIFEST: manifest(source.first_line, content, files)}, measurement
+    return files | {MANIFEST: manifest(source.first_line, source.tool, content, files)}, measurement
 
 
 def replay_tolerance(source: CSource) -> float:

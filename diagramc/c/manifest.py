@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from ..diagram_equations import equations_key
 from ..equations.equations import Equations
-from ..root import tool
 from .build import REQUIRED_FLAGS
 
 FILE = "manifest.json"
@@ -45,26 +44,26 @@ def checksums(
     }
 
 
-def manifest_in_c(sums: Mapping[str, str]) -> dict[str, list[str]]:
+def manifest_in_c(sums: Mapping[str, str], tool: str) -> dict[str, list[str]]:
     """Return the members of the struct ``NAME_manifest_t``, each as a list of C literals.
 
     ``sums`` is the result of `checksums`. A checksum has 8 words of 32 bits, the most significant
-    word first. A tool without version has the version 0.0.0.
+    word first. The first number with dots in ``tool`` is the version.
     """
-    numbers = [int(number) for number in re.findall(r"\d+", tool())[:3]]
+    numbers = [int(number) for number in re.findall(r"\d+", tool)[:3]]
     members = {"version": [f"{number}U" for number in (*numbers, 0, 0, 0)[:3]]}
     for name, digest in sums.items():
         members[name] = [f"0x{digest[i : i + 8]}U" for i in range(0, 64, 8)]
     return members
 
 
-def manifest(made_by: str, content: Mapping[str, Any], files: Mapping[str, str]) -> str:
+def manifest(made_by: str, tool: str, content: Mapping[str, Any], files: Mapping[str, str]) -> str:
     """Return the text of the manifest, JSON with ``made_by`` in the first line.
 
-    ``content`` has the entries that describe the model. ``files`` maps the name of each other file
-    of the folder to its text.
+    ``tool`` is the program with its version. ``content`` has the entries that describe the model.
+    ``files`` maps the name of each other file of the folder to its text.
     """
-    versions = {"tool": tool(), "drake": version("drake")}
+    versions = {"tool": tool, "drake": version("drake")}
     flags = {"compiler_flags": {"required": REQUIRED_FLAGS, "refused": REFUSED_FLAGS}}
     contents = {name: text.encode(errors="surrogateescape") for name, text in files.items()}
     sums = {"files": {name: _sha256(data) for name, data in sorted(contents.items())}}

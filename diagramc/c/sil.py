@@ -112,7 +112,7 @@ class Sil:
         }
         files = {f"{_SIL}.c": f"{_SIL}.c", "Makefile": f"{_SIL}.mk"}
         texts = {file: rendered(__package__, template, **data) for file, template in files.items()}
-        return texts | {MANIFEST: manifest(first_line, {"name": _SIL}, texts)}
+        return texts | {MANIFEST: manifest(first_line, sources[0].tool, {"name": _SIL}, texts)}
 
 
 def require_sil_folder(directory: str | os.PathLike[str], *names: str) -> None:

@@ -26,7 +26,7 @@ from ..diagram_equations import DiagramEquations
 from ..equations.equations import Equations
 from ..equations.gradients import gradients, time_derivatives
 from ..errors import CompilationError, shown
-from ..root import ROOT, tool
+from ..root import TOOL
 from ..rosenbrock import CONTROL, MOST_SUBSTEPS, RODAS, TOLERANCE_RANGES, TOLERANCES
 from ..run_data import Array, State
 from .checks import distinct_names, require_type
@@ -49,9 +49,6 @@ STABILITY = 1.8
 RK4 is unstable from 2.6 … 2.83 on. Where the rates have a corner, such as at a valve that opens, an
 unstable mode oscillates about the corner, and the product that the code estimates is about 2.
 """
-
-MARK = f"Made by {ROOT} from a Drake diagram."
-"""Text in the first line of each exported file."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +95,9 @@ class CSource:
         text, in which ``#`` begins a comment.
     beside
         Contents of other files, by name, which the export gets too because ``origin`` names them.
+    tool
+        Names and versions of the programs that make the code, such as ``kneexo 0.2.0, diagramc
+        0.2.0``. The first line of each file has the first name, the manifest has all.
 
     Raises
     ------
@@ -123,6 +123,7 @@ class CSource:
     checks_steps: bool = True
     origin: tuple[str, str] | None = None
     beside: Mapping[str, bytes] = field(default_factory=dict)
+    tool: str = TOOL
 
     def __post_init__(self) -> None:
         """Check the options."""
@@ -152,6 +153,7 @@ class CSource:
         for option in ("look_up", "checks_steps"):
             require_type(option, getattr(self, option), bool, "True or False")
         require_type("subject", self.subject, str, "a text")
+        require_type("tool", self.tool, str, "a text")
         if self.origin is not None:
             words = "a pair of texts (file name, text)"
             require_type("origin", self.origin, tuple, words)
@@ -271,7 +273,8 @@ class CSource:
     @property
     def first_line(self) -> str:
         """Text of the comment in the first line of each file."""
-        return plain_line(f"{MARK} {self.subject}")
+        maker = self.tool.partition(" ")[0]
+        return plain_line(f"Made by {maker} from a Drake diagram. {self.subject}")
 
     @property
     def origin_text(self) -> str | None:
@@ -332,8 +335,8 @@ class CSource:
             "limits": len(equations.limits),
             "needs_time": plan.needs_time,
             "counts_steps": plan.counts_steps,
-            "manifest": manifest_in_c(self.checksums),
-            "tool": tool(),
+            "manifest": manifest_in_c(self.checksums, self.tool),
+            "tool": self.tool,
         }
         templates = {f"{self.name}{end}": f"model{end}" for end in (".h", ".c")}
         templates[f"{self.name}_params.c"] = "params.c"

@@ -19,7 +19,6 @@ from ..c.source import source_of
 from ..diagram_equations import read_diagram
 from ..errors import OutputError, shown
 from ..files import write_whole
-from ..root import ROOT
 from .fmu import Fmu, require_fmi
 from .parameters import chosen_parameters
 from .variables import FmuParameter
@@ -111,7 +110,7 @@ def export_fmu(
     read = read_diagram(diagram, inputs=distinct_names("inputs", inputs))
     source = source_of(read, name, context, tick_s=tick_s, **options)
     chosen = chosen_parameters(source, parameters)
-    fmu = Fmu(source, chosen, version, ROOT, description, dict(starts or {}), stop_s)
+    fmu = Fmu(source, chosen, version, description, dict(starts or {}), stop_s)
     return write_fmu(file, fmu, platforms)
 
 

@@ -21,7 +21,6 @@ from ..c.cross import PLATFORMS
 from ..c.source import CSource
 from ..c.template import rendered
 from ..errors import CompilationError, shown
-from ..root import ROOT
 from .description import Header, build_description, model_description
 from .variables import FmuParameter, VariableTable
 
@@ -53,8 +52,6 @@ class Fmu:
         it.
     fmi
         Version of the standard: 2 or 3.
-    tool
-        Name of the tool that made the FMU; by default the name of this package.
     description
         A short text about the model.
     starts
@@ -70,7 +67,6 @@ class Fmu:
     source: CSource
     parameters: Sequence[FmuParameter] = ()
     fmi: int = 3
-    tool: str = ROOT
     description: str = ""
     starts: Mapping[str, float] = field(default_factory=dict)
     stop_s: float = 1.0
@@ -103,7 +99,7 @@ class Fmu:
     @cached_property
     def token(self) -> str:
         """GUID of FMI 2 or instantiation token of FMI 3: a hash that is the same for equal FMUs."""
-        numbers = (self.fmi, self.tool, self.description, self.stop_s)
+        numbers = (self.fmi, self.source.tool, self.description, self.stop_s)
         table = self.table
         digest = hashlib.sha256(repr((numbers, table.variables, table.parameters)).encode())
         for text in self._texts("").values():
@@ -141,7 +137,7 @@ class Fmu:
             self.fmi,
             self.name,
             self.token,
-            self.tool,
+            self.source.tool,
             self.description,
             self.stop_s,
             self.source.plan.schedule.tick_s,

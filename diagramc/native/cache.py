@@ -1,8 +1,8 @@
 """Machine code on disk: one process compiles it, every later process loads it.
 
 Each entry is one file with a format version, a SHA-256 seal over key and content, and the content.
-The files are in ``DIAGRAMC_CACHE_DIR``, else in ``kneexo`` below ``XDG_CACHE_HOME``, else in
-``~/.cache/kneexo``. A user can delete this directory at any time. Its size is limited to 512 MiB,
+The files are in ``DIAGRAMC_CACHE_DIR``, else in ``diagramc`` below ``XDG_CACHE_HOME``, else in
+``~/.cache/diagramc``. A user can delete this directory at any time. Its size is limited to 512 MiB,
 or to ``DIAGRAMC_CACHE_SIZE_MB`` MiB. A process that stores can exceed the limit by 1 % for a while.
 The least recently used entries are deleted first. The names of the variables and of the directory
 contain the name of the package (`root`).

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -58,8 +59,8 @@ def add_utilities(subparsers: Any) -> Any:
         "cache",
         cache,
         "show or delete the compiled models that are kept on disk",
-        "They stand in DIAGRAMC_CACHE_DIR, else in kneexo below XDG_CACHE_HOME, else in "
-        "~/.cache/kneexo. DIAGRAMC_CACHE_SIZE_MB limits their total size in MiB; left out: 512.",
+        "They stand in DIAGRAMC_CACHE_DIR, else in diagramc below XDG_CACHE_HOME, else "
+        "in ~/.cache/diagramc. DIAGRAMC_CACHE_SIZE_MB limits their total size in MiB; left out: 512.",
         uses_drake=False,
     )
     parser.add_argument("--clear", action="store_true", help="delete all of them")
@@ -128,7 +129,7 @@ def cache(clear: bool) -> Outcome:
     directory = cache_directory()
     origin = {"kneexo": __version__, "directory": str(directory)}
     if clear:
-        count = clear_cache()
+        count = clear_cache() + _clear_cache_of_before(directory)
         text = f"{directory}: {count} {'entry' if count == 1 else 'entries'} deleted\n"
         return Outcome(text, json.dumps({**origin, "deleted": count}) + "\n")
     entries, limit_bytes = cache_entries(), cache_size_limit()
@@ -157,3 +158,17 @@ def cache(clear: bool) -> Outcome:
         last_use = time.strftime("%Y-%m-%d %H:%M", time.localtime(entry.last_use_s))
         lines.append(f"  {last_use}  {entry.size_bytes / 2**10:8.1f} KiB  {entry.path.name}")
     return Outcome("\n".join(lines) + "\n", json.dumps(document, indent=2) + "\n")
+
+
+def _clear_cache_of_before(directory: Path) -> int:
+    """Delete the compiled models of kneexo 0.2 and before, and return their number.
+
+    They stand in the folder that the user has chosen for the cache, or in kneexo beside diagramc.
+    """
+    name = re.compile(r"[0-9a-f]{32}\.kneexo")
+    folders = [directory, directory.with_name("kneexo")]
+    files = [file for folder in folders for file in folder.glob("*.kneexo")]
+    old = [file for file in files if name.fullmatch(file.name)]
+    for file in old:
+        file.unlink(missing_ok=True)
+    return len(old)

@@ -28,6 +28,7 @@ from kneexo.diagrams.wearer import moment_of
 from kneexo.errors import ParameterError
 from kneexo.export.target import (
     ENCODER_COUNT,
+    TOOL,
     Target,
     largest_step_s,
     make_target,
@@ -184,6 +185,7 @@ def _firmware(
         subject=f"{target.what} in {precision} precision",
         origin=("scenario.yaml", files.pop("scenario.yaml")),
         beside=files,
+        tool=TOOL,
     )
     steps = round(vectors_s / source.plan.schedule.tick_s)
     inputs = loop_inputs(scenario, target, source, steps, **integrator_options)

@@ -25,7 +25,7 @@ from diagramc import (
 from kneexo.diagrams.closed_loop import make_closed_loop, plant_states
 from kneexo.diagrams.controller import has_unknown_parts
 from kneexo.errors import KneexoError, ParameterError
-from kneexo.export.target import Target, make_target, released_step_s, require_step
+from kneexo.export.target import TOOL, Target, make_target, released_step_s, require_step
 from kneexo.geometry.rod_polynomial import completed
 from kneexo.parameters import Scenario, SlidingModeParameters
 from kneexo.parameters.fields.fields import limits_of, source_of as provenance_of
@@ -33,7 +33,6 @@ from kneexo.parameters.fields.quantity import Parameters
 from kneexo.parameters.paths import changed, value_at
 from kneexo.simulation.compiled import scenario_start, scenario_values, structure_key
 from kneexo.systems import knee_reference
-from kneexo.version import __version__
 
 _FACTORS = (0.1, 0.5, 0.99, 1.01, 2.0, 10.0)
 """Factors by which `parameter_effects` multiplies a number, to see which parameters change."""
@@ -154,12 +153,12 @@ def make_fmu(
         tolerance=tolerance,
         step_s=step_s,
         subject=f"{target.what} as FMU",
+        tool=TOOL,
     )
     return Fmu(
         source,
         [*_tunable(scenario, target, source), *_initial(scenario, source)],
         fmi,
-        f"kneexo {__version__}",
         f"{_DESCRIPTIONS[target.what]} of a polycentric knee exoskeleton",
         _starts(scenario, target, source),
         scenario.duration_s,

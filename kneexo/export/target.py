@@ -9,7 +9,13 @@ import numpy as np
 from pydrake.systems.framework import DiagramBuilder, System
 from pydrake.systems.primitives import Gain
 
-from diagramc import DiagramEquations, Interface, read_diagram, rk4_step_s
+from diagramc import (
+    DiagramEquations,
+    Interface,
+    __version__ as compiler_version,
+    read_diagram,
+    rk4_step_s,
+)
 from kneexo.diagrams.closed_loop import add_encoder, available_signals, make_closed_loop, plant_of
 from kneexo.diagrams.controller import make_controller
 from kneexo.diagrams.protection import reading_range_rad, reference_range_rad
@@ -21,6 +27,10 @@ from kneexo.parameters.fields.fields import limits_of
 from kneexo.parameters.task.fault import OPERATOR_INPUTS
 from kneexo.simulation.compiled import why_python_in_run
 from kneexo.systems import EncoderCount
+from kneexo.version import __version__
+
+TOOL = f"kneexo {__version__}, diagramc {compiler_version}"
+"""The programs that make firmware and FMUs, with their versions."""
 
 What = Literal["controller", "plant", "loop"]
 """Name of a part of a scenario that can be exported."""

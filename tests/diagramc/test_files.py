@@ -57,7 +57,7 @@ def test_files_are_listed_by_their_whole_name(tmp_path):
 def test_a_folder_gets_the_files_and_keeps_the_others(tmp_path):
     folder = tmp_path / "new" / "out"
     write_folder(folder, {"a": "1", "b": "2"})
-    (folder / ".kneexo_x").mkdir()  # of a killed process
+    (folder / ".diagramc_x").mkdir()  # of a killed process
     write_folder(folder, {"b": "3"})
     assert sorted(path.name for path in folder.iterdir()) == ["a", "b"]
     assert [(folder / name).read_text() for name in "ab"] == ["1", "3"]
@@ -65,7 +65,7 @@ def test_a_folder_gets_the_files_and_keeps_the_others(tmp_path):
 
 def test_only_an_empty_folder_is_empty(tmp_path):
     require_empty(tmp_path / "none")
-    (tmp_path / ".kneexo_x").mkdir()  # of a killed process
+    (tmp_path / ".diagramc_x").mkdir()  # of a killed process
     require_empty(tmp_path)
     (tmp_path / "a").touch()
     line = rf"^directory {tmp_path}: has other files and no export; choose another directory$"

@@ -1,26 +1,26 @@
-"""The name of the package, which a copy under another name must not share."""
+"""Names of diagramc in files and in the environment."""
 
-import importlib.util
+import re
 
 import pytest
 
-from diagramc import compile_diagram, root
+import diagramc
+from diagramc import compile_diagram
+from diagramc.root import ROOT, TOOL, variable
 
 
-def test_the_root_is_the_package_that_holds_the_compiler():
-    assert compile_diagram.__module__.split(".")[0] == root.ROOT
+def test_the_name_is_that_of_the_package_and_the_tool_has_its_version():
+    assert compile_diagram.__module__.split(".")[0] == ROOT
+    assert re.fullmatch(rf"{ROOT} \d+\.\d+\.\d+", TOOL)
+    assert f"{ROOT} {diagramc.__version__}" == TOOL
 
 
-@pytest.mark.parametrize("package", ["other", "other.compiler.root"])
-def test_a_copy_under_another_name_has_its_own_variables(package):
-    spec = importlib.util.spec_from_file_location(package, root.__file__)
-    copy = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(copy)
-    assert copy.ROOT == "other"
-    assert copy.variable("CPU") == "OTHER_CPU"
-    assert copy.tool() == "other"
-
-
-def test_the_tool_is_the_package_with_its_version(monkeypatch):
-    monkeypatch.setattr(root, "version", {root.ROOT: "1.2.3"}.__getitem__)
-    assert root.tool() == f"{root.ROOT} 1.2.3"
+def test_a_variable_of_before_is_accepted_with_a_line(monkeypatch):
+    for name in ("DIAGRAMC_CPU", "KNEEXO_CPU"):
+        monkeypatch.delenv(name, raising=False)
+    assert variable("CPU") == "DIAGRAMC_CPU"
+    monkeypatch.setenv("KNEEXO_CPU", "x86-64-v3")
+    with pytest.warns(UserWarning, match="^KNEEXO_CPU: .* set DIAGRAMC_CPU instead$"):
+        assert variable("CPU") == "KNEEXO_CPU"
+    monkeypatch.setenv("DIAGRAMC_CPU", "")
+    assert variable("CPU") == "DIAGRAMC_CPU"

@@ -12,6 +12,7 @@ from pydrake.systems.framework import LeafSystem
 from pydrake.systems.primitives import ConstantVectorSource, ZeroOrderHold
 
 import kneexo
+from diagramc import InputTable
 from kneexo.analysis import linearize_loop, simulate, track
 from kneexo.diagrams import SIGNALS, make_closed_loop, make_controller
 from kneexo.diagrams.law import known_to_controller
@@ -85,7 +86,7 @@ def test_a_controller_alone_repeats_the_commands_of_the_loop(case):
     )
     # A sample sees the state before its update: the reading at kT makes the command after it.
     middles = run.time_s[1:] - 0.001
-    table = diagramc.InputTable(middles, rows[:, :, None])
+    table = InputTable(middles, rows[:, :, None])
     state = model.initialized(model.parameters(), model.state(), table)
     alone = model.simulate(model.parameters(), state, 0.4, inputs=table)
     # Other sums in other machine code: rounding is all that may differ.

@@ -10,7 +10,6 @@ import numpy as np
 from pydrake.systems.analysis import Simulator
 
 from diagramc import DiagramEquations, read_diagram
-from kneexo import compiler
 from kneexo.analysis.linear.law_tangent import LawTangent
 from kneexo.analysis.linear.plant_linearization import MID_RANGE_DEG
 from kneexo.analysis.linear.shared_equations import context_with, recent_equations, set_parameters
@@ -209,10 +208,10 @@ def _rest(equations: DiagramEquations, start: Any, law: LawTangent | None) -> An
     A law that runs as Python is replaced by its linear form, until the loop rests where it holds.
     """
     if law is None:
-        return compiler.find_equilibrium(equations, start)
+        return find_equilibrium(equations, start)
     for _ in range(_TANGENTS):
         law.set(equations.diagram, start)
-        rest = compiler.find_equilibrium(equations, start)
+        rest = find_equilibrium(equations, start)
         before, after = (equations.state(context) for context in (start, rest))
         if np.allclose(before.continuous, after.continuous, rtol=1e-9, atol=1e-9) and np.allclose(
             before.discrete, after.discrete, rtol=1e-9, atol=1e-9

@@ -316,14 +316,14 @@ def test_the_file_that_a_model_was_made_from_is_beside_it(tmp_path, no_targets):
     export_c(low_pass(), tmp_path, name="filter", inputs=["u0"], steps=3, origin=origin)
     text = (tmp_path / "model.toml").read_text()
     assert text.partition("\n")[2] == origin[1]
-    assert text.startswith("# Made by kneexo")
+    assert text.startswith("# Made by diagramc")
     assert (
         "| `model.toml` | what the diagram was made from |" in (tmp_path / "README.md").read_text()
     )
 
 
 def test_what_a_killed_export_left_is_deleted(folder, no_targets):
-    left = folder / ".kneexo_x1"
+    left = folder / ".diagramc_x1"
     left.mkdir()
     (left / "filter.c").write_text("")
     export_c(low_pass(), folder, name="filter", inputs=["u0"], samples=SAMPLES)

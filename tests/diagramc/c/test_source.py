@@ -337,7 +337,7 @@ def test_text_names_leaf_systems_and_is_ascii(multirate):
     assert "x" in files["model.h"]
     for text in files.values():
         assert text.isascii()
-        assert text.startswith("/* Made by kneexo")
+        assert text.startswith("/* Made by diagramc")
         assert "@" not in text
         assert not re.search(r"\b(NAME|UPPER|REAL|STATES|HELD)\b", text)
 

@@ -218,7 +218,7 @@ PARAMETERS = (
 @pytest.fixture(scope="session", params=[2, 3])
 def fmu(request):
     """The FMU of the lag, in each version of the standard."""
-    return Fmu(_lag_source(), PARAMETERS, request.param, "a tool", "a lag", {"u_m_s": 0.25}, 5.0)
+    return Fmu(_lag_source(), PARAMETERS, request.param, "a lag", {"u_m_s": 0.25}, 5.0)
 
 
 @pytest.fixture(scope="session")

@@ -4,6 +4,7 @@ from xml.etree import ElementTree
 
 import pytest
 
+import diagramc
 from diagramc.fmu.description import (
     Header,
     build_description,
@@ -24,7 +25,7 @@ def test_variables_and_dependencies(fmu, path):
     description = fmpy.read_model_description(path)
     assert description.guid == fmu.token
     assert (description.modelName, description.description) == ("lag", "a lag")
-    assert description.generationTool == "a tool"
+    assert description.generationTool == f"diagramc {diagramc.__version__}"
     assert float(description.defaultExperiment.stopTime) == 5.0
     assert float(description.defaultExperiment.stepSize) == 0.1
     variables = {

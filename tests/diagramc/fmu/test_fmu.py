@@ -15,6 +15,7 @@ from pydrake.systems.primitives import (
     Sine,
 )
 
+import diagramc
 from diagramc import read_diagram, write_fmu
 from diagramc.c import build as c_build
 from diagramc.c.source import source_of
@@ -444,7 +445,9 @@ def test_archive(fmu):
     }
     with zipfile.ZipFile(io.BytesIO(archive)) as files:
         names = files.namelist()
-        assert b'generationTool="a tool"' in files.read("modelDescription.xml")
+        assert f'generationTool="diagramc {diagramc.__version__}"'.encode() in files.read(
+            "modelDescription.xml"
+        )
         sources = [*fmu.sources, *(["buildDescription.xml"] if fmu.fmi == 3 else [])]
         expected = ["modelDescription.xml", *binaries, *(f"sources/{name}" for name in sources)]
         assert names == sorted(expected)

@@ -138,7 +138,7 @@ def test_a_file_without_content_is_damaged(length):
 def test_another_format_version_is_refused():
     path = entry_path("key")
     whole = path.read_bytes()
-    assert whole.startswith(b"kneexo code 1\n")
+    assert whole.startswith(b"diagramc code 1\n")
     path.write_bytes(whole.replace(b"code 1", b"code 0", 1))
     with pytest.warns(UserWarning, match="damaged"):
         assert cache.load("key") is None
@@ -201,13 +201,13 @@ def test_an_interrupt_leaves_the_old_entry_and_no_temporary_file(
 def test_the_next_process_removes_stale_temporary_files_of_the_cache_alone(directory):
     name = f".{entry_path('key').name}."
     stale, live = directory / (name + "0" * 16), directory / (name + "1" * 16)
-    names = (".kneexo", "notes.kneexo", f"{name}0", f"{stale.name}0", f"{name[1:]}bak")
+    names = (".diagramc", "notes.diagramc", f"{name}0", f"{stale.name}0", f"{name[1:]}bak")
     foreign = [directory / name for name in names]
     for path in (stale, live, *foreign):
         path.write_bytes(b"")
         set_last_use(path, HOUR_S + 60.0)
     set_last_use(live, HOUR_S - 60.0)
-    foreign.append(directory / ("0" * 32 + ".kneexo"))
+    foreign.append(directory / ("0" * 32 + ".diagramc"))
     foreign[-1].mkdir()
     begin_process()
     cache.store("other", b"code")
@@ -255,7 +255,7 @@ def test_processes_store_load_shrink_and_clear_at_the_same_time(directory, monke
         hits, error = worker.communicate()
         assert error == ""
         assert int(hits) > 0
-    assert all(path.suffix == ".kneexo" for path in directory.iterdir())
+    assert all(path.suffix == ".diagramc" for path in directory.iterdir())
     cache.store("last", b"")
     assert sum(entry.size_bytes for entry in cache.cache_entries()) <= 2**20
 
@@ -345,10 +345,10 @@ def test_a_bad_size_limit_is_ignored_with_a_warning(monkeypatch, text):
     [
         ({"DIAGRAMC_CACHE_DIR": "/a", "XDG_CACHE_HOME": "/b", "HOME": "/c"}, "/a"),
         ({"DIAGRAMC_CACHE_DIR": "~/a", "HOME": "/c"}, "/c/a"),
-        ({"DIAGRAMC_CACHE_DIR": "", "XDG_CACHE_HOME": "/b", "HOME": "/c"}, "/b/kneexo"),
-        ({"XDG_CACHE_HOME": "b", "HOME": "/c"}, "/c/.cache/kneexo"),
-        ({"XDG_CACHE_HOME": "", "HOME": "/c"}, "/c/.cache/kneexo"),
-        ({"HOME": "/c"}, "/c/.cache/kneexo"),
+        ({"DIAGRAMC_CACHE_DIR": "", "XDG_CACHE_HOME": "/b", "HOME": "/c"}, "/b/diagramc"),
+        ({"XDG_CACHE_HOME": "b", "HOME": "/c"}, "/c/.cache/diagramc"),
+        ({"XDG_CACHE_HOME": "", "HOME": "/c"}, "/c/.cache/diagramc"),
+        ({"HOME": "/c"}, "/c/.cache/diagramc"),
     ],
 )
 def test_directory_of_the_cache(variables, expected, monkeypatch):
@@ -366,7 +366,7 @@ def test_a_relative_directory_is_of_the_working_directory(monkeypatch, tmp_path)
     for name in ("DIAGRAMC_CACHE_DIR", "XDG_CACHE_HOME"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("HOME", "home")
-    assert cache.cache_directory() == tmp_path / "home/.cache/kneexo"
+    assert cache.cache_directory() == tmp_path / "home/.cache/diagramc"
 
 
 def store_with_one_warning(match):
@@ -495,7 +495,7 @@ def test_the_private_directory_ends_with_its_process_and_not_with_a_fork(directo
     )
     command = [sys.executable, "-W", "ignore", "-c", code]
     out = subprocess.run(command, capture_output=True, text=True, check=True).stdout
-    assert "kneexo-" in out
+    assert "diagramc-" in out
     assert not Path(out.strip()).exists()
 
 
