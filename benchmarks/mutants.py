@@ -30,6 +30,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
+PACKAGES = ("diagramc", "kneexo")
 PAIRS = (
     *((ast.Lt, ast.LtE), (ast.Gt, ast.GtE), (ast.Eq, ast.NotEq), (ast.Is, ast.IsNot)),
     *((ast.In, ast.NotIn), (ast.And, ast.Or), (ast.Add, ast.Sub), (ast.Mult, ast.Div)),
@@ -112,9 +113,10 @@ def mutants_of(file: Path) -> list[Mutant]:
 def drawn(count: int, seed: str) -> list[Mutant]:
     """Draw ``count`` mutants, in each folder a share by its number of places, but one at least."""
     folders = defaultdict(list)
-    for file in sorted((ROOT / "kneexo").rglob("*.py")):
+    files = [path for root in PACKAGES for path in sorted((ROOT / root).rglob("*.py"))]
+    for file in files:
         path = file.relative_to(ROOT)
-        folders[path.parts[1] if len(path.parts) > 2 else "."] += mutants_of(path)
+        folders[path.parts[:-1][:2]] += mutants_of(path)
     generator = random.Random(seed)
     total = sum(len(places) for places in folders.values())
     picked = []
@@ -126,7 +128,8 @@ def drawn(count: int, seed: str) -> list[Mutant]:
 
 def mirror_of(file: Path) -> Path:
     """Return the path of the test file that mirrors a module, which need not exist."""
-    return Path("tests", *file.parts[1:-1], f"test_{file.name}")
+    folders = file.parts[file.parts[0] == "kneexo" : -1]
+    return Path("tests", *folders, f"test_{file.name}")
 
 
 def importers() -> dict[str, list[Path]]:

@@ -23,7 +23,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 CONFIGURATION = """
 [tool.mutmut]
-source_paths = ["kneexo"]
+source_paths = ["diagramc", "kneexo"]
 only_mutate = [{module}]
 also_copy = ["benchmarks", "docs", "examples"]
 pytest_add_cli_args = ["-n", "0", "-p", "no:cacheprovider"]

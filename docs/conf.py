@@ -27,6 +27,7 @@ from sphinx.util import logging
 from sphinx.util.inspect import signature, stringify_signature
 from sphinx.util.nodes import make_refnode
 
+import diagramc
 import kneexo
 from kneexo.command_line.main import main
 from kneexo.errors import shortened
@@ -94,7 +95,7 @@ _startup.parent.mkdir(parents=True)
 _startup.write_text(
     """\
 import warnings
-warnings.filterwarnings("error", module="__main__|kneexo|matplotlib|numpy|pydrake|scipy")
+warnings.filterwarnings("error", module="__main__|diagramc|kneexo|matplotlib|numpy|pydrake|scipy")
 from diagramc.native import machine_code
 machine_code.ANNOUNCED_AFTER_S = 1e6
 del machine_code, warnings
@@ -202,7 +203,7 @@ def resolve(app: Sphinx, env: Any, node: Any, contnode: Any) -> Any:
         return contnode
     objects = env.domains.python_domain.objects
     parent, _, last = target.rpartition(".")
-    if parent.startswith("kneexo"):
+    if parent.startswith(("diagramc", "kneexo")):
         value = getattr(importlib.import_module(parent), last, None)
         home = getattr(value, "__module__", None)
         places = [name for name in objects if name == f"{home}.{last}"]
@@ -222,7 +223,7 @@ def resolve(app: Sphinx, env: Any, node: Any, contnode: Any) -> Any:
 def source_links(_app: Sphinx, _document: str, content: list[str]) -> None:
     """Links of the Markdown pages to modules lead to the reference."""
     content[0] = re.sub(
-        r"\]\(\.\./(kneexo(?:/[a-z]\w*)+)\.py\)",
+        r"\]\(\.\./((?:diagramc|kneexo)(?:/[a-z]\w*)+)\.py\)",
         lambda match: f"](/api/{match[1].replace('/', '.')}.rst)",
         content[0],
     )
@@ -230,8 +231,10 @@ def source_links(_app: Sphinx, _document: str, content: list[str]) -> None:
 
 def drop_old_pages(app: Sphinx) -> None:
     """Autosummary keeps the page of a module that is no more, and its import would be a warning."""
-    infos = pkgutil.walk_packages(kneexo.__path__, "kneexo.")
-    modules = {"kneexo", *(info.name for info in infos)}
+    modules = {"diagramc", "kneexo"}
+    for root in (diagramc, kneexo):
+        infos = pkgutil.walk_packages(root.__path__, f"{root.__name__}.")
+        modules |= {info.name for info in infos}
     for page in Path(app.srcdir, "api").glob("*.rst"):
         if page.stem not in modules:
             page.unlink()

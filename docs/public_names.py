@@ -10,6 +10,7 @@ import inspect
 import itertools
 import pkgutil
 
+import diagramc
 import kneexo
 
 BESIDE_PACKAGES = {
@@ -41,8 +42,10 @@ def public_names() -> dict[str, list[str]]:
 
     The ``__all__`` of a package has its names for users.
     """
-    packages = [kneexo.__name__]
-    packages += [i.name for i in pkgutil.walk_packages(kneexo.__path__, "kneexo.") if i.ispkg]
+    packages = []
+    for root in (diagramc, kneexo):
+        inner = pkgutil.walk_packages(root.__path__, f"{root.__name__}.")
+        packages += [root.__name__, *(info.name for info in inner if info.ispkg)]
     names = {package: passed_on(package) for package in packages}
     names |= {m: [f"{m}.{name}" for name in list_] for m, list_ in BESIDE_PACKAGES.items()}
     return {module: names[module] for module in sorted(names) if names[module]}
@@ -57,13 +60,13 @@ def top_level(module: str) -> list[ast.stmt]:
 
 @functools.cache
 def imported(module: str) -> dict[str, str]:
-    """Return the names that a module imports from kneexo, and from where."""
+    """Return the names that a module imports from both packages, and from where."""
     names = {}
     for node in top_level(module):
         if isinstance(node, ast.ImportFrom):
             source = "." * node.level + (node.module or "")
             source = importlib.util.resolve_name(source, module)
-            if source.startswith("kneexo."):
+            if source.startswith(("diagramc", "kneexo.")):
                 names |= {alias.asname or alias.name: source for alias in node.names}
     return names
 

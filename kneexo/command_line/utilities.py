@@ -59,8 +59,8 @@ def add_utilities(subparsers: Any) -> Any:
         "cache",
         cache,
         "show or delete the compiled models that are kept on disk",
-        "They stand in DIAGRAMC_CACHE_DIR, else in diagramc below XDG_CACHE_HOME, else "
-        "in ~/.cache/diagramc. DIAGRAMC_CACHE_SIZE_MB limits their total size in MiB; left out: 512.",
+        "They stand in DIAGRAMC_CACHE_DIR, else in diagramc below XDG_CACHE_HOME, else in "
+        "~/.cache/diagramc. DIAGRAMC_CACHE_SIZE_MB limits their total size in MiB; left out: 512.",
         uses_drake=False,
     )
     parser.add_argument("--clear", action="store_true", help="delete all of them")

@@ -123,10 +123,16 @@ def test_cache_shows_and_clears_what_is_kept(capsys, tmp_path, monkeypatch):
     assert capsys.readouterr().out == f"{tmp_path / 'cache'}: 6 entries deleted\n"
     assert list((tmp_path / "cache").iterdir()) == []
     cache.store("key", b"code")
+    before = tmp_path / "cache" / f"{0:032x}.kneexo", tmp_path / "kneexo" / f"{1:032x}.kneexo"
+    own = tmp_path / "kneexo" / "notes.kneexo"
+    own.parent.mkdir()
+    for file in (*before, own):
+        file.write_bytes(b"")
     assert main(["setup", "cache", "--clear", "--json"]) == 0
+    assert [file.exists() for file in (*before, own)] == [False, False, True]
     printed = json.loads(capsys.readouterr().out)
     assert printed == {
         "kneexo": kneexo.__version__,
         "directory": str(tmp_path / "cache"),
-        "deleted": 1,
+        "deleted": 3,
     }
