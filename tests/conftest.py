@@ -596,7 +596,8 @@ def wheel(tmp_path_factory):
     """The contents of the wheel of this repository, unpacked elsewhere."""
     folder = tmp_path_factory.mktemp("wheel")
     root, source = Path(__file__).parents[1], folder / "source"
-    shutil.copytree(root / "kneexo", source / "kneexo", ignore=shutil.ignore_patterns("__py*"))
+    for package in ("diagramc", "kneexo"):
+        shutil.copytree(root / package, source / package, ignore=shutil.ignore_patterns("__py*"))
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(root / name, source / name)
     pip = [sys.executable, "-m", "pip", "wheel", "--no-index"]  # setuptools is in the extra dev
