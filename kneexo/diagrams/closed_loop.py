@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from pydrake.systems.framework import Diagram, DiagramBuilder, System
@@ -21,19 +22,35 @@ from kneexo.diagrams.controller import (
     controller_parts,
     make_controller,
 )
-from kneexo.diagrams.faults import LoopFaults, fault_values, pressed_buttons
-from kneexo.diagrams.part import NO_FAULTS, Part, connect, state_names
+from kneexo.diagrams.faults import (
+    active_faults,
+    changed_inside,
+    command_faults,
+    parameter_faults,
+    reading_faults,
+    require_triggers,
+)
+from kneexo.diagrams.part import (
+    NO_FAULTS,
+    NO_SIGNAL,
+    Part,
+    export_inputs,
+    leaf_part,
+    state_names,
+    wire,
+)
 from kneexo.diagrams.plant import make_plant, scenario_plant_parts, start_arguments
 from kneexo.diagrams.signals import (
     CONTROLLER_SIGNALS,
     LAW_OUTPUTS,
     NEEDED_SETTINGS,
     OPTIONAL_OUTPUTS,
+    PLANT_OUTPUTS,
     PROTECTION_OUTPUTS,
     SIGNALS,
     WEARER_OUTPUTS,
 )
-from kneexo.diagrams.wearer import add_wearer, moment_of, wearer_parts
+from kneexo.diagrams.wearer import MOMENT_INPUT, moment_of, moment_parts, wearer_parts
 from kneexo.errors import ParameterError, close_names, question
 from kneexo.parameters import (
     Cia402Parameters,
@@ -109,91 +126,20 @@ def make_closed_loop(
     """
     require_scenario(scenario)
     require_reference_in_range(scenario.reference, scenario.plant.knee)
-    names = chosen_signals(scenario, signals)
+    if reference is not None and [p.size() for p in _outputs(reference)] != [4]:
+        raise ParameterError("reference: must have one output port of size 4")
+    names, available = chosen_signals(scenario, signals), available_signals(scenario)
+    require_triggers(scenario, available)
     builder = DiagramBuilder()
-    faults = LoopFaults(builder, scenario)
-    plant = builder.AddNamedSystem("plant", plant_of(scenario, faults.names_inside("plant")))
-    encoder = add_encoder(builder, scenario, plant.GetOutputPort("encoder_angle"))
-    if external_reference:
-        source = builder.AddNamedSystem("knee_reference", PassThrough(4))
-        builder.ExportInput(source.get_input_port(), "knee_reference")
-    else:
-        if reference is None:
-            reference = systems.make_knee_reference(scenario.reference)
-        elif reference.num_output_ports() != 1 or reference.get_output_port().size() != 4:
-            raise ParameterError("reference: must have one output port of size 4")
-        source = builder.AddNamedSystem("reference", reference)
-    wearer = add_wearer(
-        builder,
+    parts = loop_parts(
         scenario,
-        plant,
-        source.get_output_port(),
+        law=law,
+        reference=reference,
+        external_reference=external_reference,
         external_moment=external_moment,
-        fault_names=faults.names_inside(""),
     )
-    controller = builder.AddNamedSystem("controller", make_controller(scenario, law))
-    ports = {name: plant.GetOutputPort(name) for name in SIGNALS if plant.HasOutputPort(name)} | {
-        "knee_reference": source.get_output_port(),
-        "encoder_reading": faults.on_signal("encoder", encoder.get_output_port()),
-        **wearer,
-    }
-    if "measured_force" in ports:
-        ports["measured_force"] = faults.on_signal("load_cell", ports["measured_force"])
-    for index in range(controller.num_input_ports()):
-        port = controller.get_input_port(index)
-        name = port.get_name()
-        if name in pressed_buttons(scenario):
-            builder.Connect(faults.button(name), port)
-        elif name in (LAW_COMMAND, *OPERATOR_INPUTS):
-            builder.ExportInput(port, name)
-        else:
-            builder.Connect(ports.get(name) or plant.GetOutputPort(name), port)
-    available = available_signals(scenario)
-    # An exact estimate; the port of a controller with an estimator replaces it below.
-    ports["estimated_state"] = plant.GetOutputPort("rod_state")
-    ports |= {
-        name: controller.GetOutputPort(name)
-        for name in CONTROLLER_SIGNALS
-        if controller.HasOutputPort(name)
-    }
-    command = controller.GetOutputPort("motor_speed_command")
-    if isinstance(scenario.bus, Cia402Parameters):
-        coding = builder.AddNamedSystem("drive", systems.Cia402Drive(scenario.bus))
-        builder.Connect(command, coding.get_input_port())
-        ports["target_velocity"] = coding.GetOutputPort("target_velocity")
-        command = coding.GetOutputPort("motor_speed_command")
-    if scenario.bus.latency_samples:
-        # The controller holds its output for a sample, so n − 1 delays make n samples of latency.
-        bus = builder.AddNamedSystem(
-            "can_bus",
-            DiscreteTimeDelay(
-                update_sec=scenario.controller.sample_time_s,
-                delay_time_steps=scenario.bus.latency_samples - 1,
-                vector_size=1,
-            ),
-        )
-        builder.Connect(command, bus.get_input_port())
-        command = bus.get_output_port()
-    command = faults.on_command(command)
-    ports["motor_speed_command"] = command
-    builder.Connect(command, plant.GetInputPort("motor_speed_command"))
-
-    if scenario.push is not None:
-        push = systems.Push(scenario.push, scenario.controller.sample_time_s)
-        connect(builder, builder.AddNamedSystem("push", push), "knee_torque", plant, "knee_torque")
-    faults.on_parameters(plant)
-    ports["active_faults"] = faults.finish(ports, available)
-    connected = set()
-    if scenario.push is not None or "wearer_motion" in wearer:
-        connected.add("knee_torque")
-    if scenario.protection is not None:
-        release = scenario.protection.safe_state
-        if plant.HasInputPort(release):
-            connect(builder, controller, "release", plant, release)
-        connected.add("bypass")  # with another safe state the valve stays closed
-    for name in ("disturbance_force", "knee_torque", "bypass"):
-        if plant.HasInputPort(name) and name not in connected:
-            builder.ExportInput(plant.GetInputPort(name), name)
+    ports, inputs = wire(builder, parts, fault_names=changed_inside(scenario, ""))
+    export_inputs(builder, inputs, _INPUTS)
     for name in available:
         builder.ExportOutput(ports[name], name)
     if names:
@@ -207,6 +153,116 @@ def make_closed_loop(
     diagram = builder.Build()
     diagram.set_name("closed_loop")
     return diagram
+
+
+_REFERENCE_INPUT = "knee_reference_input"
+
+_INPUTS = {
+    _REFERENCE_INPUT: "knee_reference",
+    MOMENT_INPUT: "biological_moment",
+    LAW_COMMAND: LAW_COMMAND,
+    **{name: name for name in OPERATOR_INPUTS},
+    "disturbance_force": "disturbance_force",
+    "knee_torque": "knee_torque",
+    "bypass": "bypass",
+}
+"""By the signals that no part of the loop offers, the inputs of the loop in their order."""
+
+
+def loop_parts(
+    scenario: Scenario,
+    *,
+    law: System | None = None,
+    reference: System | None = None,
+    external_reference: bool = False,
+    external_moment: bool = False,
+) -> list[Part]:
+    """Return the systems of the closed loop, in their order; `make_closed_loop` has the arguments.
+
+    A signal goes from the part that offers it to all parts that read it. The command passes through
+    drive, bus, faults and watchdog, in this order; the readings pass through their faults.
+    """
+    bus, push, sample_time_s = scenario.bus, scenario.push, scenario.controller.sample_time_s
+    parts: list[Part | None] = [
+        _plant_part(scenario),
+        *encoder_parts(scenario),
+        _reference_part(scenario, reference, external_reference),
+        *wearer_parts(scenario),
+        *moment_parts(scenario, external_moment),
+        Part(
+            "controller",
+            lambda: make_controller(scenario, law),
+            offers={name: name for name in (*CONTROLLER_SIGNALS, "motor_speed_command", "release")},
+        ),
+        *reading_faults(scenario),
+        Part(
+            "drive",
+            lambda: systems.Cia402Drive(bus),
+            lambda: drive.context_values(bus),
+            through="motor_speed_command",
+        )
+        if isinstance(bus, Cia402Parameters)
+        else None,
+        Part(
+            "can_bus",
+            # The controller holds its output for a sample, so n − 1 delays make n samples.
+            lambda: DiscreteTimeDelay(
+                update_sec=sample_time_s,
+                delay_time_steps=bus.latency_samples - 1,
+                vector_size=1,
+            ),
+            reads={"u": "motor_speed_command"},
+            offers={"motor_speed_command": "delayed_u"},
+            through="motor_speed_command",
+        )
+        if bus.latency_samples
+        else None,
+        *command_faults(scenario),
+        leaf_part("push", systems.Push, push_system, push, sample_time_s) if push else None,
+        *parameter_faults(scenario),
+        *active_faults(scenario),
+    ]
+    return [part for part in parts if part is not None]
+
+
+def _plant_part(scenario: Scenario) -> Part:
+    """Return the plant. Its inputs for a stop are driven if the scenario has protection."""
+    fault_names = changed_inside(scenario, "plant")
+    reads = {f"{name}_fault": f"faults_of_{name}" for name in fault_names}
+    if scenario.protection is not None:
+        # With another safe state the valve stays closed, and the windings are not shorted.
+        reads |= dict.fromkeys(("torque_off", "dynamic_brake", "bypass"), NO_SIGNAL)
+        reads[scenario.protection.safe_state] = "release"
+    names = [name for names in PLANT_OUTPUTS.values() for name in names]
+    names += [name for _, optional in OPTIONAL_OUTPUTS.values() for name in optional]
+    return Part(
+        "plant",
+        lambda: plant_of(scenario, fault_names),
+        reads=reads,
+        # Without estimator, the state of the plant is the estimate.
+        offers={name: name for name in names} | {"estimated_state": "rod_state"},
+    )
+
+
+def _reference_part(scenario: Scenario, reference: System | None, external: bool) -> Part:
+    """Return the knee reference: that of the scenario, another system, or an input."""
+    if external:
+        offers = {"knee_reference": "y"}
+        return Part(
+            "knee_reference", lambda: PassThrough(4), reads={"u": _REFERENCE_INPUT}, offers=offers
+        )
+    if reference is not None:
+        (port,) = _outputs(reference)
+        return Part("reference", lambda: reference, offers={"knee_reference": port.get_name()})
+    chosen = scenario.reference
+    make = partial(systems.make_knee_reference, chosen)
+    if isinstance(chosen, SampledReference):
+        return Part("reference", make, offers={"knee_reference": "y0"})  # Drake's block
+    return Part("reference", make, lambda: knee_reference.context_values(chosen))
+
+
+def _outputs(system: System) -> list[Any]:
+    return [system.get_output_port(index) for index in range(system.num_output_ports())]
 
 
 def available_signals(scenario: Scenario) -> tuple[str, ...]:
@@ -261,29 +317,18 @@ def chosen_signals(scenario: Scenario, signals: Sequence[str] | None) -> tuple[s
 def loop_values(
     scenario: Scenario, law: System | None = None
 ) -> Iterator[tuple[str, dict[str, float]]]:
-    """Yield path and Context parameters of each leaf system of `make_closed_loop`.
+    """Yield path and Context parameters of each system of `make_closed_loop` that has parameters.
 
-    Drake's systems without parameters are left out, and so is a controller that
-    `has_unknown_parts`. ``law`` replaces the law of the user, and its parameters are left out too.
+    A controller that `has_unknown_parts` is left out. ``law`` replaces the law of the user, and its
+    parameters are left out too.
     """
-    for part in scenario_plant_parts(scenario):
-        yield f"plant/{part.name}", part.values()
-    if scenario.encoder.quantized:
-        # "0[0]" is the first element of the first group of numeric parameters of Drake's block.
-        # Drake's calibration offset of the encoder stays zero; the phase is added before it.
-        yield "encoder_phase", {"0[0]": -scenario.encoder.phase_rad}
-        yield "encoder", {"0[0]": 0.0}
-    if not isinstance(scenario.reference, SampledReference):
-        yield "reference", knee_reference.context_values(scenario.reference)
-    for part in wearer_parts(scenario):
-        yield part.name, part.values()
-    for part in controller_parts(scenario, law):
-        yield f"controller/{part.name}", part.values()
-    if isinstance(scenario.bus, Cia402Parameters):
-        yield "drive", drive.context_values(scenario.bus)
-    if scenario.push is not None:
-        yield "push", push_system.context_values(scenario.push)
-    yield from fault_values(scenario)
+    inner = {"plant": scenario_plant_parts(scenario), "controller": controller_parts(scenario, law)}
+    for name, parts in inner.items():
+        for part in parts:
+            yield f"{name}/{part.name}", part.values()
+    for part in loop_parts(scenario, law=law):
+        if values := part.values():
+            yield part.name, values
 
 
 def plant_states(scenario: Scenario) -> dict[str, StateVariable]:
@@ -326,26 +371,34 @@ def plant_of(scenario: Scenario, fault_names: Mapping[str, tuple[str, ...]] = NO
     return make_plant(scenario.plant, **start_arguments(scenario), fault_names=fault_names)
 
 
-def add_encoder(builder: Any, scenario: Scenario, angle: Any) -> Any:
-    """Add the encoder to a DiagramBuilder and return the system that outputs its reading.
+def encoder_parts(scenario: Scenario) -> Iterator[Part]:
+    """Yield the encoder. It measures θ_4, the signal ``encoder_angle``, minus its phase."""
+    encoder = scenario.encoder
+    if not encoder.quantized:
+        reads, offers = {"u": "encoder_angle"}, {"encoder_reading": "y"}
+        yield Part("encoder", lambda: PassThrough(1), reads=reads, offers=offers)
+        return
+    # "0[0]" is the first element of the first group of numeric parameters of Drake's block. Drake
+    # sets its calibration offset in a Context, not in the diagram; so the offset stays zero, and a
+    # sum adds the phase.
+    yield Part(
+        "encoder",
+        lambda: _rotary_encoders(encoder.counts_per_revolution),
+        lambda: {"0[0]": 0.0},
+        reads={"u0": "phase_sum"},
+        offers={"encoder_reading": "y0"},
+    )
+    yield Part(
+        "encoder_phase",
+        lambda: ConstantVectorSource([-encoder.phase_rad]),
+        lambda: {"0[0]": -encoder.phase_rad},
+        offers={"encoder_phase": "y0"},
+    )
+    sum_reads = {"u0": "encoder_angle", "u1": "encoder_phase"}
+    yield Part("phase_sum", lambda: Adder(2, 1), reads=sum_reads, offers={"phase_sum": "sum"})
 
-    The encoder measures θ_4, the value of the port ``angle``, minus the phase of the encoder.
-    """
+
+def _rotary_encoders(counts: int) -> System:
     from pydrake.systems.sensors import RotaryEncoders  # this import takes 0.05 s
 
-    if not scenario.encoder.quantized:
-        encoder = builder.AddNamedSystem("encoder", PassThrough(1))
-        builder.Connect(angle, encoder.get_input_port())
-        return encoder
-    encoder = builder.AddNamedSystem(
-        "encoder", RotaryEncoders([scenario.encoder.counts_per_revolution])
-    )
-    # Drake sets its calibration offset in a Context, not in the diagram; so a sum adds the phase.
-    phase = builder.AddNamedSystem(
-        "encoder_phase", ConstantVectorSource([-scenario.encoder.phase_rad])
-    )
-    phase_sum = builder.AddNamedSystem("phase_sum", Adder(2, 1))
-    builder.Connect(angle, phase_sum.get_input_port(0))
-    builder.Connect(phase.get_output_port(), phase_sum.get_input_port(1))
-    builder.Connect(phase_sum.get_output_port(), encoder.get_input_port())
-    return encoder
+    return RotaryEncoders([counts])

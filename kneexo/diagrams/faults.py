@@ -1,14 +1,15 @@
-"""Adds the faults of a scenario to the closed loop, on its signals and its parameters."""
+"""Describes the faults of a scenario as parts of the closed loop, on signals and parameters."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Any
 
 from pydrake.systems.primitives import Adder, ConstantVectorSource
 
 from kneexo import systems
-from kneexo.diagrams.part import Part
+from kneexo.diagrams.part import Part, leaf_part
 from kneexo.diagrams.plant import scenario_plant_parts
 from kneexo.diagrams.signals import NEEDED_SETTINGS, SIGNALS
 from kneexo.diagrams.wearer import wearer_parts
@@ -35,25 +36,6 @@ def fault_structure(scenario: Scenario) -> tuple[Any, ...]:
     return (*kinds, *_names(_changes(scenario)).items())
 
 
-def fault_values(scenario: Scenario) -> Iterator[tuple[str, dict[str, float]]]:
-    """Yield name and Context parameters of each system of a fault, as `loop_values` does.
-
-    Raises `ParameterError` as `fault_structure` does.
-    """
-    changes = _changes(scenario)
-    if scenario.protection is not None and _losing(scenario):
-        sample_time_s = scenario.controller.sample_time_s
-        yield "watchdog", drive_watchdog.context_values(scenario.protection, sample_time_s)
-    for name in sorted(pressed_buttons(scenario)):
-        yield name, {"0[0]": 0.0}  # the only element of Drake's block
-    for number, fault in enumerate(scenario.faults):
-        if fault.place in FAULTY_SIGNALS:
-            values = fault_system.context_values(fault, **_reading(scenario, fault))
-            yield f"fault_{number}", values
-        for path, offsets in changes.get(number, {}).items():
-            yield _name(number, path), fault_system.offset_values(fault, offsets)
-
-
 def pressed_buttons(scenario: Scenario) -> set[str]:
     """Return the names of the buttons of the protection that faults of a scenario press."""
     return {fault.place for fault in scenario.faults} & set(OPERATOR_INPUTS)
@@ -65,112 +47,121 @@ def _losing(scenario: Scenario) -> list[int]:
     return [number for number, f in faults if f.place == "command" and f.kind in LOSING]
 
 
-class LoopFaults:
-    """Adds the faults of a scenario to the DiagramBuilder of its closed loop."""
+SIGNAL_OF = {"encoder": "encoder_reading", "load_cell": "measured_force"} | {
+    name: name for name in OPERATOR_INPUTS
+}
+"""For each place of a fault before the controller, the signal that passes through the fault."""
 
-    def __init__(self, builder: Any, scenario: Scenario) -> None:
-        self._builder, self._scenario = builder, scenario
-        self._systems: dict[int, Any] = {}  # a system of each fault, for its output ``active``
-        self._triggered: list[tuple[int, FaultParameters, Any]] = []
-        self._changes = _changes(scenario)
 
-    def on_signal(self, place: str, port: Any) -> Any:
-        """Add the faults of the signal ``place``, an output port; return the port behind them."""
-        for number, fault in enumerate(self._scenario.faults):
-            if fault.place != place:
-                continue
-            system = systems.FaultySignal(
-                fault,
-                self._scenario.controller.sample_time_s,
-                size=port.size(),
-                trigger=_trigger(fault),
-                **_reading(self._scenario, fault),
+def reading_faults(scenario: Scenario) -> Iterator[Part]:
+    """Yield the faults of what the controller reads, and each button that only faults press."""
+    for place, signal in SIGNAL_OF.items():
+        if place in pressed_buttons(scenario):
+            nobody = partial(ConstantVectorSource, [0.0])
+            yield Part(place, nobody, lambda: {"0[0]": 0.0}, offers={place: "y0"})
+        yield from _signal_faults(scenario, place, signal)
+
+
+def command_faults(scenario: Scenario) -> Iterator[Part]:
+    """Yield the faults of the command, and the drive's watchdog if a command can be lost."""
+    yield from _signal_faults(scenario, "command", "motor_speed_command")
+    protection, losing = scenario.protection, _losing(scenario)
+    if protection is None or not losing:
+        return
+    arguments = protection, scenario.controller.sample_time_s
+    yield leaf_part("watchdog", systems.DriveWatchdog, drive_watchdog, *arguments)._replace(
+        reads={"lost": "lost_commands"}, through="motor_speed_command"
+    )
+    yield _sum("lost_commands", [f"lost_{number}" for number in losing], 1)
+
+
+def parameter_faults(scenario: Scenario) -> Iterator[Part]:
+    """Yield the faults of parameters, and for each changed system the sum of its changes."""
+    sources: dict[str, list[str]] = {}
+    all_changes = _changes(scenario)
+    for number, changes in all_changes.items():
+        fault = scenario.faults[number]
+        for path, offsets in changes.items():
+            name = _name(number, path)
+            sources.setdefault(path, []).append(name)
+            yield Part(
+                name,
+                partial(
+                    systems.ParameterFault,
+                    fault,
+                    offsets,
+                    scenario.controller.sample_time_s,
+                    _trigger(fault),
+                ),
+                partial(fault_system.offset_values, fault, offsets),
+                reads=_trigger_signal(fault),
+                offers={name: "offsets", f"active_{number}": "active"},
             )
-            self._add(number, fault, f"fault_{number}", system)
-            self._builder.Connect(port, system.GetInputPort("signal"))
-            port = system.GetOutputPort("signal")
-        return port
+    for path, names in _names(all_changes).items():
+        yield _sum(f"faults_of_{path.rpartition('/')[2]}", sources[path], len(names))
 
-    def on_command(self, port: Any) -> Any:
-        """Add the faults of the command, and the drive's watchdog if a command can be lost."""
-        port = self.on_signal("command", port)
-        protection, losing = self._scenario.protection, _losing(self._scenario)
-        if protection is None or not losing:
-            return port
-        watchdog = systems.DriveWatchdog(protection, self._scenario.controller.sample_time_s)
-        self._builder.AddNamedSystem("watchdog", watchdog)
-        lost = [self._systems[number].GetOutputPort("lost") for number in losing]
-        self._builder.Connect(self._sum("lost_commands", lost), watchdog.GetInputPort("lost"))
-        self._builder.Connect(port, watchdog.GetInputPort("motor_speed_command"))
-        return watchdog.GetOutputPort("motor_speed_command")
 
-    def button(self, name: str) -> Any:
-        """Add a button that only faults press; return its output port."""
-        nobody = self._builder.AddNamedSystem(name, ConstantVectorSource([0.0]))
-        return self.on_signal(name, nobody.get_output_port())
+def active_faults(scenario: Scenario) -> Iterator[Part]:
+    """Yield the number of active faults, if the scenario has faults."""
+    if scenario.faults:
+        active = [f"active_{number}" for number in range(len(scenario.faults))]
+        yield _sum("active_faults", active, 1)
 
-    def names_inside(self, folder: str) -> dict[str, tuple[str, ...]]:
-        """Return the Context parameters that faults change, by the name of their system.
 
-        The systems are those inside the subsystem ``folder``, or those of the loop itself for "".
-        """
-        inside = {}
-        for path, names in _names(self._changes).items():
-            parent, _, name = path.rpartition("/")
-            if parent == folder:
-                inside[name] = names
-        return inside
+def changed_inside(scenario: Scenario, folder: str) -> dict[str, tuple[str, ...]]:
+    """Return the Context parameters that faults change, by the name of their system.
 
-    def on_parameters(self, plant: Any) -> None:
-        """Add the faults of parameters, and connect them to their systems."""
-        sources: dict[str, list[Any]] = {}
-        for number, changes in self._changes.items():
-            fault = self._scenario.faults[number]
-            for path, offsets in changes.items():
-                system = systems.ParameterFault(
-                    fault, offsets, self._scenario.controller.sample_time_s, _trigger(fault)
-                )
-                self._add(number, fault, _name(number, path), system)
-                sources.setdefault(path, []).append(system.GetOutputPort("offsets"))
-        for path, ports in sources.items():
-            parent, _, name = path.rpartition("/")
-            if parent:
-                target = plant.GetInputPort(f"{name}_fault")
-            else:
-                target = self._builder.GetSubsystemByName(name).GetInputPort("fault")
-            self._builder.Connect(self._sum(f"faults_of_{name}", ports), target)
+    The systems are those inside the subsystem ``folder``, or those of the loop itself for "".
+    """
+    changed_names = _names(_changes(scenario)).items()
+    paths = ((path.rpartition("/"), names) for path, names in changed_names)
+    return {name: names for (parent, _, name), names in paths if parent == folder}
 
-    def finish(self, ports: Mapping[str, Any], available: Sequence[str]) -> Any:
-        """Connect each trigger to its signal, and return the output port of ``active_faults``.
 
-        ``ports`` has the output ports of all signals. The port has the number of active faults.
-        Without faults the result is None. Raises `ParameterError` if the loop lacks the signal of a
-        trigger.
-        """
-        for number, fault, system in self._triggered:
-            signal, _ = _signal_of(fault)
+def _signal_faults(scenario: Scenario, place: str, signal: str) -> Iterator[Part]:
+    """Yield the faults of the place ``place``, through which ``signal`` passes."""
+    for number, fault in enumerate(scenario.faults):
+        if fault.place != place:
+            continue
+        make = partial(
+            systems.FaultySignal,
+            fault,
+            scenario.controller.sample_time_s,
+            size=len(SIGNALS.get(signal, (signal,))),
+            trigger=_trigger(fault),
+            **_reading(scenario, fault),
+        )
+        yield Part(
+            f"fault_{number}",
+            make,
+            partial(fault_system.context_values, fault, **_reading(scenario, fault)),
+            reads={"signal": signal} | _trigger_signal(fault),
+            offers={signal: "signal", f"active_{number}": "active", f"lost_{number}": "lost"},
+            through=signal,
+        )
+
+
+def _trigger_signal(fault: FaultParameters) -> dict[str, str]:
+    """Return the signal that the port ``trigger`` of a fault reads, if it has this port."""
+    return {} if fault.signal is None else {"trigger": _signal_of(fault)[0]}
+
+
+def require_triggers(scenario: Scenario, available: Sequence[str]) -> None:
+    """Raise `ParameterError` if a fault starts by a signal that is not among ``available``."""
+    for number, fault in enumerate(scenario.faults):
+        for signal in _trigger_signal(fault).values():
             if signal not in available:
                 needed = NEEDED_SETTINGS.get(signal, "another controller")
                 raise ParameterError(
                     f"faults.{number}: signal {fault.signal!r} is not in this scenario; needs "
                     f"{needed}"
                 )
-            self._builder.Connect(ports[signal], system.GetInputPort("trigger"))
-        active = [system.GetOutputPort("active") for system in self._systems.values()]
-        return self._sum("active_faults", active) if active else None
 
-    def _add(self, number: int, fault: FaultParameters, name: str, system: Any) -> None:
-        self._builder.AddNamedSystem(name, system)
-        self._systems.setdefault(number, system)
-        if fault.signal is not None:
-            self._triggered.append((number, fault, system))
 
-    def _sum(self, name: str, ports: list[Any]) -> Any:
-        """Add a sum of output ports of equal size; return its output port."""
-        adder = self._builder.AddNamedSystem(name, Adder(len(ports), ports[0].size()))
-        for index, port in enumerate(ports):
-            self._builder.Connect(port, adder.get_input_port(index))
-        return adder.get_output_port()
+def _sum(name: str, signals: list[str], size: int) -> Part:
+    """Return a sum of signals of equal size, which offers the signal ``name``."""
+    reads = {f"u{index}": signal for index, signal in enumerate(signals)}
+    return Part(name, partial(Adder, len(signals), size), reads=reads, offers={name: "sum"})
 
 
 def _name(number: int, path: str) -> str:

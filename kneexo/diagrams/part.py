@@ -1,4 +1,4 @@
-"""Describes the leaf systems of a diagram as a list of parts.
+"""Describes a diagram as a list of parts, and wires the parts by the names of their signals.
 
 The list is used by the builder of the diagram, compiled runs, linear analysis and export as FMU.
 """
@@ -16,17 +16,25 @@ NO_FAULTS: Mapping[str, tuple[str, ...]] = MappingProxyType({})
 """No Context parameters that faults change, of no systems."""
 
 
+NO_SIGNAL = ""
+"""What an input port reads that stays unconnected, although a signal has the port's name."""
+
+
 class Part(NamedTuple):
-    """Description of a leaf system: name, factory, Context parameters and continuous states."""
+    """Description of a system in a diagram: how it is made, its numbers, what it reads and offers.
+
+    An input port reads the signal of its own name, and an output port offers the signal of its own
+    name, unless ``reads`` and ``offers`` say otherwise. See `wire`.
+    """
 
     name: str
-    """Name of the leaf system in the diagram."""
+    """Name of the system in the diagram."""
     make: Callable[..., Any]
     """Function that returns a new system; compiled runs do not call it.
 
     The makers of plant and wearer take ``fault_names``: the Context parameters that faults change.
     """
-    values: Callable[[], dict[str, float]]
+    values: Callable[[], dict[str, float]] = dict
     """Function that returns a dictionary from the name of a Context parameter to its value.
 
     A parameter without a name, in a further vector, is called ``vector[index]``.
@@ -35,6 +43,13 @@ class Part(NamedTuple):
     """Continuous states of the system, in the order of the Context."""
     start: Callable[[], Sequence[float]] | None = None
     """Function that returns the initial ``states`` in the units of their columns; None: zeros."""
+    reads: Mapping[str, str] = MappingProxyType({})
+    """Signal of each input port that reads a signal of another name than its own."""
+    offers: Mapping[str, str] | None = None
+    """Output port of each signal that the part offers, if it exists. None: all, by their names."""
+    through: str = ""
+    """Signal that passes through the part, which reads it from the parts before, as ``reads``
+    says, and offers it to all others."""
 
     def start_state(self) -> list[float]:
         """Return the initial values of ``states`` in the units of the Context."""
@@ -81,6 +96,68 @@ def add_parts(
         system = part.make(fault_names=names) if names else part.make()
         systems[part.name] = builder.AddNamedSystem(part.name, system)
     return systems
+
+
+def wire(
+    builder: Any,
+    parts: Iterable[Part],
+    signals: Mapping[str, Any] = MappingProxyType({}),
+    fault_names: Mapping[str, tuple[str, ...]] = NO_FAULTS,
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Add the systems of ``parts`` to a DiagramBuilder and connect them by names of signals.
+
+    Of parts that offer one signal, the last one has it. A part with ``through`` reads its signal
+    as the parts before it in the list offer it; every other port reads what the last part offers.
+
+    Parameters
+    ----------
+    builder
+        The DiagramBuilder.
+    parts
+        The systems, in their order in the diagram.
+    signals
+        Output ports that exist already, by signal.
+    fault_names
+        As in `add_parts`.
+
+    Returns
+    -------
+    signals, inputs
+        The output port of each signal, and the input port of each signal that no part offers.
+    """
+    parts = tuple(parts)
+    systems, ports = add_parts(builder, parts, fault_names), dict(signals)
+    for part in parts:
+        system = systems[part.name]
+        for port in _inputs(system) if part.through else ():
+            if part.reads.get(port.get_name(), port.get_name()) == part.through:
+                builder.Connect(ports[part.through], port)
+        outputs = [system.get_output_port(i) for i in range(system.num_output_ports())]
+        own = {port.get_name(): port for port in outputs}
+        offered = part.offers if part.offers is not None else {name: name for name in own}
+        ports |= {signal: own[name] for signal, name in offered.items() if name in own}
+    inputs = {}
+    for part in parts:
+        for port in _inputs(systems[part.name]):
+            signal = part.reads.get(port.get_name(), port.get_name())
+            if signal in (NO_SIGNAL, part.through):
+                continue
+            if signal in ports:
+                builder.Connect(ports[signal], port)
+            else:
+                inputs[signal] = port
+    return ports, inputs
+
+
+def _inputs(system: Any) -> list[Any]:
+    return [system.get_input_port(index) for index in range(system.num_input_ports())]
+
+
+def export_inputs(builder: Any, inputs: Mapping[str, Any], names: Mapping[str, str]) -> None:
+    """Export input ports by their signals, in the order of ``names``: from signal to input."""
+    for signal, name in names.items():
+        if signal in inputs:
+            builder.ExportInput(inputs[signal], name)
 
 
 def connect(builder: Any, source: Any, output: str, target: Any, input_: str) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from kneexo import systems
-from kneexo.diagrams.part import NO_FAULTS, Part, add_parts, connect, leaf_part
+from kneexo.diagrams.part import NO_FAULTS, Part, export_inputs, leaf_part, wire
 from kneexo.diagrams.signals import OPTIONAL_OUTPUTS, PLANT_OUTPUTS
 from kneexo.errors import ParameterError
 from kneexo.geometry import linkage
@@ -107,50 +107,32 @@ def make_plant(
     """
     require_object("parameters", parameters, PlantParameters, 'Scenario.preset("leg").plant')
     builder = DiagramBuilder()
-    systems_by_name = add_parts(
-        builder,
-        plant_parts(parameters, initial_knee_angle_rad, initial_offset_m, rod_polynomial),
-        fault_names,
+    parts = plant_parts(parameters, initial_knee_angle_rad, initial_offset_m, rod_polynomial)
+    signals, inputs = wire(builder, parts, fault_names=fault_names)
+    export_inputs(
+        builder, inputs, _INPUTS | {f"{name}_fault": f"{name}_fault" for name in fault_names}
     )
-    motor, cylinder, knee = (systems_by_name[name] for name in ("motor", "cylinder", "knee"))
-    connect(builder, motor, "load_flow", cylinder, "load_flow")
-    connect(builder, cylinder, "load_pressure", motor, "load_pressure")
-    connect(builder, cylinder, "rod_extension", knee, "rod_extension")
-    builder.ExportInput(motor.GetInputPort("motor_speed_command"), "motor_speed_command")
-    if "load" in systems_by_name:
-        load = systems_by_name["load"]
-        connect(builder, knee, "knee_angle", load, "knee_angle")
-        connect(builder, knee, "moment_arm", load, "moment_arm")
-        connect(builder, load, "load_force", cylinder, "load_force")
-        if parameters.knee_inertia_kg_m2 is not None:
-            connect(builder, knee, "moment_arm_slope", load, "moment_arm_slope")
-            connect(builder, load, "moving_mass", cylinder, "moving_mass")
-        for name in ("disturbance_force", "knee_torque"):
-            builder.ExportInput(load.GetInputPort(name), name)
-    else:
-        builder.ExportInput(cylinder.GetInputPort("load_force"), "disturbance_force")
-    if "temperature" in systems_by_name:
-        temperature = systems_by_name["temperature"]
-        connect(builder, motor, "winding_loss", temperature, "winding_loss")
-        connect(builder, temperature, "motor_temperatures", motor, "motor_temperatures")
-    if parameters.motor is not None:
-        for name in ("torque_off", "dynamic_brake"):
-            builder.ExportInput(motor.GetInputPort(name), name)
-    if "bypass" in systems_by_name:
-        bypass = systems_by_name["bypass"]
-        builder.ExportInput(bypass.GetInputPort("bypass"), "bypass")
-        connect(builder, bypass, "bypass_opening", cylinder, "bypass_opening")
-    for system in (knee, cylinder, motor):
-        for name in PLANT_OUTPUTS[system.get_name()]:
-            builder.ExportOutput(system.GetOutputPort(name), name)
-    for option, (part, names) in OPTIONAL_OUTPUTS.items():
+    for part in ("knee", "cylinder", "motor"):
+        for name in PLANT_OUTPUTS[part]:
+            builder.ExportOutput(signals[name], name)
+    for option, (_, names) in OPTIONAL_OUTPUTS.items():
         for name in names if getattr(parameters, option) is not None else ():
-            builder.ExportOutput(systems_by_name[part].GetOutputPort(name), name)
-    for name in fault_names:
-        builder.ExportInput(systems_by_name[name].GetInputPort("fault"), f"{name}_fault")
+            builder.ExportOutput(signals[name], name)
     plant = builder.Build()
     plant.set_name("plant")
     return plant
+
+
+_INPUTS = {
+    "motor_speed_command": "motor_speed_command",
+    "load_force": "disturbance_force",  # without a load
+    "disturbance_force": "disturbance_force",
+    "knee_torque": "knee_torque",
+    "torque_off": "torque_off",
+    "dynamic_brake": "dynamic_brake",
+    "bypass": "bypass",
+}
+"""By the signals that no part of the plant offers, the inputs of the plant in their order."""
 
 
 def scenario_plant_parts(scenario: Scenario) -> list[Part]:
@@ -271,7 +253,7 @@ def plant_parts(
                 bypass_valve.STATE_VARIABLES,
             )
         )
-    return parts
+    return [part._replace(reads={"fault": f"{part.name}_fault"}) for part in parts]
 
 
 def moving_masses_kg(parameters: PlantParameters) -> tuple[float, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator
 from functools import lru_cache
 from typing import Any
 
@@ -11,12 +11,16 @@ from pydrake.systems.primitives import PassThrough, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from kneexo import systems
-from kneexo.diagrams.part import Part, add_parts, connect
+from kneexo.diagrams.part import Part
 from kneexo.diagrams.plant import start_rod_force
-from kneexo.diagrams.signals import WEARER_OUTPUTS
 from kneexo.geometry.rod_polynomial import controller_polynomial
 from kneexo.parameters import LegParameters, MomentTable, NoLoad, Scenario
 from kneexo.systems import cuff, knee_reference, load_cell, wearer_knee
+
+_OF_CUFF = ("interaction_torque", "interaction_power", "cuff_slip")
+
+MOMENT_INPUT = "biological_moment_input"
+"""Signal of the biological moment that comes from outside the loop."""
 
 
 def wearer_parts(scenario: Scenario) -> list[Part]:
@@ -41,6 +45,7 @@ def wearer_parts(scenario: Scenario) -> list[Part]:
                 lambda **fault: systems.Cuff(leg.cuff, **fault),
                 lambda: cuff.context_values(leg.cuff),
                 cuff.state_variables(leg.cuff),
+                offers={name: name for name in _OF_CUFF} | {"knee_torque": "interaction_torque"},
             ),
         ]
     if scenario.has_load_cell:
@@ -56,7 +61,7 @@ def wearer_parts(scenario: Scenario) -> list[Part]:
                 lambda: [_start_force(scenario)],
             )
         )
-    return parts
+    return [part._replace(reads={"fault": f"faults_of_{part.name}"}) for part in parts]
 
 
 def _start_force(scenario: Scenario) -> float:
@@ -82,44 +87,14 @@ def moment_of(scenario: Scenario) -> MomentTable | None:
     return scenario.wearer.moment if isinstance(scenario.wearer, LegParameters) else None
 
 
-def add_wearer(
-    builder: Any,
-    scenario: Scenario,
-    plant: Any,
-    reference: Any,
-    *,
-    external_moment: bool,
-    fault_names: Mapping[str, tuple[str, ...]],
-) -> dict[str, Any]:
-    """Add the `wearer_parts` to a DiagramBuilder; return their output ports by signal.
-
-    ``plant`` is the plant, whose ``knee_torque`` becomes the interaction torque. ``reference`` is
-    the output port of the knee reference. The biological moment is a source, or an input port of
-    the diagram if ``external_moment`` is True. For ``fault_names`` see `add_parts`.
-    """
-    part = add_parts(builder, wearer_parts(scenario), fault_names)
-    ports = {
-        name: part[system].GetOutputPort(name)
-        for name, system in WEARER_OUTPUTS.items()
-        if system in part
-    }
-    if "load_cell" in part:
-        connect(builder, plant, "rod_force", part["load_cell"], "rod_force")
-    if "wearer" not in part:
-        return ports
-    leg, coupling = part["wearer"], part["cuff"]
-    builder.Connect(reference, leg.GetInputPort("knee_reference"))
-    for name in ("knee_angle", "rod_velocity", "moment_arm"):
-        connect(builder, plant, name, coupling, name)
-    connect(builder, leg, "wearer_motion", coupling, "wearer_motion")
-    connect(builder, coupling, "interaction_torque", leg, "interaction_torque")
-    connect(builder, coupling, "interaction_torque", plant, "knee_torque")
-    if (moment := moment_of(scenario)) is not None:
-        if external_moment:
-            source = builder.AddNamedSystem("biological_moment", PassThrough(1))
-            builder.ExportInput(source.get_input_port(), "biological_moment")
-        else:
-            source = builder.AddNamedSystem("moment", TrajectorySource(moment_spline(moment)))
-        builder.Connect(source.get_output_port(), leg.GetInputPort("biological_moment"))
-        ports["biological_moment"] = source.get_output_port()
-    return ports
+def moment_parts(scenario: Scenario, external: bool = False) -> Iterator[Part]:
+    """Yield the biological moment of the wearer, if the wearer has one: M(t), or an input."""
+    moment = moment_of(scenario)
+    if moment is None:
+        return
+    if external:
+        reads, offers = {"u": MOMENT_INPUT}, {"biological_moment": "y"}
+        yield Part("biological_moment", lambda: PassThrough(1), reads=reads, offers=offers)
+    else:
+        spline = lambda: TrajectorySource(moment_spline(moment))  # noqa: E731
+        yield Part("moment", spline, offers={"biological_moment": "y0"})

@@ -16,8 +16,14 @@ from diagramc import (
     read_diagram,
     rk4_step_s,
 )
-from kneexo.diagrams.closed_loop import add_encoder, available_signals, make_closed_loop, plant_of
+from kneexo.diagrams.closed_loop import (
+    available_signals,
+    encoder_parts,
+    make_closed_loop,
+    plant_of,
+)
 from kneexo.diagrams.controller import make_controller
+from kneexo.diagrams.part import Part, export_inputs, wire
 from kneexo.diagrams.protection import reading_range_rad, reference_range_rad
 from kneexo.diagrams.signals import SIGNALS
 from kneexo.errors import ParameterError
@@ -196,21 +202,20 @@ def count_range(scenario: Scenario) -> tuple[float, float]:
 
 def _plant(scenario: Scenario) -> Target:
     builder = DiagramBuilder()
-    plant = builder.AddNamedSystem("plant", plant_of(scenario))
-    encoder = add_encoder(builder, scenario, plant.GetOutputPort("encoder_angle"))
-    inputs = [plant.get_input_port(i).get_name() for i in range(plant.num_input_ports())]
-    for name in inputs:
-        builder.ExportInput(plant.GetInputPort(name), name)
-    builder.ExportOutput(encoder.get_output_port(), "encoder_reading")
+    parts = [Part("plant", lambda: plant_of(scenario)), *encoder_parts(scenario)]
+    ports, inputs = wire(builder, parts)
+    export_inputs(builder, inputs, {name: name for name in inputs})
+    encoder = ports["encoder_reading"]
+    builder.ExportOutput(encoder, "encoder_reading")
     outputs = ["encoder_reading"]
     if scenario.encoder.quantized:
         count = builder.AddNamedSystem(ENCODER_COUNT, EncoderCount(scenario.encoder.resolution_rad))
-        builder.Connect(encoder.get_output_port(), count.get_input_port())
+        builder.Connect(encoder, count.get_input_port())
         builder.ExportOutput(count.get_output_port(), ENCODER_COUNT)
         outputs.append(ENCODER_COUNT)
     for name in SIGNALS:
-        if plant.HasOutputPort(name):
-            builder.ExportOutput(plant.GetOutputPort(name), name)
+        if name in ports and name not in outputs:
+            builder.ExportOutput(ports[name], name)
             outputs.append(name)
     diagram = builder.Build()
     diagram.set_name("plant")
