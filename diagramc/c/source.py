@@ -96,8 +96,8 @@ class CSource:
     beside
         Contents of other files, by name, which the export gets too because ``origin`` names them.
     tool
-        Names and versions of the programs that make the code, such as ``kneexo 0.2.0, diagramc
-        0.2.0``. The first line of each file has the first name, the manifest has all.
+        Names and versions of the programs that make the code, such as ``kneexo 0.3.0, diagramc
+        0.3.0``. The first line of each file has the first name, the manifest has all.
 
     Raises
     ------

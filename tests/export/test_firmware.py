@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import diagramc
+import kneexo
 from diagramc.c import build as c_build, export as c_export
 from kneexo.analysis import simulate
 from kneexo.command_line.main import main
@@ -335,6 +337,7 @@ def test_the_export_has_the_scenario_that_it_came_from(tmp_path, short, capsys, 
     assert scenario == completed(Scenario(**SHORT, controller={"phi_m_s2": 1.5}))
     manifest = json.loads((out / "manifest.json").read_text())
     assert manifest["origin"] == "scenario.yaml"
+    assert manifest["tool"] == f"kneexo {kneexo.__version__}, diagramc {diagramc.__version__}"
     source, _ = make_firmware(scenario, vectors_s=0.01)
     assert source.files()["controller.c"] == (out / "controller.c").read_text()
 
