@@ -46,6 +46,7 @@ def to_rpm(speed: Any) -> Any:
 
 def saturation(limit: float) -> float:
     """Return the magnitude from which a command with this limit counts as saturated."""
+    # Below the limit, because the drive's whole number times its unit is rounded.
     return limit * (1.0 - 1e-6)
 
 

@@ -115,6 +115,7 @@ def make_closed_loop(
     plant = builder.AddNamedSystem("plant", plant_of(scenario, faults.names_inside("plant")))
     encoder = add_encoder(builder, scenario, plant.GetOutputPort("encoder_angle"))
     if external_reference:
+        # One exported input for all parts that read the reference.
         source = builder.AddNamedSystem("knee_reference", PassThrough(4))
         builder.ExportInput(source.get_input_port(), "knee_reference")
     else:
@@ -174,6 +175,7 @@ def make_closed_loop(
         )
         builder.Connect(command, bus.get_input_port())
         command = bus.get_output_port()
+    # Behind the bus, where the drive's watchdog sees that a frame is lost.
     command = faults.on_command(command)
     ports["motor_speed_command"] = command
     builder.Connect(command, plant.GetInputPort("motor_speed_command"))

@@ -29,6 +29,8 @@ def fault_structure(scenario: Scenario) -> tuple[Any, ...]:
 
     Raises `ParameterError` for a fault that cannot be in this scenario, or changes nothing.
     """
+    # With the signal of the trigger: two signals of one column look alike to all other data, and a
+    # run once watched the signal of an earlier run.
     kinds = (
         (fault.place, fault.kind, fault.signal and _signal_of(fault)) for fault in scenario.faults
     )

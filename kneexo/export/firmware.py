@@ -272,6 +272,8 @@ def make_sil(
     shared: dict[str, Any] = {
         "vectors_s": vectors_s,
         "step_s": step_s,
+        # The method and the steps of the plant in C, so that a loop without counts of the encoder
+        # agrees too.
         "integrator_options": {"integrator": "rk4", "step_s": step_s},
     }
     controller = _firmware(scenario, "controller", precision=precision, look_up=look_up, **shared)

@@ -121,6 +121,7 @@ def pose(link: LinkageParameters, knee_angle: ArrayLike) -> LinkagePose:
     """
     theta_p = np.asarray(knee_angle, dtype=float)
     wrapped = _theta_4(link, theta_p)
+    # 45° lies within every range of motion, so θ_4 is continuous over it.
     middle = _theta_4(link, np.asarray(np.pi / 4.0))
     theta_4 = middle + wrap(wrapped - middle)
     o_a, o_b = _ground(link)
@@ -178,6 +179,7 @@ def _closing_change(link: LinkageParameters, theta_p: Array) -> str:
     the limits. If no change of one length suffices, it names both. It is empty if the lengths are
     right, because a knee angle is not a number.
     """
+    # Every 0.5°, as in `rod_table`.
     fit_range = np.radians(np.linspace(*FIT_RANGE_DEG, 187))
     distance = np.abs(_diagonal(link, np.append(theta_p[np.isfinite(theta_p)], fit_range)))
     farthest, nearest = distance.max(), distance.min()
@@ -274,6 +276,8 @@ def invert_rod(
             f"rod_extension = {x[bad].flat[0]:g} m belongs to no knee angle: must be "
             f"{table[-1]:.4g} … {table[0]:.4g} m"
         )
+    # Three steps from the table reach rounding, 4e-15 rad for the linkages by name. So the test
+    # below may never hold, and 20 steps are the bound.
     angle = np.interp(x, table[::-1], grid[::-1])
     for _ in range(20):
         value, arm = rod_and_arm(angle)
@@ -321,6 +325,8 @@ def polynomial(coefficients: Any, argument: Any) -> Any:
     ``coefficients`` begin with the highest power. ``argument`` can be an array, a decimal number or
     a scalar of Drake.
     """
+    # Clenshaw's recursion of a Chebyshev series would give symbolic expressions of exponential
+    # size.
     value = coefficients[0]
     for coefficient in coefficients[1:]:
         value = value * argument + coefficient

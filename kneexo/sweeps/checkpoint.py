@@ -144,6 +144,8 @@ class UnknownLawError(KneexoError):
     """A later process could not recognize a law, which is called as Python and in no file."""
 
 
+# A damaged digit is still JSON, with a wrong result. So each line has a checksum, and a damaged
+# line costs its own piece only.
 def _sealed(payload: bytes) -> bytes:
     """Return a line of the file, made of a checksum and ``payload``, the JSON of key and result."""
     seal = hashlib.sha256(payload).hexdigest().encode()

@@ -19,6 +19,8 @@ from kneexo.systems._leaf import (
 )
 from kneexo.systems.state_variable import StateVariable
 
+# Solvers bound the error of a state in its own unit, so all states are of order one. With pressures
+# in Pa Drake's default integrator takes 979 steps for 0.01 s of the closed loop, with MPa 19.
 PA_PER_MPA = 1e6
 """Number of Pa in a MPa. Pressures are states in MPa and outputs in Pa."""
 

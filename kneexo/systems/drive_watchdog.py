@@ -16,6 +16,7 @@ def context_values(parameters: ProtectionParameters, sample_time_s: float) -> di
     }
 
 
+# In `kneexo study faults` a stale command that the drive obeyed for ever was the worst case.
 class DriveWatchdog(NamedLeaf):
     """The speed command that the drive obeys: the last one, or its own after n losses in a row.
 

@@ -423,6 +423,8 @@ def _fault(
     second, third = (_caller(law, law.copy_of_target(), states) for _ in range(2))
     before = _outer_values(function)
     with np.errstate(all="ignore"):
+        # The second pass goes backwards, which finds hidden state that two passes in one order
+        # would repeat.
         numbers, repeats = called_twice(first, second, points, _MOST_TIME_S)
         points = points[: len(numbers)]
         if not repeats or before != _outer_values(function):

@@ -35,6 +35,8 @@ SIGNALS = {
     "knee_reference": _Signal(4, slice(0, 1), "following"),
     "measured_force": _Signal(2, slice(1, 3), "load_cell", LARGEST_THRESHOLDS["load_cell"]),
     "biological_moment": _Signal(1, slice(0), largest=LARGEST_MOMENT_N_M),
+    # flow, not speed: a bad reading is implausible and stops the motor in each state, while speed
+    # says that the motor does not obey.
     "motor_speed": _Signal(1, slice(3, 4), "flow", LARGEST_THRESHOLDS["speed"]),
 }
 """The inputs that a guard can watch, by the name of their ports."""

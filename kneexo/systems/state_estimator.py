@@ -67,6 +67,8 @@ class TrackingObserver(NamedLeaf):
         self._declare_parameters(values_of(parameters, "time_constant_s"))
         self._sample_time = _checked(sample_time_s)
         self._position = self.DeclareVectorInputPort("measured_position", 1)
+        # The output contains the present reading already. So the law, which reads it in the same
+        # sample, adds no second delay.
         self._estimate = self._declare_output(
             "estimated_state", 3, self._correct, self._position, self.xd_ticket()
         )

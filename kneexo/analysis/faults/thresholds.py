@@ -202,6 +202,8 @@ def _healthy_run(
     try:
         run = simulate(realize(watched, uncertainty, values), signals=_SIGNALS)
         reason = int(run["safety_reason"].max())
+        # Again, with thresholds out of reach: a run that the protection stops shows no levels after
+        # the stop.
         if reason:
             run = simulate(realize(observing, uncertainty, values), signals=_SIGNALS)
     except SimulationError:

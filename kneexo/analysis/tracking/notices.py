@@ -213,6 +213,8 @@ def _torque_control_notice(scenario: Scenario) -> Iterator[str]:
     if scenario.controller.kind != "torque" or scenario.wearer.kind == "none":
         return
     growth = {}
+    # Both ends, because with an inertia at the knee the loop is unstable near extension, and the
+    # verdict looks at the middle.
     for angle in set(run_range_deg(scenario)) - {run_middle_deg(scenario)}:
         with contextlib.suppress(LinearizationError):
             growth[angle] = float(abs(coupled_loop(scenario, angle).eigenvalues[0]))

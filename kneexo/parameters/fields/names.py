@@ -151,6 +151,8 @@ def advice(model: type[BaseModel], path: Path, here: Models = ()) -> str:
         return f"; {'.'.join(known[0].path)} is a single value"
     near = sorted(name for holder in here for name in holder.model_fields)
     words = list(dict.fromkeys(name.word for name in names))
+    # From certain to vague: the same name elsewhere, a similar name here, a similar name elsewhere,
+    # and the same name in other classes.
     for whole, alike in (
         (model, [word]),
         (model, close_names(word, near, _SIMILAR_HERE)),
