@@ -28,7 +28,7 @@ def line_width() -> int:
 
 @dataclass(frozen=True)
 class Stage:
-    """A part of a command, whose typical duration is its share of the bar of the whole command."""
+    """A part of a command. The bar of the whole command gives each part its typical duration."""
 
     name: str
     """Description of the progress bar of the stage."""

@@ -54,18 +54,35 @@ def make_plant(
 ) -> Diagram:
     """Build the plant, motor → cylinder → knee with load, as a purely continuous diagram.
 
-    Subsystems: ``motor`` (`BldcPump`), ``cylinder`` (`ReducedCylinder`, or `FullCylinder` with
-    ``full_order``), ``knee`` (`FourBarKnee`), unless the load is none, ``load`` (`KneeLoad`), with
-    temperatures of the motor, ``temperature`` (`MotorTemperature`) and, with a bypass, ``bypass``
-    (`BypassValve`).
-    Inputs: ``motor_speed_command`` (rad/s), ``disturbance_force`` (N, on the rod, positive opposes
-    extension), with a load ``knee_torque`` (N·m, positive flexes), with a bypass ``bypass`` (its
-    opening, 0 to 1), and with ``motor`` ``torque_off`` and ``dynamic_brake`` (1: on). All
-    but the command are zero if unconnected. Outputs: `PLANT_OUTPUTS`, and the `OPTIONAL_OUTPUTS` of
-    the parts that the plant has.
+    ===============  =========================  ============================================
+    subsystem        leaf system                exists
+    ===============  =========================  ============================================
+    ``motor``        `BldcPump`                 always
+    ``cylinder``     `ReducedCylinder`          without ``full_order``
+    ``cylinder``     `FullCylinder`             with ``full_order``
+    ``knee``         `FourBarKnee`              always
+    ``load``         `KneeLoad`                 unless the load is none
+    ``temperature``  `MotorTemperature`         with ``thermal``
+    ``bypass``       `BypassValve`              with ``bypass``
+    ===============  =========================  ============================================
 
-    The plant starts at rest with zero motor speed, and the pressures hold load and spring. In full
-    order the lower of the two chamber pressures equals the pressure of the reservoir.
+    =======================  =====  ===============  ======================================
+    input                    unit   exists
+    =======================  =====  ===============  ======================================
+    ``motor_speed_command``  rad/s  always           positive drives the rod out
+    ``disturbance_force``    N      always           on the rod, positive opposes extension
+    ``knee_torque``          N·m    with a load      positive flexes
+    ``bypass``               1      with ``bypass``  opening of the valve, 0 to 1
+    ``torque_off``           1      with ``motor``   1: no current
+    ``dynamic_brake``        1      with ``motor``   1: shorted windings
+    =======================  =====  ===============  ======================================
+
+    All inputs but the command are zero if unconnected. Outputs: `PLANT_OUTPUTS`, and the
+    `OPTIONAL_OUTPUTS` of the parts that the plant has.
+
+    The plant starts at rest with zero motor speed. The chamber pressures balance load and spring,
+    so that the oil does not begin to swing. In full order the lower of the two pressures equals the
+    pressure of the reservoir.
 
     Parameters
     ----------
@@ -170,7 +187,7 @@ def plant_parts(
 
     # A part has functions, because a compiled run needs values but no systems.
     def start() -> tuple[float, ...]:
-        """Return the state of the cylinder at rest; the pressures hold load and spring."""
+        """Return the cylinder's state at rest: the chamber pressures balance load and spring."""
         extension, force = _start_extension_and_force(
             parameters, initial_knee_angle_rad, initial_offset_m, rod_polynomial
         )

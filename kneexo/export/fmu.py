@@ -214,7 +214,10 @@ class Effect:
     touched: set[str]
     """Context parameters that change with the number."""
     same: set[str]
-    """Equal to ``touched`` if each parameter in it always equals the number, otherwise empty."""
+    """``touched`` if each of its parameters always equals the number, otherwise empty.
+
+    One parameter of the FMU can then set all of them.
+    """
     start: bool
     """Whether the initial state of the plant changes with the number."""
 

@@ -113,7 +113,10 @@ def largest_step_s(scenario: Scenario, what: str) -> float:
 
 
 def released_step_s(scenario: Scenario, diagram: DiagramEquations) -> float:
-    """Return the result of `largest_step_s` for the diagram of a target."""
+    """Return the default step of RK4 in s of a target, whose equations were read already.
+
+    ``diagram`` has the equations. `largest_step_s` describes the step.
+    """
     equations, parameters = diagram.equations, diagram.parameters()
     ports = [name for name, size in equations.inputs.items() for _ in range(size)]
     acting = set(ports) if scenario.protection is None else {*ports, scenario.protection.safe_state}

@@ -172,12 +172,13 @@ def _theta_4(link: LinkageParameters, theta_p: Array) -> Array:
 
 
 def _closing_change(link: LinkageParameters, theta_p: Array) -> str:
-    """Return, as text, the lengths of link 2 or 4 with which the links close.
+    """Return the remedy of a linkage that does not close, as the end of a message.
 
-    They close where |a_2 − a_4| ≤ |D| ≤ a_2 + a_4. The text belongs to the knee angles
-    ``theta_p`` and `FIT_RANGE_DEG`, and to the length that changes less. It keeps 0.1 % away from
-    the limits. If no change of one length suffices, it names both. It is empty if the lengths are
-    right, because a knee angle is not a number.
+    The links close where |a_2 − a_4| ≤ |D| ≤ a_2 + a_4. The remedy is a range for the length of
+    link 2 or link 4, whichever changes less. With a length in this range, 0.1 % away from the
+    limits, the links close at the knee angles ``theta_p`` and over `FIT_RANGE_DEG`. If no change of
+    one length suffices, the remedy has both lengths. The text is empty if the lengths are right,
+    and a knee angle is not a number.
     """
     # Every 0.5°, as in `rod_table`.
     fit_range = np.radians(np.linspace(*FIT_RANGE_DEG, 187))

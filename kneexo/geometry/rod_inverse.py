@@ -143,7 +143,10 @@ def _helping_change(link: LinkageParameters) -> str:
 
 
 def _fitted(link: LinkageParameters, rod_polynomial: RodPolynomialParameters | None) -> RodInverse:
-    """Return the value of `fit_rod_inverse`."""
+    """Fit `RodInverse`, as `fit_rod_inverse` describes it.
+
+    Raises `LinkageError` with the reason alone, for the search for a linkage that can be inverted.
+    """
     if rod_polynomial is None:
 
         def rod_and_arm(angle: Array) -> tuple[Array, Array]:

@@ -302,8 +302,8 @@ class _Units:
         """Put the unfinished indices of a unit back at the front of the queue; adapt the size.
 
         ``finished`` is the number of finished indices, and ``elapsed_s`` the duration of the unit.
-        If the unit ended within the time limit, the next units can have as many indices as fit into
-        the limit, but at most `_GROWTH` times this number. Otherwise they have this number.
+        The next units have as many indices as fit into `UNIT_S` at this rate, at most `_GROWTH`
+        times ``finished``. After a unit that took longer they have ``finished`` indices.
         """
         self._waiting.extendleft(reversed(unfinished))
         growth = min(_GROWTH, UNIT_S / max(elapsed_s, 1e-9))

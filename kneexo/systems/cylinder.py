@@ -66,10 +66,10 @@ def start_extension(parameters: CylinderParameters, initial_extension_m: float |
 
 
 def cylinder_values(parameters: CylinderParameters, *others: str) -> dict[str, float]:
-    """Return the Context parameters of a `Cylinder` by name, in the order of the Context.
+    """Read the Context parameters of a `Cylinder` from ``parameters``: {name: value}.
 
-    ``others`` are names of numbers that only one kind of cylinder has. These numbers come first.
-    All numbers are attributes of ``parameters``.
+    The order is that of the Context. ``others`` are names of further attributes of ``parameters``,
+    which only one kind of cylinder needs. They come first.
     """
     return values_of(
         parameters,

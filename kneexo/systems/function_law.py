@@ -342,7 +342,10 @@ _memos: WeakKeyDictionary[Any, dict[Any, Any]] = WeakKeyDictionary()
 
 
 def _memo(law: Law) -> dict[Any, Any]:
-    """Return what this process knows about the function of a law, whatever `Law` it comes in."""
+    """Return the dictionary in which this process remembers what it has found out about a law.
+
+    Several `Law` objects of one function share the dictionary of this function.
+    """
     is_function = isinstance(law.target, FunctionType)
     return _memos.setdefault(law.target, law.memo) if is_function else law.memo
 

@@ -23,8 +23,10 @@ class _Signal(NamedTuple):
 
     size: int
     held: slice
-    """Places in the discrete state of the last good values of the first elements, which take the
-    place of bad ones. The other elements become zero."""
+    """Places of the last good values of the first elements in the discrete state of the guard.
+
+    They take the place of bad values. The other elements of a bad input become zero.
+    """
     detector: str = ""
     """The detector that counts the bad values."""
     largest: float = 0.0

@@ -78,7 +78,10 @@ def _ramp(time: Any, ramp_s: Any) -> list[Any]:
 
 
 def _product_derivatives(u: list[Any], v: list[Any]) -> list[Any]:
-    """Return the product u·v and its derivatives; ``u`` and ``v`` hold a factor and derivatives."""
+    """Return the product of two functions of time and its derivatives, by Leibniz's rule.
+
+    ``u`` and ``v`` have the value of each function, and then its derivatives.
+    """
     return [sum(math.comb(n, k) * u[k] * v[n - k] for k in range(n + 1)) for n in range(len(u))]
 
 

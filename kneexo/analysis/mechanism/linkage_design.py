@@ -213,7 +213,8 @@ class _Problem:
     def errors(self, x: Array) -> tuple[Points, Array, dict[str, Array]]:
         """Return migration (..., n), rod error (..., m) and constraints of linkages, in m.
 
-        A constraint is met if all its values are >= 0. The values are scaled so that 1 is much.
+        A constraint is met if all its values are >= 0. The values are scaled so that −1 is a gross
+        violation of any limit.
         """
         points = x[..., 0::2] + 1j * x[..., 1::2]
         o_a, o_b, a, b, cylinder, pin = (points[..., i, None] for i in range(6))

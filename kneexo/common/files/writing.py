@@ -74,7 +74,11 @@ def _replacement(
     remedy: str,
     when_written: Callable[[], object] | None = None,
 ) -> Iterator[Path]:
-    """Do the work of `output_directory`. Messages begin with ``option`` and end with ``remedy``."""
+    """Context manager: give a temporary directory, whose files move to ``target`` after the body.
+
+    `output_directory` describes what happens after a failure, and ``when_written``. Messages begin
+    with ``option`` and end with ``remedy``.
+    """
     created: list[Path] = []
     workspace, lock_file = None, None
     try:
