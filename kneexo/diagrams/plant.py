@@ -338,6 +338,7 @@ def _start_extension_and_force(
             f"outside the range of motion {low:g} … {high:g} deg"
         )
     fit = fit_rod_inverse(parameters.linkage, _rod_map(parameters, rod_polynomial))
+    # With 50 digits rounded once, so that a run starts from the same bits on every processor.
     extension = _extension_at(parameters, rod_polynomial, initial_knee_angle_rad)
     extension += initial_offset_m
     polynomials = (fit.knee_angle, fit.encoder_angle, fit.moment_arm)

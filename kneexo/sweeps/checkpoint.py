@@ -185,6 +185,8 @@ def _plain(value: Any) -> Any:
                 f"pieces are kept"
             )
         numbers = value.model_dump_json(exclude={"controller": {"function"}})
+        # Not its text: a law of equal equations finds its pieces again, and one of equal text
+        # that reads other values does not.
         return [type(value).__name__, numbers, key]
     if isinstance(value, BaseModel):
         return [type(value).__name__, value.model_dump_json()]

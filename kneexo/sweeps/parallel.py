@@ -43,8 +43,8 @@ A unit contains as many calls of the mapped function as a worker finishes in abo
 CONNECT_S = 10.0
 """Largest time in s to wait for a Dask scheduler, and then for its first worker."""
 
-# 512 calls fill 16 batches of `LARGEST_BATCH` runs, also where calls have runs of several
-# structures.
+# 512 calls fill 16 batches of `LARGEST_BATCH` runs, so that batches are full also where the calls
+# have runs of several structures.
 LARGEST_LOT = 512
 """Largest number of calls in lockstep, which share batches of runs."""
 

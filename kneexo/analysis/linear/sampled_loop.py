@@ -303,6 +303,7 @@ class SampledLoop(Result):
         values = self.eigenvalues
         values = np.append(values, np.linalg.eigvals(self.loop.a))
         modes = np.abs(np.angle(values[np.abs(values) > 0.5])) * nyquist / math.pi
+        # A step of 1e-3 missed the resonances with a smaller damping ratio.
         offset = np.geomspace(1e-6, 0.1, 120)  # down to a damping ratio of 1e-5
         near = modes[:, None] * (1.0 + np.concatenate([-offset, [0.0], offset]))
         grid = np.concatenate([np.geomspace(0.02, nyquist, 2000), near.ravel()])
