@@ -18,10 +18,10 @@ def period_s(scenario: Scenario) -> float:
 
 
 def settled_s(scenario: Scenario) -> float:
-    """Return the time in s from which the metrics of a run without its transient count.
+    """Return the time in s at which the metrics begin that leave out the start of a run.
 
-    It is the period of a sine if the run has at least two periods, else zero: the rest of a shorter
-    run after its first period would hide a part of the motion. As in
+    The first period of a sine is left out if the run has at least two periods. Of a shorter run
+    nothing is left out, because the rest would hide a part of the motion. As in
     `kneexo.analysis.tracking.interaction.whole_periods`, the last period may lack its last sample.
     """
     period, sample_s = period_s(scenario), scenario.controller.sample_time_s
@@ -46,6 +46,7 @@ def to_rpm(speed: Any) -> Any:
 
 def saturation(limit: float) -> float:
     """Return the magnitude from which a command with this limit counts as saturated."""
+    # Below the limit, because the drive's whole number times its unit is rounded.
     return limit * (1.0 - 1e-6)
 
 

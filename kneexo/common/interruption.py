@@ -15,6 +15,7 @@ class Terminated(KeyboardInterrupt):
     """SIGTERM arrived. Code that handles Ctrl-C (`KeyboardInterrupt`) handles SIGTERM too."""
 
 
+# SIGTERM as an exception, so that temporary directories and worker processes end as after Ctrl-C.
 def _terminate(number: int, frame: Any) -> None:
     raise Terminated
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+# Matplotlib's first colours coincide for people with deuteranopia.
 BLUE = "#2166AC"
 """Colour of the first curve, such as the knee angle."""
 GOLD = "#B8860B"

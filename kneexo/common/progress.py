@@ -28,7 +28,7 @@ def line_width() -> int:
 
 @dataclass(frozen=True)
 class Stage:
-    """A part of a command, whose typical duration is its share of the bar of the whole command."""
+    """A part of a command. The bar of the whole command gives each part its typical duration."""
 
     name: str
     """Description of the progress bar of the stage."""
@@ -137,6 +137,7 @@ class _Whole:
         if name not in self._left:
             return self._reached, self._reached
         start, last, repeats = self._left[name]
+        # Nobody knows how many bars follow, so each takes half of what is left of the stage.
         end = 0.5 * (start + last) if repeats else last
         self._left[name] = (end, last, repeats)
         return start, end

@@ -217,6 +217,7 @@ def loop_parts(
         )
         if bus.latency_samples
         else None,
+        # Behind the bus, where the drive's watchdog sees that a frame is lost.
         *command_faults(scenario),
         leaf_part("push", systems.Push, push_system, push, sample_time_s) if push else None,
         *parameter_faults(scenario),
@@ -246,7 +247,7 @@ def _plant_part(scenario: Scenario) -> Part:
 
 def _reference_part(scenario: Scenario, reference: System | None, external: bool) -> Part:
     """Return the knee reference: that of the scenario, another system, or an input."""
-    if external:
+    if external:  # one input of the loop for all parts that read the reference
         offers = {"knee_reference": "y"}
         return Part(
             "knee_reference", lambda: PassThrough(4), reads={"u": _REFERENCE_INPUT}, offers=offers

@@ -176,6 +176,8 @@ def _parts(scenario: Scenario, replacement: System | None = None) -> list[Part]:
     believed, polynomial = scenario.believed_plant, controller_polynomial(scenario)
     law = scenario.with_loaded_law().controller
     measurement = believed.linkage, polynomial, encoder_offset_rad(scenario)
+    # The scenario's limit is a whole number of the drive's units, so that a rounded command at the
+    # limit still counts as saturated.
     if law.command_limit_rad_s != scenario.command_limit_rad_s:
         law = law.model_copy(update={"command_limit_rad_s": scenario.command_limit_rad_s})
     if replacement is not None and not isinstance(law, LawParameters):
@@ -186,6 +188,7 @@ def _parts(scenario: Scenario, replacement: System | None = None) -> list[Part]:
     if isinstance(law, LawParameters):
         inputs = {*law_inputs(scenario)}
         raw = "encoder_reading" in inputs and inputs <= _RAW_INPUTS
+        # With protection the coordinates stay, because the detectors read them.
         if raw and scenario.protection is None:
             return [_law_part(scenario, law, replacement)]
     parts = [

@@ -26,10 +26,13 @@ Changes = dict[str, dict[str, float]]
 
 
 def fault_structure(scenario: Scenario) -> tuple[Any, ...]:
-    """Return plain data that are equal if the equations of two scenarios' faults have one form.
+    """Return data to compare the faults of two scenarios: equal data, equations of one form.
 
+    The sizes and times of the faults do not belong to the data, because they are parameters.
     Raises `ParameterError` for a fault that cannot be in this scenario, or changes nothing.
     """
+    # With the signal of the trigger: two signals of one column look alike to all other data, and a
+    # run once watched the signal of an earlier run.
     kinds = (
         (fault.place, fault.kind, fault.signal and _signal_of(fault)) for fault in scenario.faults
     )
@@ -165,12 +168,19 @@ def _sum(name: str, signals: list[str], size: int) -> Part:
 
 
 def _name(number: int, path: str) -> str:
-    """Return the name of a system of a parameter's fault, which has one for each ``path``."""
+    """Return the name of the `ParameterFault` by which a fault changes the system at ``path``.
+
+    A fault of a number that several systems have, such as a piston area, has several of them.
+    """
     return f"fault_{number}_{path.rpartition('/')[2]}"
 
 
 def _reading(scenario: Scenario, fault: FaultParameters) -> dict[str, float]:
-    """Return the arguments ``lead_s`` and ``resolution`` of `FaultySignal`."""
+    """Return ``lead_s`` and ``resolution`` of the `FaultySignal` of a fault.
+
+    A reading has a lead of one sample, because who reads it sees the fault before its update. The
+    command has no lead.
+    """
     sampled = fault.place != "command"
     lead_s = scenario.controller.sample_time_s if sampled else 0.0
     return {"lead_s": lead_s, "resolution": scenario.encoder.resolution_rad}

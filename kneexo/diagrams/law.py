@@ -109,7 +109,10 @@ def known_to_controller(scenario: Scenario) -> Scenario:
 
 
 def known_text(scenario: Scenario) -> str:
-    """Return a text of `known_to_controller`, without the law, as part of a question."""
+    """Return `known_to_controller` as JSON, without the law.
+
+    The text is part of a question to `remembered`: equal texts have equal answers.
+    """
     without_law = {"controller": {"function"}}
     return known_to_controller(scenario).model_dump_json(exclude=without_law)
 

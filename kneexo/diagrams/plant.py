@@ -55,33 +55,36 @@ def make_plant(
 ) -> Diagram:
     """Build the plant, motor → cylinder → knee with load, as a purely continuous diagram.
 
-    ===========  ====================================  ==================================
-    subsystem    leaf system                           exists
-    ===========  ====================================  ==================================
-    motor        `BldcPump`, or `TorqueLimitedPump`    always; the latter with ``motor``
-    cylinder     `ReducedCylinder`, or `FullCylinder`  always; the latter with ``full_order``
-    knee         `FourBarKnee`                         always
-    load         `KneeLoad`                            unless the load is none
-    temperature  `MotorTemperature`                    with ``thermal``
-    bypass       `BypassValve`                         with ``bypass``
-    ===========  ====================================  ==================================
+    ===============  ===================  =======================
+    subsystem        leaf system          exists
+    ===============  ===================  =======================
+    ``motor``        `BldcPump`           without ``motor``
+    ``motor``        `TorqueLimitedPump`  with ``motor``
+    ``cylinder``     `ReducedCylinder`    without ``full_order``
+    ``cylinder``     `FullCylinder`       with ``full_order``
+    ``knee``         `FourBarKnee`        always
+    ``load``         `KneeLoad`           unless the load is none
+    ``temperature``  `MotorTemperature`   with ``thermal``
+    ``bypass``       `BypassValve`        with ``bypass``
+    ===============  ===================  =======================
 
-    =====================  =====  ==========================================  ==================
-    input port             unit   meaning                                     exists
-    =====================  =====  ==========================================  ==================
-    motor_speed_command    rad/s  motor side of the gear                      always
-    disturbance_force      N      on the rod, positive opposes extension      always
-    knee_torque            N·m    positive flexes                             with a load
-    torque_off             1      1: no current                               with ``motor``
-    dynamic_brake          1      1: shorted windings                         with ``motor``
-    bypass                 1      opening of the valve, 0 … 1                 with ``bypass``
-    =====================  =====  ==========================================  ==================
+    =======================  =====  ===============  ======================================
+    input                    unit   exists
+    =======================  =====  ===============  ======================================
+    ``motor_speed_command``  rad/s  always           positive drives the rod out
+    ``disturbance_force``    N      always           on the rod, positive opposes extension
+    ``knee_torque``          N·m    with a load      positive flexes
+    ``bypass``               1      with ``bypass``  opening of the valve, 0 to 1
+    ``torque_off``           1      with ``motor``   1: no current
+    ``dynamic_brake``        1      with ``motor``   1: shorted windings
+    =======================  =====  ===============  ======================================
 
-    Each input but the command is zero if unconnected. Outputs: `PLANT_OUTPUTS`, and the
+    All inputs but the command are zero if unconnected. Outputs: `PLANT_OUTPUTS`, and the
     `OPTIONAL_OUTPUTS` of the parts that the plant has.
 
-    The plant starts at rest with zero motor speed, and the pressures hold load and spring. In full
-    order the lower of the two chamber pressures equals the pressure of the reservoir.
+    The plant starts at rest with zero motor speed. The chamber pressures balance load and spring,
+    so that the oil does not begin to swing. In full order the lower of the two pressures equals the
+    pressure of the reservoir.
 
     Parameters
     ----------
@@ -167,7 +170,7 @@ def plant_parts(
 
     # A part has functions, because a compiled run needs values but no systems.
     def start() -> tuple[float, ...]:
-        """Return the state of the cylinder at rest; the pressures hold load and spring."""
+        """Return the cylinder's state at rest: the chamber pressures balance load and spring."""
         extension, force = _start_extension_and_force(
             parameters, initial_knee_angle_rad, initial_offset_m, rod_polynomial
         )
@@ -326,6 +329,7 @@ def _start_extension_and_force(
             f"outside the range of motion {low:g} … {high:g} deg"
         )
     fit = fit_rod_inverse(parameters.linkage, _rod_map(parameters, rod_polynomial))
+    # With 50 digits rounded once, so that a run starts from the same bits on every processor.
     extension = _extension_at(parameters, rod_polynomial, initial_knee_angle_rad)
     extension += initial_offset_m
     polynomials = (fit.knee_angle, fit.encoder_angle, fit.moment_arm)

@@ -53,6 +53,8 @@ def guarded_ports(
     ``sources`` has the ports of the coordinates. ``inputs`` are the exported inputs so far; those
     of the guard are added to them.
     """
+    # The guard refuses nothing. A controller that refused a bad input did not step: while the
+    # encoder was dead, no detector counted and no emergency stop acted.
     guard, detectors = subsystems["guard"], subsystems["detectors"]
     builder.ConnectInput(inputs["encoder_reading"], detectors.GetInputPort("encoder_reading"))
     for name in ("knee_angle", "rod_extension"):

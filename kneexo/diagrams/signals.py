@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+# In the order of the columns of signals.csv.
 SIGNALS = {
     "knee_reference": (
         "knee_reference_rad",

@@ -77,6 +77,7 @@ def _start_force(scenario: Scenario) -> float:
 @lru_cache(maxsize=64)
 def moment_spline(moment: MomentTable) -> Any:
     """Return M(t) as Drake's piecewise polynomial through the samples, in N·m over s."""
+    # Straight lines: nothing reads a derivative of the moment, and no curve overshoots the samples.
     return PiecewisePolynomial.FirstOrderHold(
         np.array(moment.times_s), np.array([moment.moments_n_m])
     )

@@ -43,7 +43,7 @@ from kneexo.parameters.task.fault import OPERATOR_INPUTS
 from kneexo.simulation.compiled import compile_scenario, scenario_run
 
 OUTSIDE = ("disturbance_force", "knee_torque", *RELEASES, *OPERATOR_INPUTS)
-"""Names of the input ports that no part of the closed loop drives. The test vectors have zero."""
+"""Names of the input ports that no part of the closed loop drives. Test vectors have zeros."""
 
 VECTORS_S = 2.0
 """Default length of the test vectors in simulated s. A shorter scenario limits the length."""
@@ -135,7 +135,11 @@ def _firmware(
     name: str | None = None,
     outputs: Sequence[str] | None = None,
 ) -> tuple[CSource, Vectors]:
-    """Return the result of `make_firmware`; for ``integrator_options`` see `loop_inputs`."""
+    """Return C and test vectors as `make_firmware` does.
+
+    ``integrator_options`` choose the integrator of the run that gives the test vectors, as in
+    `loop_inputs`. Software in the loop needs the integrator of the plant in C.
+    """
     require_step(step_s)
     if what == "loop" and moment_of(scenario) is not None:
         raise ParameterError(
@@ -272,6 +276,8 @@ def make_sil(
     shared: dict[str, Any] = {
         "vectors_s": vectors_s,
         "step_s": step_s,
+        # The method and the steps of the plant in C, so that a loop without counts of the encoder
+        # agrees too.
         "integrator_options": {"integrator": "rk4", "step_s": step_s},
     }
     controller = _firmware(scenario, "controller", precision=precision, look_up=look_up, **shared)

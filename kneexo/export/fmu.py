@@ -34,6 +34,7 @@ from kneexo.parameters.paths import changed, value_at
 from kneexo.simulation.compiled import scenario_start, scenario_values, structure_key
 from kneexo.systems import knee_reference
 
+# Near 1 too, so that a number with a narrow range has values to try.
 _FACTORS = (0.1, 0.5, 0.99, 1.01, 2.0, 10.0)
 """Factors by which `parameter_effects` multiplies a number, to see which parameters change."""
 
@@ -213,7 +214,10 @@ class Effect:
     touched: set[str]
     """Context parameters that change with the number."""
     same: set[str]
-    """Equal to ``touched`` if each parameter in it always equals the number, otherwise empty."""
+    """``touched`` if each of its parameters always equals the number, otherwise empty.
+
+    One parameter of the FMU can then set all of them.
+    """
     start: bool
     """Whether the initial state of the plant changes with the number."""
 
@@ -241,6 +245,7 @@ def parameter_effects(scenario: Scenario, names: list[str]) -> dict[str, Effect]
                 after = scenario_values(with_other)
                 followers = {name for name in names if after[name] != before[name]}
                 touched |= followers
+                # Equal doubles: a parameter that is only close to the number is computed from it.
                 same.append({name for name in followers if after[name] == other})
                 moves |= _start(with_other, start) != start
         if touched:

@@ -119,11 +119,16 @@ def largest_step_s(scenario: Scenario, what: str) -> float:
 
 
 def released_step_s(scenario: Scenario, diagram: DiagramEquations) -> float:
-    """Return the result of `largest_step_s` for the diagram of a target."""
+    """Return the default step of RK4 in s of a target, whose equations were read already.
+
+    ``diagram`` has the equations. `largest_step_s` describes the step.
+    """
     equations, parameters = diagram.equations, diagram.parameters()
     ports = [name for name, size in equations.inputs.items() for _ in range(size)]
     acting = set(ports) if scenario.protection is None else {*ports, scenario.protection.safe_state}
     steps = [rk4_step_s(equations, parameters, diagram.state())]
+    # A release makes faster modes: shorted windings stop the motor with k_t²/(R J), and an open
+    # bypass empties the chambers.
     for release in acting & {*RELEASES}:
         state, inputs = diagram.state(), np.array([float(name == release) for name in ports])
         is_valve = [name == "plant/bypass.x[0]" for name in equations.states]

@@ -121,6 +121,7 @@ def pose(link: LinkageParameters, knee_angle: ArrayLike) -> LinkagePose:
     """
     theta_p = np.asarray(knee_angle, dtype=float)
     wrapped = _theta_4(link, theta_p)
+    # 45° lies within every range of motion, so θ_4 is continuous over it.
     middle = _theta_4(link, np.asarray(np.pi / 4.0))
     theta_4 = middle + wrap(wrapped - middle)
     o_a, o_b = _ground(link)
@@ -171,13 +172,15 @@ def _theta_4(link: LinkageParameters, theta_p: Array) -> Array:
 
 
 def _closing_change(link: LinkageParameters, theta_p: Array) -> str:
-    """Return, as text, the lengths of link 2 or 4 with which the links close.
+    """Return the remedy of a linkage that does not close, as the end of a message.
 
-    They close where |a_2 − a_4| ≤ |D| ≤ a_2 + a_4. The text belongs to the knee angles
-    ``theta_p`` and `FIT_RANGE_DEG`, and to the length that changes less. It keeps 0.1 % away from
-    the limits. If no change of one length suffices, it names both. It is empty if the lengths are
-    right, because a knee angle is not a number.
+    The links close where |a_2 − a_4| ≤ |D| ≤ a_2 + a_4. The remedy is a range for the length of
+    link 2 or link 4, whichever changes less. With a length in this range, 0.1 % away from the
+    limits, the links close at the knee angles ``theta_p`` and over `FIT_RANGE_DEG`. If no change of
+    one length suffices, the remedy has both lengths. The text is empty if the lengths are right,
+    and a knee angle is not a number.
     """
+    # Every 0.5°, as in `rod_table`.
     fit_range = np.radians(np.linspace(*FIT_RANGE_DEG, 187))
     distance = np.abs(_diagonal(link, np.append(theta_p[np.isfinite(theta_p)], fit_range)))
     farthest, nearest = distance.max(), distance.min()
@@ -274,6 +277,8 @@ def invert_rod(
             f"rod_extension = {x[bad].flat[0]:g} m belongs to no knee angle: must be "
             f"{table[-1]:.4g} … {table[0]:.4g} m"
         )
+    # Three steps from the table reach rounding, 4e-15 rad for the linkages by name. So the test
+    # below may never hold, and 20 steps are the bound.
     angle = np.interp(x, table[::-1], grid[::-1])
     for _ in range(20):
         value, arm = rod_and_arm(angle)
@@ -321,6 +326,8 @@ def polynomial(coefficients: Any, argument: Any) -> Any:
     ``coefficients`` begin with the highest power. ``argument`` can be an array, a decimal number or
     a scalar of Drake.
     """
+    # Clenshaw's recursion of a Chebyshev series would give symbolic expressions of exponential
+    # size.
     value = coefficients[0]
     for coefficient in coefficients[1:]:
         value = value * argument + coefficient

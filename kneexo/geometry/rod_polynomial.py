@@ -39,6 +39,8 @@ def rod_points(
     return angle, 1e3 * rod_extension(link, np.radians(angle))
 
 
+# Fitted in a shifted and scaled argument (`Polynomial.fit`): powers of 150 mm up to the fifth span
+# ten decades.
 def quintic(argument: Array, value: Array) -> Array:
     """Fit a quintic of ``argument`` to ``value``, (n,) each; return its 6 coefficients.
 

@@ -1,8 +1,9 @@
-"""Faults and protection of a page.
+"""Fault buttons and protection of the page to play with.
 
-The module of a loop has all faults that a user can throw. A fault that is not chosen starts after
-the end of each run, so a choice needs no other module. Without protection the thresholds of its
-detectors and the time of the watchdog are out of reach.
+The WebAssembly module of a loop contains every fault that the page can throw. The page switches one
+fault on by its start time, and leaves the others after the end of the run. So no choice of a fault
+needs another module. The module contains the protection too. The page switches it off by thresholds
+of the detectors, and a time of the watchdog, that no run reaches.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from kneexo.parameters.device.safety_states import (
 )
 from kneexo.parameters.task.fault import FaultParameters
 
+# After the end of each run, and finite, as parameters of a module must be.
 IDLE_S = 1e5
 """Start in s of a fault that is not chosen, and duration of a fault that does not end."""
 
@@ -78,6 +80,8 @@ def sizes_of(faults: Mapping[str, Any]) -> list[dict[str, Any]]:
     return [choice["quantity"] for choice in faults["choices"].values() if "quantity" in choice]
 
 
+# Not fitted, because each of these parameters is a number times a factor: a page with protection is
+# made in half the time.
 def direct_maps(scenario: Scenario, columns: Iterable[str]) -> Iterator[tuple[int, Map]]:
     """Yield index and formula of each start, duration and threshold among a module's parameters.
 

@@ -261,6 +261,8 @@ def _fit(probe: _Probe, index: int, numbers: list[str], unit: float) -> Map | No
         expected = np.array([value(point) for point in points])
         # `_prove` checks other points, where the error may be somewhat larger.
         bound = 0.2 * TOLERANCE * np.abs(expected).max()
+        # From few operations to many, because the page evaluates each formula whenever a slider
+        # moves.
         for fit in (_affine, _power, _least, _chebyshev):
             for formula in fit(value, ranges, unit):
                 mapped = np.array([map_value(formula, point) for point in points])
@@ -274,7 +276,11 @@ _Value = Callable[[Mapping[str, float]], float]
 
 
 def _affine(value: _Value, ranges: Ranges, unit: float) -> list[Map]:
-    """Return the plane through the values at the low ends, and with one number at its high end."""
+    """Return a sum of multiples of the numbers, right at the low ends and one high end each.
+
+    The formula is the plane through the value with all numbers at their low ends, and through each
+    value with one number at its high end.
+    """
     lows = {name: low for name, (low, _) in ranges.items()}
     value_at_lows = value(lows)
     if len(ranges) == 1:

@@ -160,6 +160,8 @@ def web_model(scenario: Scenario) -> dict[str, Any]:
     return {
         **{
             name: {
+                # The module has the equations and the page the numbers, so that scenarios of one
+                # structure share a module, and a slider needs no server.
                 "module": module_of(source),
                 "base": base[numbers.places[name]].tolist(),
                 "maps": [{"index": index} | formula for index, formula in parts[name].items()],
@@ -265,7 +267,10 @@ class _Numbers:
         return parts
 
     def _bounds(self, name: str) -> dict[int, dict[str, float]]:
-        """Return ``at_least`` of each initial pressure: the pressure of the reservoir."""
+        """Return the lower bounds of formulas: no initial pressure is below the reservoir's.
+
+        The result is a dictionary from the index of a parameter to an addition to its formula.
+        """
         full = self._scenario.plant.full_order
         if full is None or name not in self._columns:
             return {}
@@ -295,10 +300,12 @@ _LEG_RATE = "wearer.x[1]"
 
 
 def _without_reservoir(scenario: Scenario, start: Mapping[str, float]) -> dict[str, float]:
-    """Return the pressure of each chamber that holds the force at the start alone.
+    """Return the pressure with which each chamber would hold the force at the start by itself.
 
-    F = P_1 A_1 − P_2 A_2. With P_r in the other chamber, P_1 = (F + P_r A_2)/A_1 and
-    P_2 = (P_r A_1 − F)/A_2. One of them is below P_r, unless both are equal to P_r.
+    The other chamber then has the pressure P_r of the reservoir. The force F = P_1 A_1 − P_2 A_2
+    gives P_1 = (F + P_r A_2)/A_1 and P_2 = (P_r A_1 − F)/A_2, smooth functions of the user's
+    numbers. One of them is below P_r, unless both are equal to P_r. The page raises this one to P_r
+    by ``at_least`` of its formula.
     """
     cylinder, full = scenario.plant.cylinder, scenario.plant.full_order
     assert full is not None
@@ -458,5 +465,6 @@ def _encoder_count(scenario: Scenario) -> dict[str, Any] | None:
     return {
         "low_deg": knee.flexion_min_deg,
         "high_deg": knee.flexion_max_deg,
+        # One value a degree: the page takes a cubic between them. A straight line was off by 3e-5.
         "values": count_deg.tolist(),
     }

@@ -273,6 +273,7 @@ def module_of(source: CSource) -> str:
     """Provide the module of a model in `modules`; return the module's key."""
     key = module_key(source)
     if key not in modules:
+        # From the package where possible, because Zig is an extra.
         file = files("kneexo").joinpath(*_FOLDER, f"{key}.wasm")
         code = file.read_bytes() if file.is_file() else wasm_module(source).code
         table = wasm_table(source) | {"sha256": hashlib.sha256(code).hexdigest()}

@@ -195,6 +195,7 @@ def _entry(scenario: Scenario, name: str) -> dict[str, Any]:
     variants, missing = _variants(scenario, first)
     models = [first, *variants]
     for model in models[1:]:
+        # Samples once a page, which stays small.
         if model["references"].get("samples") == first["references"].get("samples"):
             model["references"].pop("samples", None)  # the page reads those of the first
     knee, limits = scenario.plant.knee, first["limits"]

@@ -200,6 +200,7 @@ def _model(key: str, scenario: Scenario) -> CompiledModel:
 _COMMAND_AND_STATE = f"controller/law:{COMMAND_AND_STATE}"
 """Output of the model of a law that is a function, from which `why_python_in_run` reads."""
 
+# Without a limit a process that tries laws of the user keeps the model of each.
 MOST_STRUCTURES = 32
 """Largest number of structures whose models and diagrams a process keeps; each has some MiB."""
 
@@ -396,6 +397,7 @@ def _first_run(scenario: Scenario) -> Simulation | None:
     settings = scenario.simulation
     names = ("integrator", "step_s", "tolerance") if settings.compiled else ()
     own = {name: getattr(settings, name) for name in names}
+    # RK4 second, as in `serve_runs` where the exact hold fails.
     for options in (own, {"integrator": "rk4", "step_s": ROUGH_STEP_S}):
         options["record_period_s"] = scenario.controller.sample_time_s
         with suppress(KneexoError):
@@ -493,6 +495,7 @@ def simulate_together(
         step_s=step_s,
         tolerance=tolerance,
         failures="return",
+        # The workers of a sweep occupy the other cores.
         threads=1,
     )
     for index, result in zip(run_arguments, runs, strict=True):

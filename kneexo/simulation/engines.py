@@ -41,6 +41,8 @@ class RunRequest:
     reductions: tuple[Reduction, ...] = ()
 
 
+# Four vectors of eight lanes. Half of an earlier 64, for half of the memory under way; larger lots
+# of calls in lockstep (`LARGEST_LOT`) keep the lanes full.
 LARGEST_BATCH = 32
 """Largest number of runs in a batch of the compiled engine."""
 
@@ -49,6 +51,7 @@ _LARGEST_RECORD = 4_000_000  # numbers that a batch may log: 32 MB
 LARGEST_RUN_BYTES = 2 * 2**30
 """Largest size of the logged signals of a run in bytes."""
 
+# About half a minute: RK4 takes 30 ns a step of the loop without load (docs/engine.md).
 MOST_STEPS = 1_000_000_000
 """Largest number of steps of a run with a fixed step size."""
 
@@ -179,6 +182,7 @@ def _compiled_runs(
 ) -> Iterator[tuple[int, Run | KneexoError]]:
     from kneexo.simulation import compiled
 
+    # Only runs of one structure have the same equations, and so the same machine code.
     groups: dict[str, list[int]] = {}
     for index in indices:
         groups.setdefault(compiled.structure_key(requests[index].scenario), []).append(index)
@@ -199,6 +203,7 @@ def _batches(group: Sequence[int], requests: Mapping[int, RunRequest]) -> Iterat
     The logged signals of a batch fit into memory.
     """
     width = _width(requests[group[0]])
+    # By duration, because a lane whose run has ended waits for the longest run of its batch.
     waiting = sorted(group, key=lambda index: _records(requests[index]), reverse=True)
     while waiting:
         most = max(1, int(_LARGEST_RECORD / (width * _records(requests[waiting[0]]) + 1.0)))

@@ -69,6 +69,8 @@ class _Question:
     request: Any
 
 
+# A greenlet, not a coroutine: no caller on the way needs `async` and `await`, and SciPy's root
+# finders, which cannot wait for a coroutine, call a function that asks for runs.
 class _Call(greenlet):
     """A call in lockstep. It works until it asks, and then returns a `_Question` to its parent."""
 

@@ -144,6 +144,8 @@ class UnknownLawError(KneexoError):
     """A later process could not recognize a law, which is called as Python and in no file."""
 
 
+# A damaged digit is still JSON, with a wrong result. So each line has a checksum, and a damaged
+# line costs its own piece only.
 def _sealed(payload: bytes) -> bytes:
     """Return a line of the file, made of a checksum and ``payload``, the JSON of key and result."""
     seal = hashlib.sha256(payload).hexdigest().encode()
@@ -183,6 +185,8 @@ def _plain(value: Any) -> Any:
                 f"pieces are kept"
             )
         numbers = value.model_dump_json(exclude={"controller": {"function"}})
+        # Not its text: a law of equal equations finds its pieces again, and one of equal text
+        # that reads other values does not.
         return [type(value).__name__, numbers, key]
     if isinstance(value, BaseModel):
         return [type(value).__name__, value.model_dump_json()]

@@ -43,6 +43,8 @@ A unit contains as many calls of the mapped function as a worker finishes in abo
 CONNECT_S = 10.0
 """Largest time in s to wait for a Dask scheduler, and then for its first worker."""
 
+# 512 calls fill 16 batches of `LARGEST_BATCH` runs, so that batches are full also where the calls
+# have runs of several structures.
 LARGEST_LOT = 512
 """Largest number of calls in lockstep, which share batches of runs."""
 
@@ -260,6 +262,7 @@ def parallel_map(
                     results[index] = checkpoint[key]
                     advance(index)
         group_ranks: dict[Hashable, int] = {}
+        # The longest first: short items then fill the time in which the last long one ends.
         sort_keys = [
             (-weight(item), group_ranks.setdefault(group(item), len(group_ranks))) for item in items
         ]
@@ -299,8 +302,8 @@ class _Units:
         """Put the unfinished indices of a unit back at the front of the queue; adapt the size.
 
         ``finished`` is the number of finished indices, and ``elapsed_s`` the duration of the unit.
-        If the unit ended within the time limit, the next units can have as many indices as fit into
-        the limit, but at most `_GROWTH` times this number. Otherwise they have this number.
+        The next units have as many indices as fit into `UNIT_S` at this rate, at most `_GROWTH`
+        times ``finished``. After a unit that took longer they have ``finished`` indices.
         """
         self._waiting.extendleft(reversed(unfinished))
         growth = min(_GROWTH, UNIT_S / max(elapsed_s, 1e-9))
@@ -366,6 +369,8 @@ def _by_executor(
         while units or under_way:
             with interrupt_later():
                 while units and len(under_way) < most:
+                    # Half of an equal share of the rest for each worker, so that units shrink
+                    # towards the end.
                     unit = units.take(max(_LAST_UNIT, len(units) // (2 * workers)))
                     future = executor.submit(_unit, function, [items[index] for index in unit])
                     under_way[future] = unit

@@ -185,6 +185,7 @@ class NamedLeaf(LeafSystem):
         context.get_mutable_numeric_parameter(0).SetAtIndex(names.index(name), value)
 
 
+# Not at import: the templates of all systems would take 35 to 107 ms.
 @cache
 def leaf_template(component: type[NamedLeaf]) -> Any:
     """Return Drake's template of a component: a table of its classes by scalar type.

@@ -10,6 +10,8 @@ from kneexo.parameters import BldcPumpParameters
 from kneexo.systems._leaf import NamedLeaf, clip, leaf_template, require_finite, values_of
 from kneexo.systems.state_variable import StateVariable
 
+# Of order one as all states, see `PA_PER_MPA`. Here the unit alone changes little: Drake's default
+# integrator takes 216 steps for 0.1 s of the closed loop with krad/s, and 196 with rad/s.
 RAD_S_PER_KRAD_S = 1e3
 """Number of rad/s in a krad/s. The motor speed is a state in krad/s and an output in rad/s."""
 

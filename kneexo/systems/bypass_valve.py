@@ -21,7 +21,7 @@ STATE_VARIABLES = (StateVariable("bypass_valve_travel"),)
 
 
 class BypassValve(NamedLeaf):
-    """Opening of the bypass valve, whose flows are those of `FullCylinder`.
+    """Computes how far the bypass valve is open. `FullCylinder` computes the flows through it.
 
     ds/dt = (clip(u, 0, 1) − s)/τ, and the opening is s_min + (1 − s_min) s.
 

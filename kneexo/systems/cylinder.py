@@ -19,6 +19,8 @@ from kneexo.systems._leaf import (
 )
 from kneexo.systems.state_variable import StateVariable
 
+# Solvers bound the error of a state in its own unit, so all states are of order one. With pressures
+# in Pa Drake's default integrator takes 979 steps for 0.01 s of the closed loop, with MPa 19.
 PA_PER_MPA = 1e6
 """Number of Pa in a MPa. Pressures are states in MPa and outputs in Pa."""
 
@@ -64,10 +66,10 @@ def start_extension(parameters: CylinderParameters, initial_extension_m: float |
 
 
 def cylinder_values(parameters: CylinderParameters, *others: str) -> dict[str, float]:
-    """Return the Context parameters of a `Cylinder` by name, in the order of the Context.
+    """Read the Context parameters of a `Cylinder` from ``parameters``: {name: value}.
 
-    ``others`` are names of numbers that only one kind of cylinder has. These numbers come first.
-    All numbers are attributes of ``parameters``.
+    The order is that of the Context. ``others`` are names of further attributes of ``parameters``,
+    which only one kind of cylinder needs. They come first.
     """
     return values_of(
         parameters,

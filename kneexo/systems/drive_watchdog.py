@@ -16,11 +16,13 @@ def context_values(parameters: ProtectionParameters, sample_time_s: float) -> di
     }
 
 
+# In `kneexo study faults` a stale command that the drive obeyed for ever was the worst case.
 class DriveWatchdog(NamedLeaf):
-    """The speed command that the drive obeys: the last one, or its own after n losses in a row.
+    """Stops the motor when the drive has not got a new speed command for n samples in a row.
 
-    c counts the consecutive samples without a new command. At c = n the drive takes over for the
-    rest of the run. Its own command then falls to zero at the rate a, by at most a·T in a sample.
+    The counter c is the number of samples in a row without a new command. Below n the drive obeys
+    the last command that it got. At c = n the drive ignores the bus for the rest of the run, and
+    its own command falls to zero at the rate a, by at most a·T in a sample.
 
     ===================  ====  =====  ===================================================
     input port           size  unit

@@ -14,6 +14,7 @@ from kneexo.systems._leaf import NamedLeaf, discrete_state, leaf_template, where
 from kneexo.systems.drive import nearest_integer
 from kneexo.systems.load_cell import next_seeds, unit_noise
 
+# Not infinite, because Context parameters, also those of exported C, must be finite.
 FOREVER_S = 1e9
 """Duration in s of a fault that does not end."""
 

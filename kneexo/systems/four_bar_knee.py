@@ -39,6 +39,8 @@ def moment_arm_slope(p: Any, coefficients: Any, extension: Any) -> Any:
 
     ``coefficients`` are the coefficients of the polynomial of r in `RodInverse`.
     """
+    # The slope divides by the root, which 1e-12 m keep above zero. The dead centres of G1, G2 and
+    # G3 lie 12° and more outside the range of motion.
     root = drake_math.sqrt(drake_math.max(p.dead_centre_m - extension, 1e-12))
     t = (root - p.centre) / p.half_width
     return -polynomial(polynomial_derivative(coefficients), t) / (2.0 * p.half_width * root)

@@ -30,6 +30,8 @@ from kneexo.systems.cylinder import (
     start_extension,
 )
 
+# Below a vacuum oil evaporates and the model ends (the verdict says when): this bound only keeps
+# the power of the pressure finite.
 _LOWEST_ABSOLUTE_PA = 1e3  # the bulk modulus is constant below this pressure
 
 
@@ -38,6 +40,8 @@ def opening(excess: Any, band: Any) -> Any:
 
     The opening is exactly zero where ``excess`` ≤ 0.
     """
+    # Without the parabola the Jacobian, from which exact_hold and rosenbrock step, would jump where
+    # a valve opens.
     rounded = clip(excess, 0.0, band)
     return rounded * (excess - 0.5 * rounded) / band
 
@@ -51,6 +55,8 @@ def makeup_flow(
     open for both directions of flow. Otherwise the valve opens only if ``pressure`` is below the
     pressure of the reservoir.
     """
+    # With plain check valves in place of piloted ones a rod that retracts would meet the relief
+    # pressure.
     deficit = reservoir - pressure
     piloted = smooth_step(pilot - pressure, pilot_band)
     return conductance * (piloted * deficit + (1.0 - piloted) * opening(deficit, band))
@@ -81,6 +87,7 @@ def seal_friction(
     The friction opposes the velocity v. F_c is ``coulomb``, F_s ``stribeck``, v_s
     ``stribeck_speed`` and v_0 ``band``.
     """
+    # tanh in place of a sign: the rate of a state must not jump where the rod reverses.
     ratio = velocity / stribeck_speed
     return (coulomb + stribeck * drake_math.exp(-ratio * ratio)) * drake_math.tanh(velocity / band)
 

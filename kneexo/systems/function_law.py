@@ -342,7 +342,10 @@ _memos: WeakKeyDictionary[Any, dict[Any, Any]] = WeakKeyDictionary()
 
 
 def _memo(law: Law) -> dict[Any, Any]:
-    """Return what this process knows about the function of a law, whatever `Law` it comes in."""
+    """Return the dictionary in which this process remembers what it has found out about a law.
+
+    Several `Law` objects of one function share the dictionary of this function.
+    """
     is_function = isinstance(law.target, FunctionType)
     return _memos.setdefault(law.target, law.memo) if is_function else law.memo
 
@@ -423,6 +426,8 @@ def _fault(
     second, third = (_caller(law, law.copy_of_target(), states) for _ in range(2))
     before = _outer_values(function)
     with np.errstate(all="ignore"):
+        # The second pass goes backwards, which finds hidden state that two passes in one order
+        # would repeat.
         numbers, repeats = called_twice(first, second, points, _MOST_TIME_S)
         points = points[: len(numbers)]
         if not repeats or before != _outer_values(function):

@@ -23,8 +23,10 @@ class _Signal(NamedTuple):
 
     size: int
     held: slice
-    """Places in the discrete state of the last good values of the first elements, which take the
-    place of bad ones. The other elements become zero."""
+    """Places of the last good values of the first elements in the discrete state of the guard.
+
+    They take the place of bad values. The other elements of a bad input become zero.
+    """
     detector: str = ""
     """The detector that counts the bad values."""
     largest: float = 0.0
@@ -35,6 +37,8 @@ SIGNALS = {
     "knee_reference": _Signal(4, slice(0, 1), "following"),
     "measured_force": _Signal(2, slice(1, 3), "load_cell", LARGEST_THRESHOLDS["load_cell"]),
     "biological_moment": _Signal(1, slice(0), largest=LARGEST_MOMENT_N_M),
+    # flow, not speed: a bad reading is implausible and stops the motor in each state, while speed
+    # says that the motor does not obey.
     "motor_speed": _Signal(1, slice(3, 4), "flow", LARGEST_THRESHOLDS["speed"]),
 }
 """The inputs that a guard can watch, by the name of their ports."""

@@ -114,6 +114,8 @@ class KneeCoordinates(NamedLeaf):
         return [knee_angle_from_encoder(p, theta_4, p.eq6_sign, xp=drake_math)]
 
     def _calc_rod_extension(self, context: Any) -> list[Any]:
+        # Table 1, not the linkage, because the paper's controller computes it. The difference, at
+        # most 0.15 mm on G1, is a part of the model.
         coefficients = self.parameters(context)[-len(_COEFFICIENTS) :]
         return [polynomial(coefficients, self._knee_angle.Eval(context)[0])]
 

@@ -52,6 +52,7 @@ class _KneeReference(NamedLeaf):
         )
 
 
+# Of degree seven, because the sliding-mode law needs three continuous derivatives of the reference.
 _SMOOTHSTEP = (-20.0, 70.0, -84.0, 35.0, 0.0, 0.0, 0.0, 0.0)
 """Coefficients, highest power first, of a polynomial that rises from 0 at 0 to 1 at 1.
 
@@ -77,7 +78,10 @@ def _ramp(time: Any, ramp_s: Any) -> list[Any]:
 
 
 def _product_derivatives(u: list[Any], v: list[Any]) -> list[Any]:
-    """Return the product u·v and its derivatives; ``u`` and ``v`` hold a factor and derivatives."""
+    """Return the product of two functions of time and its derivatives, by Leibniz's rule.
+
+    ``u`` and ``v`` have the value of each function, and then its derivatives.
+    """
     return [sum(math.comb(n, k) * u[k] * v[n - k] for k in range(n + 1)) for n in range(len(u))]
 
 
@@ -305,6 +309,7 @@ def _range_within(reference: Reference, duration_s: float) -> tuple[float, float
         turns = math.floor(2.0 * duration_s / period_s)
         times += [0.5 * period_s * turn for turn in (turns - 1, turns) if turn >= 0]
         if duration_s < reference.ramp_s + period_s:  # it turns later while the amplitude grows
+            # 100 steps a period miss the turn by at most 5e-4 of the amplitude.
             times += np.linspace(max(0.0, duration_s - period_s), duration_s, 101).tolist()
     if isinstance(reference, SampledReference):
         samples_s = np.array(reference.times_s)

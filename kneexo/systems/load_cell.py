@@ -37,6 +37,7 @@ def next_seeds(seeds: Any) -> list[Any]:
     double and in single precision.
     """
     products = [a * seed for (_, a), seed in zip(AS_183, seeds, strict=True)]
+    # Half a unit keeps the quotient away from whole numbers, where its rounding would decide.
     return [
         product - m * drake_math.floor((product + 0.5) / m)
         for (m, _), product in zip(AS_183, products, strict=True)

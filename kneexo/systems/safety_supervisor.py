@@ -118,6 +118,8 @@ class SafetySupervisor(NamedLeaf):
         # deciding.
         events = {
             "emergency": emergency,
+            # Only after the ramp of the command: a motor that passes zero speed on its way does not
+            # stand.
             "standstill": where_positive(drake_math.abs(own), 0.0, still),
             "healthy": (clear + 0.5) * dt - p.healthy_s,
             "overdue": (samples + 0.5) * dt - p.overdue_s,
@@ -131,6 +133,8 @@ class SafetySupervisor(NamedLeaf):
         for row in reversed(self._transitions):  # the first row decides, so it comes last
             taken = _min(_is(state, row.state), events[row.event])
             following = where_positive(taken, _NUMBERS[row.next_state], following)
+        # The last assignment wins: the emergency stop before the detectors, and these in their
+        # order.
         cause: Any = float(NOT_HEALTHY)
         for number, value in reversed(list(enumerate(detected, 1))):
             cause = where_positive(value, float(number), cause)

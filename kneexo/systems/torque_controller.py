@@ -132,7 +132,10 @@ class TorqueController(NamedLeaf):
         _, integral = discrete_state(context)
         force, age = self._force.Eval(context)
         error = -self._desired.Eval(context)[0] / self._arm(context) - force
+        # The leak gives phase: without it the least phase margin with a wearer is 3.4°, that of a
+        # relaxed leg.
         growth = dt * (p.integral_rad_s2_per_n * error - p.leak_per_s * integral)
+        # A positive feedback of the rod speed, which limits the gain margin to about 1/γ.
         speed = p.speed_feedforward * p.speed_gain_rad_per_m * self._estimate.Eval(context)[1]
         command = p.proportional_rad_s_per_n * error + integral + growth + speed
         limited = clip(command, -p.command_limit_rad_s, p.command_limit_rad_s)

@@ -86,6 +86,7 @@ def leg_of_scenario(name: str, scenario: Scenario) -> tuple[Leg, str]:
     except SimulationError as error:
         failure = error
     sample = scenario.controller.sample_time_s
+    # A failed run has no samples. So bisection finds the longest run that ends before the failure.
     passing, failing = 0, int(scenario.duration_s / sample) + 1  # numbers of samples
     run = None
     while failing - passing > 1:

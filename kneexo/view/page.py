@@ -98,6 +98,7 @@ def _run(leg: Leg, end_s: float) -> dict[str, str]:
     """Return the samples of a leg up to the time ``end_s``, at most `FRAMES_PER_S` of them."""
     end_s = min(end_s, float(leg.time_s[-1]))
     times = np.arange(leg.time_s[0], end_s + 0.5 / FRAMES_PER_S, 1.0 / FRAMES_PER_S)
+    # The nearest records and no interpolation, so that the page shows samples of the run.
     near = np.rint(np.interp(times, leg.time_s, np.arange(len(leg.time_s))))
     last = np.searchsorted(leg.time_s, end_s, side="right") - 1
     rows = np.unique([*near.astype(int), last])

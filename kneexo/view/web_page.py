@@ -112,6 +112,8 @@ def _as_parsed(text: str, element: str) -> str:
 def _policy(styles: Sequence[str], scripts: Sequence[str], worker: str | None, wasm: bool) -> str:
     """Return the content security policy that allows these texts and nothing else."""
     script_sources = [*map(_hash, scripts), *(["'wasm-unsafe-eval'"] if wasm else [])]
+    # Hashes in place of 'unsafe-inline': a name of a file or scenario that came into the page as a
+    # script would not run.
     rules = {
         "default-src": ["'none'"],
         "script-src": script_sources or ["'none'"],

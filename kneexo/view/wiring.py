@@ -102,7 +102,7 @@ class Wiring:
     def _laid(
         self, goal: tuple[Point, Point], came: Mapping[tuple[Point, Point], tuple[Point, Point]]
     ) -> list[Point]:
-        """Return the points of the found wire to ``goal``; no other wire may use them afterwards.
+        """Return the points of the found wire to ``goal``, which cost more for later wires.
 
         ``came`` maps each place of the search to the place before.
         """

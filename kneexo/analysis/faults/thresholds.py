@@ -179,7 +179,11 @@ def detector_thresholds(
 
 
 def _observing(scenario: Scenario) -> ProtectionParameters:
-    """Return the protection of a scenario with thresholds that only a full load cell reaches."""
+    """Return the protection of a scenario, with thresholds that stop no run.
+
+    So the residuals of the whole run are seen. One threshold is within reach: that of the load
+    cell, at the end of its range.
+    """
     assert scenario.protection is not None
     fields = ProtectionParameters.model_fields
     limits = {d.field: limits_of(fields[d.field])[1] for d in DETECTORS.values()}
@@ -202,6 +206,8 @@ def _healthy_run(
     try:
         run = simulate(realize(watched, uncertainty, values), signals=_SIGNALS)
         reason = int(run["safety_reason"].max())
+        # Again, with thresholds out of reach: a run that the protection stops shows no levels after
+        # the stop.
         if reason:
             run = simulate(realize(observing, uncertainty, values), signals=_SIGNALS)
     except SimulationError:

@@ -104,6 +104,7 @@ def follower_response(scenario: Scenario, frequency_hz: float) -> complex:
     the fundamental of the reference, at ``frequency_hz``.
     """
     reference = require_sine(scenario)
+    # Three cycles, of which the last is measured, because the follower starts without lag.
     time = np.arange(3 * _FOLLOWER_STEPS + 1) / (_FOLLOWER_STEPS * frequency_hz)
     mean, amplitude = math.radians(reference.mean_deg), math.radians(reference.amplitude_deg)
     target = mean + amplitude * np.sin(math.tau * frequency_hz * time)
@@ -153,6 +154,8 @@ def large_signal_bandwidth_hz(
     highest = highest_frequency_hz(scenario)
 
     @cache  # the search asks for some values twice
+    # In log frequency and log gain the fall of a rate-limited gain, 1/f, is a straight line for the
+    # root search.
     def excess(log_frequency: float) -> float:
         frequency = min(math.exp(log_frequency), highest)
         at = changed(scenario, {"reference.frequency_hz": frequency})

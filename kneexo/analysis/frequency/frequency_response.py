@@ -248,6 +248,8 @@ def _phase_deg(response: Any) -> Array:
 
 
 def _pchip(x: Array, y: Array) -> PiecewisePolynomial:
+    # A shape-preserving cubic does not overshoot between measured gains, so it has no crossing of
+    # its own.
     return PiecewisePolynomial.CubicShapePreserving(x, y[None, :])
 
 
@@ -373,6 +375,7 @@ def sinestream(
         workers=workers,
         executor=executor,
         description="frequency response" if progress else None,
+        # A run has a fixed number of cycles, so its duration falls with the frequency.
         weight=lambda item: 1.0 / item[0],
     )
     response = np.array(values).reshape(len(drawn), len(frequencies))

@@ -31,7 +31,7 @@ class LawTangent:
         self._name, self._sample_time_s = law.function.short_name, law.sample_time_s
         self._inputs = law_inputs(scenario)
         self._held: list[float] = []
-        """Discrete states of the system that are its command alone."""
+        """Discrete states before those of the law: the command of a `FunctionLaw`, or none."""
         if law.function.is_system:
             self._system = law.function.any_system(maker_arguments(scenario))
         else:

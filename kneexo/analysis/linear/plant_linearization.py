@@ -101,6 +101,8 @@ def _at_rest(
 ) -> tuple[DiagramEquations, Any]:
     """Return the equations of the plant with the ports ``outputs``, and a Context at rest."""
     if isinstance(plant, PlantParameters):
+        # A cold motor: temperatures would be slow poles, beside which the integrator of the rod is
+        # not seen.
         plant = plant.without_temperatures()
         plant.knee.require_posture(knee_angle_deg)
         angle_rad = math.radians(knee_angle_deg)
@@ -185,6 +187,8 @@ class PlantLinearization(Result):
         In a conjugate pair, the eigenvalue with positive imaginary part comes first.
         """
         values = np.linalg.eigvals(self.a).astype(complex)
+        # A pair has equal magnitudes, so a stable sort keeps LAPACK's order of it. With another
+        # sort this order depended on the processor.
         return values[np.argsort(np.abs(values), kind="stable")]
 
     @property

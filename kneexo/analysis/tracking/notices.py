@@ -101,13 +101,14 @@ def wrapped(line: str) -> str:
 
 
 def notices(scenario: Scenario) -> Iterator[str]:
-    """Yield a line for each property of a run of ``scenario`` that its user may not expect.
+    """Yield a line for each surprise: what a user of ``scenario`` may not expect of its run.
 
-    Besides the `model_notices`, a line says that no wearer moves the knee under torque control. If
-    a virtual stiffness is unstable, a line has both ends of the stable interval. A line says at
-    which end of the reference's range the torque control of a wearer is unstable. A line says when
-    missing readings of the load cell stop the motor. Further lines name each part of the reference
-    that is not run as its user may expect.
+    1. a contradiction in the model: see `model_notices`,
+    2. torque control without a wearer, so that nothing moves the knee,
+    3. an unstable virtual stiffness, with both ends of the stable interval,
+    4. torque control that is unstable at an end of the reference's range,
+    5. missing readings of the load cell, and when they stop the motor,
+    6. a part of the reference that is not run as it stands: see `_reference_notices`.
 
     Raises `LinkageError` when the linkage cannot be assembled.
     """
@@ -126,11 +127,12 @@ def notices(scenario: Scenario) -> Iterator[str]:
 def _reference_notices(scenario: Scenario) -> Iterator[str]:
     """Yield a line for each part of the reference that is not run as its user may expect.
 
-    A line says that the run has less than two periods of a sine, so that its transient counts, or
-    that it ends before the step or ramp. A line says that samples before 0 s are not run. A line
-    says that the run holds the first or the last sample for more than `LONGEST_HOLD` of its
-    duration.
-    Lines say what was done to the samples of a file, and that their units may be others.
+    1. The run has less than two periods of a sine, so that the transient counts.
+    2. The run ends before the step or ramp.
+    3. Samples of a file were shifted, or clipped at the stops.
+    4. Samples seem to be in rad, or their times in ms.
+    5. Samples before 0 s are not run.
+    6. The run holds the first or the last sample for more than `LONGEST_HOLD` of its duration.
     """
     reference, duration_s = scenario.reference, scenario.duration_s
     if (period := period_s(scenario)) > settled_s(scenario):
@@ -213,6 +215,8 @@ def _torque_control_notice(scenario: Scenario) -> Iterator[str]:
     if scenario.controller.kind != "torque" or scenario.wearer.kind == "none":
         return
     growth = {}
+    # Both ends, because with an inertia at the knee the loop is unstable near extension, and the
+    # verdict looks at the middle.
     for angle in set(run_range_deg(scenario)) - {run_middle_deg(scenario)}:
         with contextlib.suppress(LinearizationError):
             growth[angle] = float(abs(coupled_loop(scenario, angle).eigenvalues[0]))
@@ -238,10 +242,12 @@ def _load_cell_notice(scenario: Scenario) -> Iterator[str]:
 def model_notices(scenario: Scenario) -> Iterator[str]:
     """Yield a line for each contradiction in the model of ``scenario``.
 
-    The contradictions are a mass that moves with the rod beyond the bounds of the sliding-mode
-    controller, a mass of the rod that looks like a load of the knee, a nominal plant that differs
-    from the plant, and a polynomial that misses the linkage by more than `LARGEST_MISFIT_MM`. A
-    line also says that the controller's polynomial is fitted to the linkage.
+    1. The mass that moves with the rod is beyond the bounds of the sliding-mode controller.
+    2. The mass of the rod looks like a load of the knee, but has no weight.
+    3. The mass of the rod has no effect, because the load has an inertia.
+    4. The nominal plant differs from the plant.
+    5. The controller's polynomial misses the linkage by more than `LARGEST_MISFIT_MM`, or is fitted
+       to it.
 
     Raises `LinkageError` when the linkage cannot be assembled.
     """

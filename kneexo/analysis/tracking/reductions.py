@@ -65,6 +65,7 @@ def tracking_reductions(
     power = partial(Reduction, output="shaft_power")
 
     def above(output: str, rating: float) -> Reduction:
+        # A reduction counts values at or above its bound, and a share those above the rating.
         bound = math.nextafter(min(rating, _LARGEST_BOUND), math.inf)
         return Reduction("count", output, magnitude=True, bound=bound)
 

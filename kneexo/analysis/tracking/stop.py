@@ -109,9 +109,9 @@ def safe_sample(protected: Scenario, run: Run, part: slice) -> int | None:
 
 
 def turn_and_torque(run: Run, part: slice) -> dict[str, float]:
-    """Return ``turn_deg``, the largest turn from the start of a part of a run, and ``torque_n_m``.
+    """Return the largest turn of the knee and the largest `knee_torque` in a part of a run.
 
-    The latter is the largest torque.
+    ``turn_deg`` counts from the knee angle at the start of the part. The torque is ``torque_n_m``.
     """
     angle, torque = np.degrees(run["knee_angle_rad"][part]), knee_torque(run)[part]
     values = {"turn_deg": angle - angle[0], "torque_n_m": torque}

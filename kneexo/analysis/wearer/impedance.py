@@ -219,6 +219,7 @@ def output_impedance(
     if port not in ("knee", "cuff"):
         raise ParameterError(f"port = {port!r}: must be knee or cuff")
     scenario = with_prescribed_leg(scenario, "output_impedance")
+    # A controller without gains commands zero, and the drive holds the motor at this speed.
     held = TorqueParameters(
         sample_time_s=scenario.controller.sample_time_s,
         proportional_rad_s_per_n=0.0,

@@ -74,6 +74,7 @@ def passivity_limits(scenario: Scenario) -> PassivityLimits:
         hold = (1.0 - np.exp(-1j * angle)) / (1j * angle)
         return float((hold * np.exp(-s * delay) / ((1.0 + s * motor) * (1.0 + s * cell))).real)
 
+    # A grid before the search, because hold and lags can give several minima.
     angles = np.linspace(1e-3, np.pi, 2000)
     least = int(np.argmin([real_part(angle) for angle in angles]))
     bounds = angles[max(least - 1, 0)], angles[min(least + 1, angles.size - 1)]

@@ -19,6 +19,8 @@ def lock(file: int | FileIO) -> None:
     Raises `BlockingIOError` if the file is locked already.
     """
     try:
+        # A lock of the kernel and not a file with a process number, which would outlive a killed
+        # process.
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         raise

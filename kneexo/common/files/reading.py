@@ -11,6 +11,7 @@ MIB = 2**20
 """Number of bytes in one MiB."""
 
 
+# The size is looked at before the file is read, so that a file of many GiB ends in one line.
 def read_bytes(path: str | os.PathLike[str], most_bytes: int) -> bytes:
     """Read a regular file of at most ``most_bytes`` bytes.
 

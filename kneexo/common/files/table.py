@@ -189,6 +189,7 @@ def _separator(text: str, start: int, names: Sequence[str]) -> str:
         found = {field.strip(' "\t\n') for field in header.split(separator)}
         return len(found.intersection(names)), separator != " ", header.count(separator)
 
+    # Spaces last, because names and units have spaces too.
     return max(",;\t| ", key=fit)
 
 

@@ -74,7 +74,11 @@ def _replacement(
     remedy: str,
     when_written: Callable[[], object] | None = None,
 ) -> Iterator[Path]:
-    """Do the work of `output_directory`. Messages begin with ``option`` and end with ``remedy``."""
+    """Context manager: give a temporary directory, whose files move to ``target`` after the body.
+
+    `output_directory` describes what happens after a failure, and ``when_written``. Messages begin
+    with ``option`` and end with ``remedy``.
+    """
     created: list[Path] = []
     workspace, lock_file = None, None
     try:
@@ -110,6 +114,7 @@ def _workspace(target: Path) -> tuple[Path, int]:
     results replace.
     """
     while True:
+        # In the target directory, because files can be moved in one step only within a file system.
         workspace = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=target))
         # Before it is locked, another process may delete it as a leftover; then the loop repeats.
         with suppress(FileNotFoundError, BlockingIOError):
@@ -162,6 +167,8 @@ def _replace(target: Path, workspace: Path) -> None:
             )
         if os.path.lexists(destination):
             try:
+                # A link in place of a rename: until its new file is moved, the old file stays in
+                # its place.
                 os.link(destination, old / file.name, follow_symlinks=False)
             except OSError:  # a file system without hard links
                 shutil.copy2(destination, old / file.name, follow_symlinks=False)

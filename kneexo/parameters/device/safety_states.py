@@ -43,6 +43,8 @@ class Detector(NamedTuple):
 
 _DEG, _MM = math.pi / 180.0, 1e-3
 
+# The first detector that has detected a fault is the reason of a stop. So the reading comes first,
+# because flow and following are computed from it.
 DETECTORS = {
     "range": Detector("implausible", "range_deg", "deg", _DEG),
     "rate": Detector("implausible", "rate_deg_s", "deg/s", _DEG),
@@ -60,6 +62,7 @@ NOT_HEALTHY = EMERGENCY_STOP + 1
 REASONS = ("none", *DETECTORS, "emergency stop", "start")
 """Names of the reasons by their number."""
 
+# In order: `SafetySupervisor` tells the `LAW_ACTS` by their numbers, which are the lowest.
 STATES = {
     "starting": "the law acts; following and speed cannot stop the motor yet",
     "operating": "the law acts",

@@ -39,6 +39,7 @@ def allowed_range(field: FieldInfo) -> str:
 
 def _inside(bound: float, sign: str) -> str:
     """Return a bound as text with six digits or more, so that the text itself obeys the bound."""
+    # Six digits alone may round a bound beyond the range that the text states.
     texts = (f"{bound:.{digits}g}" for digits in range(6, 18))
     return next(t for t in texts if (float(t) >= bound if sign[0] == ">" else float(t) <= bound))
 

@@ -41,7 +41,7 @@ class Place:
     field: FieldInfo | None = None
     """The field at this place, or the field that contains it."""
     holders: Models = ()
-    """The classes to whose fields the last key refers."""
+    """The classes whose field, or unknown field, the last key names."""
     inside: bool = False
     """Whether the next key is a key of a mapping or an index, so that it stands for no field."""
 
@@ -122,10 +122,15 @@ def _walk(
 def advice(model: type[BaseModel], path: Path, here: Models = ()) -> str:
     """Return a remedy for a wrong path, such as ``; did you mean plant.cylinder.mass_kg?``.
 
-    If the path exists with another kind of a part, the remedy is this kind. Otherwise the remedy
-    has names that are equal to the last name of the path, or, without equal names, similar names.
-    Among several names, the remedy has the names whose paths share most with the wrong path. If no
-    name is similar, the remedy lists the names that are possible at the end of the path.
+    The first of these remedies that applies is returned:
+
+    1. the kind of a part with which the path exists,
+    2. paths whose last name is equal to that of the wrong path,
+    3. paths whose last name is similar, first at this place and then anywhere,
+    4. paths of other classes with an equal last name,
+    5. all names that are possible at this place.
+
+    Among several paths, the remedy has those that share most names with the wrong path.
 
     Parameters
     ----------
@@ -151,6 +156,8 @@ def advice(model: type[BaseModel], path: Path, here: Models = ()) -> str:
         return f"; {'.'.join(known[0].path)} is a single value"
     near = sorted(name for holder in here for name in holder.model_fields)
     words = list(dict.fromkeys(name.word for name in names))
+    # From certain to vague: the same name elsewhere, a similar name here, a similar name elsewhere,
+    # and the same name in other classes.
     for whole, alike in (
         (model, [word]),
         (model, close_names(word, near, _SIMILAR_HERE)),
@@ -204,8 +211,9 @@ def _in_common(path: Path, other: Path) -> int:
 
 
 def _need(names: list[Name], path: Path, here: Models) -> str:
-    """Return what ``names``, which have one path, need, such as ``controller.kind = smc or pid``.
+    """Return the setting that a path needs, such as ``controller.kind = smc or pid``.
 
+    ``names`` are the names with this path, one for each kind of parameters that has the path.
     The text is empty if parameters ``here`` have one of the names, or if the wrong path ``path``
     leads into the part that the setting makes.
     """

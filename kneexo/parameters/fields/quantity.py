@@ -273,6 +273,8 @@ class Parameters(BaseModel):
         if (copy := self._with_numbers(values)) is not None:
             return copy
         data = dict(vars(self))
+        # Parts before what is in them, and a kind before its values, so that the order of the user
+        # does not matter.
         for path in sorted(values, key=lambda path: (path.count("."), not path.endswith(".kind"))):
             *parents, name = path.split(".")
             holder = self._holder(data, path, parents)
