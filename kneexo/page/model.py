@@ -14,6 +14,9 @@ from typing import Any
 import numpy as np
 
 from diagramc import CSource, InputTable, input_table
+from kneexo.analysis.tracking.limit_cycle import REST_RAD, SMALLEST_CYCLE_DEG, SUSTAINED
+from kneexo.analysis.tracking.tracking import SETTLING_BAND
+from kneexo.analysis.tracking.verdict import ERROR_SHARE, LARGEST_COUNT_DEG
 from kneexo.common.result import Array
 from kneexo.diagrams.closed_loop import plant_start
 from kneexo.diagrams.wearer import moment_of, moment_spline
@@ -52,6 +55,7 @@ from kneexo.parameters.paths import changed, value_at
 from kneexo.simulation.compiled import reference_table, scenario_values, structure_key
 from kneexo.systems.cylinder import PA_PER_MPA
 from kneexo.systems.knee_reference import context_values, start_angle_rad, start_motion
+from kneexo.systems.push import SAME_S
 
 START = "start_angle_rad"
 """Name of the value of the reference at t = 0, which sets the initial state of the plant."""
@@ -112,6 +116,8 @@ def web_model(scenario: Scenario) -> dict[str, Any]:
     ``faults``
         Faults, protection and safety state machine; see `fault_data`. None for a scenario without
         ``protection`` and ``faults``.
+    ``criteria``
+        The constants of the metrics, `CRITERIA`.
     ``controller``, ``load``
         The kinds of these parts. A torque controller has its mode in place of the kind.
     ``wearer``, ``moment``
@@ -178,8 +184,21 @@ def web_model(scenario: Scenario) -> dict[str, Any]:
         ],
         "references": _references(scenario),
         "faults": faults,
+        "criteria": CRITERIA,
         "limits": _limits(scenario, base[numbers.places["limits"]], parts["limits"]),
     }
+
+
+CRITERIA = {
+    "errorShare": ERROR_SHARE,
+    "largestCountDeg": LARGEST_COUNT_DEG,
+    "settlingBand": SETTLING_BAND,
+    "smallestCycleDeg": SMALLEST_CYCLE_DEG,
+    "restRad": REST_RAD,
+    "sustained": SUSTAINED,
+    "samePushTimeS": SAME_S,
+}
+"""Constants of the metrics, so that a run on the page is judged as `track` judges it."""
 
 
 def _can_push(scenario: Scenario) -> bool:

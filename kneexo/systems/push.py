@@ -7,7 +7,7 @@ from typing import Any
 from kneexo.parameters.task.push import PushParameters
 from kneexo.systems._leaf import NamedLeaf, leaf_template, values_of, where_positive
 
-_SAME_S = 1e-9
+SAME_S = 1e-9
 """Difference in s up to which a sample is at the start or at the end of the push."""
 
 
@@ -53,7 +53,7 @@ class Push(NamedLeaf):
 
     def _update(self, context: Any) -> list[Any]:
         p = self.parameters(context)
-        since = context.get_time() - p.start_s + _SAME_S
+        since = context.get_time() - p.start_s + SAME_S
         return [where_positive(since, where_positive(p.duration_s - since, p.torque_n_m, 0.0), 0.0)]
 
 

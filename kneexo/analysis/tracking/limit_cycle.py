@@ -18,7 +18,7 @@ The rounding of a drive's speed command alone moves the knee of ``bench`` by 0.0
 REST_RAD = 1e-6
 """Largest change of a reference that rests, in rad. The compiled and Drake's references round."""
 
-_SUSTAINED = 0.9
+SUSTAINED = 0.9
 """Smallest ratio of the swings in the last and the third quarter of a rest that does not decay."""
 
 
@@ -63,7 +63,7 @@ def limit_cycle(run: Run) -> LimitCycle | None:
         return None
     before, after = np.array_split(angle, 2)
     amplitude, middle = 0.5 * float(np.ptp(after)), 0.5 * float(np.max(angle) + np.min(angle))
-    if amplitude < max(SMALLEST_CYCLE_DEG, 0.5 * _SUSTAINED * float(np.ptp(before))):
+    if amplitude < max(SMALLEST_CYCLE_DEG, 0.5 * SUSTAINED * float(np.ptp(before))):
         return None
     # Ripples about the middle do not count, because the knee must leave half of the swing.
     side = np.where(np.abs(angle - middle) > 0.5 * amplitude, np.sign(angle - middle), 0.0)

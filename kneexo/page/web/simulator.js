@@ -16,15 +16,8 @@ const Simulator = (() => {
     16: "a parameter is not finite",
     64: "the plant changes too fast for the tolerance of the integrator",
   };
-  const ERROR_SHARE = 2 / 30; // of the amplitude; see ERROR_SHARE in kneexo/analysis/tracking/verdict.py
-  const LARGEST_COUNT_DEG = ERROR_SHARE * 30; // as LARGEST_COUNT_DEG there
-  const SETTLING_BAND = 0.02; // share of a step, as SETTLING_BAND in kneexo/analysis/tracking/tracking.py
-  const SMALLEST_CYCLE_DEG = 1e-3; // this and the next two as in kneexo/analysis/tracking/limit_cycle.py
-  const REST_RAD = 1e-6;
-  const SUSTAINED = 0.9;
   const PUSH = ["push.torque_n_m", "push.start_s", "push.duration_s"];
   const KNEE_TORQUE = "plant.load.knee_torque_n_m";
-  const SAME_S = 1e-9; // as in kneexo/systems/push.py
 
   function bytesOf(base64) {
     const text = atob(base64);
@@ -359,7 +352,7 @@ const Simulator = (() => {
     const [torque, start, duration] = PUSH.map((name) => values[name]);
     if (!torque) return new Map();
     const pushed = { ...values, [KNEE_TORQUE]: values[KNEE_TORQUE] + torque };
-    const tickAt = (time) => Math.ceil((time - SAME_S) / period_s);
+    const tickAt = (time) => Math.ceil((time - model.criteria.samePushTimeS) / period_s);
     return new Map([[tickAt(start), parametersOf(model.loop, pushed)], [tickAt(start + duration), parametersOf(model.loop, values)]]);
   }
 
@@ -530,7 +523,8 @@ const Simulator = (() => {
 
   // The largest error of a run that tracks: a share of the amplitude, or one count of the encoder.
   function errorBound(model, range) {
-    const bound = (ERROR_SHARE * (range[1] - range[0])) / 2;
+    const { errorShare, largestCountDeg } = model.criteria;
+    const bound = (errorShare * (range[1] - range[0])) / 2;
     const counts = model.limits.encoder_count_knee_deg;
     if (!counts) return radians(bound);
     const last = counts.values.length - 1;
@@ -544,7 +538,7 @@ const Simulator = (() => {
         + (v[1] * (t - 2) - v[2] * (t - 1)) * t * (t - 3) / 2;
     };
     const angles = Array.from({ length: 91 }, (_, i) => range[0] + (i / 90) * (range[1] - range[0]));
-    return radians(Math.max(bound, Math.min(LARGEST_COUNT_DEG, Math.max(...angles.map(at)))));
+    return radians(Math.max(bound, Math.min(largestCountDeg, Math.max(...angles.map(at)))));
   }
 
   // Metrics of a run from a time on.
@@ -571,8 +565,8 @@ const Simulator = (() => {
     const period_s = reference === "sine" ? 1 / values["reference.frequency_hz"] : 0;
     const periods = periodsOf(signals, period_s);
     const main = settledMetrics(signals, periods >= 2 ? period_s : 0); // as settled_s in signals.py
-    const cycle = limitCycle(signals);
-    const step = reference === "step" ? stepMetrics(signals.time, signals.angle, values, cycle) : null;
+    const cycle = limitCycle(signals, model.criteria);
+    const step = reference === "step" ? stepMetrics(signals, values, cycle, model.criteria) : null;
     const { time } = signals;
     const bound = errorBound(model, rangeOf(model, reference, values, time[time.length - 1]));
     return {
@@ -633,8 +627,8 @@ const Simulator = (() => {
 
   // The oscillation of the knee at the end of a run whose reference rests, or null; see limit_cycle
   // in kneexo/analysis/tracking/limit_cycle.py.
-  function limitCycle({ time, reference, angle, pressure }) {
-    const start = reference.findLastIndex((value) => Math.abs(value - reference[reference.length - 1]) > REST_RAD) + 1;
+  function limitCycle({ time, reference, angle, pressure }, { smallestCycleDeg, restRad, sustained }) {
+    const start = reference.findLastIndex((value) => Math.abs(value - reference[reference.length - 1]) > restRad) + 1;
     const half = (start + reference.length) >> 1;
     const rest = angle.subarray(half);
     if (rest.length < 4) return null;
@@ -642,7 +636,7 @@ const Simulator = (() => {
     const ends = (values) => values.reduce(([a, b], value) => [Math.min(a, value), Math.max(b, value)], [Infinity, -Infinity]);
     const [all, before, after] = [rest, rest.subarray(0, cut), rest.subarray(cut)].map(ends);
     const [amplitude, middle] = [(after[1] - after[0]) / 2, (all[0] + all[1]) / 2];
-    if (amplitude < Math.max(radians(SMALLEST_CYCLE_DEG), (SUSTAINED * (before[1] - before[0])) / 2)) return null;
+    if (amplitude < Math.max(radians(smallestCycleDeg), (sustained * (before[1] - before[0])) / 2)) return null;
     const crossings = [];
     let side = 0;
     rest.forEach((value, k) => {
@@ -691,14 +685,14 @@ const Simulator = (() => {
   }
 
   // Rise time, overshoot, settling time and final error of a step. Null if the run does not reach the step.
-  function stepMetrics(time, angle, values, cycle) {
+  function stepMetrics({ time, angle }, values, cycle, { settlingBand }) {
     const [start, end] = ["start_deg", "end_deg"].map((name) => radians(values[`reference.${name}`]));
     const begin = values["reference.time_s"];
     const first = indexAt(time, begin);
     if (start === end || first >= time.length - 1) return null;
     const response = angle.subarray(first).map((value) => (value - start) / (end - start));
     const [low, high] = [0.1, 0.9].map((level) => response.findIndex((value) => value >= level));
-    const settled = response.findLastIndex((value) => Math.abs(value - 1) >= SETTLING_BAND) + 1;
+    const settled = response.findLastIndex((value) => Math.abs(value - 1) >= settlingBand) + 1;
     const since = settled < response.length ? time[first + settled] - begin : Infinity;
     // A limit cycle that leaves the band goes on for ever, also if the run ends in the band.
     const latest = cycle ? (time[time.length - 1] - begin) / 2 : Number.MAX_VALUE;
