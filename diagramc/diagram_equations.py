@@ -179,4 +179,5 @@ def equations_key(equations: Equations) -> str:
 
 
 def _hash(content: Any) -> str:
+    # The version of Drake, because another version can convert equal leaves to other equations.
     return hashlib.sha256(repr((version("drake"), content)).encode()).hexdigest()

@@ -29,6 +29,7 @@ class Platform:
     """End of the file name of a shared library."""
 
 
+# glibc 2.17 is the first for aarch64, and macOS 11 the first for Apple silicon.
 PLATFORMS = {
     "x86_64-linux": Platform("x86_64-linux-gnu.2.17", ".so"),
     "aarch64-linux": Platform("aarch64-linux-gnu.2.17", ".so"),

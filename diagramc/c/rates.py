@@ -77,6 +77,9 @@ class _ZeroFactors(_Rewriting):
     choice, so the function is computed only if the factor is not zero. The factor can change later.
     """
 
+    # Machine code has another analysis, `zero_factors`, which asks at each run. Here the parameters
+    # are known, so that factors which are not zero cost no comparison.
+
     def changed(self, node: int, arguments: tuple[int, ...]) -> int | None:
         graph = self.graph
         if graph.nodes[node][0] != "multiply" or not any(map(self._is_costly, arguments)):

@@ -12,7 +12,7 @@ from ..run_data import Array, State
 from .checks import require_positive
 from .step_size import rk4_step_s
 
-_LONGEST_CYCLE = 2**31
+_LONGEST_CYCLE = 2**31  # an uint32_t counts the ticks of a cycle
 _MOST_STEPS = 2**16 - 1  # an uint16_t counts them
 
 
@@ -32,6 +32,7 @@ class Schedule:
     @property
     def steps(self) -> int:
         """Number of Runge-Kutta steps in a tick."""
+        # 0.01 s / 0.0025 s must not become five steps by rounding.
         return max(1, math.ceil(self.tick_s / self.largest_step_s - 1e-9))
 
     @property

@@ -19,7 +19,7 @@ from .cross import zig_command
 from .source import CSource
 from .template import rendered
 
-_TARGET = ("-target", "wasm32-wasi", "-mexec-model=reactor")
+_TARGET = ("-target", "wasm32-wasi", "-mexec-model=reactor")  # a reactor has no main
 _FLAGS = (*REQUIRED_FLAGS, "-O3", "-s")
 
 
@@ -84,6 +84,7 @@ def wasm_module(source: CSource) -> WasmModule:
     """
     files, name = wasm_files(source), f"{source.name}.wasm"
     command = (*zig_command("WebAssembly"), *_TARGET, *_FLAGS)
+    # Without the path of Python, so that all environments of a user share the modules.
     key = json.dumps([_zig_version(), *command[1:], files])
     code = load(key)
     if code is None:

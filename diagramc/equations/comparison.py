@@ -19,7 +19,10 @@ from .tree import Node
 _TOLERANCE = 1e-9  # sums in another order; conditioning of a law with gains up to 1e6
 _NEAR = 16  # random signs of the rounding errors of the inputs; as many as the signs of four inputs
 _SCALES = (0.0, 1e-3, 1e-3, 0.1, 0.1, 1.0, 1.0, 10.0, 10.0)
-"""Distance from the Context of each point where a leaf is compared."""
+"""Distance from the Context of each point where a leaf is compared.
+
+Each distance but zero has two points, one on each side, so that a branch at the Context is met.
+"""
 
 
 Function: TypeAlias = Callable[[Array], Sequence[float]]
@@ -71,6 +74,7 @@ def differ(function: Function, points: Array, found: Array, numbers: Array) -> b
     found, numbers
         Values of the equations and of the function, (points, values).
     """
+    # A fixed seed: an equal function passes or fails each time.
     random = np.random.default_rng(0)
     exact = (points == np.rint(points)).all(axis=0)
     close = np.isclose(found, numbers, _TOLERANCE, _TOLERANCE).all(axis=1)

@@ -145,6 +145,7 @@ class Graph:
                 if p_coefficients:
                     coefficients = (c, *p_coefficients)
                     node = self._polynomial(coefficients, t)
+                    # A longer polynomial that ends with this one finds the coefficients here.
                     self._polynomials[node] = coefficients, t
                     return node
         return None

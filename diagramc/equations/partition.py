@@ -49,6 +49,7 @@ def fixed_nodes(
     for node in reversed(graph.reachable(roots)):
         if node not in used:
             continue
+        # A truth value has no place among the constants, which are doubles.
         if graph.depends[node] <= kinds and not is_condition(graph, node):
             if graph.value(node) is None:
                 fixed.append(node)
@@ -72,6 +73,8 @@ def zero_factors(
     ``roots`` reads.
     """
     roots = list(roots)
+    # A root has no factor: its own value is asked for. A node with two readers keeps the factors
+    # that both have.
     factors_of = dict.fromkeys(roots, frozenset[int]())
     for node in reversed(graph.reachable(roots, arguments)):
         linear = set(_linear_arguments(graph, node))

@@ -30,7 +30,7 @@ element of all outputs.
 """
 
 _TERMS = 6  # terms of the longest sum that a fixed factor is distributed over
-_COST_OF_LOOK_UP = 30
+_COST_OF_LOOK_UP = 30  # in durations of a sum; a cheaper value is faster computed than looked up
 
 
 @dataclass(frozen=True)
@@ -104,6 +104,7 @@ class Program:
 
     def __init__(self, equations: Equations) -> None:
         self.equations = equations
+        # A copy, because the key of the machine code is a hash of all nodes of the equations.
         self.graph = graph = equations.graph.copy()
         self.size = len(equations.states)
         rows = gradients(graph, equations.derivatives)
@@ -323,6 +324,7 @@ class _Regrouping:
                     fixed_term = self._times(fixed_term, fixed[0])
                 return self._made(node, _Sum(scaled, fixed_term))
         for factor, count in Counter(varying).items():
+            # With x⁴ the square saves a product. With x² and x³ it saves none.
             if count == 4:
                 square = graph.operation("multiply", factor, factor)
                 varying = [*(other for other in varying if other != factor), square, square]

@@ -187,6 +187,7 @@ def cited_equations(text: str) -> str:
 
 def _label(system: Any, number: int) -> str:
     """Return the name of a system; ``number`` replaces the memory address in a default name."""
+    # An address changes from run to run, and with it the key of the machine code.
     return re.sub("@[0-9a-f]{16}$", f"_{number}", str(system.get_name()))
 
 

@@ -73,6 +73,7 @@ def _method(name: str, original: Any, errors: list[TypeError]) -> Any:
         numbers = [_number(operand) for operand in (value, *others)]
         if not any(isinstance(number, Expression | Formula) for number in numbers):
             return getattr(numbers[0], name)(*numbers[1:])
+        # Stored too, because a law can catch the error and then go on along one branch.
         errors.append(TypeError(f"`{name}` of a symbolic value, which has no number"))
         raise errors[-1]
 

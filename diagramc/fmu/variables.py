@@ -88,6 +88,7 @@ class VariableTable:
         self._plan = plan
         self._states = start_members("x", len(plan.equations.states))
         self._discrete = start_members("d", len(plan.equations.discrete))
+        # The C code tells by one comparison of the value reference whether a variable is tunable.
         self.parameters = sorted(parameters, key=lambda parameter: not parameter.tunable)
         self._require_members()
         self._require_names_and_starts(starts)

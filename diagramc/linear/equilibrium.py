@@ -179,6 +179,8 @@ def _searches(function: Any, start: Array) -> Iterator[Array]:
     yield newton(function, start)
     if not all(np.isfinite(part).all() for part in function(start)):
         return  # least_squares refuses such a start
+    # Newton's steps can grow: those for arctan x = 0 do from |x| = 1.39 on. Least squares then
+    # comes near the zero, and Newton's method gives the last digits.
     nearest = scipy.optimize.least_squares(
         lambda point: function(point)[0],
         start,

@@ -15,15 +15,15 @@ from numpy.typing import ArrayLike
 from ..run_data import Array
 from .model import BOUNDARY_TOLERANCE, Complex, TickModel, distance_inside
 
-_GAINS = np.linspace(0.0, math.log(1e6), 601)  # logarithms of factors
-_TURNS = np.linspace(0.0, math.pi, 361)
-_DIRECTIONS = np.linspace(0.0, math.pi, 37)
+_GAINS = np.linspace(0.0, math.log(1e6), 601)  # logarithms of factors, 100 a decade
+_TURNS = np.linspace(0.0, math.pi, 361)  # angles in rad, each half degree
+_DIRECTIONS = np.linspace(0.0, math.pi, 37)  # angles in rad, each 5°; the best one is refined
 _OVERFLOW = 1e6
 _PROBES = (0.0, 2.0, 1.0 + 1.0j)  # factors that show which modes move
 _NO_MOVE = 1e-9  # a smaller share of the change of the matrix is a rounding error
 _NEARLY_OUTSIDE = 1e-6  # rounding moves a multiple eigenvalue by more than a simple one
 _PARALLEL = 1e-4  # eigenvectors of a multiple eigenvalue, closer than this, count once
-_REACHES = np.linspace(0.0, 0.999, 81)
+_REACHES = np.linspace(0.0, 0.999, 81)  # at 1 the factor of the disk is infinite
 
 
 @dataclass(frozen=True, repr=False)

@@ -37,6 +37,7 @@ class BufferPool:
         for _ in range(len(self._unused)):
             with suppress(IndexError):  # another thread has emptied the pool
                 memory = self._unused.popleft()
+                # A short record does not hold back the memory of a long one.
                 if size <= memory.size <= 2 * size + 1024:
                     return memory
                 self._unused.append(memory)

@@ -236,7 +236,7 @@ class Function:
 
     def constant(self, value: float, type_: Type = DOUBLE) -> Value:
         """Return a literal of a type that has ``value`` in each lane."""
-        if type_.element == "double":
+        if type_.element == "double":  # all 64 bits, as decimal digits would be rounded
             (bits,) = struct.unpack("<Q", struct.pack("<d", value))
             text = f"0x{bits:016X}"
         elif type_.element == "i1":
@@ -423,6 +423,8 @@ class Function:
         self._count += 1
         name = f"%a{self._count}"
         count = f"[{max(size, 1)} x {type_}]"
+        # At the head of the function: LLVM makes registers of such memory only, and in a loop each
+        # pass would take new memory.
         self._allocations.append(f"  {name} = alloca {count}, align {8 * type_.lanes}")
         return Array(Value(self, name, POINTER), type_)
 

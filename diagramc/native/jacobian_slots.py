@@ -9,7 +9,12 @@ from .phi_functions import Tables, define_store_matrix
 from .types import BOOL, DOUBLE, INT, POINTER
 
 SLOTS = 4
-"""Number of slots of a lane. A slot stores one Jacobian and the tables of its phi functions."""
+"""Number of slots of a lane. A slot stores one Jacobian and the tables of its phi functions.
+
+With several slots, equations that change between a few linear parts, as at a limit or a valve, find
+their tables again. The number decides little: 15 s of preset ``leg`` take 18 to 21 ms with 1, 2, 4
+or 8 slots.
+"""
 
 
 class Memory:

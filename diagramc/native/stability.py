@@ -87,6 +87,7 @@ def _reach(integrator: str) -> tuple[Array, Array]:
     error = np.abs(factor - np.exp(z)) / np.maximum(1.0, np.exp(z.real))
     decays = z.real < -np.abs(z.imag)
     fails = np.where(decays, np.abs(factor) > 1.0, error > _LARGEST_ERROR)
+    # Not infinite: between two infinite values np.interp gives nan.
     return angles, np.where(angles < 0.25 * np.pi, 1e300, radii[fails.argmax(axis=0), 0])
 
 
