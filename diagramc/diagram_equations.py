@@ -122,7 +122,9 @@ def require_system(diagram: Any) -> None:
 
 
 class ExpressionGraph:
-    """The graph of symbolic expressions, whose shared parts are one node each.
+    """Symbolic expressions as a graph, to evaluate them at points and to tell equal functions.
+
+    Each part that several expressions share is one node of the graph.
 
     Parameters
     ----------

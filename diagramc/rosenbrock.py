@@ -223,7 +223,10 @@ class Elimination:
         return order
 
     def _substituted(self, order: Sequence[int]) -> list[Operation]:
-        """Return the operations that solve a system, by pivots in ``order`` and then backwards."""
+        """Return the operations that solve a sparse linear system with the factors.
+
+        Elimination with the pivots of ``order`` comes first, then back substitution.
+        """
         rank = {row: number for number, row in enumerate(order)}
         steps = [
             Operation(row, self._at[row, column], column)

@@ -74,7 +74,7 @@ def zig_command(subject: str, alternative: str = "") -> tuple[str, ...]:
 
 
 def native_platform() -> str | None:
-    """Return the platform of this machine, or None unless it is Linux on x86-64 or aarch64."""
+    """Return this machine's name in `PLATFORMS` if it is Linux on x86-64 or aarch64, else None."""
     name = f"{platform.machine()}-{sys.platform}"
     return name if sys.platform == "linux" and name in PLATFORMS else None
 

@@ -168,7 +168,10 @@ class _ShortSums(_Rewriting):
         return sum_of_all
 
     def _available(self, node: int) -> int:
-        """Return the time at which the value of a node is available."""
+        """Return when the value of a node is available, in durations of an addition.
+
+        That is the latest time of its arguments plus the cost of its operation.
+        """
         graph, times = self.graph, self.times
         for number in range(len(times), node + 1):  # arguments have smaller numbers
             kind, arguments = graph.nodes[number][0], graph.arguments(number)

@@ -34,7 +34,9 @@ Evaluate: TypeAlias = Callable[[Any, Any], Sequence[Any]]
 def called_twice(
     first: Function, second: Function, points: Array, most_time_s: float = math.inf
 ) -> tuple[Array, bool]:
-    """Call a function at points, and a copy of it in reverse order, which finds hidden state.
+    """Call a function at points, and then a copy of it in reverse order.
+
+    A function with hidden state, such as a counter of its calls, then gives other values.
 
     Returns the values (points, values) of the first, and whether the second gives equal values.
 
@@ -61,9 +63,10 @@ def differ(function: Function, points: Array, found: Array, numbers: Array) -> b
 
     Points where the function is not finite do not count.
 
-    Equations round differently, which decides at a branch. So values between those that the
-    function returns near the point count as equal too. Flags and counters, which are whole numbers
-    at all points, do not change near a point, because they have no rounding error.
+    Equations round differently than the function, and at a branch a rounding error can decide. So
+    the function is called near each point that differs, and a value between its results counts as
+    equal. Flags and counters, which are whole numbers at all points, have no rounding error and are
+    not changed for these calls.
 
     Parameters
     ----------

@@ -88,9 +88,10 @@ def zero_factors(
 
 
 def _linear_arguments(graph: Graph, node: int) -> tuple[int, ...]:
-    """Return the arguments of a sum or product, or the numerator of a quotient if it is no divisor.
+    """Return the arguments that may become zero while the value of the node stays finite.
 
-    The value of the node stays finite if such an argument becomes zero.
+    These are all arguments of a sum or product, and the numerator of a quotient unless the same
+    node is the divisor too.
     """
     kind, arguments = graph.nodes[node][0], graph.arguments(node)
     if kind == "divide":
@@ -99,7 +100,10 @@ def _linear_arguments(graph: Graph, node: int) -> tuple[int, ...]:
 
 
 def _factors(graph: Graph, node: int, fixed: Collection[int]) -> set[int]:
-    """Return the ``fixed`` nodes that make a node zero which depends on parameters alone."""
+    """Return the ``fixed`` nodes that make ``node`` zero if one of them is zero.
+
+    The result is empty for a node that depends on more than parameters.
+    """
     if not graph.is_fixed(node):
         return set()
     factors = {node}.intersection(fixed)

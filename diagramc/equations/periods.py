@@ -29,7 +29,7 @@ class SampledLeaf(NamedTuple):
     timing: Any
     """Drake's timing of its update."""
     holds_output: bool
-    """Whether the leaf is the first with discrete states on a way back from the output port."""
+    """Whether the output port reads this leaf without another sampled leaf in between."""
 
 
 def sampled_leaves(diagram: Any, output: str) -> list[SampledLeaf]:

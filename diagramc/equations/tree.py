@@ -160,7 +160,10 @@ Port: TypeAlias = tuple[Node, str, int]
 
 
 def upstream(leaves: Iterable[Node], ends: Collection[Node] = ()) -> set[Node]:
-    """Return leaves and those from which their inputs come, but none behind one of the ``ends``."""
+    """Return ``leaves`` and all leaves that feed them, directly or through others.
+
+    The search goes no further back than the leaves in ``ends``, which are in the result.
+    """
     pending, found = [*leaves], set[Node]()
     while pending:
         leaf = pending.pop()

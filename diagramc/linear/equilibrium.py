@@ -138,7 +138,7 @@ def _wrong_output(names: tuple[str, ...], values: Array, required: Array) -> str
 
 
 def _required_values(point: Point, targets: Mapping[str, ArrayLike]) -> Array:
-    """Return the required values of all elements of the outputs, one after the other.
+    """Flatten ``targets``, the values that the equilibrium must have at output ports, to a vector.
 
     Raises `ParameterError` for values that are not finite, or too many or too few.
     """

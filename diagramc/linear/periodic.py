@@ -185,12 +185,13 @@ class PeriodicLoop:
 def _moved_within(
     basis: Complex, first: Complex, changes: Sequence[Complex], transposed: bool
 ) -> Complex | None:
-    """Return vectors normal to the eigenvectors that no change moves, in coordinates of ``basis``.
+    """Return a smaller basis without the modes that no change of the loop moves, or None.
 
+    The result has vectors in coordinates of ``basis``, normal to the eigenvectors of these modes.
     The eigenvectors are those of ``first`` or, if ``transposed``, of its conjugate transpose. Only
-    eigenvalues on or outside the unit circle count. Without such eigenvectors the result is None. A
-    chain of integrators has a single eigenvector, so the caller repeats the call with the smaller
-    basis until the result is None.
+    eigenvalues on or outside the unit circle count. The result is None if there is no such
+    eigenvector. A chain of integrators has several modes but a single eigenvector, so the caller
+    repeats the call with the smaller basis until the result is None.
     """
     inner = [basis.conj().T @ matrix @ basis for matrix in (first, *changes)]
     if transposed:
@@ -206,10 +207,10 @@ def _moved_within(
 
 
 def opened(ticks: Sequence[TickModel], column: int, row: Array) -> tuple[TickModel, ...]:
-    """Return ticks of a loop that is opened at the signal v = u + c z, with v as their only input.
+    """Open a loop at a signal: return its ticks with this signal as their only input.
 
-    The signal is the sum of the input u, which has the index ``column``, and of c z with the state
-    z. ``row`` is c. The substitution u = v − c z opens the loop.
+    In ``ticks`` the signal is v = u + c z, with the state z and the input u, which has the index
+    ``column``. ``row`` is c. The substitution u = v − c z makes v the input, and so opens the loop.
     """
     rates: dict[int, tuple[Array, Array]] = {}
     for tick in ticks:

@@ -149,7 +149,7 @@ def multiplied(f: Function, size: int, matrix: Array, vector: Array, out: Array)
 
 
 class _Step:
-    """Local memory for the result of one step, which is not accepted yet, in the emitted code."""
+    """Local memory of the emitted code for the result of a step until the step is accepted."""
 
     def __init__(self, tick: Tick) -> None:
         f = tick.function
@@ -167,7 +167,7 @@ class _Step:
         self.rest = tick.vector()
         """Change of dx/dt from start to middle, minus the change that the step predicts."""
         self.undriven = f.variable(f.constant(0.0, tick.type))
-        """What ``worst`` would be if a driven step were not driven."""
+        """What ``worst`` of a driven step would be without g'. If it is small, driven steps end."""
 
     def replace(self, tick: Tick, lanes: Value, other: _Step) -> None:
         """Emit code that copies the result of another step, which is not explicit, in ``lanes``."""

@@ -126,9 +126,9 @@ def library(key: str, part: str, text: Callable[[], str], level: int | None = No
 
 
 def _entry(key: str, part: str, target: Processor | None = None) -> str:
-    """Return the cache key of a part of the code: a text that names all causes of the code.
+    """Return the cache key of a part of the code, which changes with whatever changes the code.
 
-    The causes are the model, the compiler's source, the processor, and the part.
+    That is the model, the sources of diagramc, LLVM with the processor, and the part.
     """
     return "\n".join((key, _sources(), (target or processor()).key, part))
 

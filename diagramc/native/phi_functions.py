@@ -178,8 +178,10 @@ def define_store_matrix(module: Module, size: int) -> Function:
 def _define_start_tables(module: Module, size: int) -> Function:
     """Define the emitted function ``start_tables(tick, tables, least)``: see `Tables`.
 
-    The function fills the table of one level by a Taylor series, and forgets all others. The level
-    is at least ``least``, and so high that the norm of a h is at most 1, but at most `FINEST` + 1.
+    The function fills a first table, from which `fill_tables` makes the others by doubling. Its
+    level is at least ``least``, and so high that the norm of A h is at most 1, as the Taylor series
+    requires. If that is more than `FINEST` + 1, the function doubles the table until it belongs to
+    the level `FINEST` + 1. All levels that were filled before count as empty.
     """
     double = _double_table(module, size)
     arguments = {"tick": DOUBLE, "tables": POINTER, "least": INT}

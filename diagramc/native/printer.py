@@ -239,9 +239,10 @@ class Printer:
         return emit()
 
     def _unless_zero(self, factor: int, emit: Callable[[], Operand]) -> Value:
-        """Emit the code of ``emit`` under the condition that a fixed node is not zero.
+        """Emit the costly function of ``emit``. Runs in which a factor of it is zero skip it.
 
-        The value is 0 in lanes where the fixed node is zero.
+        ``factor`` is a fixed node that multiplies the function. In lanes where the factor is zero,
+        the value of the function is 0 here, and its product stays right.
         """
         f, number = self.function, self.storage.load("constant", self.hoisted[factor])
         assert isinstance(number, Value)

@@ -225,12 +225,12 @@ class Runner:
         self._address = ctypes.addressof(self._arguments)
 
     def restart(self, parameters: Array, last: Integers | None = None) -> Runner:
-        """Set the parameters (lanes, parameters); return this runner.
+        """Prepare new runs with these parameters (lanes, parameters); return this runner.
 
-        The method also clears the Jacobians and look-up tables, which depend on the parameters, and
-        the log of suspected steps. The log keeps one step for each window of time. ``last``
-        (lanes,) has the last tick of each run, which is divided into windows. By default there is
-        one window.
+        The method clears what belongs to the runs before: Jacobians, look-up tables, and the log of
+        suspected steps. The log keeps one step for each of `SUSPECTS` windows of equal length, into
+        which a run is divided. ``last`` (lanes,) has the last tick of each run. None: one window
+        covers all ticks.
         """
         self._windows[:] = _NEVER if last is None else last // SUSPECTS + 1
         self._suspects[:, :, 0] = 0.0
@@ -316,7 +316,10 @@ class Runner:
         record: Array | None,
         snapshots: Snapshots | None = None,
     ) -> None:
-        """Set the arrays that the next calls of `call_once` read and write: see `run`."""
+        """Set the arrays that the next calls of `call_once` read and write: see `run`.
+
+        A caller of many short runs binds its arrays once, and then changes only their content.
+        """
         arrays = {"x": x, "d": d, "last": last}
         if snapshots is not None:
             arrays |= {

@@ -261,7 +261,10 @@ class _Model:
 
 
 class _Requested(Storage):
-    """Sources of a model at one time, and its outputs; an output is computed if it is requested."""
+    """Sources and outputs of a model at one time, without updates.
+
+    An output port is computed if the run requests it.
+    """
 
     def __init__(self, time: Value, model: _Model, requested: Array, **more: Array) -> None:
         arrays = {"state": model.x, "discrete": model.d, "input": model.u, "constant": model.c}
@@ -322,7 +325,11 @@ class _Now:
 
 
 class _Events(_Requested):
-    """Sources and results of the events at a tick. Each output that is stored is also checked."""
+    """Sources and results of the events at a tick, which are records, checks and discrete updates.
+
+    A record or an update computes an output only if it is due. Each output that is stored is also
+    checked: a run ends at an output that is not finite.
+    """
 
     def __init__(
         self,
