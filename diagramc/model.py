@@ -301,6 +301,7 @@ class CompiledModel(ModelBase):
         """
         rows = self.checked_parameters(parameters)
         tables = [table or self.no_inputs for table in inputs]
+        # By identity, because usually all runs share one state and one table.
         checked: set[tuple[int, int]] = set()
         for state, table in zip(states, tables, strict=True):
             if (id(state), id(table)) not in checked:

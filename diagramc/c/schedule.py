@@ -62,6 +62,7 @@ def schedule_of(
     integrator: str = "rk4",
 ) -> Schedule:
     """Return the schedule of the model ``name``. For the arguments see `CSource`.
+
     Raises `CompilationError` if the diagram has no sample time and ``tick_s`` is None, if
     ``tick_s`` or ``step_s`` is not finite and positive, if a tick has too many steps, or if the
     updates repeat only after 2³¹ ticks.

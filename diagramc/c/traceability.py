@@ -155,7 +155,10 @@ class Trace:
 
     @cached_property
     def _new_nodes(self) -> dict[str, set[int]]:
-        """For each section, the operations that no earlier section computes: its lines in C."""
+        """Operations that each section computes, by its name, without those of earlier sections.
+
+        These are the operations in the section's lines of C.
+        """
         graph, earlier = self.equations.graph, set[int]()
         operations: dict[str, set[int]] = {}
         for section in self.equations.sections:

@@ -45,6 +45,7 @@ def wasm_files(source: CSource) -> dict[str, str]:
 
     Raises `CompilationError` in single precision.
     """
+    # The host reads and writes parameters, inputs and outputs as vectors of doubles.
     if source.precision != "double":
         raise CompilationError(
             f"precision = {source.precision!r}: must be double for a WebAssembly module"

@@ -123,9 +123,12 @@ def nodes_by_count(
     """Choose nodes whose values a table holds, with a row for each value of a whole number.
 
     The whole number, such as an encoder count, is a node called count. The result maps each count
-    to the nodes in its table. A node is in the table of a count under four conditions. The node
-    depends on the count alone. The node is no truth value. The node is a root, or its reader does
-    not depend on the count alone. The computation of the node costs more than a look-up.
+    to the nodes in its table. A node is in the table of a count if
+
+    1. the node depends on the count alone,
+    2. it is no truth value,
+    3. it is a root, or a node that does not depend on the count alone reads it,
+    4. its computation costs more than a look-up.
 
     Parameters
     ----------

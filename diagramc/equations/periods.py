@@ -9,7 +9,7 @@ from .tree import Node, upstream
 
 
 def timing_of(leaf: Node) -> Any:
-    """Return Drake's timing of the discrete update of a leaf with discrete states.
+    """Return Drake's object with period and offset of the update of a leaf with discrete states.
 
     Raises `CompilationError` unless the leaf has exactly one period.
     """

@@ -108,7 +108,10 @@ def obstacles(point: Point, outputs: Iterable[str] = ()) -> list[Obstacle]:
 
 
 class _Survey:
-    """Values and derivatives of all nodes that states and outputs depend on at a point."""
+    """Finds obstacles by the values and derivatives of all nodes at a point.
+
+    The nodes are those that rates, updates and outputs depend on.
+    """
 
     def __init__(self, point: Point, outputs: Iterable[str]) -> None:
         self.point = point

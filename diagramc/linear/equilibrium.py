@@ -98,7 +98,10 @@ def find_equilibrium(
 
 @dataclass(frozen=True)
 class _Problem:
-    """Equations of an equilibrium with required outputs. The unknowns are free states and inputs.
+    """The search for an equilibrium as equations for Newton's method.
+
+    The unknowns are the free states and inputs. Rates, changes and errors of required outputs must
+    become zero.
 
     ``free`` has the indices of the unknowns among all states, followed by all inputs.
     """

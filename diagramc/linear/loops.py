@@ -17,6 +17,8 @@ from .model import BOUNDARY_TOLERANCE, Complex, distance_inside
 from .periodic import PeriodicLoop
 from .zeros import invariant_zeros
 
+# More than usual loops need, because the points around resonances are dense: 20 random loops had
+# the same margins with 60 points, in about the same time.
 _POINTS = 4_000  # of a grid of frequencies, without the points around resonances
 _SLOWEST = 1e-12  # a frequency below this share of the fastest one is a rounding error
 _ROUNDING = 1e-12  # points closer than this share of their frequency are one point

@@ -236,7 +236,7 @@ def _periodic_margins(loop: PeriodicLoop) -> LoopMargins:
 
 
 def _disk_values(reach: float, frequency: float) -> dict[str, float]:
-    """Return the fields of a disk margin. Half the disk margin is ``reach``, at most 1."""
+    """Return the four disk margin fields of `LoopMargins`; ``reach`` is half the disk margin."""
     whole = reach >= _WHOLE_PLANE
     return {
         "disk_margin": 2.0 * reach,

@@ -138,7 +138,7 @@ class PeriodicLoop:
 
     @cached_property
     def _projections(self) -> tuple[Complex, Complex]:
-        """Matrices X (r, n) and Y (n, r), such that X M Y has the modes of M that factors move.
+        """Matrices X (r, n) and Y (n, r) that remove free modes: X M Y has those that factors move.
 
         No factor moves a mode that the signal does not show. Such a mode has an eigenvector v with
         M(k) v = λ v for all factors k. No factor moves a mode that the signal does not excite. Such

@@ -19,7 +19,8 @@ LANES = 8
 """Number of runs that one call of the machine code makes in a batch, one run in each lane.
 
 Eight doubles fill one vector of AVX-512. They fill two vectors of AVX2, and the processor works on
-the two vectors at the same time.
+the two vectors at the same time. A run of 10 s of the default knee in a batch takes 0.79 ms with 4
+lanes, 0.71 ms with 8 and 1.25 ms with 16; one of preset ``leg`` 7.7, 7.0 and 7.7 ms (AVX-512).
 """
 
 

@@ -120,6 +120,8 @@ def unstable_step(
             excesses = excess(integrator, h * values)
             worst = int(np.argmax(excesses))
             if excesses[worst] > 1.0:
+                # A matrix with too few eigenvectors has no inverse of its modes, but a
+                # pseudoinverse.
                 shares = np.abs(modes[:, worst] * np.linalg.pinv(modes)[worst])
                 safe_s = SAFETY * h / float(excesses[worst])
                 state = State(points[0][0], d)
