@@ -207,8 +207,7 @@ class Elimination:
         while left:
             below = {k: [i for i in left if i != k and (i, k) in self._at] for k in left}
             right = {k: [j for j in left if j != k and (k, j) in self._at] for k in left}
-            # The index decides between equal numbers of products, so equal matrices give equal
-            # code.
+            # The index decides between equal numbers: equal matrices then give equal code.
             pivot = min(left, key=lambda k: (len(below[k]) * len(right[k]), k))
             left.remove(pivot)
             order.append(pivot)

@@ -314,8 +314,7 @@ class CSource:
             "control": CONTROL,
             "most_substeps": MOST_SUBSTEPS,
             "stability": STABILITY,
-            # Below, differences of rates are rounding errors. As in the compiled integrators in
-            # double.
+            # Below, differences of rates are rounding errors, as in the compiled integrators.
             "smallest_change": 1e-9 if self.precision == "double" else 1e-4,
         }
 

@@ -49,7 +49,7 @@ def fixed_nodes(
     for node in reversed(graph.reachable(roots)):
         if node not in used:
             continue
-        # A truth value has no place among the constants, which are doubles.
+        # Not a truth value, because the constants are doubles.
         if graph.depends[node] <= kinds and not is_condition(graph, node):
             if graph.value(node) is None:
                 fixed.append(node)

@@ -148,7 +148,7 @@ class Conversion:
     def _used_before(self, name: str, expression: Any) -> int | None:
         """Return the node of an expression ``name`` that was converted before, else None."""
         self.is_large |= self._size > _LARGE
-        # Quotients are worth a search in small expressions too: with each of their uses read anew,
+        # Quotients are worth a search in small expressions too: when each use was read anew,
         # a reading of the knee took 2.4 times as long.
         if name == "divide" or self.is_large:
             for known, node in self._latest.get(name, ()):

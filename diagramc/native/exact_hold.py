@@ -623,8 +623,7 @@ class ExactHold:
                 with f.forever() as loop:
                     more = levels[lane] > coarsest[lane]
                     loop.stop_if(~(more & (worsts[lane] <= _EASY)))
-                    # On this grid the steps end exactly at the end of the tick, and share one table
-                    # a level.
+                    # On this grid steps end exactly with the tick, and each level has one table.
                     twice = f.constant(2 * _WHOLE, INT) >> levels[lane]
                     loop.stop_if((positions[lane] % twice).differs(0))
                     levels[lane] = levels[lane] - 1

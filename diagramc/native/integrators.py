@@ -220,8 +220,8 @@ def advance_rk4(tick: Tick) -> None:
     done, count = f.variable(f.constant(0, INT)), f.to_int(steps)
     with f.forever() as loop:
         loop.stop_if(done.get() >= count)
-        # The check is outside of the loop over steps, which then needs fewer registers: 4 % of a
-        # run.
+        # The check is outside of the loop over steps, which then needs fewer registers. This
+        # saves 4 % of a run.
         first, stop = done.get(), watch.stop(count)
         for number in f.loop(stop - first):
             t = f.fma(f.to_double(first + number), h, tick.start)

@@ -54,7 +54,7 @@ class MachineCode:
     def layout(self) -> Layout:
         """Names and sizes of the model, loaded from the cache or else taken from `program`."""
         with _lock:
-            # An entry of its own: with it and the code, a process never reads the diagram.
+            # The layout is an entry of its own, with which a process need not read the diagram.
             key = _entry(self.key, "layout")
             if key not in _layouts:
                 content = entries.load(key)

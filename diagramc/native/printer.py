@@ -230,9 +230,9 @@ class Printer:
                 self._emitted[pair] = elementary.sincos(f, *f.alike(operands[0]))
             return self._emitted[pair][int(name)]
         emit = partial(_EMITTERS[emitter], f, name, operands)
-        # The powers for air in the oil took 60 % of the rates, and by default there is no air. C
-        # has another analysis (`rates._ZeroFactors`), since it knows the parameters; here each run
-        # has its own.
+        # The powers for air in the oil took 60 % of the rates, and by default there is no air. Each
+        # run has parameters of its own, so the code asks. Exported C knows its parameters, and has
+        # another analysis: `rates._ZeroFactors`.
         if emitter == "elementary" and self._zero_factors[node]:
             # One of several factors is enough for the condition.
             return self._unless_zero(min(self._zero_factors[node]), emit)

@@ -87,7 +87,6 @@ def _reach(integrator: str) -> tuple[Array, Array]:
     error = np.abs(factor - np.exp(z)) / np.maximum(1.0, np.exp(z.real))
     decays = z.real < -np.abs(z.imag)
     fails = np.where(decays, np.abs(factor) > 1.0, error > _LARGEST_ERROR)
-    # Not infinite: between two infinite values np.interp gives nan.
     return angles, np.where(angles < 0.25 * np.pi, 1e300, radii[fails.argmax(axis=0), 0])
 
 
@@ -120,8 +119,7 @@ def unstable_step(
             excesses = excess(integrator, h * values)
             worst = int(np.argmax(excesses))
             if excesses[worst] > 1.0:
-                # A matrix with too few eigenvectors has no inverse of its modes, but a
-                # pseudoinverse.
+                # The modes of a matrix with too few eigenvectors have no inverse.
                 shares = np.abs(modes[:, worst] * np.linalg.pinv(modes)[worst])
                 safe_s = SAFETY * h / float(excesses[worst])
                 state = State(points[0][0], d)
