@@ -32,7 +32,7 @@ class Schedule:
     @property
     def steps(self) -> int:
         """Number of Runge-Kutta steps in a tick."""
-        # 0.01 s / 0.0025 s must not become five steps by rounding.
+        # 0.003 s / 0.0003 s is 10.000000000000002, and must not become eleven steps.
         return max(1, math.ceil(self.tick_s / self.largest_step_s - 1e-9))
 
     @property

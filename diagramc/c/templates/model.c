@@ -197,7 +197,7 @@ static bool is_stable(const real *x, const real *rate)
 {% if method %}
 {# Two forms of RK4. Scalars around one evaluation of the derivatives leave compilers free to use
    registers, and a function of arrays does not. But compilers move all constants of a long
-   evaluation out of the loops: see `_MOST_TERMS`. #}
+   evaluation out of the loops. #}
 {% elif states and functions.is_large %}
 /* Integrate over a sample time by the classical Runge-Kutta method, in {{ schedule.steps }} equal steps.
  * Return whether all states are finite. */
