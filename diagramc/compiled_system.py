@@ -143,6 +143,7 @@ class CompiledSystem(LeafSystem):
         discrete_state.set_value(0, values)
 
     def _record(self, with_inputs: bool, context: Any, value: Any) -> None:
+        # A time just after a tick, by rounding, is the time of this tick.
         tick = math.ceil(context.get_time() / self._tick - 1e-9)
         inputs = self._inputs(context) if with_inputs else self.model.no_inputs
         value.set_value(self._running.Eval(context).outputs(self._state(context), tick, inputs))

@@ -122,7 +122,9 @@ def require_system(diagram: Any) -> None:
 
 
 class ExpressionGraph:
-    """The graph of symbolic expressions, whose shared parts are one node each.
+    """Symbolic expressions as a graph, to evaluate them at points and to tell equal functions.
+
+    Each part that several expressions share is one node of the graph.
 
     Parameters
     ----------
@@ -179,4 +181,5 @@ def equations_key(equations: Equations) -> str:
 
 
 def _hash(content: Any) -> str:
+    # The version of Drake, because another version can convert equal leaves to other equations.
     return hashlib.sha256(repr((version("drake"), content)).encode()).hexdigest()

@@ -103,6 +103,7 @@ def simulate_with_feedback(
 
     for sample in range(samples):
         tick = sample * every
+        # From the tick to itself: the run only records, with the states before the updates.
         run(tick, tick, record_rows=1)
         record[sample] = values = row[0, :, 0]
         if sample == samples - 1:

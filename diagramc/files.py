@@ -19,7 +19,7 @@ from typing import NamedTuple
 from .errors import OutputError, shown
 from .root import ROOT
 
-_STALE_S = 3600.0
+_STALE_S = 3600.0  # a younger temporary file may be one that another process is writing
 _UNFINISHED = f".{ROOT}_"  # first letters of a temporary folder of `write_folder`
 
 
@@ -55,6 +55,7 @@ def write_whole(path: Path, content: bytes) -> None:
 
     If writing fails, the earlier file stays.
     """
+    # In the same directory, because a rename to another file system is no single step.
     temporary = path.with_name(f".{path.name}.{os.urandom(8).hex()}")
     try:
         temporary.write_bytes(content)

@@ -26,12 +26,17 @@ from typing import NamedTuple
 from .errors import CompilationError
 
 MOST_SUBSTEPS = 1000
-"""Largest number of substeps in a tick, rejected ones included."""
+"""Largest number of substeps in a tick, rejected ones included.
+
+A call of exported C must end in a known time, so each of its loops has a largest number of passes.
+"""
 
 TOLERANCES = {"double": 1e-7, "float": 1e-5}
 """Default tolerance by precision.
 
 The sum over all states of error estimate / (1 + \\|state\\|) of a substep is at most the tolerance.
+On preset ``leg``, 1e-5, 1e-6 and 1e-7 make errors of the load pressure of 1.8e-3, 2.6e-4 and 2.3e-5
+of its peak (``benchmarks/stiff.py``).
 """
 
 TOLERANCE_RANGES = {"double": (1e-12, 1e-2), "float": (1e-6, 1e-2)}
@@ -202,6 +207,7 @@ class Elimination:
         while left:
             below = {k: [i for i in left if i != k and (i, k) in self._at] for k in left}
             right = {k: [j for j in left if j != k and (k, j) in self._at] for k in left}
+            # The index decides between equal numbers: equal matrices then give equal code.
             pivot = min(left, key=lambda k: (len(below[k]) * len(right[k]), k))
             left.remove(pivot)
             order.append(pivot)
@@ -216,7 +222,10 @@ class Elimination:
         return order
 
     def _substituted(self, order: Sequence[int]) -> list[Operation]:
-        """Return the operations that solve a system, by pivots in ``order`` and then backwards."""
+        """Return the operations that solve a sparse linear system with the factors.
+
+        Elimination with the pivots of ``order`` comes first, then back substitution.
+        """
         rank = {row: number for number, row in enumerate(order)}
         steps = [
             Operation(row, self._at[row, column], column)

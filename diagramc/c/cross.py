@@ -29,6 +29,7 @@ class Platform:
     """End of the file name of a shared library."""
 
 
+# glibc 2.17 is the first for aarch64, and macOS 11 the first for Apple silicon.
 PLATFORMS = {
     "x86_64-linux": Platform("x86_64-linux-gnu.2.17", ".so"),
     "aarch64-linux": Platform("aarch64-linux-gnu.2.17", ".so"),
@@ -73,7 +74,7 @@ def zig_command(subject: str, alternative: str = "") -> tuple[str, ...]:
 
 
 def native_platform() -> str | None:
-    """Return the platform of this machine, or None unless it is Linux on x86-64 or aarch64."""
+    """Return this machine's name in `PLATFORMS` if it is Linux on x86-64 or aarch64, else None."""
     name = f"{platform.machine()}-{sys.platform}"
     return name if sys.platform == "linux" and name in PLATFORMS else None
 

@@ -36,7 +36,11 @@ from .traceability import FILE as TRACEABILITY, Trace
 from .vectors import Vectors, recorded_vectors
 
 REPLAY_TOLERANCES = {"double": 1e-9, "float": 1e-3}
-"""Largest difference of an output by rounding, divided by the output's largest magnitude."""
+"""Largest difference of an output by rounding, divided by the output's largest magnitude.
+
+The commands of 200 controllers of the knee differ by at most 9.6e-14 in double and 4.0e-5 in float.
+A plant in float can differ by more, where its encoder reads a count one sample earlier or later.
+"""
 
 _MANY_SUBSTEPS, _ROUGH = 1e5, 1e-2
 """Accepted error of the Rosenbrock method in a replay, divided by its tolerance, and its limit.

@@ -18,8 +18,11 @@ from .template import words
 
 _MOST_TERMS = 2000
 """Largest number of terms and arguments of the derivatives that are printed inside the loops of
-RK4. Compilers move all constants of such a loop before it; many constants would fill the stack, and
-the compilation would take minutes."""
+RK4.
+
+Compilers move all constants of such a loop before it. Many constants fill the stack, and the
+compilation takes long: 6 s for 60 dense states, with twice the code.
+"""
 
 _ARRAYS = {"constant": "c", "state": "x", "discrete": "d"}
 

@@ -63,6 +63,7 @@ def manifest(made_by: str, tool: str, content: Mapping[str, Any], files: Mapping
     ``tool`` is the program with its version. ``content`` has the entries that describe the model.
     ``files`` maps the name of each other file of the folder to its text.
     """
+    # No date: a second export on the same machine gives an equal manifest.
     versions = {"tool": tool, "drake": version("drake")}
     flags = {"compiler_flags": {"required": REQUIRED_FLAGS, "refused": REFUSED_FLAGS}}
     contents = {name: text.encode(errors="surrogateescape") for name, text in files.items()}

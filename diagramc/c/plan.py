@@ -91,6 +91,7 @@ def compensated_sums(equations: Equations, real: Precision) -> dict[int, tuple[i
     """
     if real is not FLOAT:
         return {}
+    # An hour as a sum of 2 ms is 3600.000 s with compensation, and 3544.783 s without.
     graph, sums = equations.graph, {}
     for update in equations.updates:
         for state, node in update.values:

@@ -122,9 +122,19 @@ class CPrinter:
     ) -> list[str]:
         """Return C statements that compute nodes and assign their values to C variables.
 
-        ``targets`` has pairs of a C variable and a node. ``load`` returns the C text for reading an
-        element. ``fixed`` replaces the attribute `fixed`, unless ``fixed`` is None. ``held`` maps
-        more nodes to indices; the statements read these nodes as elements of the kind ``held``.
+        Parameters
+        ----------
+        targets
+            Pairs of a C variable and the node whose value it gets.
+        load
+            Returns the C text that reads an element of a source, a constant or a table.
+        fixed
+            Nodes that the statements read as constants, with their indices; None: those of the
+            attribute `fixed`.
+        held
+            Nodes that the statements read as elements of the kind ``held``, with their indices.
+        indent
+            Spaces before each statement.
         """
         constants = self.fixed if fixed is None else fixed
         loads = {node: ("constant", number) for node, number in constants.items()}

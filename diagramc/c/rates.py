@@ -77,6 +77,9 @@ class _ZeroFactors(_Rewriting):
     choice, so the function is computed only if the factor is not zero. The factor can change later.
     """
 
+    # Machine code has another analysis, `zero_factors`, which asks at each run. Here the parameters
+    # are known, so that factors which are not zero cost no comparison.
+
     def changed(self, node: int, arguments: tuple[int, ...]) -> int | None:
         graph = self.graph
         if graph.nodes[node][0] != "multiply" or not any(map(self._is_costly, arguments)):
@@ -165,7 +168,10 @@ class _ShortSums(_Rewriting):
         return sum_of_all
 
     def _available(self, node: int) -> int:
-        """Return the time at which the value of a node is available."""
+        """Return when the value of a node is available, in durations of an addition.
+
+        That is the latest time of its arguments plus the cost of its operation.
+        """
         graph, times = self.graph, self.times
         for number in range(len(times), node + 1):  # arguments have smaller numbers
             kind, arguments = graph.nodes[number][0], graph.arguments(number)

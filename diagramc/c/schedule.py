@@ -12,7 +12,7 @@ from ..run_data import Array, State
 from .checks import require_positive
 from .step_size import rk4_step_s
 
-_LONGEST_CYCLE = 2**31
+_LONGEST_CYCLE = 2**31  # an uint32_t counts the ticks of a cycle
 _MOST_STEPS = 2**16 - 1  # an uint16_t counts them
 
 
@@ -32,6 +32,7 @@ class Schedule:
     @property
     def steps(self) -> int:
         """Number of Runge-Kutta steps in a tick."""
+        # 0.003 s / 0.0003 s is 10.000000000000002, and must not become eleven steps.
         return max(1, math.ceil(self.tick_s / self.largest_step_s - 1e-9))
 
     @property
@@ -61,6 +62,7 @@ def schedule_of(
     integrator: str = "rk4",
 ) -> Schedule:
     """Return the schedule of the model ``name``. For the arguments see `CSource`.
+
     Raises `CompilationError` if the diagram has no sample time and ``tick_s`` is None, if
     ``tick_s`` or ``step_s`` is not finite and positive, if a tick has too many steps, or if the
     updates repeat only after 2³¹ ticks.

@@ -116,10 +116,10 @@ class Sil:
 
 
 def require_sil_folder(directory: str | os.PathLike[str], *names: str) -> None:
-    """Raise `OutputError` if a directory has files that no export of a loop has written.
+    """Raise `OutputError` unless a directory is missing, empty or an earlier export by `write_sil`.
 
-    ``names`` are the names of the models of the loop, each with a subfolder. See
-    `require_export_folder`.
+    ``names`` are the names of the loop's two models. Each has a subfolder, for which
+    `require_export_folder` has the same rule.
     """
     require_export_folder(directory, _SIL)
     for name in names:

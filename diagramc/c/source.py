@@ -202,6 +202,7 @@ class CSource:
         partials: list[dict[int, int]] = []
         by_time: list[int] = []
         if self.integrator == "rosenbrock":
+            # Of the faster nodes, so that rates and derivatives share them.
             partials = gradients(graph, rates)
             by_time = time_derivatives(graph, rates, {graph.source("time"): graph.one})
         nodes = {port: equations.outputs[port] for port in self.output_ports}
@@ -313,6 +314,7 @@ class CSource:
             "control": CONTROL,
             "most_substeps": MOST_SUBSTEPS,
             "stability": STABILITY,
+            # Below, differences of rates are rounding errors, as in the compiled integrators.
             "smallest_change": 1e-9 if self.precision == "double" else 1e-4,
         }
 

@@ -15,7 +15,10 @@ STEP_ANGLE = 0.2
 """Largest product h·|λ| of the default RK4 step h and the magnitude of the fastest eigenvalue λ."""
 
 SHORTEST_STEP_S = 1e-7
-"""Shortest default step in s. A mode that requires a shorter step requires ``step_s``."""
+"""Shortest default step in s. A mode that requires a shorter step requires ``step_s``.
+
+A mode is that fast from 2e6 1/s on, and better left out of the model.
+"""
 
 
 def rk4_step_s(

@@ -33,7 +33,7 @@ def words(package: str, template: str) -> frozenset[str]:
 def _environment(package: str) -> Environment:
     environment = Environment(
         loader=PackageLoader(package),
-        undefined=StrictUndefined,
+        undefined=StrictUndefined,  # else a misspelt name would be an empty text
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,

@@ -108,7 +108,10 @@ class Trace:
         return rows + [(f"p->{member}", f"parameter {name}") for member, name in pairs]
 
     def _constants(self) -> list[tuple[str, str]]:
-        """Rows: value that depends on parameters alone, the line and system that compute it."""
+        """Return a row for each value ``c[i]`` that depends on parameters alone.
+
+        A row has the text ``c[i]``, and the line and the system that compute the value.
+        """
         lines, rows = self.text.splitlines(), []
         for span in spans(self.text, self.equations.sections):
             for number in range(span.first, span.last + 1):
@@ -138,7 +141,11 @@ class Trace:
         ]
 
     def _tests(self, section: Section) -> str:
-        """Return what depends on a section: numbers of outputs in the test vectors, or status."""
+        """Return a text about how the test vectors test a section.
+
+        It has the numbers of the outputs that depend on the section, ``status`` for a margin, which
+        only the status of a call shows, or ``none``.
+        """
         value = self.equations.graph.value
         results = (node for node in section.nodes if value(node) is None)
         nodes = self._new_nodes[section.where].union(results)
@@ -148,7 +155,10 @@ class Trace:
 
     @cached_property
     def _new_nodes(self) -> dict[str, set[int]]:
-        """For each section, the operations that no earlier section computes: its lines in C."""
+        """Operations that each section computes, by its name, without those of earlier sections.
+
+        These are the operations in the section's lines of C.
+        """
         graph, earlier = self.equations.graph, set[int]()
         operations: dict[str, set[int]] = {}
         for section in self.equations.sections:

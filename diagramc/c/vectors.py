@@ -83,7 +83,7 @@ def recorded_vectors(diagram: System, source: CSource, inputs: Array) -> Vectors
         records = {"record_period_s": tick_s}
     start = model.initialized(source.parameters, state, table)
     how: dict[str, Any] = {"integrator": "rk4", "step_s": schedule.largest_step_s}
-    if source.rosenbrock_tolerance is not None:
+    if source.rosenbrock_tolerance is not None:  # a second method does not repeat an error of C
         how = {"integrator": "exact_hold", "tolerance": 0.01 * source.rosenbrock_tolerance}
     how["inputs"] = table
     values, end_s = source.parameters, steps * tick_s

@@ -19,7 +19,7 @@ from .cross import zig_command
 from .source import CSource
 from .template import rendered
 
-_TARGET = ("-target", "wasm32-wasi", "-mexec-model=reactor")
+_TARGET = ("-target", "wasm32-wasi", "-mexec-model=reactor")  # a reactor has no main
 _FLAGS = (*REQUIRED_FLAGS, "-O3", "-s")
 
 
@@ -45,6 +45,7 @@ def wasm_files(source: CSource) -> dict[str, str]:
 
     Raises `CompilationError` in single precision.
     """
+    # The host reads and writes parameters, inputs and outputs as vectors of doubles.
     if source.precision != "double":
         raise CompilationError(
             f"precision = {source.precision!r}: must be double for a WebAssembly module"
@@ -84,6 +85,7 @@ def wasm_module(source: CSource) -> WasmModule:
     """
     files, name = wasm_files(source), f"{source.name}.wasm"
     command = (*zig_command("WebAssembly"), *_TARGET, *_FLAGS)
+    # Without the path of Python, so that all environments of a user share the modules.
     key = json.dumps([_zig_version(), *command[1:], files])
     code = load(key)
     if code is None:

@@ -19,7 +19,10 @@ from .tree import Node
 _TOLERANCE = 1e-9  # sums in another order; conditioning of a law with gains up to 1e6
 _NEAR = 16  # random signs of the rounding errors of the inputs; as many as the signs of four inputs
 _SCALES = (0.0, 1e-3, 1e-3, 0.1, 0.1, 1.0, 1.0, 10.0, 10.0)
-"""Distance from the Context of each point where a leaf is compared."""
+"""Distance from the Context of each point where a leaf is compared.
+
+Each distance but zero has two points, one on each side, so that a branch at the Context is met.
+"""
 
 
 Function: TypeAlias = Callable[[Array], Sequence[float]]
@@ -31,7 +34,9 @@ Evaluate: TypeAlias = Callable[[Any, Any], Sequence[Any]]
 def called_twice(
     first: Function, second: Function, points: Array, most_time_s: float = math.inf
 ) -> tuple[Array, bool]:
-    """Call a function at points, and a copy of it in reverse order, which finds hidden state.
+    """Call a function at points, and then a copy of it in reverse order.
+
+    A function with hidden state, such as a counter of its calls, then gives other values.
 
     Returns the values (points, values) of the first, and whether the second gives equal values.
 
@@ -58,9 +63,10 @@ def differ(function: Function, points: Array, found: Array, numbers: Array) -> b
 
     Points where the function is not finite do not count.
 
-    Equations round differently, which decides at a branch. So values between those that the
-    function returns near the point count as equal too. Flags and counters, which are whole numbers
-    at all points, do not change near a point, because they have no rounding error.
+    Equations round differently than the function, and at a branch a rounding error can decide. So
+    the function is called near each point that differs, and a value between its results counts as
+    equal. Flags and counters, which are whole numbers at all points, have no rounding error and are
+    not changed for these calls.
 
     Parameters
     ----------
@@ -71,6 +77,7 @@ def differ(function: Function, points: Array, found: Array, numbers: Array) -> b
     found, numbers
         Values of the equations and of the function, (points, values).
     """
+    # A fixed seed: an equal function passes or fails each time.
     random = np.random.default_rng(0)
     exact = (points == np.rint(points)).all(axis=0)
     close = np.isclose(found, numbers, _TOLERANCE, _TOLERANCE).all(axis=1)

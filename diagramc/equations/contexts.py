@@ -33,7 +33,10 @@ def set_state(root: Node, context: Any, state: State) -> None:
 
 
 def set_all(root: Node, context: Any, numbers: Array) -> list[float]:
-    """Write time, parameters, continuous and discrete states; return the numbers that are left."""
+    """Write time, parameters, continuous and discrete states, in this order, into a Context.
+
+    Returns the numbers that follow them in ``numbers``, such as the values of input ports.
+    """
     context.SetTime(numbers[0])
     left = _fill(_parameters(root, context), numbers[1:])
     return _fill(_discrete(root, context), _fill(_continuous(root, context), left))

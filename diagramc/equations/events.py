@@ -111,7 +111,7 @@ def _recorded_declarations() -> Iterator[list[tuple[Any, str, Sequence[Any]]]]:
 
         return record
 
-    with _declarations_lock:
+    with _declarations_lock:  # the class belongs to all threads
         originals = {method: getattr(leaf_type, method) for method in _DECLARATIONS}
         try:
             for method, declare in originals.items():

@@ -54,7 +54,7 @@ class Graph:
         return self._node(name, *arguments)
 
     def simplified(self, name: str, *arguments: int) -> int:
-        """Make the node of an operation, simplified if this class has a method for it."""
+        """Make the node of an operation, with the simplifications of `add`, `divide` and so on."""
         match name:
             case "add":
                 return self.add(*arguments)
@@ -145,6 +145,7 @@ class Graph:
                 if p_coefficients:
                     coefficients = (c, *p_coefficients)
                     node = self._polynomial(coefficients, t)
+                    # A longer polynomial that ends with this one finds the coefficients here.
                     self._polynomials[node] = coefficients, t
                     return node
         return None
@@ -198,7 +199,10 @@ class Graph:
         return self._node(name, argument)
 
     def binary(self, name: str, left: int, right: int) -> int:
-        """Make ``min``, ``max`` or ``atan2``; atan2(sin ψ, cos ψ) becomes ψ minus whole turns."""
+        """Make ``min``, ``max`` or ``atan2``, as ``name`` says.
+
+        The angle atan2(sin ψ, cos ψ) becomes ψ minus whole turns, which is faster to compute.
+        """
         (first, *angles), (second, *others) = self.nodes[left], self.nodes[right]
         if (name, first, second) == ("atan2", "sin", "cos") and angles == others:
             angle = self.arguments(left)[0]

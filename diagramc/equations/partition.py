@@ -49,6 +49,7 @@ def fixed_nodes(
     for node in reversed(graph.reachable(roots)):
         if node not in used:
             continue
+        # Not a truth value, because the constants are doubles.
         if graph.depends[node] <= kinds and not is_condition(graph, node):
             if graph.value(node) is None:
                 fixed.append(node)
@@ -72,6 +73,8 @@ def zero_factors(
     ``roots`` reads.
     """
     roots = list(roots)
+    # A root has no factor: its own value is asked for. A node with two readers keeps the factors
+    # that both have.
     factors_of = dict.fromkeys(roots, frozenset[int]())
     for node in reversed(graph.reachable(roots, arguments)):
         linear = set(_linear_arguments(graph, node))
@@ -85,9 +88,10 @@ def zero_factors(
 
 
 def _linear_arguments(graph: Graph, node: int) -> tuple[int, ...]:
-    """Return the arguments of a sum or product, or the numerator of a quotient if it is no divisor.
+    """Return the arguments that may become zero while the value of the node stays finite.
 
-    The value of the node stays finite if such an argument becomes zero.
+    These are all arguments of a sum or product, and the numerator of a quotient unless the same
+    node is the divisor too.
     """
     kind, arguments = graph.nodes[node][0], graph.arguments(node)
     if kind == "divide":
@@ -96,7 +100,10 @@ def _linear_arguments(graph: Graph, node: int) -> tuple[int, ...]:
 
 
 def _factors(graph: Graph, node: int, fixed: Collection[int]) -> set[int]:
-    """Return the ``fixed`` nodes that make a node zero which depends on parameters alone."""
+    """Return the ``fixed`` nodes that make ``node`` zero if one of them is zero.
+
+    The result is empty for a node that depends on more than parameters.
+    """
     if not graph.is_fixed(node):
         return set()
     factors = {node}.intersection(fixed)
@@ -116,9 +123,12 @@ def nodes_by_count(
     """Choose nodes whose values a table holds, with a row for each value of a whole number.
 
     The whole number, such as an encoder count, is a node called count. The result maps each count
-    to the nodes in its table. A node is in the table of a count under four conditions. The node
-    depends on the count alone. The node is no truth value. The node is a root, or its reader does
-    not depend on the count alone. The computation of the node costs more than a look-up.
+    to the nodes in its table. A node is in the table of a count if
+
+    1. the node depends on the count alone,
+    2. it is no truth value,
+    3. it is a root, or a node that does not depend on the count alone reads it,
+    4. its computation costs more than a look-up.
 
     Parameters
     ----------

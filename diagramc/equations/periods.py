@@ -9,7 +9,7 @@ from .tree import Node, upstream
 
 
 def timing_of(leaf: Node) -> Any:
-    """Return Drake's timing of the discrete update of a leaf with discrete states.
+    """Return Drake's object with period and offset of the update of a leaf with discrete states.
 
     Raises `CompilationError` unless the leaf has exactly one period.
     """
@@ -29,7 +29,7 @@ class SampledLeaf(NamedTuple):
     timing: Any
     """Drake's timing of its update."""
     holds_output: bool
-    """Whether the leaf is the first with discrete states on a way back from the output port."""
+    """Whether the output port reads this leaf without another sampled leaf in between."""
 
 
 def sampled_leaves(diagram: Any, output: str) -> list[SampledLeaf]:

@@ -91,7 +91,7 @@ def _drake_port(port: Port) -> Any:
 
 
 def _ports(system: Any, kind: str) -> dict[str, int]:
-    """Return a dictionary from the name of each port of a kind to the port's index."""
+    """Return {name: index} of a system's input ports, or of its output ports, as ``kind`` says."""
     count = getattr(system, f"num_{kind}_ports")()
     ports = (getattr(system, f"get_{kind}_port")(index) for index in range(count))
     return {port.get_name(): index for index, port in enumerate(ports)}

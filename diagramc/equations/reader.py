@@ -277,6 +277,7 @@ class _Reader:
         leaves = [v for v in self.leaves.values() if is_compared(v.node.system)]
         if not leaves:
             return
+        # A fixed seed: an equal diagram compiles each time, or never.
         random = np.random.default_rng(0)
         context = root.system.CreateDefaultContext()
         state = state_of(root, context)
@@ -348,6 +349,8 @@ def read_tree(root: Node, inputs: Mapping[str, Port], outputs: Mapping[str, Port
     routes = {name: list(route_of(port)) for name, port in outputs.items()}
     root.observed = [route[-1][0] for route in routes.values() if route[-1][1] == "output"]
     reader = _Reader(root, inputs)
+    # Exported C has the statements in the order of reading: first those of the leaves, in the order
+    # of the diagram, then the outputs that no leaf has read.
     for leaf in reader.leaves.values():
         reader.read(leaf)
     for index in range(root.system.num_output_ports()):

@@ -18,7 +18,8 @@ LARGEST_TREE = 20_000
 """Largest number of nodes that are read of an expression; a larger expression is an error.
 
 A quotient that is used again counts once. So does, in a large expression, any part that is used
-again.
+again. In this count the largest expression of the knee has 1,006 nodes, and all expressions of a
+loop have 2,900 to 3,800.
 """
 _LARGE = 1000  # nodes; below, to look for parts that are used again takes longer than to read them
 
@@ -147,6 +148,8 @@ class Conversion:
     def _used_before(self, name: str, expression: Any) -> int | None:
         """Return the node of an expression ``name`` that was converted before, else None."""
         self.is_large |= self._size > _LARGE
+        # Quotients are worth a search in small expressions too: when each use was read anew,
+        # a reading of the knee took 2.4 times as long.
         if name == "divide" or self.is_large:
             for known, node in self._latest.get(name, ()):
                 if known.EqualTo(expression):

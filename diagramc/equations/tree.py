@@ -160,7 +160,10 @@ Port: TypeAlias = tuple[Node, str, int]
 
 
 def upstream(leaves: Iterable[Node], ends: Collection[Node] = ()) -> set[Node]:
-    """Return leaves and those from which their inputs come, but none behind one of the ``ends``."""
+    """Return ``leaves`` and all leaves that feed them, directly or through others.
+
+    The search goes no further back than the leaves in ``ends``, which are in the result.
+    """
     pending, found = [*leaves], set[Node]()
     while pending:
         leaf = pending.pop()
@@ -187,6 +190,7 @@ def cited_equations(text: str) -> str:
 
 def _label(system: Any, number: int) -> str:
     """Return the name of a system; ``number`` replaces the memory address in a default name."""
+    # An address changes from run to run, and with it the key of the machine code.
     return re.sub("@[0-9a-f]{16}$", f"_{number}", str(system.get_name()))
 
 

@@ -21,14 +21,15 @@ _lock = RLock()
 
 @contextmanager
 def truth_of_scalars() -> Iterator[None]:
-    """Context manager: in its body, a branch on a scalar of Drake follows the scalar's number.
+    """Context manager: in its body, a user's code cannot follow a wrong branch on Drake's scalars.
 
     Python takes an object without the method ``__bool__`` for true. So ``if x:``, ``x and y``,
     ``not x`` and ``while x`` would follow one branch in silence. In the body ``bool(x)`` says
     whether the value of an AutoDiffXd or of a constant Expression differs from zero. A symbolic
-    value has no number, so ``bool(x)`` raises `TypeError`. So do ``hash(x)``, by which a dictionary
-    looks up a value, ``str(x)``, and ``formula == y``, which pydrake answers without a look at the
-    truth of the formula. The error is raised at the end of a body that swallows it.
+    value has no number. There `TypeError` is raised by ``bool(x)``, by ``hash(x)``, with which a
+    dictionary looks up a value, by ``str(x)``, and by ``formula == y``, which pydrake answers
+    without a look at the truth of the formula. If the body catches the error, it is raised again at
+    the end of the body.
 
     pydrake's classes get these methods for the body only, and other threads do not notice them.
     """
@@ -73,6 +74,7 @@ def _method(name: str, original: Any, errors: list[TypeError]) -> Any:
         numbers = [_number(operand) for operand in (value, *others)]
         if not any(isinstance(number, Expression | Formula) for number in numbers):
             return getattr(numbers[0], name)(*numbers[1:])
+        # Stored too, because a law can catch the error and then go on along one branch.
         errors.append(TypeError(f"`{name}` of a symbolic value, which has no number"))
         raise errors[-1]
 

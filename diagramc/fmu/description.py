@@ -116,10 +116,10 @@ def _add_variable(parent: Element, fmi: int, reference: int, variable: Variable)
 
 
 def _add_structure(parent: Element, fmi: int, table: VariableTable) -> None:
-    """Add the lists of outputs to the XML, and to each output the variables that it depends on.
+    """Add the lists of outputs, with their dependencies, from which importers order their calls.
 
-    Between two steps, outputs depend on no variable. During the initialization, outputs can depend
-    on inputs and parameters.
+    Between two steps, outputs depend on no variable, because a step alone changes them. During the
+    initialization, outputs can depend on inputs and parameters.
     """
     outputs = table.references("output")
     initial = list(zip(outputs, table.initial_dependencies(), strict=True))

@@ -101,6 +101,7 @@ class Fmu:
         """GUID of FMI 2 or instantiation token of FMI 3: a hash that is the same for equal FMUs."""
         numbers = (self.fmi, self.source.tool, self.description, self.stop_s)
         table = self.table
+        # Not a random number, as usual for a GUID, because equal models give equal files.
         digest = hashlib.sha256(repr((numbers, table.variables, table.parameters)).encode())
         for text in self._texts("").values():
             digest.update(text.encode())

@@ -29,8 +29,8 @@ def initial_states(source: CSource) -> list[FmuParameter]:
     """Return a fixed FMU parameter for the start value of each state.
 
     The name of the parameter is ``initial.`` with the name of the state, such as
-    ``initial.pendulum.theta``, ``initial.lag.x[0]`` or ``initial.counter.group_0[0]``. The list
-    lacks discrete states whose start value the initialization events replace.
+    ``initial.pendulum.theta``, ``initial.lag.x[0]`` or ``initial.counter.group_0[0]``. A
+    discrete state whose start value the initialization events replace has no parameter.
     """
     equations, state = source.equations, source.state
     graph = equations.graph

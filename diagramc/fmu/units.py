@@ -56,6 +56,7 @@ _BY_ENDING = {
 
 def unit_of_name(name: str) -> Unit | None:
     """Return the longest unit with which a name ends, or None if the name ends with no unit."""
+    # The longest ending: by the last word alone, a stiffness in N·m/rad would be in rad.
     words = name.rpartition(".")[2].split("_")
     endings = ("_".join(words[first:]) for first in range(1, len(words)))
     return next((_BY_ENDING[ending] for ending in endings if ending in _BY_ENDING), None)

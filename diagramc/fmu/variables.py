@@ -88,6 +88,7 @@ class VariableTable:
         self._plan = plan
         self._states = start_members("x", len(plan.equations.states))
         self._discrete = start_members("d", len(plan.equations.discrete))
+        # The C code tells by one comparison of the value reference whether a variable is tunable.
         self.parameters = sorted(parameters, key=lambda parameter: not parameter.tunable)
         self._require_members()
         self._require_names_and_starts(starts)
@@ -176,7 +177,7 @@ class VariableTable:
                 raise CompilationError(f"{name} = {starts[name]:g}: must be finite at the start")
 
     def references(self, causality: Causality) -> list[int]:
-        """Return the value references of all variables of a causality, such as inputs."""
+        """Return the value references of all variables with a role, such as ``input``."""
         return [i for i, v in enumerate(self.variables) if v.causality == causality]
 
     def assignments(self) -> list[tuple[str, int, FmuParameter]]:
@@ -185,7 +186,10 @@ class VariableTable:
         return [(member, i, parameter) for i, parameter in pairs for member in parameter.members]
 
     def initial_dependencies(self) -> list[list[int]]:
-        """Return, for each output, value references of the variables that set its start value."""
+        """Return, for each output, the value references of what its start value depends on.
+
+        That are inputs and parameters of the FMU. They also act through initialization events.
+        """
         graph = self._plan.equations.graph
         initial_nodes = self._plan.equations.initial_discrete
         members = {"parameter": self._plan.members, "state": self._states}

@@ -108,7 +108,10 @@ def obstacles(point: Point, outputs: Iterable[str] = ()) -> list[Obstacle]:
 
 
 class _Survey:
-    """Values and derivatives of all nodes that states and outputs depend on at a point."""
+    """Finds obstacles by the values and derivatives of all nodes at a point.
+
+    The nodes are those that rates, updates and outputs depend on.
+    """
 
     def __init__(self, point: Point, outputs: Iterable[str]) -> None:
         self.point = point
@@ -210,19 +213,20 @@ class _Survey:
         return bool(np.isfinite(self.gradient(node)).all())
 
     def _blocks(self, node: int, result: int) -> bool:
-        """Return whether ``node`` may be why the node ``result`` has no derivative.
+        """Return whether ``node`` can be the cause of zero derivatives of the node ``result``.
 
-        ``result`` depends on ``node``, but all derivatives of ``result`` are zero.
+        That is so if all derivatives of ``result`` are zero although it depends on ``node``.
         """
         if self.gradient(result).any():
             return False
         return node in self.graph.reachable([result], self.acting_arguments)
 
     def _loses_derivative(self, node: int) -> bool:
-        """Return whether a quantizer takes the derivative, or a part of it, from a node.
+        """Return whether quantizers take the derivative, or a part of it, from a node.
 
-        An angle without whole turns, ψ − 2π ⌈ψ/2π − ½⌉, loses nothing: with the derivative 1 of the
-        quantizer, the derivative of this angle would be zero.
+        The node is compared with itself if all quantizers had the derivative 1. An angle without
+        whole turns, ψ − 2π ⌈ψ/2π − ½⌉, loses nothing: with the derivative 1 of its quantizer, its
+        own derivative would be zero.
         """
         smooth, actual = self.smooth_gradients[self.place[node]], self.gradient(node)
         differs = bool((smooth != actual).any())
@@ -257,7 +261,10 @@ class _Survey:
         return abs(a - b) <= _AT_CORNER * max(1.0, abs(a), abs(b))
 
     def _is_constant(self, node: int) -> bool:
-        """Return whether a corner operation has the derivative zero, and a branch of it has not."""
+        """Return whether a corner operation has the derivative zero, and a branch of it has not.
+
+        An example is a saturation at its limit.
+        """
         branches = self.graph.arguments(node)[-2:]
         return not self.gradient(node).any() and self._depends(branches)
 

@@ -98,7 +98,10 @@ def find_equilibrium(
 
 @dataclass(frozen=True)
 class _Problem:
-    """Equations of an equilibrium with required outputs. The unknowns are free states and inputs.
+    """The search for an equilibrium as equations for Newton's method.
+
+    The unknowns are the free states and inputs. Rates, changes and errors of required outputs must
+    become zero.
 
     ``free`` has the indices of the unknowns among all states, followed by all inputs.
     """
@@ -138,7 +141,7 @@ def _wrong_output(names: tuple[str, ...], values: Array, required: Array) -> str
 
 
 def _required_values(point: Point, targets: Mapping[str, ArrayLike]) -> Array:
-    """Return the required values of all elements of the outputs, one after the other.
+    """Flatten ``targets``, the values that the equilibrium must have at output ports, to a vector.
 
     Raises `ParameterError` for values that are not finite, or too many or too few.
     """
@@ -179,6 +182,8 @@ def _searches(function: Any, start: Array) -> Iterator[Array]:
     yield newton(function, start)
     if not all(np.isfinite(part).all() for part in function(start)):
         return  # least_squares refuses such a start
+    # Newton's steps can grow: those for arctan x = 0 do from |x| = 1.39 on. Least squares then
+    # comes near the zero, and Newton's method gives the last digits.
     nearest = scipy.optimize.least_squares(
         lambda point: function(point)[0],
         start,

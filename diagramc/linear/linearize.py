@@ -27,8 +27,8 @@ from .point import (
     system_of,
 )
 
-_MOST_TICKS = 100_000
-_MOST_TIME_CONSTANTS = 1e9
+_MOST_TICKS = 100_000  # each has a matrix J of its own: 0.3 GB for 20 states
+_MOST_TIME_CONSTANTS = 1e9  # seven digits of the matrix exponential are left
 
 
 def linearize(

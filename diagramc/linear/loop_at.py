@@ -115,6 +115,8 @@ def _transfer(loop: PeriodicLoop) -> Transfer | None:
     ]
     if len(after_change) > 1:
         return None
+    # The uses tell the start. To close the loop from each start, and compare, takes a time that
+    # grows with the square of the number of updates.
     start = after_change[0] if after_change else _Event(True, 0, False)
     ticks = loop.ticks[start.tick :] + loop.ticks[: start.tick]
     a, b = over_period(updates_last(ticks) if start.after_updates else ticks)

@@ -26,7 +26,7 @@ and condition numbers up to a few hundred are usual. An eigenvalue that is slowe
 or 1e12 times slower than the fastest eigenvalue, hence counts as an eigenvalue without decay.
 """
 
-_MOST_HZ = 1e300
+_MOST_HZ = 1e300  # 2π times a larger frequency overflows
 _MOST_PERIODS = 1e9
 """Largest frequency in multiples of 1/P. Rounding errors of the phase are 1e-15 times as large."""
 

@@ -15,15 +15,15 @@ from numpy.typing import ArrayLike
 from ..run_data import Array
 from .model import BOUNDARY_TOLERANCE, Complex, TickModel, distance_inside
 
-_GAINS = np.linspace(0.0, math.log(1e6), 601)  # logarithms of factors
-_TURNS = np.linspace(0.0, math.pi, 361)
-_DIRECTIONS = np.linspace(0.0, math.pi, 37)
+_GAINS = np.linspace(0.0, math.log(1e6), 601)  # logarithms of factors, 100 a decade
+_TURNS = np.linspace(0.0, math.pi, 361)  # angles in rad, each half degree
+_DIRECTIONS = np.linspace(0.0, math.pi, 37)  # angles in rad, each 5°; the best one is refined
 _OVERFLOW = 1e6
 _PROBES = (0.0, 2.0, 1.0 + 1.0j)  # factors that show which modes move
 _NO_MOVE = 1e-9  # a smaller share of the change of the matrix is a rounding error
 _NEARLY_OUTSIDE = 1e-6  # rounding moves a multiple eigenvalue by more than a simple one
 _PARALLEL = 1e-4  # eigenvectors of a multiple eigenvalue, closer than this, count once
-_REACHES = np.linspace(0.0, 0.999, 81)
+_REACHES = np.linspace(0.0, 0.999, 81)  # at 1 the factor of the disk is infinite
 
 
 @dataclass(frozen=True, repr=False)
@@ -138,7 +138,7 @@ class PeriodicLoop:
 
     @cached_property
     def _projections(self) -> tuple[Complex, Complex]:
-        """Matrices X (r, n) and Y (n, r), such that X M Y has the modes of M that factors move.
+        """Matrices X (r, n) and Y (n, r) that remove free modes: X M Y has those that factors move.
 
         No factor moves a mode that the signal does not show. Such a mode has an eigenvector v with
         M(k) v = λ v for all factors k. No factor moves a mode that the signal does not excite. Such
@@ -185,12 +185,13 @@ class PeriodicLoop:
 def _moved_within(
     basis: Complex, first: Complex, changes: Sequence[Complex], transposed: bool
 ) -> Complex | None:
-    """Return vectors normal to the eigenvectors that no change moves, in coordinates of ``basis``.
+    """Return a smaller basis without the modes that no change of the loop moves, or None.
 
+    The result has vectors in coordinates of ``basis``, normal to the eigenvectors of these modes.
     The eigenvectors are those of ``first`` or, if ``transposed``, of its conjugate transpose. Only
-    eigenvalues on or outside the unit circle count. Without such eigenvectors the result is None. A
-    chain of integrators has a single eigenvector, so the caller repeats the call with the smaller
-    basis until the result is None.
+    eigenvalues on or outside the unit circle count. The result is None if there is no such
+    eigenvector. A chain of integrators has several modes but a single eigenvector, so the caller
+    repeats the call with the smaller basis until the result is None.
     """
     inner = [basis.conj().T @ matrix @ basis for matrix in (first, *changes)]
     if transposed:
@@ -206,10 +207,10 @@ def _moved_within(
 
 
 def opened(ticks: Sequence[TickModel], column: int, row: Array) -> tuple[TickModel, ...]:
-    """Return ticks of a loop that is opened at the signal v = u + c z, with v as their only input.
+    """Open a loop at a signal: return its ticks with this signal as their only input.
 
-    The signal is the sum of the input u, which has the index ``column``, and of c z with the state
-    z. ``row`` is c. The substitution u = v − c z opens the loop.
+    In ``ticks`` the signal is v = u + c z, with the state z and the input u, which has the index
+    ``column``. ``row`` is c. The substitution u = v − c z makes v the input, and so opens the loop.
     """
     rates: dict[int, tuple[Array, Array]] = {}
     for tick in ticks:

@@ -290,7 +290,8 @@ def _port_without_value(
 ) -> str:
     """Return the name of an input port whose value is missing, or "" if no value is missing.
 
-    The other arguments are those of a `read_diagram` that failed.
+    Call it after `read_diagram` has failed with the same arguments: the missing port is the one
+    with which, as a further open input, `read_diagram` succeeds.
     """
     ports = (diagram.get_input_port(index) for index in range(diagram.num_input_ports()))
     vectors = [p.get_name() for p in ports if p.get_data_type() == PortDataType.kVectorValued]

@@ -80,7 +80,10 @@ DOUBLES = ("tick", "unit", "step", "tolerance")
 """Names of the arguments that are doubles; all other arguments are integers or addresses."""
 
 SUSPECTS = 32
-"""Number of windows of time, of equal length, into which a run is divided to log its steps."""
+"""Number of windows of time, of equal length, for the log of steps that may be unstable.
+
+The log keeps one step of each window of a run.
+"""
 
 INPUT = ("break_count", "breaks", "powers", "coefficients")
 """Names of the four items, of eight bytes each, that pass an `InputTable` to the machine code.

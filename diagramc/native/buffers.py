@@ -30,6 +30,7 @@ class BufferPool:
         memory = self._memory(size)
         # Every view of the record has `root` as its base, so `root` lives as long as any view.
         root = np.frombuffer(memory.data, dtype=float, count=size)
+        # Not at the end of the process, where no record needs the memory again.
         weakref.finalize(root, self._take_back, memory).atexit = False
         return root.reshape(shape)
 
@@ -37,6 +38,7 @@ class BufferPool:
         for _ in range(len(self._unused)):
             with suppress(IndexError):  # another thread has emptied the pool
                 memory = self._unused.popleft()
+                # A short record does not hold back the memory of a long one.
                 if size <= memory.size <= 2 * size + 1024:
                     return memory
                 self._unused.append(memory)

@@ -16,7 +16,10 @@ from typing import TypeAlias
 from .types import BOOL, DOUBLE, INT, POINTER, Type
 
 UNROLLED = 8
-"""Largest number of passes of a loop that `Function.each` unrolls."""
+"""Largest number of passes of a loop that `Function.each` unrolls.
+
+With 4, runs of preset ``leg`` take about a tenth longer. With 16 they take the same time.
+"""
 
 
 _BinaryOperator: TypeAlias = "Callable[[Value, Operand], Value]"
@@ -236,7 +239,7 @@ class Function:
 
     def constant(self, value: float, type_: Type = DOUBLE) -> Value:
         """Return a literal of a type that has ``value`` in each lane."""
-        if type_.element == "double":
+        if type_.element == "double":  # all 64 bits, as decimal digits would be rounded
             (bits,) = struct.unpack("<Q", struct.pack("<d", value))
             text = f"0x{bits:016X}"
         elif type_.element == "i1":
@@ -423,6 +426,8 @@ class Function:
         self._count += 1
         name = f"%a{self._count}"
         count = f"[{max(size, 1)} x {type_}]"
+        # At the head of the function: LLVM makes registers of such memory only, and in a loop each
+        # pass would take new memory.
         self._allocations.append(f"  {name} = alloca {count}, align {8 * type_.lanes}")
         return Array(Value(self, name, POINTER), type_)
 

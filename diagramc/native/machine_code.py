@@ -25,10 +25,13 @@ Source = Equations | Callable[[], Equations]
 ANNOUNCED_AFTER_S = 1.0
 """Time in s after which a line on stderr says that equations are being compiled."""
 
-_lock = RLock()  # two threads may ask for the same code
+# Two threads may ask for the same code. The lock is reentrant, because `layout` reads `program`.
+_lock = RLock()
 _libraries: dict[str, Library] = {}
 """Code that was loaded last, by cache key. A function of a model keeps its own library."""
-_MOST_LIBRARIES = 128  # some 0.1 MiB each
+# A long session can run any number of diagrams and laws, and must not keep the code of each. A
+# library has some 0.1 MiB, and a model has up to four: start, run, between, rates.
+_MOST_LIBRARIES = 128
 _announcement = Event()  # set when this process has said that it compiles
 _layouts: dict[str, Layout] = {}
 
@@ -51,6 +54,7 @@ class MachineCode:
     def layout(self) -> Layout:
         """Names and sizes of the model, loaded from the cache or else taken from `program`."""
         with _lock:
+            # The layout is an entry of its own, with which a process need not read the diagram.
             key = _entry(self.key, "layout")
             if key not in _layouts:
                 content = entries.load(key)
@@ -122,9 +126,9 @@ def library(key: str, part: str, text: Callable[[], str], level: int | None = No
 
 
 def _entry(key: str, part: str, target: Processor | None = None) -> str:
-    """Return the cache key of a part of the code: a text that names all causes of the code.
+    """Return the cache key of a part of the code, which changes with whatever changes the code.
 
-    The causes are the model, the compiler's source, the processor, and the part.
+    That is the model, the sources of diagramc, LLVM with the processor, and the part.
     """
     return "\n".join((key, _sources(), (target or processor()).key, part))
 
@@ -146,7 +150,7 @@ def _announced() -> Iterator[None]:
         print(line, file=sys.stderr, flush=True)  # noqa: T201
 
     timer = Timer(ANNOUNCED_AFTER_S, announce)
-    timer.daemon = True
+    timer.daemon = True  # an interrupted compilation does not keep the process alive
     timer.start()
     try:
         yield
@@ -157,6 +161,7 @@ def _announced() -> Iterator[None]:
 @cache
 def _sources() -> str:
     """Return a hash of all source files of the compiler; a changed file changes all cache keys."""
+    # The version is not enough: sources change between two releases, and old code would run on.
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parents[1].rglob("*.py")):
         digest.update(path.read_bytes())

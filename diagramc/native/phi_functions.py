@@ -34,6 +34,7 @@ class Columns:
 
     def __init__(self, f: Function, size: int) -> None:
         self.f, self.size = f, size
+        # Four doubles fill a vector of AVX2, and eight one of AVX-512.
         self.width = 4 if size <= 4 else 8
         self.blocks = -(-size // self.width)
         """Number of vectors that hold a column."""
@@ -123,8 +124,12 @@ class Tables:
         self.size = self.first + (FINEST + 2) * self.level
 
 
+# With three levels a step can be halved twice more without a new series. The number decides little:
+# 15 s of preset ``leg`` take 20 ms with 1, 3 or 6 levels.
 _SPARE = 3  # number of levels from a requested level to the first table of a small matrix
-_DEGREE = 16  # number of terms of the Taylor series: the next is below 1/(_DEGREE + 3)!
+# The next term is below 1/(_DEGREE + 3)! = 8e-18, less than the rounding error of phi_3(0) = 1/6.
+_DEGREE = 16  # number of terms of the Taylor series
+# With groups of four, 16 terms take six products of matrices in place of 15.
 _GROUP = 4  # number of terms between two powers of the matrix's fourth power
 
 
@@ -173,8 +178,10 @@ def define_store_matrix(module: Module, size: int) -> Function:
 def _define_start_tables(module: Module, size: int) -> Function:
     """Define the emitted function ``start_tables(tick, tables, least)``: see `Tables`.
 
-    The function fills the table of one level by a Taylor series, and forgets all others. The level
-    is at least ``least``, and so high that the norm of a h is at most 1, but at most `FINEST` + 1.
+    The function fills a first table, from which `fill_tables` makes the others by doubling. Its
+    level is at least ``least``, and so high that the norm of A h is at most 1, as the Taylor series
+    requires. If that is more than `FINEST` + 1, the function doubles the table until it belongs to
+    the level `FINEST` + 1. All levels that were filled before count as empty.
     """
     double = _double_table(module, size)
     arguments = {"tick": DOUBLE, "tables": POINTER, "least": INT}
@@ -193,6 +200,7 @@ def _define_start_tables(module: Module, size: int) -> Function:
     with f.forever() as loop:
         # A sum of magnitudes up to 8 hardly adds to the remainder of the series.
         large = (norm * h.get() > 1.0) | (bound * h.get() > 8.0)
+        # The bound ends the loop for a norm that is infinite.
         loop.stop_if(~(large & (level.get() < 200)))
         level.set(level.get() + 1)
         h.set(h.get() * 0.5)

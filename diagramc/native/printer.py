@@ -166,6 +166,7 @@ class Printer:
             for node, kinds in uses.items()
             if kinds == ["add"] and self._operation(node) == "multiply"
         }
+        # A fused product is not rounded as Drake's product is, so that a decision could change.
         return products - self.program.deciding
 
     def emit(self, targets: Iterable[tuple[Place, int]]) -> None:
@@ -229,14 +230,19 @@ class Printer:
                 self._emitted[pair] = elementary.sincos(f, *f.alike(operands[0]))
             return self._emitted[pair][int(name)]
         emit = partial(_EMITTERS[emitter], f, name, operands)
+        # The powers for air in the oil took 60 % of the rates, and by default there is no air. Each
+        # run has parameters of its own, so the code asks. Exported C knows its parameters, and has
+        # another analysis: `rates._ZeroFactors`.
         if emitter == "elementary" and self._zero_factors[node]:
+            # One of several factors is enough for the condition.
             return self._unless_zero(min(self._zero_factors[node]), emit)
         return emit()
 
     def _unless_zero(self, factor: int, emit: Callable[[], Operand]) -> Value:
-        """Emit the code of ``emit`` under the condition that a fixed node is not zero.
+        """Emit the costly function of ``emit``. Runs in which a factor of it is zero skip it.
 
-        The value is 0 in lanes where the fixed node is zero.
+        ``factor`` is a fixed node that multiplies the function. In lanes where the factor is zero,
+        the value of the function is 0 here, and its product stays right.
         """
         f, number = self.function, self.storage.load("constant", self.hoisted[factor])
         assert isinstance(number, Value)
@@ -249,6 +255,7 @@ class Printer:
     def _sum(self, terms: Sequence[int], values: Mapping[int, Operand], fused: set[int]) -> Operand:
         """Emit a sum. A fused multiply-add adds each term that is a product in ``fused``."""
         total: Operand | None = None
+        # Products come last, so that a fused multiply-add can add each of them to the rest.
         for term in terms:
             if term not in fused:
                 total = values[term] if total is None else total + values[term]
@@ -301,6 +308,7 @@ class Printer:
         assert isinstance(count, Value)
         lanes, width = count.type.lanes, len(memo.nodes)
         tags, rows = self.memory[2 * number], self.memory[2 * number + 1]
+        # Beyond 64 bits the conversion to an integer is undefined.
         small = f.absolute(count) < 2.0**31
         index = f.to_int(f.select(small, count, 0.0)) & (MEMO_LINES - 1)
         place = index * lanes + f.lane_numbers(lanes)

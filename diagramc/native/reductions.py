@@ -109,7 +109,9 @@ class Reducer:
     def __init__(
         self, reductions: Sequence[Reduction], elements: Mapping[str, int], lanes: int
     ) -> None:
-        """``elements`` maps the name of each element of the outputs to its index.
+        """Make the arrays for runs of ``lanes`` lanes.
+
+        ``elements`` maps the name of each element of the outputs to its index.
 
         Raises `ValueError` for an unknown element.
         """

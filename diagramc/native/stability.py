@@ -119,6 +119,7 @@ def unstable_step(
             excesses = excess(integrator, h * values)
             worst = int(np.argmax(excesses))
             if excesses[worst] > 1.0:
+                # The modes of a matrix with too few eigenvectors have no inverse.
                 shares = np.abs(modes[:, worst] * np.linalg.pinv(modes)[worst])
                 safe_s = SAFETY * h / float(excesses[worst])
                 state = State(points[0][0], d)

@@ -160,7 +160,8 @@ class _Model:
         self.x = f.array(program.size, self.type)
         self.d = f.array(self.discrete_count, self.type)
         self.u = f.array(2 * self.input_count, self.type)  # the inputs, and then their rates
-        self.y = f.array(self.output_count + 1, self.type)  # the last element stays zero
+        # The last element stays zero. A reduction that subtracts no output subtracts this element.
+        self.y = f.array(self.output_count + 1, self.type)
         self._lane_u = f.array(2 * self.input_count)
         self.states = (
             ("snapshot_x", self.x, program.size),
@@ -260,7 +261,10 @@ class _Model:
 
 
 class _Requested(Storage):
-    """Sources of a model at one time, and its outputs; an output is computed if it is requested."""
+    """Sources and outputs of a model at one time, without updates.
+
+    An output port is computed if the run requests it.
+    """
 
     def __init__(self, time: Value, model: _Model, requested: Array, **more: Array) -> None:
         arrays = {"state": model.x, "discrete": model.d, "input": model.u, "constant": model.c}
@@ -285,6 +289,8 @@ def _define_log(module: Module, lanes: int, sizes: Sequence[int]) -> Function:
     arguments = {"number": INT} | dict.fromkeys(names, POINTER)
     f = module.function("log", arguments, attributes="noinline cold")
     number = f.arguments["number"]
+    # One step for each window, because a run that diverges has ever larger ratios, which would
+    # replace the first step that was unstable, and with it the cause.
     windows, flags = (Array(f.arguments[name], INT) for name in ("windows", "flags"))
     arrays = {name: Array(f.arguments[name], DOUBLE) for name in (*vectors, "suspects")}
     for lane in f.loop(lanes):
@@ -319,7 +325,11 @@ class _Now:
 
 
 class _Events(_Requested):
-    """Sources and results of the events at a tick. Each output that is stored is also checked."""
+    """Sources and results of the events at a tick, which are records, checks and discrete updates.
+
+    A record or an update computes an output only if it is due. Each output that is stored is also
+    checked: a run ends at an output that is not finite.
+    """
 
     def __init__(
         self,
@@ -489,6 +499,8 @@ class _Run:
         firing = f.constant(0, BOOL)
         for number in range(len(program.equations.updates)):
             since = now.number - offsets[number]
+            # One condition for all lanes, which are at the same tick. So a lane that has ended
+            # waits, and does not begin another run.
             fires.append(going & (since >= 0) & (since % periods[number]).equals(0))
             firing = firing | fires[number]
         requested, columns = a.array("requested", BYTE), a.array("columns")

@@ -109,6 +109,8 @@ def timing(
         raise ValueError(f"record_period_s = {record_period_s} s: must be finite and > 0")
     times_s = [record_period_s, *chain.from_iterable(periods)]
     shortest_s = min(time for time in times_s if time > 0.0)
+    # With far larger denominators nearly any two times would have a common divisor, with ticks too
+    # short to run. The quotient of two decimal times is rounded, so 1e-9 is still equal.
     ratios = [Fraction(time / shortest_s).limit_denominator(1000) for time in times_s]
     errors = [abs(t / shortest_s - ratio) for t, ratio in zip(times_s, ratios, strict=True)]
     if max(errors) > 1e-9:
@@ -120,6 +122,7 @@ def timing(
     numerators = [int(ratio * denominator) for ratio in ratios]
     divisor = math.gcd(*numerators)
     unit_s = shortest_s * divisor / denominator
+    # A unit that exceeds the longest tick by rounding alone is not divided.
     split = max(1, math.ceil(unit_s / longest_s * (1.0 - 1e-9)))
     record_ticks, *update_ticks = [count // divisor * split for count in numerators]
     return Timing(

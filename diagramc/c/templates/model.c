@@ -112,6 +112,7 @@ static bool outputs_are_right(const {{ name }}_outputs_t *out)
 {% endfor %}
 }
 
+{# The numbers stand in an array: less code than a call for each of them. #}
 static bool params_are_right(const {{ name }}_params_t *p)
 {
 {% if numbers %}
@@ -194,6 +195,9 @@ static bool is_stable(const real *x, const real *rate)
 
 {% endif %}
 {% if method %}
+{# Two forms of RK4. Scalars around one evaluation of the derivatives leave compilers free to use
+   registers, and a function of arrays does not. But compilers move all constants of a long
+   evaluation out of the loops. #}
 {% elif states and functions.is_large %}
 /* Integrate over a sample time by the classical Runge-Kutta method, in {{ schedule.steps }} equal steps.
  * Return whether all states are finite. */
@@ -415,6 +419,7 @@ uint16_t {{ name }}_update_parameters({{ name }}_state_t *state, const {{ name }
 uint16_t {{ name }}_init({{ name }}_state_t *state, const {{ name }}_params_t *params,
     const {{ name }}_inputs_t *inputs)
 {
+{# A constant, because memset and sizeof count bytes, of which some processors have 16 bits. #}
     static const {{ name }}_state_t zero = {0};
     uint16_t status;
 
@@ -549,6 +554,7 @@ uint16_t {{ name }}_step(const {{ name }}_params_t *params, {{ name }}_state_t *
 {% if counts_steps %}
         tick++;
 {% endif %}
+{# A count of ticks that only finds due updates begins a new cycle, so that it never overflows. #}
 {% if schedule.counts_ticks and not needs_time %}
         if (tick == {{ schedule.cycle[1] }}U) {
             tick = {{ schedule.cycle[0] }}U;

@@ -90,6 +90,7 @@ static bool integrate(const instant *start, real *x, real *substep)
             error += ((difference < {{ zero }}) ? -difference : difference) / scale;
         }
         good = (error <= {{ one }}) && are_finite(z, {{ states }}U);
+{# Not error > easy: an error of nan must make the next substep shorter. #}
         if (!(error <= {{ control.easy | literal(real) }})) {
             factor = maximum({{ control.least | literal(real) }}, {{ control.safety | literal(real) }} / sqrt{{ real.suffix }}(sqrt{{ real.suffix }}(error)));
         }

@@ -59,6 +59,7 @@ EXPORTED("params") double *{{ name }}_web_params(void)
     return (double *)&params;
 }
 
+{# No malloc: the rows are the only memory that a run requires, and lie behind the heap base. #}
 /* Provide rows for the inputs and outputs of a run of this many ticks: 1, or 0 without memory. */
 EXPORTED("reserve") uint32_t {{ name }}_web_reserve(uint32_t ticks)
 {

@@ -1,3 +1,5 @@
+{# What FMI 2 and 3 share. Most signatures differ, so fmi2.c and fmi3.c fill the blocks. One file with
+   conditions for both would be 25 lines shorter. #}
 {{ first_line | comment }}
 /* The functions of FMI {{ fmi }}.0 for co-simulation, declared here so that no header is needed. */
 #include "{{ name }}_fmu.h"

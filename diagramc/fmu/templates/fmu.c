@@ -13,6 +13,8 @@
 #define FIRST_OUTPUT {{ first_output }}U
 #define FIRST_CONSTANT {{ first_constant }}U
 
+{# Importers sum their steps: the sum of 20,000 steps is wrong by 3e-9 s, and ticks are counted
+   here. So the point may be farther off than a step, which decides how many ticks follow. #}
 /* Allowed distance of communication point and step size from the grid, in sample times. */
 #define POINT_SLACK 1e-2
 #define SIZE_SLACK 1e-6
@@ -391,6 +393,7 @@ static bool is_on_grid({{ name }}_fmu_t *fmu, double point, double size, uint32_
     return true;
 }
 
+{# Copies of state and parameters, because a step that fails must leave the instance as it was. #}
 bool {{ name }}_fmu_step({{ name }}_fmu_t *fmu, double point, double size)
 {
     {{ name }}_memory_t *m = &fmu->memory;
