@@ -9,7 +9,7 @@ from kneexo.geometry.rod_polynomial import completed
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 from kneexo.parameters.scenario_file import load_scenario
-from kneexo.studies.bandwidth import study as bandwidth
+from kneexo.studies.bandwidth import bandwidth
 from kneexo.studies.catalogue import STUDIES, Study, repeating_commands
 
 

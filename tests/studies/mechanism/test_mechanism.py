@@ -21,7 +21,7 @@ from kneexo.parameters import (
 )
 from kneexo.parameters.paths import changed
 from kneexo.studies.catalogue import STUDIES
-from kneexo.studies.mechanism import MechanismSettings, mechanism_study, study
+from kneexo.studies.mechanism import MechanismSettings, mechanism, mechanism_study
 
 
 def test_the_linkage_of_the_scenario_is_the_first_of_the_devices():
@@ -104,8 +104,8 @@ def test_the_stride_is_the_measured_one():
     ("flexion_deg", "shares"), [([-5.0, 0.0, 90.0, 91.0], (0.5, 0.75, 0.25)), ([136.0], (0, 0, 0))]
 )
 def test_shares_of_a_stride_count_its_angles_in_each_range(monkeypatch, flexion_deg, shares):
-    monkeypatch.setattr(study, "gait_knee_flexion", lambda: (None, np.array(flexion_deg), None))
-    assert tuple(study._stride().values()) == (min(flexion_deg), max(flexion_deg), *shares)
+    monkeypatch.setattr(mechanism, "gait_knee_flexion", lambda: (None, np.array(flexion_deg), None))
+    assert tuple(mechanism._stride().values()) == (min(flexion_deg), max(flexion_deg), *shares)
 
 
 def test_the_trade_off_is_searched_if_asked_for(monkeypatch):
@@ -118,7 +118,7 @@ def test_the_trade_off_is_searched_if_asked_for(monkeypatch):
         searched.append(motion)
         return TradeOff((designed().design,))
 
-    monkeypatch.setattr(study, "trade_off", search)
+    monkeypatch.setattr(mechanism, "trade_off", search)
     result = mechanism_study(settings=MechanismSettings(trade_off=True))
     assert searched == [GAIT2392]
     assert "| 0.0173 | 0.0695 | 9.03 | 19.5 |" in STUDIES["mechanism"].report(result)

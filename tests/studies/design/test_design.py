@@ -15,7 +15,7 @@ from kneexo.parameters import G1, HINGE, DesignLimits, RodPolynomialParameters, 
 from kneexo.parameters.paths import changed
 from kneexo.parameters.scenario_file import load_scenario
 from kneexo.studies.catalogue import STUDIES, Study
-from kneexo.studies.design import DesignSettings, design_study, study
+from kneexo.studies.design import DesignSettings, design, design_study
 
 
 @pytest.fixture
@@ -27,7 +27,7 @@ def searched(monkeypatch):
         passed.update(motion=motion, rod=rod, limits=limits, **options)
         return made_up().design
 
-    monkeypatch.setattr(study, "design_linkage", search)
+    monkeypatch.setattr(design, "design_linkage", search)
     return passed
 
 
