@@ -16,7 +16,7 @@ from kneexo.studies.paper import PAPER_BANDWIDTH_HZ
 from kneexo.studies.reproduce.reproduce import FIG_12_TITLES, ReproduceResult, rod_error_mm
 
 if TYPE_CHECKING:
-    from kneexo.studies.catalogue import Motion
+    from kneexo.view.legs import Motion
 
 
 def figures(reproduction: ReproduceResult) -> dict[str, Figure]:

@@ -13,8 +13,7 @@ from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario
 from kneexo.parameters.labels import labels, value_text
 from kneexo.parameters.uncertainty import realize
-from kneexo.studies.catalogue import repeating_commands
-from kneexo.studies.markdown import number
+from kneexo.studies.markdown import number, repeating_commands
 from kneexo.studies.robustness.robustness import (
     CONFIDENCE,
     MERITS,
