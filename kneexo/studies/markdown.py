@@ -1,4 +1,4 @@
-"""Numbers, tables, commands and documents of the Markdown reports."""
+"""Numbers, tables and commands of the Markdown reports."""
 
 from __future__ import annotations
 
@@ -70,12 +70,6 @@ def _text(row: Any, cell: Cell) -> str:
     if form == "%":
         return percent(value)
     return number(value, form) if form else str(value)
-
-
-def document(*blocks: str | Iterable[str]) -> str:
-    """Join paragraphs and lists of lines, with an empty line between them. Skip empty ones."""
-    texts = [block if isinstance(block, str) else "\n".join(block) for block in blocks]
-    return "\n\n".join(filter(None, texts)) + "\n"
 
 
 def failure_file(number: int) -> str:
