@@ -71,7 +71,7 @@ def slider_line(name: str, slider: Slider) -> str:
 
 def snapshot() -> str:
     """A line for each field, constant, setup of a study, slider and fault that a page throws."""
-    roots = [Scenario, *(study.settings for study in STUDIES.values())]
+    roots = [Scenario, *(study.computation().settings for study in STUDIES.values())]
     lines = ["field | default | unit | bounds"]
     for model in dict.fromkeys(c for root in roots for c in classes_of(root)):
         lines += [
@@ -86,9 +86,9 @@ def snapshot() -> str:
         for path, value in getattr(parameters, set_name).values.items():
             lines.append(f"{set_name} {path} | {plain(value.model_copy(update={'source': ''}))}")
     lines += [
-        f"kneexo {study.command} | {plain(study.scenario)}"
+        f"kneexo {study.command} | {plain(study.computation().scenario)}"
         for study in STUDIES.values()
-        if study.setup
+        if study.takes_scenario
     ]
     for kind, sliders in SLIDERS.items():
         lines += [slider_line(f"{kind.__name__}.{name}", item) for name, item in sliders.items()]

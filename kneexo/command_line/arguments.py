@@ -19,7 +19,6 @@ from kneexo.command_line.outcome import Outcome, Request
 from kneexo.common.files.table import NUMBER
 from kneexo.common.progress import line_width
 from kneexo.errors import ParameterError, shown
-from kneexo.studies.catalogue import PAPER
 from kneexo.version import __version__
 
 if TYPE_CHECKING:
@@ -27,6 +26,9 @@ if TYPE_CHECKING:
     from kneexo.parameters.fields.quantity import Parameters
 
 _P = TypeVar("_P", bound="Parameters")
+
+PAPER = "the paper's setup (see `kneexo params`)"
+"""Description of the default `Scenario` in the help of the commands."""
 
 
 class HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):

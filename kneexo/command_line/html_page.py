@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from kneexo.studies.catalogue import Motion
+    from kneexo.view.legs import Motion
     from kneexo.view.page import StageContent
 
 _STYLE = """

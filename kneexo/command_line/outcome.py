@@ -20,12 +20,14 @@ from kneexo.errors import (
     WorkerError,
     shown,
 )
-from kneexo.studies.catalogue import FILES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from kneexo.sweeps.checkpoint import Checkpoint
+
+FILES = "files"
+"""Description of the progress bar of writing a command's files."""
 
 
 @dataclass(frozen=True)

@@ -102,7 +102,8 @@ def setting_rows() -> Iterator[Row]:
     The function imports the studies, which import Drake, so it is slow.
     """
     for study in STUDIES.values():
-        yield from parameter_rows(study.settings(), f"{study.label or study.command}: ")
+        settings = study.computation().settings()
+        yield from parameter_rows(settings, f"{study.label or study.command}: ")
 
 
 def uncertainty_rows() -> Iterator[Row]:

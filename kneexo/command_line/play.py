@@ -7,11 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from kneexo.command_line import arguments
-from kneexo.command_line.arguments import ScenarioChoice
+from kneexo.command_line.arguments import PAPER, ScenarioChoice
 from kneexo.command_line.outcome import Outcome, named_in_errors
 from kneexo.command_line.view import run_names
 from kneexo.errors import shown
-from kneexo.studies.catalogue import PAPER
 from kneexo.version import __version__
 
 

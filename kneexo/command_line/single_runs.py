@@ -87,9 +87,9 @@ def simulate(choice: ScenarioChoice, out: Path, page: ReportPage | None = None) 
     }
     figures = {"tracking": result.plot()[0].figure}
     if page is not None:
-        from kneexo.command_line.run_reports import tracking_report
+        from kneexo.studies.simulate.report import report as report_of
 
-        report = tracking_report(result)
+        report = report_of(result)
         (name,) = run_names([choice.path] if choice.path else [], choice.preset)
         motions = {name: (scenario.plant, result.run.columns)}
         files |= page.file(report, figures, origin, motions)
@@ -175,9 +175,9 @@ def linearize(
     figures = {name: ax.figure for name, ax in axes.items()}
     files = {"linearization.json": results}
     if page is not None:
-        from kneexo.command_line.run_reports import linear_report
+        from kneexo.studies.linearize.report import report as report_of
 
-        report = linear_report(plant, loop, verdict_lines, notices)
+        report = report_of(plant, loop, verdict_lines, notices)
         files |= page.file(report, figures, origin)
     text = [
         *map(wrapped, verdict_lines),

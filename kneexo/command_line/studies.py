@@ -12,16 +12,20 @@ from typing import TYPE_CHECKING, Any
 from kneexo.command_line import arguments
 from kneexo.command_line.arguments import ScenarioChoice
 from kneexo.command_line.html_page import ReportPage
-from kneexo.command_line.outcome import Outcome, files_line
+from kneexo.command_line.outcome import FILES, Outcome, files_line
 from kneexo.command_line.plain_text import head_of, plain_text
-from kneexo.common.progress import progress_bar, whole_bar
+from kneexo.common.progress import Stage, progress_bar, whole_bar
 from kneexo.errors import ParameterError
-from kneexo.studies.catalogue import FIGURES, Study, failure_file
+from kneexo.studies.catalogue import Study
+from kneexo.studies.markdown import failure_file
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
     from kneexo.sweeps.checkpoint import Checkpoint
+
+FIGURES = "figures"
+"""Description of the progress bar of drawing a study's figures."""
 
 
 def add_studies(subparsers: Any, studies: Iterable[Study]) -> None:
@@ -43,6 +47,8 @@ def _add_study(group: Any, name: str, study: Study) -> None:
     def checkpoint_path(options: argparse.Namespace) -> Path:
         return arguments.out(options) / f"{name}.checkpoint.jsonl"
 
+    drawing, writing = Stage(FIGURES, study.drawing_s), Stage(FILES, study.writing_s)
+    stages = (*study.stages, drawing, writing)
     parser = arguments.add_command(
         group,
         name,
@@ -53,11 +59,11 @@ def _add_study(group: Any, name: str, study: Study) -> None:
         checkpoint_path=checkpoint_path if study.resumable else None,
         restart=lambda options: study.resumable and options.restart,
         uses_workers=True,
-        progress=lambda options: partial(whole_bar, study.name, study.stages),
-        duration_s=study.duration_s,
+        progress=lambda options: partial(whole_bar, study.name, stages),
+        duration_s=sum(stage.duration_s for stage in stages),
     )
-    if study.setup:
-        arguments.add_scenario(parser, study.setup)
+    if study.takes_scenario:
+        arguments.add_scenario(parser, study.setup or arguments.PAPER)
     arguments.add_engine(parser)
     arguments.add_out(parser, "figures (PNG, PDF), results (JSON) and report (Markdown)")
     arguments.add_html(parser)
@@ -113,17 +119,17 @@ def run_study(
     ``uncertainty`` is the path of a file of uncertain values. If the study is `resumable`,
     ``checkpoint`` stores its finished pieces.
     """
-    scenario = choice.load(study.scenario)
-    changed = arguments.with_values(study.settings(), settings)
-    compute = study.compute
+    computation = study.computation()
+    scenario = choice.load(computation.scenario)
+    changed = arguments.with_values(computation.settings(), settings)
+    compute = computation.compute
     from kneexo.parameters.scenario_file import load_uncertainty, scenario_files
 
     if uncertainty is not None:
         compute = partial(compute, uncertainty=load_uncertainty(uncertainty, scenario))
-    import matplotlib.pyplot  # noqa: F401  (if this fails, it fails before the work)
-
     from kneexo.command_line.output import to_json
 
+    shown = study.presentation()  # imports Matplotlib: if this fails, it fails before the work
     if checkpoint is not None:
         compute = partial(compute, checkpoint=checkpoint)
     with _executor(workers, dask) as executor:
@@ -132,19 +138,19 @@ def run_study(
         )
     origin = arguments.origin_of(scenario, changed)
     document = to_json(origin | result.results())
-    report = study.report(result)
+    report = shown.report(result)
     results_file, report_file = study.files
     files: dict[str, str | bytes] = {
         results_file or f"{study.name}.json": document,
         report_file or f"{study.name}.md": report,
     }
     with progress_bar(1.0, FIGURES):
-        figures = study.figures(result)
+        figures = shown.figures(result)
     if page is not None:
-        files |= page.file(report, figures, origin, study.motions(result))
-    for number, failed in enumerate(study.failed_runs(result).values(), start=1):
+        files |= page.file(report, figures, origin, shown.motions(result))
+    for number, failed in enumerate(shown.failed_runs(result).values(), start=1):
         files |= scenario_files(failed, failure_file(number), out)
-    for file_name, made in study.scenarios(result).items():
+    for file_name, made in shown.scenarios(result).items():
         files |= scenario_files(made, file_name, out)
     text = f"{plain_text(head_of(report))}\n{files_line(out, files, figures)}"
     return Outcome(text, document, files=files, figures=figures)

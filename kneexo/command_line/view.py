@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from kneexo.command_line import arguments
-from kneexo.command_line.arguments import ScenarioChoice
+from kneexo.command_line.arguments import PAPER, ScenarioChoice
 from kneexo.command_line.outcome import Outcome, named_in_errors
 from kneexo.errors import ParameterError, shown
-from kneexo.studies.catalogue import PAPER
 from kneexo.version import __version__
 
 

@@ -1,4 +1,4 @@
-"""Numbers, tables and documents of the Markdown reports."""
+"""Numbers, tables and commands of the Markdown reports."""
 
 from __future__ import annotations
 
@@ -72,7 +72,14 @@ def _text(row: Any, cell: Cell) -> str:
     return number(value, form) if form else str(value)
 
 
-def document(*blocks: str | Iterable[str]) -> str:
-    """Join paragraphs and lists of lines, with an empty line between them. Skip empty ones."""
-    texts = [block if isinstance(block, str) else "\n".join(block) for block in blocks]
-    return "\n\n".join(filter(None, texts)) + "\n"
+def failure_file(number: int) -> str:
+    """Return the name of the file of failed run ``number`` of a study, counted from 1."""
+    return f"failure_{number}.yaml"
+
+
+def repeating_commands(errors: Iterable[str]) -> dict[str, str]:
+    """Return for each error of a study's failed runs the command that repeats the run, as code."""
+    return {
+        error: f"`kneexo simulate {failure_file(number)} --out failure_{number}`"
+        for number, error in enumerate(errors, start=1)
+    }

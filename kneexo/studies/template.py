@@ -11,8 +11,11 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from kneexo.studies.markdown import column_table, markdown_table, number, percent, row_table
 
-_WRAPPED = re.compile(r"(?<=[^\n])\n *(?=[^\s|>#-])")
-"""Pattern of a line break inside a paragraph, which `filled` replaces by a space."""
+_WRAPPED = re.compile(r"(?<=[^\n])\n *(?=[^\s|>#-]|-\d)")
+"""Pattern of a line break inside a paragraph, which `filled` replaces by a space.
+
+A line that begins with a negative number is no item of a list.
+"""
 
 
 def _lines(table: Callable[..., list[str]]) -> Callable[..., str]:

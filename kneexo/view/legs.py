@@ -17,6 +17,9 @@ from kneexo.parameters import CylinderParameters, LinkageParameters, PlantParame
 from kneexo.parameters.task.reference import LONGEST_TIME_S
 from kneexo.simulation import Run, simulate
 
+Motion = tuple[PlantParameters, Mapping[str, Array]]
+"""A plant, and a run of this plant: columns (n,) by name. ``time_s`` starts at 0."""
+
 SIGNALS = ("knee_angle", "knee_reference", "load_pressure")
 """The signals of a run that a page shows."""
 

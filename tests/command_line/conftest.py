@@ -1,11 +1,12 @@
 import functools
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 
 from kneexo.parameters import Scenario
-from kneexo.studies.catalogue import Study
+from kneexo.studies.catalogue import STUDIES, Presentation
 
 
 @pytest.fixture
@@ -64,22 +65,24 @@ class FakeResult:
 
 @pytest.fixture
 def replace_study(monkeypatch):
-    """The function ``replace_study(name, compute)``: calls ``compute`` in place of a study."""
+    """The function ``replace_study(name, compute, **shows)``: a study that calls ``compute``.
 
-    def replace(name, compute):
+    ``shows`` are functions of its `Presentation`.
+    """
+
+    def replaced(name, compute, **shows):
         @functools.wraps(compute)
         def study(*arguments, settings, **options):
             compute(*arguments, settings=settings, **options)
             return FakeResult(settings)
 
-        monkeypatch.setattr(f"kneexo.studies.{name}.{name}_study", study)
-        monkeypatch.setattr(Study, "report", lambda study, result: "# report\n")
-        monkeypatch.setattr(Study, "figures", lambda study, result: {})
-        monkeypatch.setattr(Study, "motions", lambda study, result: {})
-        monkeypatch.setattr(Study, "failed_runs", lambda study, result: {})
-        monkeypatch.setattr(Study, "scenarios", lambda study, result: {})
+        row = STUDIES[name]
+        computation = replace(row.computation(), compute=study)
+        shown = Presentation(lambda result: "# report\n", lambda result: {}, **shows)
+        row = replace(row, computation=lambda: computation, presentation=lambda: shown)
+        monkeypatch.setitem(STUDIES, name, row)
 
-    return replace
+    return replaced
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 from kneexo.parameters.presets import PRESETS
 from kneexo.parameters.scenario_file import load_scenario
-from kneexo.studies.contest.study import ContestSettings
+from kneexo.studies.contest.contest import ContestSettings
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

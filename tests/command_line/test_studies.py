@@ -9,8 +9,9 @@ from kneexo.geometry.rod_polynomial import completed
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 from kneexo.parameters.scenario_file import load_scenario
-from kneexo.studies.bandwidth import study as bandwidth
-from kneexo.studies.catalogue import STUDIES, Study, repeating_commands
+from kneexo.studies.bandwidth import bandwidth
+from kneexo.studies.catalogue import STUDIES
+from kneexo.studies.markdown import repeating_commands
 
 
 @pytest.mark.slow
@@ -74,7 +75,7 @@ def test_each_study_is_wired(capsys, tmp_path, study, replace_study):
     assert main([*command, "--workers", "2", "--out", str(out), "--json"]) == 0
     assert options["workers"] == 2
     printed = json.loads(capsys.readouterr().out)
-    assert printed["settings"] == study.settings.__name__
+    assert printed["settings"] == study.computation().settings.__name__
     names = ("results", "report") if study.name == "reproduce" else (study.name, study.name)
     assert {file.name for file in out.iterdir()} == {f"{names[0]}.json", f"{names[1]}.md"}
     assert json.loads((out / f"{names[0]}.json").read_text()) == printed
@@ -119,11 +120,11 @@ def test_reproduce_takes_settings_of_fig_13(capsys, tmp_path, replace_study):
 def test_failed_runs_become_scenarios_beside_the_report(
     tmp_path, capsys, monkeypatch, replace_study
 ):
-    replace_study("robustness", lambda scenario=Scenario(), **_: None)
     (tmp_path / "my.py").write_text("def law(rod_extension):\n    return rod_extension\n")
     failing = changed(Scenario(), {"initial_offset_m": 0.15})
     runs = {"first": failing, "second": failing.with_law(f"{tmp_path / 'my.py'}:law")}
-    monkeypatch.setattr(Study, "failed_runs", lambda study, result: runs)
+    shows = {"failed_runs": lambda result: runs}
+    replace_study("robustness", lambda scenario=Scenario(), **_: None, **shows)
     out = tmp_path / "out"
     assert main(["study", "robustness", "--out", str(out)]) == 0
     assert "failure_1.yaml, failure_2.yaml" in capsys.readouterr().out

@@ -411,7 +411,7 @@ def test_a_trigger_by_a_signal_that_the_loop_lacks_is_refused(signal, needed, en
 
 @pytest.mark.parametrize("name", ["size", "wearer"])
 def test_studies_of_hardware_and_wearer_leave_push_and_faults_out(name, monkeypatch):
-    module = importlib.import_module(f"kneexo.studies.{name}.study")
+    module = importlib.import_module(f"kneexo.studies.{name}.{name}")
 
     class SeenError(Exception):
         """The scenario that the study passes on."""

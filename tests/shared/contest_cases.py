@@ -11,7 +11,7 @@ from kneexo.parameters import (
     Uncertainty,
     UncertaintySet,
 )
-from kneexo.studies.contest.study import (
+from kneexo.studies.contest.contest import (
     CONTESTANTS,
     Contestant,
     ContestResult,

@@ -11,6 +11,9 @@ from kneexo.parameters import (
     SimulationParameters,
     SineReference,
 )
+from kneexo.studies.controller.controller import (
+    LIMIT_CYCLE_VARIANTS,
+)
 from kneexo.studies.controller.result import (
     MAP_METRICS,
     METRICS,
@@ -18,9 +21,6 @@ from kneexo.studies.controller.result import (
     LimitCycleCase,
 )
 from kneexo.studies.controller.settings import ControllerSettings
-from kneexo.studies.controller.study import (
-    LIMIT_CYCLE_VARIANTS,
-)
 
 GRID = ControllerSettings(
     lambdas_per_s=(10.0, 20.0, 40.0),

@@ -8,7 +8,7 @@ import numpy as np
 from kneexo.parameters import UNCERTAIN_KNEE
 from kneexo.parameters.criteria import OBSERVED_S
 from kneexo.studies.faults import FaultsResult, FaultsSettings
-from kneexo.studies.faults.study import EmergencyStop, FaultRow, Peaks, Rest
+from kneexo.studies.faults.faults import EmergencyStop, FaultRow, Peaks, Rest
 
 
 def row(

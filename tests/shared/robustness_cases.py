@@ -11,7 +11,7 @@ from kneexo.parameters import (
     UncertaintySet,
 )
 from kneexo.parameters.paths import changed
-from kneexo.studies.robustness.study import (
+from kneexo.studies.robustness.robustness import (
     MERITS,
     Assessment,
     RobustnessResult,

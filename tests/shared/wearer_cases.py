@@ -5,7 +5,7 @@ import math
 from functools import cache
 
 from kneexo.parameters.paths import changed
-from kneexo.studies.wearer.study import (
+from kneexo.studies.wearer.wearer import (
     HELPING,
     LOOPS,
     WEARER_KNEE,

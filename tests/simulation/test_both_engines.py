@@ -27,7 +27,7 @@ from kneexo.studies.bandwidth import BandwidthSettings, bandwidth_study
 from kneexo.studies.catalogue import STUDIES
 from kneexo.studies.contest import Contestant, ContestSettings, contest_study
 from kneexo.studies.controller import ControllerSettings, controller_study
-from kneexo.studies.reproduce import study as reproduce
+from kneexo.studies.reproduce import reproduce
 from kneexo.studies.robustness import RobustnessSettings, robustness_study
 from kneexo.studies.size import SizeSettings, size_study
 

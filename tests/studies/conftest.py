@@ -50,6 +50,12 @@ def margins():
 
 
 @pytest.fixture(scope="session")
+def rows_of(tables):
+    """The function ``rows_of(report)``: from the first cell of each row of tables to the others."""
+    return lambda report: {name: cells for table in tables(report) for name, *cells in table}
+
+
+@pytest.fixture(scope="session")
 def check_caption():
     """The function ``check_caption(figure)``: its caption has sentences and no identifier."""
 

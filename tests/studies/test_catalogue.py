@@ -1,42 +1,50 @@
 """The catalogue of the studies."""
 
-import importlib
-import inspect
+import subprocess
+import sys
+from importlib import import_module
+from inspect import getfile, signature
 from pathlib import Path
 
 import pytest
 
 import kneexo.studies
 from kneexo.analysis.frequency.frequency_response import sinestream
-from kneexo.studies.catalogue import FIGURES, FILES, STUDIES
+from kneexo.studies.catalogue import STUDIES, Presentation
+
+HERE = Path(kneexo.studies.__path__[0])
 
 
-@pytest.mark.parametrize("name", STUDIES)
-def test_the_face_of_a_study_has_its_settings_and_its_function(name):
-    face = importlib.import_module(f"kneexo.studies.{name}")
-    assert STUDIES[name].settings is getattr(face, f"{name.capitalize()}Settings")
-    assert STUDIES[name].compute is getattr(face, f"{name}_study")
+@pytest.mark.parametrize("study", STUDIES.values(), ids=lambda study: study.name)
+def test_the_catalogue_has_each_function_that_a_study_defines(study):
+    folder = f"kneexo.studies.{study.name}"
+    modules = [vars(import_module(f"{folder}.{name}")) for name in ("report", "figures")]
+    for field, function in vars(study.presentation()).items():
+        defined = [module[field] for module in modules if field in module]
+        left_out = getattr(Presentation, field, None)
+        assert defined == ([] if function is left_out else [function])
+    settings = signature(study.computation().compute).parameters["settings"].default
+    assert type(settings) is study.computation().settings
 
 
 @pytest.mark.parametrize("study", STUDIES.values(), ids=lambda study: study.name)
 def test_each_stage_is_the_description_of_a_progress_bar(study):
-    sources = [*(Path(kneexo.studies.__path__[0]) / study.name).glob("*.py")]
-    sources.append(Path(inspect.getfile(sinestream)))
+    sources = [*(HERE / study.name).glob("*.py"), Path(getfile(sinestream))]
     text = "".join(path.read_text(encoding="utf-8") for path in sources)
-    *bars, figures, files = [stage.name for stage in study.stages]
-    assert (figures, files) == (FIGURES, FILES)
-    assert [name for name in bars if f'"{name}"' not in text] == []
-    assert study.duration_s == sum(stage.duration_s for stage in study.stages)
+    assert [stage.name for stage in study.stages if f'"{stage.name}"' not in text] == []
 
 
-def test_motions_and_failed_runs_are_those_of_the_modules_that_have_them(monkeypatch):
-    for name, place in (
-        ("reproduce", "figures.motions"),
-        ("size", "figures.motions"),
-        ("robustness", "report.failed_runs"),
-        ("contest", "report.failed_runs"),
-    ):
-        monkeypatch.setattr(f"kneexo.studies.{name}.{place}", lambda result: {"run": result})
-        runs = getattr(STUDIES[name], place.partition(".")[2])
-        assert runs(3) == {"run": 3}
-    assert STUDIES["bandwidth"].motions(3) == STUDIES["bandwidth"].failed_runs(3) == {}
+ALONE = """
+import sys
+from importlib import import_module
+import_module(sys.argv[1])
+assert not {"kneexo.studies.catalogue", "kneexo.command_line"} & set(sys.modules)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("module", ["report", "figures"])
+@pytest.mark.parametrize("name", STUDIES)
+def test_each_study_is_imported_alone(name, module):
+    words = [sys.executable, "-c", ALONE, f"kneexo.studies.{name}.{module}"]
+    subprocess.run(words, check=True)

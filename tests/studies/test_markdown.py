@@ -4,7 +4,6 @@ import pytest
 
 from kneexo.studies.markdown import (
     column_table,
-    document,
     markdown_table,
     number,
     percent,
@@ -64,10 +63,6 @@ def test_columns_are_the_same_the_other_way_round():
         "| error | 0.2 | – |",
         "| fails | no | yes |",
     ]
-
-
-def test_a_document_has_an_empty_line_between_what_it_has():
-    assert document("# Title", ["- a", "- b"], "", [], "End.") == "# Title\n\n- a\n- b\n\nEnd.\n"
 
 
 def test_a_share_is_in_whole_percent():

@@ -63,12 +63,12 @@ def result_of(name):
 
 @cache
 def report_of(name):
-    return STUDIES[name].report(result_of(name))
+    return STUDIES[name].presentation().report(result_of(name))
 
 
 @cache
 def figures_of(name):
-    return STUDIES[name].figures(result_of(name))
+    return STUDIES[name].presentation().figures(result_of(name))
 
 
 def numbers_of(data, name=""):

@@ -17,9 +17,9 @@ def write(monkeypatch):
 
 
 def test_wrapped_lines_become_one_paragraph(write):
-    write("# Title\n\nA sentence\n  in three\nlines.\n\n- an item\nthat goes on\n- another one\n")
+    write("# Title\n\nA sentence\n  in four\nlines of\n-1.5 N.\n\n- an item\nthat goes on\n- one\n")
     assert filled("report.md") == (
-        "# Title\n\nA sentence in three lines.\n\n- an item that goes on\n- another one\n"
+        "# Title\n\nA sentence in four lines of -1.5 N.\n\n- an item that goes on\n- one\n"
     )
 
 

@@ -1,4 +1,4 @@
-"""Figures of a `kneexo.studies.bandwidth.study.BandwidthResult`."""
+"""Figures of a `kneexo.studies.bandwidth.bandwidth.BandwidthResult`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from kneexo.analysis.frequency.rate_limit import (
 from kneexo.common.plotting import BLUE, RED, SERIES, decimal_ticks, phase_ticks
 from kneexo.common.result import Array
 from kneexo.parameters.criteria import MINUS_3_DB
-from kneexo.studies.bandwidth.study import BandwidthResult, decibel, unwrapped_deg
+from kneexo.studies.bandwidth.bandwidth import BandwidthResult, decibel, unwrapped_deg
 from kneexo.studies.plots import (
     OUTLINE,
     Worse,

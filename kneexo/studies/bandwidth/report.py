@@ -1,4 +1,4 @@
-"""Markdown report on a `kneexo.studies.bandwidth.study.BandwidthResult`."""
+"""Markdown report on a `kneexo.studies.bandwidth.bandwidth.BandwidthResult`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from kneexo.analysis.frequency.bandwidth import rod_limits
 from kneexo.analysis.frequency.frequency_response import require_sine
-from kneexo.studies.bandwidth.study import BandwidthResult
+from kneexo.studies.bandwidth.bandwidth import BandwidthResult
 from kneexo.studies.markdown import number
 from kneexo.studies.template import filled
 

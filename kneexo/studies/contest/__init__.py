@@ -1,6 +1,6 @@
 """Study `contest`: SMC and PID, tuned alike, on uncertain plants."""
 
-from kneexo.studies.contest.study import (
+from kneexo.studies.contest.contest import (
     Contestant,
     ContestResult,
     ContestSettings,

@@ -1,4 +1,4 @@
-"""Figures of a `kneexo.studies.contest.study.ContestResult`."""
+"""Figures of a `kneexo.studies.contest.contest.ContestResult`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from kneexo.common.plotting import RED, SERIES, decimal_ticks
-from kneexo.studies.contest.study import INFEASIBLE_DEG, ContestResult, errors_of
+from kneexo.studies.contest.contest import INFEASIBLE_DEG, ContestResult, errors_of
 from kneexo.studies.plots import ecdf, legend_below
 
 

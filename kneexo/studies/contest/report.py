@@ -1,4 +1,4 @@
-"""Markdown report on a `kneexo.studies.contest.study.ContestResult`."""
+"""Markdown report on a `kneexo.studies.contest.contest.ContestResult`."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ from kneexo.parameters import Scenario, Uncertainty
 from kneexo.parameters.labels import labels
 from kneexo.parameters.paths import changed
 from kneexo.parameters.uncertainty import realize
-from kneexo.studies.catalogue import repeating_commands
-from kneexo.studies.contest.study import COLUMNS, ContestResult, Tuning
-from kneexo.studies.markdown import number
+from kneexo.studies.contest.contest import COLUMNS, ContestResult, Tuning
+from kneexo.studies.markdown import number, repeating_commands
 from kneexo.studies.template import filled
 
 

@@ -1,4 +1,4 @@
-"""Figures of a `kneexo.studies.controller.study.ControllerResult`."""
+"""Figures of a `kneexo.studies.controller.controller.ControllerResult`."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""Figure of a `kneexo.studies.design.study.DesignResult`."""
+"""Figure of a `kneexo.studies.design.design.DesignResult`."""
 
 from __future__ import annotations
 
 from matplotlib.figure import Figure
 
-from kneexo.studies.design.study import DesignResult
+from kneexo.studies.design.design import DesignResult
 
 
 def figures(result: DesignResult) -> dict[str, Figure]:

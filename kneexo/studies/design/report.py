@@ -1,9 +1,9 @@
-"""Markdown report on a `kneexo.studies.design.study.DesignResult`."""
+"""Markdown report on a `kneexo.studies.design.design.DesignResult`."""
 
 from __future__ import annotations
 
 from kneexo.parameters import Scenario
-from kneexo.studies.design.study import DesignResult
+from kneexo.studies.design.design import DesignResult
 from kneexo.studies.template import filled
 
 LINKAGE_FILE = "linkage.yaml"

@@ -1,5 +1,5 @@
 """Study `faults`: how far faults move the knee, and whether the protection acts in time."""
 
-from kneexo.studies.faults.study import FaultsResult, FaultsSettings, faults_study
+from kneexo.studies.faults.faults import FaultsResult, FaultsSettings, faults_study
 
 __all__ = ["FaultsResult", "FaultsSettings", "faults_study"]

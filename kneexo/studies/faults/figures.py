@@ -1,4 +1,4 @@
-"""Figures of a `kneexo.studies.faults.study.FaultsResult`."""
+"""Figures of a `kneexo.studies.faults.faults.FaultsResult`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import matplotlib.pyplot as plt
 from matplotlib.figure import Figure
 
 from kneexo.common.plotting import BLUE, GOLD, RED, TEAL, decimal_ticks
-from kneexo.studies.faults.study import FaultRow, FaultsResult, not_seen
+from kneexo.studies.faults.faults import FaultRow, FaultsResult, not_seen
 from kneexo.studies.plots import legend_below
 
 _MARKS = {

@@ -1,4 +1,4 @@
-"""Markdown report on a `kneexo.studies.faults.study.FaultsResult`."""
+"""Markdown report on a `kneexo.studies.faults.faults.FaultsResult`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable
 from itertools import product
 from typing import Any, TypeVar
 
-from kneexo.studies.faults.study import (
+from kneexo.studies.faults.faults import (
     FAILED,
     EmergencyStop,
     FaultRow,

@@ -1,4 +1,4 @@
-"""Figures of a `kneexo.studies.mechanism.study.MechanismResult`."""
+"""Figures of a `kneexo.studies.mechanism.mechanism.MechanismResult`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from kneexo.analysis.mechanism.alignment import MM
 from kneexo.analysis.mechanism.prosthetic_leg import contacts, voluntary_margin_n_m
 from kneexo.common.plotting import SERIES
 from kneexo.parameters import WalkingLegParameters
-from kneexo.studies.mechanism.study import MechanismResult
+from kneexo.studies.mechanism.mechanism import MechanismResult
 from kneexo.studies.plots import legend_below
 
 _MARKED_DEG = 15.0  # distance of the marked knee angles

@@ -1,4 +1,4 @@
-"""Markdown report on a `kneexo.studies.mechanism.study.MechanismResult`."""
+"""Markdown report on a `kneexo.studies.mechanism.mechanism.MechanismResult`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 from kneexo.parameters import GAIT2392
 from kneexo.studies.markdown import number
-from kneexo.studies.mechanism.study import MechanismResult
+from kneexo.studies.mechanism.mechanism import MechanismResult
 from kneexo.studies.template import filled
 
 

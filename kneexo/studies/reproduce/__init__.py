@@ -1,6 +1,6 @@
 """Study `reproduce`: the paper's figures and numbers."""
 
-from kneexo.studies.reproduce.study import (
+from kneexo.studies.reproduce.reproduce import (
     ReproduceResult,
     ReproduceSettings,
     growth_rate,

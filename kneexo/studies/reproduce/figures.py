@@ -13,10 +13,10 @@ from kneexo.analysis import FrequencyResponse, Run, TrackingResult
 from kneexo.common.plotting import BLUE, PURPLE, SERIES
 from kneexo.studies.markdown import number
 from kneexo.studies.paper import PAPER_BANDWIDTH_HZ
-from kneexo.studies.reproduce.study import FIG_12_TITLES, ReproduceResult, rod_error_mm
+from kneexo.studies.reproduce.reproduce import FIG_12_TITLES, ReproduceResult, rod_error_mm
 
 if TYPE_CHECKING:
-    from kneexo.studies.catalogue import Motion
+    from kneexo.view.legs import Motion
 
 
 def figures(reproduction: ReproduceResult) -> dict[str, Figure]:

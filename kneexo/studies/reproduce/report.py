@@ -15,7 +15,7 @@ from kneexo.studies.reproduce.comparison import (
     Comparison,
     compared,
 )
-from kneexo.studies.reproduce.study import FIG_12_TITLES, ReproduceResult
+from kneexo.studies.reproduce.reproduce import FIG_12_TITLES, ReproduceResult
 from kneexo.studies.template import filled
 
 _CONTROLLERS = FIG_12_TITLES | {"pid_feedforward": "PID, tuned, with reference velocity"}

@@ -1,6 +1,6 @@
 """Study `robustness`: effects of uncertain values on a closed loop."""
 
-from kneexo.studies.robustness.study import (
+from kneexo.studies.robustness.robustness import (
     RobustnessResult,
     RobustnessSettings,
     assess_plant,

@@ -1,4 +1,4 @@
-"""Figures of a `kneexo.studies.robustness.study.RobustnessResult`."""
+"""Figures of a `kneexo.studies.robustness.robustness.RobustnessResult`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from kneexo.parameters import Uncertainty
 from kneexo.parameters.labels import labels, value_text
 from kneexo.parameters.uncertainty import realize
 from kneexo.studies.plots import CENTRED, ecdf, legend_below
-from kneexo.studies.robustness.study import (
+from kneexo.studies.robustness.robustness import (
     MERITS,
     Assessment,
     RobustnessResult,

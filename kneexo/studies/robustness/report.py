@@ -1,4 +1,4 @@
-"""Markdown report on a `kneexo.studies.robustness.study.RobustnessResult`."""
+"""Markdown report on a `kneexo.studies.robustness.robustness.RobustnessResult`."""
 
 from __future__ import annotations
 
@@ -13,9 +13,8 @@ from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario
 from kneexo.parameters.labels import labels, value_text
 from kneexo.parameters.uncertainty import realize
-from kneexo.studies.catalogue import repeating_commands
-from kneexo.studies.markdown import number
-from kneexo.studies.robustness.study import (
+from kneexo.studies.markdown import number, repeating_commands
+from kneexo.studies.robustness.robustness import (
     CONFIDENCE,
     MERITS,
     Assessment,

@@ -2,6 +2,6 @@
 
 from kneexo.studies.size.result import SizeResult, WalkingDesign
 from kneexo.studies.size.settings import SizeSettings
-from kneexo.studies.size.study import size_study
+from kneexo.studies.size.size import size_study
 
 __all__ = ["SizeResult", "SizeSettings", "WalkingDesign", "size_study"]

@@ -43,7 +43,7 @@ from kneexo.studies.plots import (
 from kneexo.studies.size.result import SizeResult
 
 if TYPE_CHECKING:
-    from kneexo.studies.catalogue import Motion
+    from kneexo.view.legs import Motion
 
 HARDWARE_LABELS = {"nominal": "hardware as it is", "sized": "sized hardware"}
 """Labels of the two sets of hardware whose walking runs are in the traces of `SizeResult`."""

@@ -1,4 +1,4 @@
-"""Figures of a `kneexo.studies.wearer.study.WearerResult`, one for each question."""
+"""Figures of a `kneexo.studies.wearer.wearer.WearerResult`, one for each question."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from kneexo.common.plotting import BLUE, BROWN, GOLD, PURPLE, SERIES, TEAL
 from kneexo.common.result import Array
 from kneexo.parameters.task.gait import gait_start_percent
 from kneexo.studies.plots import OUTLINE, legend_below
-from kneexo.studies.wearer.study import (
+from kneexo.studies.wearer.wearer import (
     HELD,
     HELPING,
     HIGHER,

@@ -1,4 +1,4 @@
-"""Markdown report on a `kneexo.studies.wearer.study.WearerResult`."""
+"""Markdown report on a `kneexo.studies.wearer.wearer.WearerResult`."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from kneexo.parameters import BODIES, SEAL_FRICTION_N
 from kneexo.parameters.device.plant import LOWEST_PRESSURE_PA
 from kneexo.studies.markdown import number
 from kneexo.studies.template import filled
-from kneexo.studies.wearer.study import (
+from kneexo.studies.wearer.wearer import (
     DEVICES,
     HELPING,
     HIGHER,

@@ -45,7 +45,7 @@ CLASSES = parts_of(
     CsvReference,
     GaitReference,
     UncertaintySet,
-    *(study.settings for study in STUDIES.values()),
+    *(study.computation().settings for study in STUDIES.values()),
 )
 endless: dict[str, Any] = {}
 endless["plant"] = endless

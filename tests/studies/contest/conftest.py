@@ -9,7 +9,7 @@ from contest_cases import (
 )
 
 from kneexo.parameters.paths import changed
-from kneexo.studies.contest.study import (
+from kneexo.studies.contest.contest import (
     contest_study,
 )
 from kneexo.studies.paper import PID_PAPER

@@ -6,12 +6,12 @@ from contest_cases import (
 
 from kneexo.parameters.paths import changed
 from kneexo.parameters.uncertainty import realize
-from kneexo.studies.contest.report import failed_runs, report
-from kneexo.studies.contest.study import (
+from kneexo.studies.contest.contest import (
     CONTESTANTS,
     UNTUNED,
     ContestSettings,
 )
+from kneexo.studies.contest.report import failed_runs, report
 
 
 def test_the_screen_holds_all_contestants_of_the_default_settings(check_screen):

@@ -3,7 +3,7 @@
 import pytest
 from controller_cases import BASE, SMALL, made_up
 
-from kneexo.studies.controller.study import (
+from kneexo.studies.controller.controller import (
     controller_study,
 )
 from kneexo.sweeps.checkpoint import Checkpoint

@@ -3,7 +3,7 @@
 import pytest
 from robustness_cases import FEW, REAL, made_up, uncertain
 
-from kneexo.studies.robustness.study import (
+from kneexo.studies.robustness.robustness import (
     robustness_study,
 )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from size_cases import SMALL, made_up
 
-from kneexo.studies.size.study import size_study
+from kneexo.studies.size.size import size_study
 from kneexo.sweeps.checkpoint import Checkpoint
 
 

@@ -3,7 +3,7 @@
 import pytest
 from wearer_cases import SMALL, made_up
 
-from kneexo.studies.wearer.study import (
+from kneexo.studies.wearer.wearer import (
     WEARER_KNEE,
     wearer_study,
 )

@@ -16,7 +16,7 @@ from bandwidth_cases import (
     SMALL_MAP,
 )
 
-from kneexo.analysis.frequency import bandwidth
+from kneexo.analysis.frequency import bandwidth as measured
 from kneexo.analysis.frequency.bandwidth import (
     acceleration_bound_hz,
     follower_bandwidth_hz,
@@ -33,7 +33,7 @@ from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import RampReference, Scenario
 from kneexo.parameters.paths import changed
 from kneexo.simulation.engines import simulate
-from kneexo.studies.bandwidth import BandwidthSettings, bandwidth_study, study
+from kneexo.studies.bandwidth import BandwidthSettings, bandwidth, bandwidth_study
 from kneexo.studies.bandwidth.figures import figures
 from kneexo.studies.bandwidth.report import report
 from kneexo.sweeps.checkpoint import Checkpoint
@@ -164,7 +164,7 @@ def test_results_of_a_map_are_those_of_its_cells(by_hand, flat, check_rules):
 
 
 def test_the_frame_has_a_row_for_each_cell(by_hand, monkeypatch):
-    monkeypatch.setattr(study, "data_frame", lambda columns: columns)  # needs no pandas
+    monkeypatch.setattr(bandwidth, "data_frame", lambda columns: columns)  # needs no pandas
     columns = by_hand.to_dataframe()
     assert columns["amplitude_deg"].tolist() == [1.0, 1.0, 1.0, 30.0, 30.0, 30.0]
     assert columns["frequency_hz"].tolist() == [0.1, 0.2, 0.4] * 2
@@ -194,7 +194,7 @@ def test_a_run_that_fails_leaves_its_cell_empty(monkeypatch):
             response = 0j  # a sine between two counts of the encoder
         return SineEstimate(0.2, 1.0, response, 1e-3, True, 2, 3, 40.0, 0.0, 0.0)
 
-    for module in (bandwidth, study):
+    for module in (measured, bandwidth):
         monkeypatch.setattr(module, "estimate_sine", estimate)
     chosen = BandwidthSettings(amplitudes_deg=(1.0, 30.0), frequencies_hz=(0.1, 0.2, 0.4))
     result = bandwidth_study(Scenario(), chosen)
@@ -222,7 +222,7 @@ def test_a_run_that_fails_leaves_its_cell_empty(monkeypatch):
     ],
 )
 def test_a_map_that_means_nothing_is_refused_before_any_run(monkeypatch, scenario, values, message):
-    monkeypatch.setattr(study, "estimate_sine", None)
+    monkeypatch.setattr(bandwidth, "estimate_sine", None)
     with pytest.raises(ParameterError, match=message):
         bandwidth_study(scenario, BandwidthSettings(**values))
 

@@ -33,10 +33,10 @@ from kneexo.studies.hardware import (
     with_piston,
 )
 from kneexo.studies.paper import PID_TUNED
-from kneexo.studies.size import study as size
+from kneexo.studies.size import size
 from kneexo.studies.size.figures import figures
 from kneexo.studies.size.report import report
-from kneexo.studies.size.study import size_study, smallest
+from kneexo.studies.size.size import size_study, smallest
 from kneexo.sweeps.checkpoint import Checkpoint
 
 matplotlib.use("Agg")

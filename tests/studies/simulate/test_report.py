@@ -1,18 +1,16 @@
-"""Reports of single runs: from the numbers to the cells of their tables."""
+"""The report of a run: from the numbers to the cells of its tables."""
 
 import math
-import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from kneexo.analysis import linearize_loop, linearize_plant, track
-from kneexo.analysis.tracking.verdict import loop_lines
-from kneexo.command_line.run_reports import linear_report, tracking_report
+from kneexo.analysis import track
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 from kneexo.studies.markdown import number
+from kneexo.studies.simulate.report import report
 
 
 @pytest.fixture(scope="module")
@@ -24,20 +22,14 @@ def leg():
     return track(scenario, all_signals=True)
 
 
-def rows_of(report):
-    """The cells after the first one of each line of all tables, by the first one."""
-    lines = [line.strip("| ").split(" | ") for line in report.splitlines() if line[:1] == "|"]
-    return {name: cells for name, *cells in lines}
-
-
 def test_findings_come_first(leg):
-    lines = tracking_report(leg).splitlines()
+    lines = report(leg).splitlines()
     assert lines[0].startswith("# ")
     assert lines[2:5] == [f"- {line}" for line in leg.verdict.lines]
 
 
-def test_each_limit_has_its_value_and_verdict(leg):
-    rows = rows_of(tracking_report(leg))
+def test_each_limit_has_its_value_and_verdict(leg, rows_of):
+    rows = rows_of(report(leg))
     command = np.abs(leg["motor_speed_command_rad_s"]) * 30.0 / math.pi
     share = 100.0 * np.mean(command >= 5000.0 - 1e-6)
     assert 5.0 < share < 50.0
@@ -54,8 +46,8 @@ def test_each_limit_has_its_value_and_verdict(leg):
     assert rows["eigenvalue of the sampled loop at 35°"][1:] == ["1", "stable"]
 
 
-def test_numbers_without_limit_have_units(leg):
-    rows, step = rows_of(tracking_report(leg)), leg.step
+def test_numbers_without_limit_have_units(leg, rows_of):
+    rows, step = rows_of(report(leg)), leg.step
     assert rows["rise time, 10 … 90 %"] == [f"{step.rise_time_s:.3g} s"]
     assert rows["overshoot"] == [f"{step.overshoot_percent:.3g} %"]
     assert rows["settling time"] == [f"{step.settling_time_s:.3g} s"]
@@ -74,7 +66,7 @@ def test_numbers_without_limit_have_units(leg):
     assert rows["work of the pump on the cylinder"] == [work]
 
 
-def test_a_limit_cycle_has_amplitude_period_and_pressures(leg):
+def test_a_limit_cycle_has_amplitude_period_and_pressures(leg, rows_of):
     """A knee that is made to swing by 0.25° with 0.2 s about 40°, and its pressure with it."""
     time = leg["time_s"]
     wave = np.sin(10.0 * math.pi * time)
@@ -84,16 +76,16 @@ def test_a_limit_cycle_has_amplitude_period_and_pressures(leg):
         "load_pressure_pa": 1e6 * (-0.5 + wave),
     }
     result = replace(leg, run=replace(leg.run, data=data))
-    rows = rows_of(tracking_report(result))
+    rows = rows_of(report(result))
     assert rows["limit cycle at rest, amplitude"] == ["0.25° of the knee"]
     assert rows["limit cycle at rest, period"] == ["0.2 s"]
     assert rows["limit cycle at rest, load pressure"] == ["-1.5 … 0.5 MPa"]
 
 
-def test_a_run_shorter_than_two_periods_is_reported_whole():
+def test_a_run_shorter_than_two_periods_is_reported_whole(rows_of):
     scenario = changed(Scenario(), {"simulation.duration_s": 0.5})
     result = track(scenario, all_signals=True)
-    rows = rows_of(tracking_report(result))
+    rows = rows_of(report(result))
     rms, error = np.sqrt(np.mean(result.error_deg**2)), np.max(np.abs(result.error_deg))
     assert rows["error, root mean square"] == [f"{rms:.3g}°"]
     assert not any("first period" in name or "whole run" in name for name in rows)
@@ -104,24 +96,24 @@ def test_a_run_shorter_than_two_periods_is_reported_whole():
     assert 0.049 < result.verdict.error_bound_deg < 0.08
 
 
-def test_a_run_that_does_not_track_says_so():
+def test_a_run_that_does_not_track_says_so(rows_of):
     slow = {"reference.frequency_hz": 1.0, "simulation.duration_s": 2.5}
     result = track(changed(Scenario(), slow), all_signals=True)
-    assert rows_of(tracking_report(result))["tracking error"][2] == "does not track"
+    assert rows_of(report(result))["tracking error"][2] == "does not track"
 
 
 @pytest.mark.slow
-def test_a_run_that_is_stopped_has_a_current_and_no_error():
+def test_a_run_that_is_stopped_has_a_current_and_no_error(rows_of):
     adds = {"place": "command", "kind": "offset", "size": 1000.0, "start_s": 1.0}
     values = {"faults": (adds,), "simulation.duration_s": 2.0}
     result = track(Scenario.preset("protected").changed(values), all_signals=True)
-    rows = rows_of(tracking_report(result))
+    rows = rows_of(report(result))
     assert "tracking error" not in rows
     current = number(result.verdict.peak_motor_current_a)
     assert rows["motor current, largest"] == [f"{current} A"]
 
 
-def test_a_run_with_a_wearer_has_its_torques_in_place_of_tracking():
+def test_a_run_with_a_wearer_has_its_torques_in_place_of_tracking(rows_of):
     values = {
         "plant.load": {"kind": "knee"},
         "wearer": {"kind": "leg", "moment": {"times_s": (0, 1), "moments_n_m": (1, 5)}},
@@ -130,7 +122,7 @@ def test_a_run_with_a_wearer_has_its_torques_in_place_of_tracking():
         "simulation.duration_s": 0.8,
     }
     result = track(changed(Scenario(), values), all_signals=True)
-    text = tracking_report(result)
+    text = report(result)
     rows, late = rows_of(text), result["time_s"] >= 0.4 - 1e-9
     assert text.startswith("# A run under torque control")
     assert "tracking error" not in rows
@@ -158,64 +150,3 @@ def test_a_run_with_a_wearer_has_its_torques_in_place_of_tracking():
         cell = rows[f"{name} after the first period"][0]
         assert cell.endswith(unit)
         assert float(cell.removesuffix(unit)) == pytest.approx(value, rel=6e-3), name
-
-
-@pytest.fixture(scope="module")
-def linear():
-    scenario = Scenario()
-    return linearize_plant(scenario.plant), linearize_loop(scenario)
-
-
-def linear_text(plant, loop):
-    return linear_report(plant, loop, loop_lines(loop), ["Left out: nothing."])
-
-
-def test_margins_are_listed_once_with_criterion_and_verdict(linear):
-    plant, loop = linear
-    text, m = linear_text(plant, loop), loop.margins()
-    rows = rows_of(text)
-    decibels = 20.0 * math.log10(m.gain_margin)
-    frequency = f"{m.gain_margin_frequency_hz:.3g}"
-    more = [f"factor {m.gain_margin:.3g} ({decibels:.3g} dB)", frequency]
-    assert rows["more gain"] == [*more, "at least factor 1.67", "sound"]
-    assert rows["phase lag"][0] == f"{m.phase_margin_deg:.3g}°"
-    assert rows["phase lag"][2:] == ["at least 28.1°", "sound"]  # 2 atan(1/4)
-    assert rows["phase lead"][0] == f"{number(m.phase_lead_margin_deg)}°"
-    assert rows["gain and phase together (disk margin)"][0] == number(m.disk_margin)
-    delay = f"{1e3 * m.delay_margin_s:.3g} ms ({int(m.delay_margin_s / 0.002)} samples)"
-    assert rows["delay"][0] == delay
-    assert rows["delay"][2:] == ["at least 2 ms", "sound"]
-    assert rows["less gain"] == ["any factor", "–", "at most factor 0.6", "sound"]
-    assert text.count(f"{m.phase_margin_deg:.3g}°") == 1
-    assert "Stable at 40°; all margins are sound." in text
-
-
-def test_a_small_margin_is_named_first(linear, monkeypatch):
-    plant, loop = linear
-    margins = replace(loop.margins(), phase_margin_deg=28.0, lower_gain_margin=0.61)
-    monkeypatch.setattr(type(loop), "margins", lambda _: margins)
-    text = linear_text(plant, loop)
-    assert text.splitlines()[2] == "- Stable at 40°; too small: phase lag, less gain."
-    assert rows_of(text)["less gain"][-1] == "too small"
-
-
-def test_poles_are_pairs_with_a_verdict(linear):
-    plant, loop = linear
-    rows = rows_of(linear_text(plant, loop))
-    assert rows["0"] == ["0", "1", "integrates"]
-    assert rows["-100"] == [f"{100 / (2 * math.pi):.3g}", "1", "decays"]  # the motor's 10 ms
-    (pair,) = (name for name in rows if "±" in name)
-    real, imaginary = map(float, re.fullmatch(r"(\S+) ± (\S+)j", pair).groups())
-    assert float(rows[pair][0]) == pytest.approx(math.hypot(real, imaginary) / 6.2832, rel=0.01)
-    assert rows[pair][2] == "decays"
-    assert len([name for name in rows if name[-1:] in "0123456789j"]) == 3
-
-
-def test_an_unstable_loop_has_no_margins():
-    scenario = changed(Scenario(), {"controller.phi_m_s2": 0.1})
-    loop = linearize_loop(scenario)
-    assert not loop.stable
-    text = linear_text(linearize_plant(scenario.plant), loop)
-    assert "not stable, so there are no margins" in text
-    assert "phase lag" not in text
-    assert text.splitlines()[2].startswith("- Not stable at 40°")

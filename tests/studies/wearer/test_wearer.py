@@ -14,10 +14,10 @@ from kneexo.errors import ParameterError
 from kneexo.parameters import WEARERS, Scenario
 from kneexo.parameters.paths import changed
 from kneexo.simulation.engines import simulate
-from kneexo.studies.wearer import study
+from kneexo.studies.wearer import wearer
 from kneexo.studies.wearer.figures import figures
 from kneexo.studies.wearer.report import report
-from kneexo.studies.wearer.study import (
+from kneexo.studies.wearer.wearer import (
     WEARER_KNEE,
     WearerSettings,
     designs,
@@ -93,8 +93,8 @@ def test_margins_are_the_least_of_all_legs_and_postures(monkeypatch):
         return SimpleNamespace(disk_margin=margins, gain_margin=3.0 * margins)
 
     springs = SimpleNamespace(low_n_m_per_rad=1.0, high_n_m_per_rad=9.0, felt_n_m_per_rad=3.0)
-    monkeypatch.setattr(study, "coupled_stability", survey)
-    monkeypatch.setattr(study, "stiffness_interval", lambda _: springs)
+    monkeypatch.setattr(wearer, "coupled_stability", survey)
+    monkeypatch.setattr(wearer, "stiffness_interval", lambda _: springs)
     assert margins((45.0,), WEARER_KNEE) == vars(springs) | {
         "disk_margin": 0.4,
         "gain_margin": pytest.approx(1.2),
@@ -278,9 +278,9 @@ def test_the_rows_are_those_of_their_cases(monkeypatch):
         seen.append(scenario)
         return {"rms_torque_n_m": float(len(seen)), "mean_torque_n_m": float(cycles)}
 
-    monkeypatch.setattr(study, "measured", count)
+    monkeypatch.setattr(wearer, "measured", count)
     loops = []
-    monkeypatch.setattr(study, "margins", lambda postures, loop: loops.append(loop) or {})
+    monkeypatch.setattr(wearer, "margins", lambda postures, loop: loops.append(loop) or {})
     settings = changed(SMALL, {"cadences_hz": (0.5, 1.0)})
     result = wearer_study(WEARER_KNEE, settings)
     by_name = designs(WEARER_KNEE, settings)
@@ -339,7 +339,7 @@ ROW = (
 def test_the_study_resumes_and_draws(small, tmp_path, monkeypatch):
     path = tmp_path / "checkpoint"
     first = wearer_study(WEARER_KNEE, SMALL, checkpoint=Checkpoint(path))
-    monkeypatch.setattr(study, "simulate", None)  # nothing is computed again
+    monkeypatch.setattr(wearer, "simulate", None)  # nothing is computed again
     again = wearer_study(WEARER_KNEE, SMALL, checkpoint=Checkpoint(path, resume=True))
     assert report(again) == report(first) == report(small)
     for figure in figures(again).values():

@@ -14,8 +14,8 @@ from kneexo.geometry.linkage import rod_extension
 from kneexo.parameters import G1, HINGE, DesignLimits, RodPolynomialParameters, Scenario
 from kneexo.parameters.paths import changed
 from kneexo.parameters.scenario_file import load_scenario
-from kneexo.studies.catalogue import STUDIES, Study
-from kneexo.studies.design import DesignSettings, design_study, study
+from kneexo.studies.design import DesignSettings, design, design_study
+from kneexo.studies.design.report import report
 
 
 @pytest.fixture
@@ -27,7 +27,7 @@ def searched(monkeypatch):
         passed.update(motion=motion, rod=rod, limits=limits, **options)
         return made_up().design
 
-    monkeypatch.setattr(study, "design_linkage", search)
+    monkeypatch.setattr(design, "design_linkage", search)
     return passed
 
 
@@ -62,7 +62,7 @@ def test_a_word_stands_for_table_1_or_for_no_rod_map(searched):
 
 
 def test_the_scenario_of_the_file_has_the_linkage(tmp_path, capsys, searched, monkeypatch):
-    monkeypatch.setattr(Study, "figures", lambda study, result: {})
+    monkeypatch.setattr("kneexo.studies.design.figures.figures", lambda result: {})
     assert main(["design", "--preset", "bench", "--out", str(tmp_path)]) == 0
     capsys.readouterr()
     scenario = load_scenario(tmp_path / "linkage.yaml")
@@ -74,14 +74,14 @@ def test_the_report_names_the_rod_map_and_the_limits_that_bind():
     def text(**settings):
         result = made_up()
         result = replace(result, settings=changed(result.settings, settings))
-        return STUDIES["design"].report(result)
+        return report(result)
 
     assert "at most 0.0695 mm) from Table 1.\n" in text()
     assert "from Table 1, which did not count.\n" in text(rod="none")
     assert "from my.csv.\n" in text(rod="my.csv")
     assert "It reaches least_link_m. A wider" in text()
     free = replace(made_up(), design=replace(made_up().design, binding=()))
-    assert "- It reaches no limit.\n" in STUDIES["design"].report(free)
+    assert "- It reaches no limit.\n" in report(free)
 
 
 @pytest.mark.slow

@@ -14,9 +14,9 @@ from kneexo.parameters import UNCERTAIN_KNEE, FaultParameters, PidParameters
 from kneexo.parameters.device.safety_states import REASONS
 from kneexo.simulation import simulate
 from kneexo.studies.faults import FaultsSettings, faults_study
+from kneexo.studies.faults.faults import Rest, _controlled, _rest, _safe_after, _starts
 from kneexo.studies.faults.figures import plot_worst_case
 from kneexo.studies.faults.report import report
-from kneexo.studies.faults.study import Rest, _controlled, _rest, _safe_after, _starts
 
 DEAD = FaultParameters(place="command", kind="scale", size=0.0)
 SWAPPED = FaultParameters(place="command", kind="scale", size=-1.0)

@@ -25,8 +25,7 @@ from kneexo.parameters import (
 from kneexo.parameters.paths import changed
 from kneexo.parameters.uncertainty import draw, realize
 from kneexo.studies.assessment import assess
-from kneexo.studies.contest.report import report
-from kneexo.studies.contest.study import (
+from kneexo.studies.contest.contest import (
     COLUMNS,
     CONTESTANTS,
     INFEASIBLE_DEG,
@@ -35,6 +34,7 @@ from kneexo.studies.contest.study import (
     objective_deg,
     search,
 )
+from kneexo.studies.contest.report import report
 from kneexo.studies.paper import PID_FEEDFORWARD, PID_PAPER, PID_TUNED
 from kneexo.sweeps.checkpoint import Checkpoint
 

@@ -40,9 +40,9 @@ from kneexo.parameters.uncertainty import draw
 from kneexo.simulation import engines, simulate
 from kneexo.studies.assessment import MARGIN_METRICS, assess
 from kneexo.studies.markdown import number
-from kneexo.studies.robustness import study as module
+from kneexo.studies.robustness import robustness
 from kneexo.studies.robustness.report import report
-from kneexo.studies.robustness.study import (
+from kneexo.studies.robustness.robustness import (
     MERITS,
     Assessment,
     assess_plant,
@@ -63,7 +63,7 @@ def without_sensitivities(monkeypatch):
     def left_out(*_):
         raise LinearizationError("left out")
 
-    monkeypatch.setattr(module, "loop_sensitivities", left_out)
+    monkeypatch.setattr(robustness, "loop_sensitivities", left_out)
 
 
 @pytest.fixture
@@ -77,7 +77,7 @@ def formula(monkeypatch, without_sensitivities):
             seen.append(scenario)
             return function(scenario)
 
-        monkeypatch.setattr(module, "assess", stand_in)
+        monkeypatch.setattr(robustness, "assess", stand_in)
         return seen
 
     return replace
@@ -422,16 +422,16 @@ def test_an_interrupted_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
 
     # A piece of work is known by the name of its function.
     stops.__qualname__ = goes_on.__qualname__ = "assess"
-    monkeypatch.setattr(module, "assess", goes_on)
+    monkeypatch.setattr(robustness, "assess", goes_on)
     whole = run()
     total = len(calls)
     calls.clear()
     path = tmp_path / "checkpoint.jsonl"
-    monkeypatch.setattr(module, "assess", stops)
+    monkeypatch.setattr(robustness, "assess", stops)
     with pytest.raises(KeyboardInterrupt):
         run(checkpoint=Checkpoint(path))
     calls.clear()
-    monkeypatch.setattr(module, "assess", goes_on)
+    monkeypatch.setattr(robustness, "assess", goes_on)
     resumed = run(checkpoint=Checkpoint(path, resume=True))
     assert len(calls) == total - 5
     assert to_json(resumed.results()) == to_json(whole.results())

@@ -20,7 +20,12 @@ from kneexo.parameters import (
 )
 from kneexo.parameters.paths import changed
 from kneexo.simulation.engines import simulate
-from kneexo.studies.controller import study as module
+from kneexo.studies.controller import controller
+from kneexo.studies.controller.controller import (
+    controller_study,
+    experiments,
+    settling_time_s,
+)
 from kneexo.studies.controller.figures import figures
 from kneexo.studies.controller.report import report
 from kneexo.studies.controller.result import (
@@ -28,11 +33,6 @@ from kneexo.studies.controller.result import (
     METRICS,
 )
 from kneexo.studies.controller.settings import ControllerSettings
-from kneexo.studies.controller.study import (
-    controller_study,
-    experiments,
-    settling_time_s,
-)
 from kneexo.studies.paper import IDEAL_SMC, PID_PAPER
 from kneexo.sweeps.checkpoint import Checkpoint
 
@@ -140,7 +140,7 @@ def test_a_finished_study_is_taken_from_its_checkpoint(small, monkeypatch):
     def refuse(*arguments, **keywords):
         raise AssertionError("computed again")
 
-    monkeypatch.setattr(module, "track", refuse)
+    monkeypatch.setattr(controller, "track", refuse)
     again = controller_study(
         BASE, SMALL, checkpoint=Checkpoint(checkpoint.path, resume=True), progress=True
     )
@@ -156,7 +156,7 @@ def test_a_run_that_fails_leaves_nan_and_its_reason(monkeypatch):
     def fail(scenario, **keywords):
         raise SimulationError("t = 1 s: knee_angle left the range of motion")
 
-    monkeypatch.setattr(module, "track", fail)
+    monkeypatch.setattr(controller, "track", fail)
     single_point = SMALL.model_dump() | {"lambdas_per_s": (20.0,), "phis_m_s2": (3.2,)}
     study = controller_study(BASE, ControllerSettings(**single_point))
     assert study.failures == {

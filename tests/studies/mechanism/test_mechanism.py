@@ -20,8 +20,9 @@ from kneexo.parameters import (
     Scenario,
 )
 from kneexo.parameters.paths import changed
-from kneexo.studies.catalogue import STUDIES
-from kneexo.studies.mechanism import MechanismSettings, mechanism_study, study
+from kneexo.studies.mechanism import MechanismSettings, mechanism, mechanism_study
+from kneexo.studies.mechanism.figures import figures
+from kneexo.studies.mechanism.report import report
 
 
 def test_the_linkage_of_the_scenario_is_the_first_of_the_devices():
@@ -85,7 +86,7 @@ def test_a_device_that_exceeds_the_tolerance_has_no_tolerated_place():
     strict = mechanism_study(settings=MechanismSettings(tolerance_mm=1.0))
     assert math.isnan(strict.devices["G1"].placement_tolerance_mm)
     assert strict.devices["hinge"].placement_tolerance_mm > 0.0
-    assert "| – |" in STUDIES["mechanism"].report(strict)
+    assert "| – |" in report(strict)
 
 
 def test_the_stride_is_the_measured_one():
@@ -104,25 +105,25 @@ def test_the_stride_is_the_measured_one():
     ("flexion_deg", "shares"), [([-5.0, 0.0, 90.0, 91.0], (0.5, 0.75, 0.25)), ([136.0], (0, 0, 0))]
 )
 def test_shares_of_a_stride_count_its_angles_in_each_range(monkeypatch, flexion_deg, shares):
-    monkeypatch.setattr(study, "gait_knee_flexion", lambda: (None, np.array(flexion_deg), None))
-    assert tuple(study._stride().values()) == (min(flexion_deg), max(flexion_deg), *shares)
+    monkeypatch.setattr(mechanism, "gait_knee_flexion", lambda: (None, np.array(flexion_deg), None))
+    assert tuple(mechanism._stride().values()) == (min(flexion_deg), max(flexion_deg), *shares)
 
 
 def test_the_trade_off_is_searched_if_asked_for(monkeypatch):
     assert made_up().trade_off is None
     assert made_up().results()["trade_off"] == []
-    assert "trade_off" not in STUDIES["mechanism"].figures(made_up())
+    assert "trade_off" not in figures(made_up())
     searched = []
 
     def search(motion):
         searched.append(motion)
         return TradeOff((designed().design,))
 
-    monkeypatch.setattr(study, "trade_off", search)
+    monkeypatch.setattr(mechanism, "trade_off", search)
     result = mechanism_study(settings=MechanismSettings(trade_off=True))
     assert searched == [GAIT2392]
-    assert "| 0.0173 | 0.0695 | 9.03 | 19.5 |" in STUDIES["mechanism"].report(result)
-    (ax,) = STUDIES["mechanism"].figures(result)["trade_off"].axes
+    assert "| 0.0173 | 0.0695 | 9.03 | 19.5 |" in report(result)
+    (ax,) = figures(result)["trade_off"].axes
     curve, *marks = ax.lines
     np.testing.assert_allclose(curve.get_xydata(), [[0.0173, 9.03]], rtol=1e-2)
     assert [line.get_label() for line in marks] == list(result.devices)
@@ -143,7 +144,7 @@ def test_the_centres_are_those_of_the_wearer_s_knee_in_mm():
 
 def test_the_first_sentence_says_which_device_follows_the_knee_better():
     def first(result):
-        return STUDIES["mechanism"].report(result).splitlines()[2]
+        return report(result).splitlines()[2]
 
     assert first(made_up()).startswith("A hinge at its best place follows this knee better than G1")
     hinge = mechanism_study(Scenario(plant={"linkage": "hinge"}))

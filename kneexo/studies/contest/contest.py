@@ -39,7 +39,7 @@ from kneexo.parameters.uncertainty import applicable, draw, realize
 from kneexo.simulation import needs_runs
 from kneexo.studies.assessment import assess
 from kneexo.studies.paper import PID_FEEDFORWARD, PID_PAPER, PID_TUNED
-from kneexo.studies.robustness.study import Values
+from kneexo.studies.robustness.robustness import Values
 from kneexo.sweeps import Sweep, SweepOptions, open_sweep
 
 _WIDE = "assumption: wide enough that the optimum lies inside"

@@ -19,9 +19,9 @@ from kneexo.command_line.output import to_json
 from kneexo.parameters import G5, Scenario, SimulationParameters
 from kneexo.parameters.paths import changed
 from kneexo.studies.paper import EQ_27_DIFFERENCES, EQ_27_EXACT_STATES, FIG_12, PID_PAPER
-from kneexo.studies.reproduce import study
+from kneexo.studies.reproduce import reproduce
 from kneexo.studies.reproduce.report import report
-from kneexo.studies.reproduce.study import (
+from kneexo.studies.reproduce.reproduce import (
     growth_rate,
     reproduce_study,
     rod_error_mm,
@@ -142,10 +142,10 @@ def test_growth_rate_of_a_growing_oscillation():
 
 def test_all_figures_run_with_the_linkage_of_the_scenario(monkeypatch):
     groups = {
-        figure: replace(group, run=lambda case: case) for figure, group in study._GROUPS.items()
+        figure: replace(group, run=lambda case: case) for figure, group in reproduce._GROUPS.items()
     }
-    monkeypatch.setattr(study, "_GROUPS", groups)
-    monkeypatch.setattr(study, "sinestream", lambda scenario, *_, **__: scenario)
+    monkeypatch.setattr(reproduce, "_GROUPS", groups)
+    monkeypatch.setattr(reproduce, "sinestream", lambda scenario, *_, **__: scenario)
     result = reproduce_study(Scenario(plant={"linkage": "G5"}))
     groups = (result.fig12, result.scaling, result.eq27_exact, result.eq27_differences)
     ran = [result.fig9, result.fig13, *(case for group in groups for case in group.values())]

@@ -1,0 +1,1 @@
+"""The report of ``kneexo linearize``, for its HTML page."""

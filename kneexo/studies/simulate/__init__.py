@@ -1,0 +1,1 @@
+"""The report of ``kneexo simulate``, for its HTML page."""
