@@ -17,7 +17,6 @@ PARAMETERS = BldcPumpParameters(
 )
 INPUTS = {"motor_speed_command": [(-600.0, 600.0)], "load_pressure": [(-3e6, 3e6)]}
 LIMITED_INPUTS = INPUTS | {"torque_off": [(0.0, 1.0)], "dynamic_brake": [(0.0, 1.0)]}
-OUTPUTS = ("motor_speed", "load_flow", "shaft_torque", "shaft_power", "hydraulic_power")
 
 
 def at(system, *, command=0.0, pressure=0.0, speed=0.0, **releases):
@@ -49,37 +48,6 @@ def response(command, times, pressure=0.0, speed=0.0, motor=None):
         simulator.AdvanceTo(time)
         speeds.append(system.GetOutputPort("motor_speed").Eval(simulator.get_context())[0])
     return np.array(speeds)
-
-
-# ------------------------------------------------------------------------------ structure
-
-
-def test_ports_state_and_feedthrough(leaf):
-    structure = leaf.structure(BldcPump())
-    assert structure.inputs == {"motor_speed_command": 1, "load_pressure": 1}
-    assert structure.outputs == dict.fromkeys(OUTPUTS, 1)
-    assert (structure.continuous, structure.discrete) == (1, [])
-    assert structure.feedthrough == {("load_pressure", name) for name in OUTPUTS[1:]}
-
-
-def test_ideal_pump_has_no_state_and_feeds_the_command_through(leaf):
-    structure = leaf.structure(BldcPump(ideal=True))
-    assert (structure.continuous, structure.discrete) == (0, [])
-    assert {name for source, name in structure.feedthrough if source == "motor_speed_command"} == {
-        "motor_speed", "load_flow", "shaft_power", "hydraulic_power",
-    }  # fmt: skip
-
-
-def test_parameters_have_these_names_and_the_values_of_the_paper():
-    system = BldcPump()
-    assert system.parameters(system.CreateDefaultContext())._asdict() == {
-        "speed_limit_rad_s": pytest.approx(LIMIT, rel=1e-15),
-        "lag_s": 0.010,
-        "acceleration_limit_rad_s2": 1e4,
-        "gear_ratio": 6.0,
-        "displacement_m3_per_rad": pytest.approx(0.8e-6 / (2.0 * math.pi), rel=1e-15),
-        "leakage_m3_per_s_pa": 2e-13,
-    }
 
 
 # ----------------------------------------------------------------------------- conversion
@@ -156,15 +124,6 @@ def test_pressure_does_not_slow_the_speed_controlled_motor():
     assert response(80.0, [0.02], pressure=3e6) == pytest.approx(response(80.0, [0.02]), rel=1e-15)
 
 
-def test_acceleration_is_limited_both_ways():
-    assert acceleration(BldcPump(), command=500.0, speed=0.0) == pytest.approx(1e4, rel=1e-15)
-    assert acceleration(BldcPump(), command=-500.0, speed=0.0) == pytest.approx(-1e4, rel=1e-15)
-
-
-def test_ideal_pump_follows_any_command_at_once():
-    assert output(BldcPump(ideal=True), "motor_speed", command=1e5) == 1e5
-
-
 # --------------------------------------------------------------- torque, current and supply
 
 DRY = {"viscous_torque_n_m_s_per_rad": 0.0}
@@ -173,17 +132,6 @@ GEARED = 0.8e-6 / (2.0 * math.pi) / 6.0  # torque at the motor per pressure of t
 
 def limited(**values):
     return BldcPump(motor=MotorParameters(**values))
-
-
-def test_a_motor_with_torque_adds_current_and_voltage(leaf):
-    structure, plain = leaf.structure(limited()), leaf.structure(BldcPump())
-    assert structure.inputs == plain.inputs | {"torque_off": 1, "dynamic_brake": 1}
-    assert structure.outputs == plain.outputs | {"motor_current": 1, "motor_voltage": 1}
-    assert structure.feedthrough - plain.feedthrough == {
-        (source, name) for source in structure.inputs for name in ("motor_current", "motor_voltage")
-    }
-    names = (*BldcPump().parameter_names, *MotorParameters.model_fields)
-    assert limited().parameter_names == names
 
 
 @pytest.mark.parametrize("supply", [4.0, 24.0])

@@ -39,18 +39,6 @@ def fixed(leg=(0.5, 0.0), knee=0.5, velocity=0.0, arm=0.1, slip=0.0):
     return system, context
 
 
-def test_ports_and_state(leaf):
-    for parameters, states in ((CuffParameters(), 0), (CuffParameters(**NUMBERS), 1)):
-        assert leaf.structure(Cuff(parameters)).continuous == states
-    structure = leaf.structure(Cuff(CuffParameters(**NUMBERS)))
-    assert structure.inputs == {name: len(ranges) for name, ranges in INPUTS.items()}
-    assert structure.outputs == {"interaction_torque": 1, "cuff_slip": 1, "interaction_power": 2}
-    assert structure.discrete == []
-    assert structure.feedthrough == {
-        (name, port) for name in INPUTS for port in ("interaction_torque", "interaction_power")
-    }
-
-
 @pytest.mark.parametrize("ranges", [INPUTS, FAR], ids=["elastic", "slips"])
 def test_conversions_agree_and_keep_arguments_and_changes(leaf, ranges):
     probe = leaf.Probe(Cuff(CuffParameters(**NUMBERS)), ranges, STATE)

@@ -12,7 +12,6 @@ from kneexo.geometry.linkage import rod_extension
 from kneexo.parameters import (
     G1,
     G2,
-    G3,
     LINKAGES,
     TABLE_1_LINKAGES,
     KneeParameters,
@@ -63,32 +62,6 @@ def travel(start, end, seconds):
 def advance_by_steps(simulator, times):
     for time in times:
         simulator.AdvanceTo(time)
-
-
-# ------------------------------------------------------------------------------ structure
-
-
-def test_ports_are_stateless_and_fed_through(leaf):
-    structure = leaf.structure(FourBarKnee())
-    assert structure.inputs == {"rod_extension": 1}
-    assert structure.outputs == OUTPUTS
-    assert (structure.continuous, structure.discrete) == (0, [])
-    assert structure.feedthrough == {("rod_extension", name) for name in OUTPUTS}
-
-
-def test_parameters_are_links_and_scaling_and_three_groups_of_coefficients():
-    knee = KneeParameters(flexion_min_deg=5.0, flexion_max_deg=80.0, overshoot_deg=0.1)
-    system = FourBarKnee(G3, knee)
-    context = system.CreateDefaultContext()
-    values = system.parameters(context)._asdict()
-    links = ("o_a_x_m", "o_a_y_m", "o_b_x_m", "o_b_y_m", "a_3_m", "a_4_m", "phi_rad")
-    assert [values.pop(name) for name in links] == [getattr(G3, name) for name in links]
-    assert values.pop("flexion_min_rad") == pytest.approx(math.radians(5.0), rel=1e-15)
-    assert values.pop("flexion_max_rad") == pytest.approx(math.radians(80.0), rel=1e-15)
-    assert values.pop("overshoot_rad") == pytest.approx(math.radians(0.1), rel=1e-15)
-    assert list(values) == ["dead_centre_m", "centre", "half_width"]
-    groups = range(1, context.num_numeric_parameter_groups())
-    assert [context.get_numeric_parameter(i).size() for i in groups] == [26, 26, 26]
 
 
 # ----------------------------------------------------------------------------- conversion

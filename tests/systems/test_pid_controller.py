@@ -73,32 +73,6 @@ def written_out(error, rod_velocity, state, limit=LIMIT, gain=SPEED_GAIN, dt=T):
     ]
 
 
-# ------------------------------------------------------------------------------ structure
-
-
-def test_held_command_has_no_direct_feedthrough(leaf):
-    structure = leaf.structure(PidController())
-    assert structure.inputs == {"knee_angle": 1, "knee_reference": 4, "rod_reference": 4}
-    assert structure.outputs == {"motor_speed_command": 1}
-    assert (structure.continuous, structure.discrete) == (0, [3])
-    assert structure.feedthrough == set()
-
-
-def test_command_is_renewed_every_2_ms_or_as_given():
-    for values, period in (({}, 0.002), ({"sample_time_s": 0.001}, 0.001)):
-        system = PidController(PidParameters(**values))
-        for converted in (system, system.ToAutoDiffXd(), system.ToSymbolic()):
-            timing = converted.GetUniquePeriodicDiscreteUpdateAttribute()
-            assert (timing.period_sec(), timing.offset_sec()) == (period, 0.0)
-
-
-def test_parameters_have_these_names_and_values():
-    system = PidController(PidParameters(**GAINS))
-    values = system.parameters(system.CreateDefaultContext())._asdict()
-    expected = GAINS | {"command_limit_rad_s": LIMIT, "speed_gain_rad_per_m": SPEED_GAIN}
-    assert values == pytest.approx(expected, rel=1e-6)  # seven printed digits of the area
-
-
 # ----------------------------------------------------------------------------- conversion
 
 
@@ -149,10 +123,6 @@ def test_proportional_gain_of_5_per_s_is_6477_rad_per_s_per_rad():
     assert settled(PidController(), -0.01) == pytest.approx(-command, rel=1e-12)
 
 
-def test_knee_at_the_reference_stands_still():
-    assert list(update(PidController(), 0.5, 0.5)) == [0.0, 0.0, 0.0]
-
-
 def test_command_gain_follows_gear_area_and_displacement():
     plant = PlantParameters(
         pump=BldcPumpParameters(gear_ratio=3.0, displacement_m3_per_rad=2e-7),
@@ -175,14 +145,6 @@ def test_command_stays_within_its_limit_both_ways(limit):
     system = PidController(PidParameters(command_limit_rad_s=limit))
     assert settled(system, 1.0) == pytest.approx(-limit, rel=1e-15)
     assert settled(system, -1.0) == pytest.approx(limit, rel=1e-15)
-
-
-def test_integral_of_an_unlimited_error_grows_by_gain_times_error_times_period():
-    system = PidController(PidParameters(integral_per_s2=20.0))
-    state = np.zeros(3)
-    for _ in range(10):
-        state = update(system, 0.5, 0.501, state=state)
-    assert state[1] == pytest.approx(10 * T * 20.0 * 0.001, rel=1e-10)
 
 
 def test_back_calculation_keeps_the_integral_of_a_saturated_error_bounded():

@@ -73,59 +73,6 @@ def written_out(state, reference, *, signum=False):
     return (demand - f - k * switch) / (B_HAT * GEAR / 5.0)
 
 
-# ------------------------------------------------------------------------------ structure
-
-
-def test_held_command_has_no_direct_feedthrough(leaf):
-    structure = leaf.structure(SlidingModeController())
-    assert structure.inputs == {"estimated_state": 3, "rod_reference": 4}
-    assert structure.outputs == {"motor_speed_command": 1, "sliding_variable": 1}
-    assert (structure.continuous, structure.discrete) == (0, [1])
-    assert structure.feedthrough == {
-        ("estimated_state", "sliding_variable"), ("rod_reference", "sliding_variable"),
-    }  # fmt: skip
-
-
-def test_continuous_controller_has_no_state_and_feeds_through(leaf):
-    structure = leaf.structure(SlidingModeController(SlidingModeParameters(continuous=True)))
-    assert (structure.continuous, structure.discrete) == (0, [])
-    assert structure.feedthrough == {(i, o) for i in structure.inputs for o in structure.outputs}
-
-
-def test_command_is_renewed_every_2_ms_or_as_given():
-    for values, period in (({}, 0.002), ({"sample_time_s": 0.001}, 0.001)):
-        system = SlidingModeController(SlidingModeParameters(**values))
-        for converted in (system, system.ToAutoDiffXd(), system.ToSymbolic()):
-            timing = converted.GetUniquePeriodicDiscreteUpdateAttribute()
-            assert (timing.period_sec(), timing.offset_sec()) == (period, 0.0)
-
-
-def test_parameters_have_these_names_and_values():
-    system = SlidingModeController()
-    values = system.parameters(system.CreateDefaultContext())._asdict()
-    assert values == pytest.approx(
-        {
-            "lambda_per_s": 20.0,
-            "phi_m_s2": 3.2,
-            "eta_m_s3": 2.8e5,
-            **dict.fromkeys(UNCERTAIN, 0.0),
-            "mass_estimate_kg": M_HAT,
-            "gain_ratio": BETA,
-            "command_limit_rad_s": LIMIT,
-            "mean_area_m2": AREA,
-            "total_volume_m3": VOLUME,
-            "bulk_modulus_pa": BULK_MODULUS,
-            "damping_n_s_per_m": 0.05,
-            "stiffness_n_per_m": 0.0,
-            "gear_ratio": GEAR,
-            "displacement_m3_per_rad": DISPLACEMENT,
-        },
-        rel=1e-6,  # Table 2 prints seven digits of the area
-    )
-    assert values["gain_ratio"] == pytest.approx(1.134, abs=5e-4)  # √(b_max/b_min) > 1
-    assert values["mass_estimate_kg"] == pytest.approx(1.587, abs=5e-4)
-
-
 # ----------------------------------------------------------------------------- conversion
 
 

@@ -32,34 +32,6 @@ def run(system, positions):
     return np.array(estimates)
 
 
-# ------------------------------------------------------------------------------ structure
-
-
-@pytest.mark.parametrize(("kind", "states"), [(TrackingObserver, 3), (BackwardDifference, 2)])
-def test_estimate_feeds_the_measurement_through_and_remembers(leaf, kind, states):
-    structure = leaf.structure(kind())
-    assert (structure.inputs, structure.outputs) == (
-        {"measured_position": 1},
-        {"estimated_state": 3},
-    )
-    assert (structure.continuous, structure.discrete) == (0, [states])
-    assert structure.feedthrough == {("measured_position", "estimated_state")}
-
-
-@both
-def test_updates_come_every_2_ms_or_as_given(kind):
-    for system, period in ((kind(), 0.002), (kind(sample_time_s=0.005), 0.005)):
-        timing = system.GetUniquePeriodicDiscreteUpdateAttribute()
-        assert (timing.period_sec(), timing.offset_sec()) == (period, 0.0)
-
-
-def test_only_parameter_of_the_observer_is_its_time_constant():
-    system = TrackingObserver(ObserverParameters(time_constant_s=0.05))
-    values = system.parameters(system.CreateDefaultContext())._asdict()
-    assert values == {"time_constant_s": 0.05}
-    assert BackwardDifference().CreateDefaultContext().num_numeric_parameter_groups() == 0
-
-
 # ----------------------------------------------------------------------------- conversion
 
 

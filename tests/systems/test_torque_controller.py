@@ -7,7 +7,6 @@ from pydrake.systems.analysis import Simulator
 from diagramc import read_diagram
 from diagramc.c.plan import compensated_sums
 from diagramc.c.printer import FLOAT
-from kneexo.errors import ParameterError
 from kneexo.parameters import TorqueParameters
 from kneexo.systems import TorqueController
 
@@ -85,16 +84,7 @@ def update(system, state=(0.0, 0.0), **values):
     return system.EvalUniquePeriodicDiscreteUpdate(context).get_vector(0).CopyToVector()
 
 
-# ------------------------------------------------------------------------------ structure
-
-
-@pytest.mark.parametrize("mode", MODES)
-def test_command_is_held_without_direct_feedthrough(leaf, mode):
-    structure = leaf.structure(TorqueController(TorqueParameters(mode=mode)))
-    assert structure.inputs == {name: len(values) for name, values in ranges_of(mode).items()}
-    assert structure.outputs == {"motor_speed_command": 1, "desired_torque": 1}
-    assert (structure.continuous, structure.discrete) == (0, [2])
-    assert "motor_speed_command" not in {output for _, output in structure.feedthrough}
+# ----------------------------------------------------------------------------- conversion
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -201,16 +191,3 @@ def test_simulated_sequence_meets_the_difference_equations():
         state = written_out("zero_torque", force, 0.0, 0.8, [0.7, 0.0], state)
         held = system.GetOutputPort("motor_speed_command").Eval(context)[0]
         assert held == pytest.approx(state[0], rel=1e-6, abs=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("values", "line"),
-    [
-        ({"speed_feedforward": 1.1}, r"speed_feedforward = 1.1 is out of range: .*<= 1.*"),
-        ({"stiffness_n_m_per_rad": -1.0}, r".* = -1 N·m/rad is out of range: .*N·m/rad"),
-        ({"anti_windup_s": 0.001}, r"anti_windup_s = 0.001 s must be at least sample_time_s .*"),
-    ],
-)
-def test_parameter_out_of_range_is_refused_in_one_line(values, line):
-    with pytest.raises(ParameterError, match=rf"^TorqueParameters: {line}\Z"):
-        TorqueParameters(**values)
