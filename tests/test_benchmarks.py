@@ -258,6 +258,7 @@ def test_the_command_prints_every_row(tmp_path):
 
 @pytest.mark.slow(gate=0)
 def test_mutants_are_counted_and_tests_that_fail_anyway_say_nothing():
+    pytest.importorskip("mutmut", reason="needs pip install '.[mutation]'")
     module = "kneexo/systems/encoder_count.py"
     command = [sys.executable, BENCHMARKS / "mutation.py", module]
     for test, code, text in (

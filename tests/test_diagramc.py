@@ -1,7 +1,6 @@
 """diagramc is a package of its own: it knows no knee, and its tests need no other package."""
 
 import re
-import shutil
 import subprocess
 import sys
 import tomllib
@@ -14,15 +13,6 @@ from kneexo.version import __version__
 
 ROOT = Path(__file__).parents[1]
 FOLDER, TESTS = ROOT / "diagramc", ROOT / "tests" / "diagramc"
-CONFTEST = """
-import sys
-
-import hypothesis
-
-sys.modules["kneexo"] = None  # an import of it fails
-hypothesis.settings.register_profile("loaded machine", deadline=None)
-hypothesis.settings.load_profile("loaded machine")
-"""
 
 
 def project(folder):
@@ -67,25 +57,3 @@ def test_the_lines_of_its_readme_print_what_it_shows(tmp_path):
     command = [sys.executable, "-W", "error", "-c", blocks["python"]]
     ended = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert ended.stdout == blocks["text"], ended.stderr
-
-
-@pytest.mark.slow(gate=0)
-def test_a_copy_of_its_folder_passes_its_tests(tmp_path):
-    folder = tmp_path / "a copy"
-    ignore = shutil.ignore_patterns("__pycache__")
-    shutil.copytree(FOLDER, folder / "diagramc", ignore=ignore)
-    shutil.copytree(TESTS, folder / "tests", ignore=ignore)
-    (folder / "conftest.py").write_text(CONFTEST)
-    (folder / "pytest.ini").write_text("[pytest]\nmarkers = slow\n")
-    command = [sys.executable, "-m", "pytest", "-q", "--import-mode=importlib"]
-    environment = {"PATH": "/usr/local/bin:/usr/bin:/bin", "HOME": str(folder)}
-    environment |= {"PYTHONPATH": str(folder), "OPENBLAS_NUM_THREADS": "1"}
-    ended = subprocess.run(
-        [*command, "-m", "not slow", "-n", "2", "tests"],
-        cwd=folder,
-        env=environment | {"DIAGRAMC_LLVM_LEVEL": "0"},
-        capture_output=True,
-        text=True,
-    )
-    assert ended.returncode == 0, ended.stdout[-4000:]
-    assert int(re.search(r"(\d+) passed", ended.stdout)[1]) > 500

@@ -101,7 +101,9 @@ def test_every_page_is_in_the_table_of_contents():
     pages = {page.with_suffix("").resolve() for page in PAGES if DOCS in page.parents}
     generated = {page.with_suffix("") for page in DOCS.glob("*.rst")}  # from docstrings
     assert pages | generated == listed | {DOCS / "index"}
-    assert len(pages - {page.with_suffix("") for page in DOCS.glob("tutorials/*.md")}) <= 24
+    assert (
+        len(pages - {page.with_suffix("") for page in DOCS.glob("tutorials/*.md")}) <= 25
+    )  # one is moved.md
 
 
 def test_two_clicks_lead_from_the_first_page_to_every_page():

@@ -35,6 +35,7 @@ from kneexo.systems import (
     knee_reference,
     motor_temperature,
     reduced_cylinder,
+    torque_limited_pump,
 )
 from kneexo.systems.cylinder import EndStops
 from kneexo.systems.four_bar_knee import knee_kinematics
@@ -54,15 +55,30 @@ def make_plant(
 ) -> Diagram:
     """Build the plant, motor → cylinder → knee with load, as a purely continuous diagram.
 
-    Subsystems: ``motor`` (`BldcPump`), ``cylinder`` (`ReducedCylinder`, or `FullCylinder` with
-    ``full_order``), ``knee`` (`FourBarKnee`), unless the load is none, ``load`` (`KneeLoad`), with
-    temperatures of the motor, ``temperature`` (`MotorTemperature`) and, with a bypass, ``bypass``
-    (`BypassValve`).
-    Inputs: ``motor_speed_command`` (rad/s), ``disturbance_force`` (N, on the rod, positive opposes
-    extension), with a load ``knee_torque`` (N·m, positive flexes), with a bypass ``bypass`` (its
-    opening, 0 to 1), and with ``motor`` ``torque_off`` and ``dynamic_brake`` (1: on). All
-    but the command are zero if unconnected. Outputs: `PLANT_OUTPUTS`, and the `OPTIONAL_OUTPUTS` of
-    the parts that the plant has.
+    ===========  ====================================  ==================================
+    subsystem    leaf system                           exists
+    ===========  ====================================  ==================================
+    motor        `BldcPump`, or `TorqueLimitedPump`    always; the latter with ``motor``
+    cylinder     `ReducedCylinder`, or `FullCylinder`  always; the latter with ``full_order``
+    knee         `FourBarKnee`                         always
+    load         `KneeLoad`                            unless the load is none
+    temperature  `MotorTemperature`                    with ``thermal``
+    bypass       `BypassValve`                         with ``bypass``
+    ===========  ====================================  ==================================
+
+    =====================  =====  ==========================================  ==================
+    input port             unit   meaning                                     exists
+    =====================  =====  ==========================================  ==================
+    motor_speed_command    rad/s  motor side of the gear                      always
+    disturbance_force      N      on the rod, positive opposes extension      always
+    knee_torque            N·m    positive flexes                             with a load
+    torque_off             1      1: no current                               with ``motor``
+    dynamic_brake          1      1: shorted windings                         with ``motor``
+    bypass                 1      opening of the valve, 0 … 1                 with ``bypass``
+    =====================  =====  ==========================================  ==================
+
+    Each input but the command is zero if unconnected. Outputs: `PLANT_OUTPUTS`, and the
+    `OPTIONAL_OUTPUTS` of the parts that the plant has.
 
     The plant starts at rest with zero motor speed, and the pressures hold load and spring. In full
     order the lower of the two chamber pressures equals the pressure of the reservoir.
@@ -78,7 +94,6 @@ def make_plant(
     rod_polynomial
         Polynomials between knee angle and rod extension, which the plant uses if its ``rod_map`` is
         ``"polynomial"``.
-
     fault_names
         For subsystems by name, Context parameters that a fault can change. Such a subsystem has an
         input port for the changes, which the plant exports, such as ``motor_fault``.
@@ -164,7 +179,7 @@ def plant_parts(
     stroke, and `LinkageError` when the linkage cannot be assembled.
     """
     cylinder, full_order, load = parameters.cylinder, parameters.full_order, parameters.load
-    bypass, thermal = parameters.bypass, parameters.thermal
+    bypass, motor, thermal = parameters.bypass, parameters.motor, parameters.thermal
     rod_map = _rod_map(parameters, rod_polynomial)
     external_leakage = parameters.pump.external_leakage_m3_per_s_pa
 
@@ -175,6 +190,16 @@ def plant_parts(
             parameters, initial_knee_angle_rad, initial_offset_m, rod_polynomial
         )
         return (extension, 0.0, *_holding_pressures_pa(parameters, force))
+
+    def make_motor(**fault: Any) -> Any:
+        if motor is None:
+            return systems.BldcPump(parameters.pump, parameters.ideal_motor, **fault)
+        return systems.TorqueLimitedPump(parameters.pump, motor, thermal, **fault)
+
+    def motor_values() -> dict[str, float]:
+        if motor is None:
+            return bldc_pump.context_values(parameters.pump)
+        return torque_limited_pump.context_values(parameters.pump, motor, thermal)
 
     def make_cylinder(**fault: Any) -> Any:
         extension, _, *pressures = start()
@@ -206,10 +231,8 @@ def plant_parts(
     parts = [
         Part(
             "motor",
-            lambda **fault: systems.BldcPump(
-                parameters.pump, parameters.ideal_motor, parameters.motor, thermal, **fault
-            ),
-            lambda: bldc_pump.context_values(parameters.pump, parameters.motor, thermal),
+            make_motor,
+            motor_values,
             bldc_pump.state_variables(parameters.ideal_motor),
         ),
         Part(

@@ -37,8 +37,8 @@ def digest(paths: Iterable[Path]) -> str:
 def sources(folder: Path) -> list[Path]:
     """Return the files of kneexo that the loop of a scenario imports, directly or through others.
 
-    ``folder`` contains the package. The compiler is left out. So is ``kneexo/__init__.py``, which
-    names modules of all floors and imports none of them.
+    ``folder`` contains the package. ``kneexo/__init__.py`` is left out: the file names modules
+    of all floors and imports none of them.
     """
     found: dict[str, Path] = {}
     modules = [_START]
@@ -46,7 +46,7 @@ def sources(folder: Path) -> list[Path]:
         module = modules.pop()
         path = folder.joinpath(*module.split("."))
         path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
-        if module in (*found, "kneexo") or module.startswith("diagramc"):
+        if module in (*found, "kneexo"):
             continue
         if not path.is_file():  # a name inside a module
             continue

@@ -59,6 +59,7 @@ from kneexo.systems.state_estimator import (
 )
 from kneexo.systems.state_variable import StateVariable
 from kneexo.systems.torque_controller import TorqueController, TorqueController_
+from kneexo.systems.torque_limited_pump import TorqueLimitedPump, TorqueLimitedPump_
 from kneexo.systems.wearer_knee import WearerKnee, WearerKnee_
 
 __all__ = [
@@ -127,6 +128,8 @@ __all__ = [
     "StepKneeReference_",
     "TorqueController",
     "TorqueController_",
+    "TorqueLimitedPump",
+    "TorqueLimitedPump_",
     "TrackingObserver",
     "TrackingObserver_",
     "WearerKnee",

@@ -1,24 +1,15 @@
 """Shared: the helper of the benchmarks that compiles exported C, the example of a controller."""
 
 import importlib
-import importlib.util
 import shutil
-import sys
 from pathlib import Path
 
 import pytest
+from elsewhere import module_of
 
 from diagramc.c import build as c_build
 
 ROOT = Path(__file__).parents[2]
-
-
-def module_of(name, path):
-    """A module of a file that no package holds."""
-    spec = importlib.util.spec_from_file_location(name, path)
-    sys.modules[name] = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(sys.modules[name])
-    return sys.modules[name]
 
 
 fmus = module_of("fmus_elsewhere", ROOT / "tests/diagramc/fmu/conftest.py")

@@ -733,7 +733,9 @@ def test_equal_scenarios_give_equal_files(tmp_path, path):
     assert second.path == str(tmp_path / "b" / "knee_controller.fmu")
     assert Path(second.path).read_bytes() == first
     with zipfile.ZipFile(second.path) as archive:
-        assert re.search(rb'generationTool="kneexo \S+"', archive.read("modelDescription.xml"))
+        assert re.search(
+            rb'generationTool="kneexo \S+, diagramc \S+"', archive.read("modelDescription.xml")
+        )
     assert [file.name for file in sorted(tmp_path.iterdir())] == ["b"]
 
 

@@ -5,9 +5,8 @@ import pytest
 from pydrake.systems.analysis import Simulator
 
 from kneexo.errors import SimulationError
-from kneexo.parameters import BldcPumpParameters, MotorParameters
+from kneexo.parameters import BldcPumpParameters
 from kneexo.systems import BldcPump
-from kneexo.systems.bldc_pump import shaft_loss
 
 RPM = 2.0 * math.pi / 60.0
 LIMIT = 5000.0 * RPM
@@ -16,7 +15,6 @@ PARAMETERS = BldcPumpParameters(
     gear_ratio=5.0, internal_leakage_m3_per_s_pa=3e-13, external_leakage_m3_per_s_pa=4e-13
 )
 INPUTS = {"motor_speed_command": [(-600.0, 600.0)], "load_pressure": [(-3e6, 3e6)]}
-LIMITED_INPUTS = INPUTS | {"torque_off": [(0.0, 1.0)], "dynamic_brake": [(0.0, 1.0)]}
 
 
 def at(system, *, command=0.0, pressure=0.0, speed=0.0, **releases):
@@ -38,8 +36,8 @@ def acceleration(system, **values):
     return 1e3 * system.EvalTimeDerivatives(at(system, **values)).CopyToVector()[0]
 
 
-def response(command, times, pressure=0.0, speed=0.0, motor=None):
-    system = BldcPump(motor=motor)
+def response(command, times, pressure=0.0, speed=0.0):
+    system = BldcPump()
     simulator = Simulator(system, at(system, command=command, pressure=pressure, speed=speed))
     simulator.get_mutable_integrator().set_target_accuracy(1e-9)
     simulator.get_mutable_integrator().set_maximum_step_size(1e-3)
@@ -122,154 +120,6 @@ def test_speed_settles_at_the_limit_when_more_is_commanded():
 
 def test_pressure_does_not_slow_the_speed_controlled_motor():
     assert response(80.0, [0.02], pressure=3e6) == pytest.approx(response(80.0, [0.02]), rel=1e-15)
-
-
-# --------------------------------------------------------------- torque, current and supply
-
-DRY = {"viscous_torque_n_m_s_per_rad": 0.0}
-GEARED = 0.8e-6 / (2.0 * math.pi) / 6.0  # torque at the motor per pressure of the oil, in m³/rad
-
-
-def limited(**values):
-    return BldcPump(motor=MotorParameters(**values))
-
-
-@pytest.mark.parametrize("supply", [4.0, 24.0])
-def test_conversions_with_torque_agree_and_keep_arguments_and_changes(leaf, supply):
-    system = BldcPump(PARAMETERS, False, MotorParameters(supply_voltage_v=supply))
-    inputs = LIMITED_INPUTS | {"dynamic_brake": [(0.0, 0.4)]}  # braked, the voltage is zero
-    leaf.Probe(system, inputs, [(-0.3, 0.3)]).check_contract(11, inertia_kg_m2=3e-5)
-
-
-def test_random_points_meet_the_written_out_torque_current_and_voltage(leaf):
-    n = MotorParameters(
-        inertia_kg_m2=3e-5, torque_constant_n_m_per_a=0.05, resistance_ohm=0.4,
-        coulomb_torque_n_m=0.03, viscous_torque_n_m_s_per_rad=4e-5, friction_band_rad_s=40.0,
-        supply_voltage_v=15.0, current_limit_a=6.0,
-    )  # fmt: skip
-    probe = leaf.Probe(BldcPump(PARAMETERS, False, n), LIMITED_INPUTS, [(-0.5, 0.5)], spread=0.0)
-    limits = set()
-    for z in probe.points(100):
-        _, command, pressure, torque_off, brake, krad_s = z[:6]
-        speed = 1e3 * krad_s
-        wanted = min(max((min(max(command, -LIMIT), LIMIT) - speed) / 0.010, -1e4), 1e4)
-        load = 0.8e-6 / (2.0 * math.pi) * pressure / 5.0
-        load += 0.03 * math.tanh(speed / 40.0) + 4e-5 * speed
-        current = (3e-5 * wanted + load) / 0.05
-        limit = "none"
-        if abs(0.05 * speed + 0.4 * current) > 15.0:
-            limit = "supply"
-            current = (math.copysign(15.0, 0.05 * speed + 0.4 * current) - 0.05 * speed) / 0.4
-        if abs(current) > 6.0:
-            limit, current = "current", math.copysign(6.0, current)
-        if torque_off > 0.5:
-            limit, current = "torque off", 0.0
-        if brake > 0.5:
-            limit, current = "brake", -0.05 * speed / 0.4
-        limits.add(limit)
-        expected = [current, 0.05 * speed + 0.4 * current, 1e-3 * (0.05 * current - load) / 3e-5]
-        # The torque of the oil, up to 0.08 N·m, cancels in the acceleration.
-        np.testing.assert_allclose(probe.results(z)[-3:], expected, rtol=1e-9, atol=1e-12)
-    assert limits == {"none", "supply", "current", "torque off", "brake"}
-
-
-def test_within_its_limits_the_motor_follows_the_speed_loop():
-    for values in ({"command": 90.0, "speed": 30.0}, {"command": -200.0, "speed": -120.0}):
-        loaded = values | {"pressure": 2.5e6}
-        assert acceleration(limited(), **loaded) == pytest.approx(
-            acceleration(BldcPump(), **loaded), rel=1e-9
-        )
-
-
-def test_holding_a_pressure_takes_its_torque_over_the_torque_constant():
-    current = output(limited(), "motor_current", pressure=2.8e6)
-    assert current == pytest.approx(GEARED * 2.8e6 / 0.04, rel=1e-12)
-    assert current == pytest.approx(1.485, abs=1e-3)
-    assert output(limited(), "motor_voltage", pressure=2.8e6) == pytest.approx(0.15 * current)
-
-
-def test_a_part_of_the_current_makes_a_part_of_the_acceleration():
-    """One phase of three lost: 5 A. From rest, without oil: α = k_t i/J."""
-    rate = acceleration(limited(current_limit_a=5.0, inertia_kg_m2=4e-5), command=500.0)
-    assert rate == pytest.approx(0.04 * 5.0 / 4e-5, rel=1e-12)
-
-
-@pytest.mark.parametrize("supply", [12.0, 18.0])
-def test_a_sagging_supply_sets_the_speed_without_load(supply):
-    """U = k_t ω + R (T_c + b ω)/k_t."""
-    (speed,) = response(LIMIT, [0.5], motor=MotorParameters(supply_voltage_v=supply))
-    per_ohm = 0.04 / 0.15
-    expected = (supply * per_ohm - 0.01) / (0.04 * per_ohm + 1e-5)
-    assert speed == pytest.approx(expected, rel=1e-6)
-    assert speed < 0.9 * LIMIT
-
-
-def test_a_dead_motor_coasts_down_by_its_friction():
-    """J dω/dt = −T_c tanh(ω/ω_0) makes sinh(ω/ω_0) decay with the rate T_c/(J ω_0)."""
-    dead = MotorParameters(current_limit_a=0.0, **DRY)
-    times = np.array([0.01, 0.05, 0.1, 0.13])
-    speeds = response(0.0, times, speed=60.0, motor=dead)
-    expected = 10.0 * np.arcsinh(np.sinh(6.0) * np.exp(-0.01 / (2e-5 * 10.0) * times))
-    np.testing.assert_allclose(speeds, expected, rtol=1e-4)
-    viscous = MotorParameters(current_limit_a=0.0, coulomb_torque_n_m=0.0)
-    (slow,) = response(0.0, [0.5], speed=60.0, motor=viscous)
-    assert slow == pytest.approx(60.0 * math.exp(-1e-5 / 2e-5 * 0.5), rel=1e-5)
-
-
-def test_a_dead_motor_is_driven_by_the_oil():
-    rate = acceleration(limited(current_limit_a=0.0), command=0.0, pressure=2.0e6)
-    assert rate == pytest.approx(-GEARED * 2.0e6 / 2e-5, rel=1e-12)
-
-
-def test_without_torque_the_motor_is_a_dead_motor():
-    dead = limited(current_limit_a=0.0)
-    for speed in (-300.0, 100.0):
-        values = {"command": LIMIT, "pressure": 1e6, "speed": speed}
-        off = values | {"torque_off": 1.0}
-        assert acceleration(limited(), **off) == acceleration(dead, **values)
-        assert output(limited(), "motor_current", **off) == 0.0
-        assert output(limited(), "motor_voltage", **off) == pytest.approx(0.04 * speed)
-
-
-def test_the_dynamic_brake_is_a_viscous_damper_that_no_limit_or_command_weakens():
-    """J dω/dt = −(k_t²/R + b) ω: the current may exceed the limit of the drive."""
-    motor = MotorParameters(coulomb_torque_n_m=0.0, current_limit_a=0.0, supply_voltage_v=0.0)
-    values = {"command": LIMIT, "dynamic_brake": 1.0, "torque_off": 1.0, "speed": 300.0}
-    current = -0.04 * 300.0 / 0.15
-    found = output(BldcPump(motor=motor), "motor_current", **values)
-    assert found == pytest.approx(current, rel=1e-12)
-    assert output(BldcPump(motor=motor), "motor_voltage", **values) == pytest.approx(0.0, abs=1e-12)
-    rate = -(0.04**2 / 0.15 + 1e-5) / 2e-5
-    assert acceleration(BldcPump(motor=motor), **values) == pytest.approx(300.0 * rate, rel=1e-12)
-    released = values | {"dynamic_brake": 0.0}
-    assert acceleration(BldcPump(motor=motor), **released) == pytest.approx(-300.0 * 1e-5 / 2e-5)
-
-
-def test_at_5000_rpm_the_brake_takes_140_a():
-    current = output(limited(), "motor_current", speed=LIMIT, dynamic_brake=1.0)
-    assert current == pytest.approx(-140.0, rel=0.01)
-
-
-def test_the_oil_turns_a_braked_motor_at_the_speed_of_its_damping():
-    """Without friction ω = −D_m P_L R/(gear k_t²), 67 rpm at the relief pressure."""
-    torque = GEARED * 3.5e6
-    values = {"pressure": 3.5e6, "dynamic_brake": 1.0, "speed": -torque * 0.15 / 0.04**2}
-    assert values["speed"] == pytest.approx(-67.0 * RPM, rel=0.01)
-    rate = acceleration(BldcPump(motor=MotorParameters(coulomb_torque_n_m=0.0, **DRY)), **values)
-    assert rate == pytest.approx(0.0, abs=1e-12 * torque / 2e-5)
-
-
-def test_a_locked_shaft_takes_the_current_limit_and_hardly_turns():
-    """The friction of 10 N·m balances 0.6 N·m at ω_0 artanh(0.06), which is 6 rpm."""
-    (speed,) = response(LIMIT, [0.02], motor=MotorParameters(coulomb_torque_n_m=10.0, **DRY))
-    assert speed == pytest.approx(10.0 * math.atanh(0.06), rel=1e-4)
-    assert speed < 0.002 * LIMIT
-
-
-def test_friction_opposes_the_speed():
-    p = MotorParameters()
-    assert shaft_loss(500.0, p) == pytest.approx(0.01 + 0.005, rel=1e-9)
-    assert shaft_loss(-500.0, p) == -shaft_loss(500.0, p)
 
 
 # ------------------------------------------------------------------------------ bad input

@@ -20,7 +20,6 @@ from kneexo.parameters import (
     LawParameters,
     LegParameters,
     LoadCellParameters,
-    MotorParameters,
     PidParameters,
     SlidingModeParameters,
     ThermalParameters,
@@ -36,6 +35,7 @@ from kneexo.systems import (
     PidController,
     SlidingModeController,
     TorqueController,
+    TorqueLimitedPump,
     TrackingObserver,
     WearerKnee,
 )
@@ -59,12 +59,10 @@ CLASSES = {
     for name in systems.__all__
     if inspect.isclass(value := getattr(systems, name)) and issubclass(value, NamedLeaf)
 }
-MOTOR, BYPASS = MotorParameters(), BypassParameters()
 VARIANTS = {
     "BldcPump, ideal": lambda: BldcPump(ideal=True),
-    "BldcPump, torque": lambda: BldcPump(motor=MOTOR),
-    "BldcPump, warm": lambda: BldcPump(motor=MOTOR, thermal=ThermalParameters()),
-    "FullCylinder, bypass": lambda: FullCylinder(bypass=BYPASS),
+    "TorqueLimitedPump, warm": lambda: TorqueLimitedPump(thermal=ThermalParameters()),
+    "FullCylinder, bypass": lambda: FullCylinder(bypass=BypassParameters()),
     "Cuff, slips": lambda: Cuff(CuffParameters(slip_torque_n_m=20.0)),
     "KneeLoad, inertia": lambda: KneeLoad(KneeLoadParameters(inertia_kg_m2=0.1)),
     "LoadCell, noise": lambda: LoadCell(LoadCellParameters(seed=1)),

@@ -10,7 +10,7 @@ from kneexo.diagrams import make_plant
 from kneexo.export.firmware import export_firmware
 from kneexo.parameters import MotorParameters, PlantParameters, Scenario, ThermalParameters
 from kneexo.simulation import simulate
-from kneexo.systems import BldcPump, MotorTemperature
+from kneexo.systems import MotorTemperature, TorqueLimitedPump
 
 COLD = ThermalParameters()
 OWN = ThermalParameters(
@@ -69,7 +69,7 @@ def test_a_motor_at_the_temperature_of_the_air_stays_there():
 
 
 def warm_motor(winding_degc, *, motor=MotorParameters(), pressure=0.0, command=0.0, output):
-    system = BldcPump(motor=motor, thermal=COLD)
+    system = TorqueLimitedPump(motor=motor, thermal=COLD)
     context = system.CreateDefaultContext()
     system.GetInputPort("motor_speed_command").FixValue(context, command)
     system.GetInputPort("load_pressure").FixValue(context, pressure)
@@ -78,7 +78,7 @@ def warm_motor(winding_degc, *, motor=MotorParameters(), pressure=0.0, command=0
 
 
 def test_conversions_of_the_warm_motor_agree_and_keep_arguments_and_changes(leaf):
-    system = BldcPump(thermal=COLD, motor=MotorParameters())
+    system = TorqueLimitedPump(thermal=COLD, motor=MotorParameters())
     inputs = {
         "motor_speed_command": [(-600.0, 600.0)],
         "load_pressure": [(-3e6, 3e6)],

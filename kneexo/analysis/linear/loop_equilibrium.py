@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from pydrake.systems.analysis import Simulator
 
+import diagramc
 from diagramc import DiagramEquations, read_diagram
 from kneexo.analysis.linear.law_tangent import LawTangent
 from kneexo.analysis.linear.plant_linearization import MID_RANGE_DEG
@@ -208,10 +209,10 @@ def _rest(equations: DiagramEquations, start: Any, law: LawTangent | None) -> An
     A law that runs as Python is replaced by its linear form, until the loop rests where it holds.
     """
     if law is None:
-        return find_equilibrium(equations, start)
+        return diagramc.find_equilibrium(equations, start)
     for _ in range(_TANGENTS):
         law.set(equations.diagram, start)
-        rest = find_equilibrium(equations, start)
+        rest = diagramc.find_equilibrium(equations, start)
         before, after = (equations.state(context) for context in (start, rest))
         if np.allclose(before.continuous, after.continuous, rtol=1e-9, atol=1e-9) and np.allclose(
             before.discrete, after.discrete, rtol=1e-9, atol=1e-9

@@ -19,7 +19,6 @@ from diagramc import FmuParameter, Interface, export_fmu, write_fmu
 from diagramc.c import build, cross
 from diagramc.c.cross import PLATFORMS
 from diagramc.errors import CompilationError, OutputError
-from diagramc.root import ROOT
 
 TICK_S, STEPS = 0.01, 200
 START = (1.0, 0.0)
@@ -226,7 +225,7 @@ def test_a_failed_compiler_leaves_the_earlier_file(fmu, tmp_path, monkeypatch):
     """After the failure of a rename, too, nothing is left but the earlier file."""
     file = tmp_path / "lag.fmu"
     monkeypatch.setattr(build, "COMPILERS", ())
-    write_fmu(file, replace(fmu, tool=ROOT))
+    write_fmu(file, replace(fmu, description="first"))
     before = file.read_bytes()
     compiler = tmp_path / "bin" / "compiler"
     compiler.parent.mkdir()
@@ -236,7 +235,7 @@ def test_a_failed_compiler_leaves_the_earlier_file(fmu, tmp_path, monkeypatch):
         patch.setattr(build, "COMPILERS", (str(compiler),))
         patch.setattr(cross, "native_platform", lambda: "x86_64-linux")
         with pytest.raises(CompilationError, match=r"^compiler: no message$"):
-            write_fmu(file, replace(fmu, tool=f"{ROOT} 2"))
+            write_fmu(file, replace(fmu, description="second"))
     assert file.read_bytes() == before
 
     def fail(*_):
@@ -245,7 +244,7 @@ def test_a_failed_compiler_leaves_the_earlier_file(fmu, tmp_path, monkeypatch):
     monkeypatch.setattr(os, "replace", fail)
     for target in (file, tmp_path / "a" / "b" / "lag.fmu"):
         with pytest.raises(OutputError, match=r"cannot be written \(No space left on device\)"):
-            write_fmu(target, replace(fmu, tool=f"{ROOT} 2"))
+            write_fmu(target, replace(fmu, description="second"))
     assert file.read_bytes() == before
     assert sorted(tmp_path.iterdir()) == [compiler.parent, file]
 

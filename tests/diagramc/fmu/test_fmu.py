@@ -459,7 +459,7 @@ def test_archive(fmu):
 def test_token_follows_the_content(fmu, lag_source):
     others = [
         replace(fmu, fmi=5 - fmu.fmi),
-        replace(fmu, tool="another"),
+        replace(fmu, source=replace(fmu.source, tool="another 1.0")),
         replace(fmu, parameters=()),
         replace(fmu, starts={}),
         replace(fmu, source=lag_source(step_s=1e-3)),

@@ -11,7 +11,10 @@ import kneexo.view
 
 @pytest.mark.parametrize(
     "folder",
-    [Path(kneexo.view.__file__).parent / "web/vendor", Path(__file__).with_name("vendor")],
+    [
+        Path(kneexo.view.__file__).parent / "web/vendor",
+        Path(__file__).parents[2] / "page/web/vendor",
+    ],
     ids=["pages", "tests"],
 )
 def test_each_file_has_its_hash_and_nothing_else_lies_there(folder):
