@@ -175,11 +175,6 @@ def test_the_output_may_be_another_port(loops):
     assert rod.output_response(f) == pytest.approx(slope * loops["smc"].output_response(f))
 
 
-def test_a_frequency_of_zero_is_refused(loops):
-    with raises_one_line(LinearizationError, "must be > 0"):
-        loops["smc"].output_response([0.0, 1.0])
-
-
 @pytest.mark.parametrize("name", ["smc", "pid", "pid_tuned", "difference", "exact"])
 def test_the_bandwidth_is_the_first_crossing(loops, name):
     loop = loops[name]
