@@ -85,12 +85,6 @@ def test_conversions_keep_the_table_and_the_range_of_motion(leaf):
     assert largest_angle == pytest.approx(math.radians(80.0), rel=1e-15)
 
 
-def test_extracted_elements_equal_the_cached_kinematics():
-    outputs_at_10_cm = outputs(FourBarKnee(), 0.1)
-    single = [outputs_at_10_cm[n][0] for n in ("knee_angle", "encoder_angle", "moment_arm")]
-    assert list(outputs_at_10_cm["knee_kinematics"]) == single
-
-
 # -------------------------------------------------------------------------------- numbers
 
 
@@ -151,14 +145,6 @@ def test_knee_of_table_1_follows_eq_10_and_keeps_the_encoder_of_the_linkage(comp
     theta_4 = np.interp(np.radians(knee_deg), walk.knee_angle, walk.theta_4)
     # Linear interpolation over 8e-5 rad: its square over 8, times curvature.
     np.testing.assert_allclose(values["encoder_angle"][:, 0], theta_4, rtol=0.0, atol=1e-8)
-
-
-def test_extended_knee_has_the_rod_out_148_mm_and_flexion_draws_it_in():
-    system = FourBarKnee()
-    assert outputs(system, 0.148044)["knee_angle"] == pytest.approx([0.0], abs=2e-5)  # 0.5 µm / r
-    assert outputs(system, 0.002223)["knee_angle"] == pytest.approx(
-        [math.radians(90.001)], abs=2e-5
-    )
 
 
 # ------------------------------------------------------------------------------ bad input

@@ -2,7 +2,6 @@ import math
 
 import numpy as np
 import pytest
-from pydrake.autodiffutils import AutoDiffXd
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
@@ -13,10 +12,6 @@ from kneexo.systems import FullCylinder, ReducedCylinder
 from kneexo.systems.full_cylinder import (
     effective_bulk_modulus,
     holding_pressures,
-    makeup_flow,
-    opening,
-    relief_flow,
-    seal_friction,
 )
 
 # Lee et al. 2020, Tables 2 and 3: bore 20 mm, rod 10 mm.
@@ -147,20 +142,6 @@ def test_conversions_keep_the_initial_state():
     assert [value.value() for value in state.CopyToVector()] == [0.06, 0.0, 0.4, 0.7]
 
 
-@pytest.mark.parametrize("pressure", [-0.3e6, -0.1e6, 0.0, 0.1e6, 0.5e6])
-def test_valve_laws_keep_the_slope_in_autodiff(pressure):
-    def flow(p):
-        numbers = {"reservoir": 0.2e6, "conductance": 1e-10, "pilot_band": 4e5, "band": 3e5}
-        relieved = relief_flow(p, limit=0.1e6, conductance=1e-10, band=3e5)
-        return makeup_flow(p, 0.2e6, **numbers) - relieved
-
-    step = 10.0
-    slope = flow(AutoDiffXd(pressure, [1.0])).derivatives()[0]
-    difference = (flow(pressure + step) - flow(pressure - step)) / (2.0 * step)
-    # These pressures are the corners of the slope too, where differences err by step/band.
-    assert slope == pytest.approx(difference, rel=1e-4)
-
-
 # -------------------------------------------------------------------------------- numbers
 
 
@@ -272,22 +253,6 @@ def test_holding_pressures_balance_the_force_with_the_lower_line_at_the_reservoi
     assert (cap > rod_side) == (force > 0.2e6 * math.pi / 4.0 * 0.010**2)  # 15.7 N
 
 
-@pytest.mark.parametrize(
-    ("excess", "expected"), [(-1.0, 0.0), (0.0, 0.0), (1.0, 0.25), (2.0, 1.0), (7.0, 6.0)]
-)
-def test_opening_is_a_rounded_corner(excess, expected):
-    assert opening(excess, 2.0) == expected
-
-
-def test_makeup_valve_is_one_way_unless_piloted():
-    numbers = {"reservoir": 0.2e6, "conductance": 1e-10, "pilot_band": 1e4, "band": 1e4}
-    # Piloted: both ways. Not piloted: inflow only.
-    assert makeup_flow(0.3e6, 1e6, **numbers) == pytest.approx(-1e-5, rel=1e-12)
-    assert makeup_flow(0.1e6, 1e6, **numbers) == pytest.approx(1e-5, rel=1e-12)
-    assert makeup_flow(0.3e6, 0.1e6, **numbers) == 0.0
-    assert makeup_flow(0.1e6, 0.05e6, **numbers) == pytest.approx(0.95e-5, rel=1e-12)
-
-
 def test_air_softens_the_oil_most_at_low_pressure():
     def modulus(pressure, air):
         return effective_bulk_modulus(pressure, bulk_modulus=1.72e9, entrained_air=air)
@@ -299,16 +264,6 @@ def test_air_softens_the_oil_most_at_low_pressure():
     # Air alone at the atmosphere: n p_0, adiabatic.
     stiff = effective_bulk_modulus(0.0, bulk_modulus=1e30, entrained_air=1.0)
     assert stiff == pytest.approx(2.0 * 1.4 * 101_325.0, rel=1e-12)
-
-
-def test_friction_opposes_motion_and_falls_from_breakaway_to_coulomb():
-    def friction(v):
-        return seal_friction(v, coulomb=20.0, stribeck=15.0, stribeck_speed=0.01, band=1e-4)
-
-    assert friction(0.0) == 0.0
-    assert friction(1e-3) == pytest.approx(20.0 + 15.0 * math.exp(-0.01), rel=1e-8)
-    assert friction(1.0) == 20.0
-    assert friction(-0.01) == -friction(0.01)
 
 
 # --------------------------------------------------------------------------------- bypass

@@ -71,12 +71,6 @@ def test_weight_along_the_thigh_does_no_work_and_a_forward_thigh_bends_the_knee(
     assert force(forward, 0.1, 0.1) > 0.0 > force(forward, 0.5, 0.1)
 
 
-def test_torque_that_flexes_opposes_the_rod_by_torque_over_arm():
-    idle = KneeLoad(KneeLoadParameters(segment_mass_kg=0.0))
-    assert force(idle, 0.7, 0.1, torque=3.0) == pytest.approx(30.0, rel=1e-15)
-    assert force(idle, 0.7, 0.1, disturbance=12.0) == 12.0
-
-
 def test_work_of_the_weight_on_the_rod_is_its_loss_of_potential_energy():
     degrees = np.linspace(0.0, 90.0, 2001)
     x = 1e-3 * np.polyval(P_MM_DEG, degrees)

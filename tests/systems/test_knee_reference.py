@@ -128,11 +128,6 @@ def test_sine_is_40_minus_30_cosine_with_its_derivatives():
         np.testing.assert_allclose(reference(SineKneeReference(), t), expected, atol=1e-14)
 
 
-def test_sine_starts_at_rest_at_10_deg_and_peaks_at_70_deg():
-    assert reference(SineKneeReference(), 0.0)[:2] == rad(10.0, 0.0)
-    assert reference(SineKneeReference(), 5.0)[:2] == rad(70.0, 0.0)
-
-
 def test_a_ramp_starts_at_rest_at_the_mean_and_ends_in_the_sine():
     ramped = SineKneeReference(SineReference(ramp_s=4.0))
     assert reference(ramped, 0.0) == rad(40.0, 0.0, 0.0, 0.0)

@@ -133,20 +133,6 @@ def test_command_gain_follows_gear_area_and_displacement():
     assert command == pytest.approx(-5.0 * 0.1 * 0.01 * 3.0 * area / 2e-7, rel=1e-12)
 
 
-def test_feedforward_alone_commands_the_speed_of_the_reference():
-    system = PidController(PidParameters(velocity_feedforward=1.0))
-    command = update(system, rod_velocity=-0.02)[0]
-    # Continuity: gear · Ā · v / D_m.
-    assert command == pytest.approx(GEAR * AREA * -0.02 / DISPLACEMENT, rel=1e-6)
-
-
-@pytest.mark.parametrize("limit", [LIMIT, 50.0])
-def test_command_stays_within_its_limit_both_ways(limit):
-    system = PidController(PidParameters(command_limit_rad_s=limit))
-    assert settled(system, 1.0) == pytest.approx(-limit, rel=1e-15)
-    assert settled(system, -1.0) == pytest.approx(limit, rel=1e-15)
-
-
 def test_back_calculation_keeps_the_integral_of_a_saturated_error_bounded():
     k_p, k_i, t_t, error = 5.0, 20.0, 0.1, 0.3
     system = PidController(
@@ -190,14 +176,6 @@ def test_derivative_reads_the_slope_of_a_ramp_once_its_filter_has_settled():
     lag = T / (math.exp(T / 0.020) - 1.0)
     assert rate == pytest.approx(0.3 * slope * lag / 0.020, rel=1e-6)  # digits of the area
     assert lag == pytest.approx(0.020, rel=0.06)  # hence the slope itself, to half a period
-
-
-def test_filter_takes_a_single_encoder_count_from_the_proportional_term():
-    count = math.radians(0.046)
-    system = PidController()
-    first = update(system, 0.5, 0.5 + count)[0]
-    share = 1.0 - math.exp(-T / 0.020)
-    assert first == pytest.approx(share * settled(system, count), rel=1e-10)  # rounding of e
 
 
 def test_initial_error_gives_no_derivative_kick():

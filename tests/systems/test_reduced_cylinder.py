@@ -124,13 +124,6 @@ def test_simulator_with_its_defaults_meets_the_matrix_exponential():
     np.testing.assert_array_less(np.abs(state - exact), [1e-6, 1e-3, 1e-2])
 
 
-def test_pressure_that_carries_the_load_holds_the_rod_still():
-    system, force = ReducedCylinder(), 55.0
-    state = [0.05, 0.0, 1e-6 * force / AREA]
-    rates = system.EvalTimeDerivatives(at(system, force=force, state=state)).CopyToVector()
-    np.testing.assert_allclose(rates, 0.0, atol=1e-4)  # seven digits of the area, over 1.6 kg
-
-
 # ------------------------------------------------------------------------------ bad input
 
 

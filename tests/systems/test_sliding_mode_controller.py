@@ -145,27 +145,6 @@ def test_hydraulic_stiffness_and_gain_have_the_known_size():
     assert u == pytest.approx(GEAR * AREA * v / DISPLACEMENT, rel=1e-6)
 
 
-def test_saturation_is_linear_inside_the_boundary_layer_and_signum_is_not():
-    still = [0.075, 0.0, 0.0, 0.0]
-
-    def u(s, switching):
-        return command([0.075 + s / 400.0, 0.0, 0.0], still, switching=switching, **UNLIMITED)
-
-    full = u(32.0, "saturation")
-    shares = [u(s, "saturation") / full for s in (-32.0, -3.2, -1.6, 1.6, 3.2)]
-    assert shares == pytest.approx([-1.0, -1.0, -0.5, 0.5, 1.0], rel=1e-9)  # rounding of e
-    signs = [u(s, "signum") / full for s in (-32.0, -1e-3, 0.0, 1e-3, 32.0)]
-    assert signs == pytest.approx([-1.0, -1.0, 0.0, 1.0, 1.0], rel=1e-12)
-
-
-@pytest.mark.parametrize("limit", [LIMIT, 100.0])
-def test_command_stays_within_its_limit_both_ways(limit):
-    values = {"command_limit_rad_s": limit}
-    still = [0.075, 0.0, 0.0, 0.0]
-    assert command([0.15, -0.05, 0.0], still, PlantParameters(), **values) == pytest.approx(-limit)
-    assert command([0.0, 0.05, 0.0], still, PlantParameters(), **values) == pytest.approx(limit)
-
-
 @given(
     mass=st.floats(1.4, 1.8),
     state=st.tuples(st.floats(0.0, 0.15), st.floats(-0.05, 0.05), st.floats(-2.0, 2.0)),

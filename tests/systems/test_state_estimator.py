@@ -124,13 +124,6 @@ def test_differences_of_random_positions_are_the_written_out_ones():
     )
 
 
-def test_differences_lag_constant_acceleration_by_half_a_period():
-    times, a = T * np.arange(10), 0.8
-    estimates = run(BackwardDifference(), 0.5 * a * times**2)
-    np.testing.assert_allclose(estimates[2:, 1], a * (times[2:] - 0.5 * T), rtol=1e-11)
-    np.testing.assert_allclose(estimates[3:, 2], a, rtol=1e-8)  # 1e-17 m over T²
-
-
 # ------------------------------------------------------------------------- initialization
 
 

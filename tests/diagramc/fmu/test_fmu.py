@@ -468,18 +468,6 @@ def test_token_follows_the_content(fmu, lag_source):
     assert replace(fmu).token == fmu.token
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"fmi": 1}, "fmi = 1: must be one of 2, 3"),
-        ({"fmi": "3"}, "fmi = '3': must be one of 2, 3"),
-    ],
-)
-def test_wrong_descriptions_are_refused(fmu, changes, message):
-    with pytest.raises(CompilationError, match=message):
-        replace(fmu, **changes)
-
-
 def test_a_name_that_clashes_with_fmi_is_refused(fmu, lag_source):
     source = replace(lag_source(), name=f"FMI{fmu.fmi}")
     with pytest.raises(CompilationError, match=rf"^name = 'FMI{fmu.fmi}': is a prefix of FMI; "):
