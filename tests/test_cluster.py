@@ -78,10 +78,7 @@ SWEEPS = {
     "sinestream": (partial(sinestream, Scenario()), FEW_SINES),
     "bandwidth": (
         partial(bandwidth_study, Scenario()),
-        BandwidthSettings(
-            amplitudes_deg=(0.3, 3.0),
-            frequencies_hz=(2.5, 5.0, 12.5),
-        ),
+        BandwidthSettings(amplitudes_deg=(0.3, 3.0), frequencies_hz=(2.5, 5.0, 12.5)),
     ),
     "robustness": (
         partial(robustness_study, changed(UNCERTAIN_KNEE, QUICK), FEW),

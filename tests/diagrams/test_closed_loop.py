@@ -7,12 +7,7 @@ import pytest
 from loop_cases import COUNT, PERIOD, REFERENCE, UNQUANTIZED, logged
 from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
 
-from kneexo.diagrams import (
-    SIGNALS,
-    available_signals,
-    columns,
-    make_closed_loop,
-)
+from kneexo.diagrams import SIGNALS, available_signals, columns, make_closed_loop
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
     Cia402Parameters,

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from loop_cases import COUNT, OBSERVER, PERIOD, PID, REFERENCE, UNQUANTIZED, logged, sliding_mode
 
-from kneexo.diagrams import (
-    make_closed_loop,
-)
+from kneexo.diagrams import make_closed_loop
 from kneexo.parameters import (
     DifferenceParameters,
     EncoderParameters,
@@ -203,11 +201,7 @@ def both_loops(four_bar, fixed_step, loop, samples, step, *, quantized, delay=0)
     simulator = fixed_step(diagram, "runge_kutta5", step)
     simulator.AdvanceTo(samples * PERIOD)
     ours, _ = logged(
-        diagram,
-        simulator.get_context(),
-        scenario,
-        "rod_extension_m",
-        "motor_speed_command_rad_s",
+        diagram, simulator.get_context(), scenario, "rod_extension_m", "motor_speed_command_rad_s"
     )
     other = sampled_loop(
         four_bar,

@@ -334,8 +334,7 @@ def test_area_error_of_the_reduction_sets_the_tracking_error(force):
 )
 def test_loaded_chamber_sets_the_bandwidth(force, friction, frequencies, expected):
     plant = PlantParameters(
-        full_order=FullCylinderParameters(coulomb_friction_n=friction),
-        load=parameters(force).load,
+        full_order=FullCylinderParameters(coulomb_friction_n=friction), load=parameters(force).load
     )
     response = sinestream(
         Scenario(plant=plant),

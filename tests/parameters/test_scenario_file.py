@@ -39,12 +39,7 @@ from kneexo.parameters import (
     scenario_file,
 )
 from kneexo.parameters.fields.quantity import Parameters
-from kneexo.parameters.scenario_file import (
-    dump_scenario,
-    load_scenario,
-    read_value,
-    scenario_files,
-)
+from kneexo.parameters.scenario_file import dump_scenario, load_scenario, read_value, scenario_files
 from kneexo.studies.paper import IDEAL_SMC
 
 _KINDS = "'smc', 'pid', 'torque' or 'law'"

@@ -17,11 +17,7 @@ from kneexo.parameters import (
 from kneexo.simulation import simulate
 from kneexo.simulation.compiled import scenario_values
 from kneexo.systems import FullCylinder, ReducedCylinder
-from kneexo.systems.cylinder import (
-    EndStops,
-    start_extension,
-    stop_force,
-)
+from kneexo.systems.cylinder import EndStops, start_extension, stop_force
 
 BOTH = pytest.mark.parametrize("cylinder", [ReducedCylinder, FullCylinder])
 
@@ -192,12 +188,7 @@ def test_a_knee_that_falls_comes_to_rest_on_a_stop(torque, angle_deg):
         simulation={"duration_s": 2.0},
         faults=[
             {"place": "command", "kind": "scale", "size": 0.0, "start_s": 0.1},
-            {
-                "place": "plant.bypass.minimum_opening",
-                "kind": "value",
-                "size": 1.0,
-                "start_s": 0.1,
-            },
+            {"place": "plant.bypass.minimum_opening", "kind": "value", "size": 1.0, "start_s": 0.1},
         ],
     )
     run = simulate(falling)

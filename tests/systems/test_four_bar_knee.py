@@ -68,8 +68,7 @@ def advance_by_steps(simulator, times):
 
 
 @pytest.mark.parametrize(  # coordinates of zero have no relative step
-    "name",
-    [n if n == "G1" else pytest.param(n, marks=pytest.mark.slow) for n in TABLE_1_LINKAGES],
+    "name", [n if n == "G1" else pytest.param(n, marks=pytest.mark.slow) for n in TABLE_1_LINKAGES]
 )
 def test_conversions_agree_and_keep_arguments_and_changes(leaf, name):
     probe = leaf.Probe(FourBarKnee(LINKAGES[name]), INPUTS, spread=1e-3)

@@ -9,10 +9,7 @@ from diagramc import InputTable, compile_diagram
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import BypassParameters, CylinderParameters, FullCylinderParameters
 from kneexo.systems import FullCylinder, ReducedCylinder
-from kneexo.systems.full_cylinder import (
-    effective_bulk_modulus,
-    holding_pressures,
-)
+from kneexo.systems.full_cylinder import effective_bulk_modulus, holding_pressures
 
 # Lee et al. 2020, Tables 2 and 3: bore 20 mm, rod 10 mm.
 AREA_1, AREA_2 = math.pi / 4.0 * 0.020**2, math.pi / 4.0 * (0.020**2 - 0.010**2)

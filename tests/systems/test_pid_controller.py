@@ -7,12 +7,7 @@ from pydrake.systems.analysis import Simulator
 from diagramc import read_diagram
 from diagramc.c.plan import compensated_sums
 from diagramc.c.printer import FLOAT
-from kneexo.parameters import (
-    BldcPumpParameters,
-    CylinderParameters,
-    PidParameters,
-    PlantParameters,
-)
+from kneexo.parameters import BldcPumpParameters, CylinderParameters, PidParameters, PlantParameters
 from kneexo.systems import PidController
 
 # Lee et al. 2020, Tables 2 and 3.
@@ -66,11 +61,7 @@ def written_out(error, rod_velocity, state, limit=LIMIT, gain=SPEED_GAIN, dt=T):
     unlimited = gain * (0.7 * rod_velocity - 0.09 * rate)
     limited = min(max(unlimited, -limit), limit)
     surplus = (unlimited - limited) / (gain * 0.09)  # knee rate that the limit takes away, negative
-    return [
-        limited,
-        integral + dt * (30.0 * error + surplus / 0.05),
-        filtered,
-    ]
+    return [limited, integral + dt * (30.0 * error + surplus / 0.05), filtered]
 
 
 # ----------------------------------------------------------------------------- conversion

@@ -36,7 +36,7 @@ INSIDE = {  # of the boundary layer: |s| stays below 3.2 m/s²
     "rod_reference": [(0.0749, 0.0751), (-0.02, 0.02), (-0.5, 0.5), (-5.0, 5.0)],
 }
 OUTSIDE = {"estimated_state": [(0.0, 0.15), (-0.05, 0.05), (-1.0, 1.0)]} | {
-    "rod_reference": [(0.0, 0.15), (-0.05, 0.05), (-1.0, 1.0), (-5.0, 5.0)],
+    "rod_reference": [(0.0, 0.15), (-0.05, 0.05), (-1.0, 1.0), (-5.0, 5.0)]
 }
 UNLIMITED = {"command_limit_rad_s": 1e12}
 

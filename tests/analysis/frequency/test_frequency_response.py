@@ -6,10 +6,7 @@ from hypothesis import given, strategies as st
 
 from kneexo.analysis import Run, crossing, draw_trials, fundamental, sinestream
 from kneexo.analysis.frequency import frequency_response
-from kneexo.analysis.frequency.frequency_response import (
-    FrequencyResponse,
-    SinestreamSettings,
-)
+from kneexo.analysis.frequency.frequency_response import FrequencyResponse, SinestreamSettings
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
     BldcPumpParameters,

@@ -7,14 +7,7 @@ import control
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from linear_cases import (
-    SCENARIOS,
-    SPRING,
-    T,
-    plant_parameters,
-    raises_one_line,
-    sampled_loop,
-)
+from linear_cases import SCENARIOS, SPRING, T, plant_parameters, raises_one_line, sampled_loop
 
 from diagramc import loop_at
 from kneexo.analysis.linear.loop_equilibrium import find_equilibrium
@@ -22,11 +15,7 @@ from kneexo.analysis.linear.margins import stability_margins
 from kneexo.analysis.linear.sampled_loop import linearize_loop
 from kneexo.diagrams import make_closed_loop
 from kneexo.errors import LinearizationError
-from kneexo.parameters import (
-    PidParameters,
-    Scenario,
-    SlidingModeParameters,
-)
+from kneexo.parameters import PidParameters, Scenario, SlidingModeParameters
 from kneexo.parameters.paths import changed
 
 

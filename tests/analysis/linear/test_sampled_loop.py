@@ -6,15 +6,7 @@ import math
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from linear_cases import (
-    Matrices,
-    T,
-    delayed,
-    distance,
-    eq_27,
-    frequency_response,
-    raises_one_line,
-)
+from linear_cases import Matrices, T, delayed, distance, eq_27, frequency_response, raises_one_line
 from pydrake.symbolic import Variable, exp
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import SymbolicVectorSystem

@@ -130,9 +130,7 @@ def test_the_effect_of_a_wrong_place_is_known_at_the_best_place_alone(given):
 
 
 def test_the_frame_of_a_linkage_may_be_far_from_its_knee():
-    far = LinkageParameters(
-        **(HINGE.model_dump() | dict.fromkeys(("o_a_x_m", "o_b_x_m"), 0.9)),
-    )
+    far = LinkageParameters(**(HINGE.model_dump() | dict.fromkeys(("o_a_x_m", "o_b_x_m"), 0.9)))
     at = align(far)
     assert at.rms_mm == pytest.approx(align(HINGE).rms_mm, abs=1e-9)
     assert at.placement.position == pytest.approx(align(HINGE).placement.position - 0.9)

@@ -4,12 +4,7 @@ import math
 import numpy as np
 import pytest
 
-from kneexo.analysis.tracking.tracking import (
-    mean_change,
-    step_metrics,
-    track,
-    tracking_metrics,
-)
+from kneexo.analysis.tracking.tracking import mean_change, step_metrics, track, tracking_metrics
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import (
     BldcPumpParameters,

@@ -143,10 +143,7 @@ def _one_line(error):
             {"parameters": [FmuParameter("m", 1.0, ("pendulum.mass",), low=2.0, high=3.0)]},
             "m = 1: must be 2 … 3",
         ),
-        (
-            {"parameters": [FmuParameter("m", math.nan, ("pendulum.mass",))]},
-            "m = nan: must be ",
-        ),
+        ({"parameters": [FmuParameter("m", math.nan, ("pendulum.mass",))]}, "m = nan: must be "),
         ({"stop_s": math.inf}, "stop_s = inf s: must be finite and > 0 s"),
         ({"stop_s": "a"}, "stop_s = 'a': must be finite and > 0 s"),
         ({"platforms": 3}, "platforms = 3: must be all, or names of platforms"),

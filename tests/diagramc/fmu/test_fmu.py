@@ -11,9 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pydrake.systems.primitives import (
-    Sine,
-)
+from pydrake.systems.primitives import Sine
 
 import diagramc
 from diagramc import read_diagram, write_fmu

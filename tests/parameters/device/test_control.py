@@ -4,10 +4,7 @@ import math
 
 import pytest
 
-from kneexo.parameters import (
-    EncoderParameters,
-    PidParameters,
-)
+from kneexo.parameters import EncoderParameters, PidParameters
 
 
 def test_the_encoder_has_12_bits_unless_its_quantizer_is_bypassed() -> None:

@@ -4,11 +4,7 @@ import math
 
 import pytest
 
-from kneexo.parameters import (
-    BldcPumpParameters,
-    CylinderParameters,
-    RodPolynomialParameters,
-)
+from kneexo.parameters import BldcPumpParameters, CylinderParameters, RodPolynomialParameters
 
 
 def test_the_polynomials_are_those_of_table_1() -> None:

@@ -9,9 +9,7 @@ import pytest
 from pydantic import ValidationError
 
 from kneexo.errors import ParameterError
-from kneexo.parameters import (
-    Scenario,
-)
+from kneexo.parameters import Scenario
 from kneexo.parameters.fields.messages import one_line
 
 PYDANTIC = re.compile(
