@@ -278,11 +278,7 @@ def test_the_drive_receives_the_integers_of_the_simulated_loop(loop, networks):
         Scenario(),
         {
             "controller": controller,
-            "bus": {
-                "kind": "cia402",
-                "velocity_unit_rpm": unit_rpm,
-                "latency_samples": latency,
-            },
+            "bus": {"kind": "cia402", "velocity_unit_rpm": unit_rpm, "latency_samples": latency},
             "reference.frequency_hz": 0.2,
             "simulation.integrator": "radau3",
             "simulation.duration_s": SAMPLES * 0.002,

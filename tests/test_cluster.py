@@ -14,25 +14,20 @@ from functools import partial
 from unittest.mock import Mock
 
 import pytest
+from small_studies import SMALL
 from waiting import wait_for
 
-from kneexo import __version__
 from kneexo.analysis import sinestream
 from kneexo.analysis.frequency.frequency_response import SinestreamSettings
 from kneexo.command_line.main import main
 from kneexo.command_line.output import to_json
 from kneexo.errors import OutputError, WorkerError
 from kneexo.parameters import UNCERTAIN_KNEE, UNCERTAINTY, Scenario, UncertaintySet
-from kneexo.parameters.paths import changed
 from kneexo.parameters.uncertainty import draw
 from kneexo.studies.assessment import assess
-from kneexo.studies.bandwidth import BandwidthSettings, bandwidth_study
 from kneexo.studies.bandwidth.figures import plot_bode
-from kneexo.studies.contest import ContestSettings, contest_study
-from kneexo.studies.controller import ControllerSettings, controller_study
 from kneexo.studies.reproduce import reproduce_study
 from kneexo.studies.robustness import RobustnessSettings, assess_plant, robustness_study
-from kneexo.studies.size import SizeSettings, size_study
 from kneexo.studies.wearer import WearerSettings, wearer_study
 from kneexo.sweeps import parallel, parallel_map
 from kneexo.sweeps.checkpoint import Checkpoint
@@ -40,12 +35,6 @@ from kneexo.sweeps.parallel import dask_cluster
 
 REDUCED = UncertaintySet(
     values={path: one for path, one in UNCERTAINTY.values.items() if path != "plant.full_order"}
-)
-FEW = UncertaintySet(
-    values={
-        path: UNCERTAINTY.values[path]
-        for path in ("plant.cylinder.mass_kg", "plant.pump.lag_s", "bus.latency_samples")
-    }
 )
 
 # ---------------------------------------------------------------------- every sweep, anywhere
@@ -71,61 +60,10 @@ def _copied(text):
 FEW_SINES = SinestreamSettings(
     frequencies_hz=(8.0, 9.0, 10.0), trials=2, measured_cycles=1, transient_cycles=0
 )
-QUICK = {"simulation": {"duration_s": 0.5}, "reference": {"kind": "sine", "amplitude_deg": 1.0}}
-QUICK["reference"] |= {"frequency_hz": 4.0}
-SWEEPS = {
+SWEEPS = {name: (partial(study, of), settings) for name, (study, of, settings) in SMALL.items()}
+SWEEPS |= {
     "reproduce": (reproduce_study, FEW_SINES),
     "sinestream": (partial(sinestream, Scenario()), FEW_SINES),
-    "bandwidth": (
-        partial(bandwidth_study, Scenario()),
-        BandwidthSettings(
-            amplitudes_deg=(0.3, 3.0),
-            frequencies_hz=(2.5, 5.0, 12.5),
-        ),
-    ),
-    "robustness": (
-        partial(robustness_study, changed(UNCERTAIN_KNEE, QUICK), FEW),
-        RobustnessSettings(samples=2, corners_max=2, bandwidth=False, sensitivity_duration_s=0.0),
-    ),
-    "study controller": (
-        partial(controller_study, changed(Scenario(), QUICK)),
-        ControllerSettings(
-            lambdas_per_s=(20.0, 40.0),
-            phis_m_s2=(3.2,),
-            etas_m_s3=(2.8e5,),
-            step_duration_s=0.1,
-            fast_duration_s=0.5,
-            hold_duration_s=0.1,
-            limit_cycle_lambdas_per_s=(20.0,),
-            map_time_constants_s=(0.02,),
-            map_slopes_per_s=(1e4, 1e5),
-        ),
-    ),
-    "study contest": (
-        partial(contest_study, changed(UNCERTAIN_KNEE, QUICK), REDUCED),
-        ContestSettings(
-            training_samples=1,
-            test_samples=2,
-            optimizer_seeds=(1,),
-            population=5,
-            generations=1,
-            duration_s=0.5,
-            other_duration_s=0.5,
-        ),
-    ),
-    "size": (
-        size_study,
-        SizeSettings(
-            factors=(1.0, 2.0),
-            walking_factors=(1.0, 1.5),
-            stride_frequencies_hz=(1.0,),
-            lambda_per_s=(80.0,),
-            slope_per_s=(5e4,),
-            observer_s=(0.02,),
-            search_tolerance=0.1,
-            wearer_torques_n_m=(0.0,),
-        ),
-    ),
     "study wearer": (
         wearer_study,
         WearerSettings(
@@ -143,7 +81,7 @@ SWEEPS = {
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(n, marks=() if n == "study controller" else pytest.mark.slow) for n in SWEEPS],
+    [pytest.param(n, marks=() if n == "sinestream" else pytest.mark.slow) for n in SWEEPS],
 )
 def test_every_sweep_runs_on_the_callers_executor_alone(name, monkeypatch):
     sweep, settings = SWEEPS[name]
@@ -273,17 +211,6 @@ def test_a_worker_of_another_version_is_named(monkeypatch, answer, has):
         dask_cluster("tcp://s:1"),
     ):
         pass
-
-
-@pytest.mark.slow
-def test_dask_workers_need_this_version(cluster, monkeypatch):
-    monkeypatch.setattr(parallel, "__version__", "0.0.0")
-    with (
-        pytest.raises(WorkerError, match=rf"has kneexo {__version__}: must have kneexo 0.0.0") as e,
-        dask_cluster(cluster[0]),
-    ):
-        pass
-    assert "\n" not in str(e.value)
 
 
 @pytest.mark.slow

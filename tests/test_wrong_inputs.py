@@ -368,8 +368,3 @@ def test_a_call_in_python(directory, name):
     with pytest.raises((KneexoError, AttributeError)) as caught:
         call()
     assert_helps(str(caught.value), remedy)
-
-
-def test_the_inputs_are_many():
-    tables = (FILES, COMMANDS, OTHER_COMMANDS, CALLS)
-    assert sum(map(len, tables)) >= 60

@@ -6,9 +6,7 @@ from linear_cases import SCENARIOS, STABLE, eq_27
 from scipy.interpolate import CubicSpline
 
 from kneexo.analysis.linear.sampled_loop import linearize_loop
-from kneexo.parameters import (
-    G1,
-)
+from kneexo.parameters import G1
 
 
 @pytest.fixture(scope="module")

@@ -10,12 +10,7 @@ import pytest
 from kneexo.analysis import linearize_loop, responses, track
 from kneexo.analysis.responses import bode, linearize, step
 from kneexo.errors import LinearizationError, ParameterError
-from kneexo.parameters import (
-    PidParameters,
-    Scenario,
-    SlidingModeParameters,
-    StepReference,
-)
+from kneexo.parameters import PidParameters, Scenario, SlidingModeParameters, StepReference
 
 LOW = Scenario().changed({"reference": {"mean_deg": 25.0, "amplitude_deg": 5.0}})
 UNSTABLE = Scenario(controller=SlidingModeParameters(lambda_per_s=400.0))

@@ -7,12 +7,7 @@ import pytest
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LinearSystem, Multiplexer, PassThrough, ZeroOrderHold
 
-from diagramc import (
-    InputTable,
-    State,
-    compile_diagram,
-    simulate_with_feedback,
-)
+from diagramc import InputTable, State, compile_diagram, simulate_with_feedback
 from diagramc.errors import SimulationError
 
 T = 0.01

@@ -28,19 +28,8 @@ from pydrake.systems.primitives import (
 from pydrake.systems.scalar_conversion import TemplateSystem
 from pydrake.trajectories import PiecewisePolynomial
 
-from diagramc import (
-    InputTable,
-    State,
-    compile_by_key,
-    compile_diagram,
-    simulate_with_feedback,
-)
-from diagramc.errors import (
-    CompilationError,
-    ResultError,
-    SimulationError,
-    UnstableStepError,
-)
+from diagramc import InputTable, State, compile_by_key, compile_diagram, simulate_with_feedback
+from diagramc.errors import CompilationError, ResultError, SimulationError, UnstableStepError
 from diagramc.model import CompiledModel
 from diagramc.native.runner import Runner
 
@@ -597,12 +586,7 @@ def test_each_run_of_a_batch_has_its_own_outputs_that_are_not_finite(logarithm):
     latest = np.array([0.2, 0.055, 0.2, 0.3, -1.0, 0.3, 0.3, 0.035, 0.095, 0.2])
     start = State(np.ones(1), np.zeros(2))
     runs = logarithm.simulate_batch(
-        latest[:, None],
-        start,
-        0.1,
-        record_period_s=0.01,
-        failures="return",
-        threads=1,
+        latest[:, None], start, 0.1, record_period_s=0.01, failures="return", threads=1
     )
     for a, run in zip(latest, runs, strict=True):
         if a > 0.1:

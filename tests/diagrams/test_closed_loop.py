@@ -7,12 +7,7 @@ import pytest
 from loop_cases import COUNT, PERIOD, REFERENCE, UNQUANTIZED, logged
 from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
 
-from kneexo.diagrams import (
-    SIGNALS,
-    available_signals,
-    columns,
-    make_closed_loop,
-)
+from kneexo.diagrams import SIGNALS, available_signals, columns, make_closed_loop
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
     Cia402Parameters,
@@ -103,14 +98,6 @@ def test_subsystems_and_exported_ports_are_named(case):
     assert set(available_signals(scenario)) == set(outputs)
 
 
-def test_an_external_reference_is_an_input():
-    diagram = make_closed_loop(external_reference=True)
-    assert not diagram.HasSubsystemNamed("reference")
-    context = diagram.CreateDefaultContext()
-    diagram.GetInputPort("knee_reference").FixValue(context, [0.7, 0.1, 0.2, 0.3])
-    assert list(diagram.GetOutputPort("knee_reference").Eval(context)) == [0.7, 0.1, 0.2, 0.3]
-
-
 @pytest.mark.parametrize("case", STRUCTURES)
 def test_log_holds_the_columns_of_the_available_signals_in_order(case, fixed_step):
     scenario, *_ = STRUCTURES[case]
@@ -155,18 +142,6 @@ def test_pressures_and_valve_flows_of_the_full_order_are_logged_by_name(fixed_st
     # Without load the rod side carries: the knee flexes, A_1 hands out what A_2 does not take.
     assert run["cap_makeup_flow_m3_s"][-1] < -1e-8
     assert run["cap_relief_flow_m3_s"].max() == run["rod_side_relief_flow_m3_s"].max() == 0.0
-
-
-@pytest.mark.parametrize("name", sorted(FULL_ORDER_OUTPUTS))
-def test_reduced_order_has_no_chambers_to_log(name):
-    with pytest.raises(ParameterError, match=rf"^signal '{name}' .* plant.full_order = true$"):
-        make_closed_loop(signals=[name])
-
-
-def test_without_signals_there_is_no_log_but_every_output():
-    diagram = make_closed_loop(signals=())
-    assert {"signals", "log"}.isdisjoint(system.get_name() for system in diagram.GetSystems())
-    assert all(diagram.HasOutputPort(name) for name in OUTPUTS)
 
 
 @pytest.mark.slow
@@ -243,11 +218,6 @@ def test_a_fine_unit_gives_the_loop_without_rounding(controller):
     # The knee turns 1e-6 rad a unit and sample: rounding shows at 1 rpm, and a thousandth of it.
     assert errors[1.0] > 1e-7
     assert errors[0.001] < 0.01 * errors[1.0]
-
-
-def test_a_drive_needs_a_discrete_controller():
-    with pytest.raises(ParameterError, match=r"bus\.kind = cia402 with latency_samples = 0 needs"):
-        changed(IDEAL_SMC, {"bus": {"kind": "cia402", "latency_samples": 0}})
 
 
 # -------------------------------------------------------------------------- the paper's cases

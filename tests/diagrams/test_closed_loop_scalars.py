@@ -6,9 +6,7 @@ from loop_cases import OBSERVER, PERIOD, PID, UNQUANTIZED, sliding_mode
 from pydrake.autodiffutils import ExtractGradient, ExtractValue, InitializeAutoDiff
 from pydrake.symbolic import Expression
 
-from kneexo.diagrams import (
-    make_closed_loop,
-)
+from kneexo.diagrams import make_closed_loop
 from kneexo.parameters import (
     BldcPumpParameters,
     CylinderParameters,

@@ -17,12 +17,7 @@ from kneexo.analysis import linearize_loop, simulate, track
 from kneexo.diagrams import SIGNALS, make_closed_loop, make_controller
 from kneexo.diagrams.law import known_to_controller
 from kneexo.errors import ParameterError, SimulationError
-from kneexo.parameters import (
-    ExactParameters,
-    PidParameters,
-    PlantParameters,
-    Scenario,
-)
+from kneexo.parameters import ExactParameters, PidParameters, PlantParameters, Scenario
 from kneexo.parameters.paths import changed
 from kneexo.studies.assessment import assess
 from kneexo.systems import SlidingModeController

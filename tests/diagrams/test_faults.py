@@ -298,10 +298,7 @@ REFUSED = [
     ({"size": 5.0}, "size = 5 of kind = frozen: must be left out"),
     ({"place": "load_cell"}, r"faults\.0: place = load_cell: needs wearer.kind = leg or"),
     ({"place": "plant.pump.lag"}, r"faults\.0: plant.pump.lag: unknown name; did you mean"),
-    (
-        {"place": "encoder.phase_rad"},
-        "is unknown; must be encoder, load_cell, command, emer",
-    ),
+    ({"place": "encoder.phase_rad"}, "is unknown; must be encoder, load_cell, command, emer"),
     ({"place": "plant.ideal_motor"}, "is no number that can change during a run"),
     ({"place": LAG, "size": 50.0}, r"faults\.0: .*lag_s = 50 s is out of range"),
     ({"place": LAG, "size": 0.01}, "has no effect with size = 0.01; the value is 0.01 without"),

@@ -25,7 +25,7 @@ from kneexo.parameters import (
     SimulationParameters,
     SlidingModeParameters,
 )
-from kneexo.parameters.scenario_file import dump_scenario, load_scenario
+from kneexo.parameters.scenario_file import load_scenario
 from kneexo.simulation import simulate
 
 # Lee et al. 2020, Tables 2 and 3: bore 20 mm, rod 10 mm, 0.8 cm³/rev behind a gear of 6:1.
@@ -99,18 +99,6 @@ def test_full_order_drops_into_the_same_plant():
     for plant in plants:
         assert {s.get_name() for s in plant.GetSystems()} == {"motor", "cylinder", "knee"}
     assert [p.CreateDefaultContext().num_continuous_states() for p in plants] == [4, 5]
-
-
-def test_switch_is_off_by_default_and_loads_from_a_file(tmp_path):
-    assert Scenario().plant.full_order is None
-    file = tmp_path / "full.yaml"
-    file.write_text("plant: {full_order: {dead_volume_m3: 8e-6}}\n", encoding="utf-8")
-    plant = PlantParameters(full_order=FullCylinderParameters(dead_volume_m3=8e-6))
-    assert load_scenario(file) == Scenario(plant=plant)
-    file.write_text(dump_scenario(Scenario(plant=plant)), encoding="utf-8")
-    assert load_scenario(file) == Scenario(plant=plant)
-    file.write_text("plant: {full_order: ~}\n", encoding="utf-8")
-    assert load_scenario(file) == Scenario()
 
 
 def test_pump_s_external_leakage_reaches_both_lines():
@@ -346,8 +334,7 @@ def test_area_error_of_the_reduction_sets_the_tracking_error(force):
 )
 def test_loaded_chamber_sets_the_bandwidth(force, friction, frequencies, expected):
     plant = PlantParameters(
-        full_order=FullCylinderParameters(coulomb_friction_n=friction),
-        load=parameters(force).load,
+        full_order=FullCylinderParameters(coulomb_friction_n=friction), load=parameters(force).load
     )
     response = sinestream(
         Scenario(plant=plant),

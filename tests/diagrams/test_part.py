@@ -27,10 +27,6 @@ def test_a_part_starts_in_the_units_of_the_context():
     assert two_states(lambda: (0.5, 3e6)).start_state() == [0.5, 3.0]
 
 
-def test_a_part_without_start_begins_at_zero():
-    assert two_states(None).start_state() == [0.0, 0.0]
-
-
 def test_each_state_needs_a_start():
     with pytest.raises(ValueError, match="zip"):
         two_states(lambda: (0.5,)).start_state()

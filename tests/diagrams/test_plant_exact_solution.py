@@ -151,8 +151,7 @@ def test_linearized_poles_with_spring_and_all_leakages_solve_the_cubic():
     k = 4.0 * n["bulk"] / n["volume"]
     c = k * (n["c_im"] + 0.5 * n["c_em"] + n["c_l"])
     cubic = np.polyadd(
-        np.polymul([n["mass"], n["damping"], n["stiffness"]], [1.0, c]),
-        [k * n["area"] ** 2, 0.0],
+        np.polymul([n["mass"], n["damping"], n["stiffness"]], [1.0, c]), [k * n["area"] ** 2, 0.0]
     )
     expected = np.sort_complex([*np.roots(cubic), -1.0 / n["lag"]])
     # 1e-8 1/s of 500: as above.

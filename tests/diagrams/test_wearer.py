@@ -155,11 +155,7 @@ def test_assistance_takes_its_share_of_the_moment_from_the_leg(four_bar):
 
 @pytest.mark.slow
 def test_a_virtual_spring_carries_leg_and_exoskeleton(four_bar):
-    leg = {
-        "motion": "passive",
-        "loss_modulus_n_m_per_rad": 0.0,
-        "neutral_angle_rad": 0.5,
-    }
+    leg = {"motion": "passive", "loss_modulus_n_m_per_rad": 0.0, "neutral_angle_rad": 0.5}
     law = {"kind": "torque", "mode": "impedance", "stiffness_n_m_per_rad": 100.0}
     case = scenario(
         wearer=leg,
@@ -219,11 +215,7 @@ def test_the_inertia_of_a_shank_needs_lower_gains_and_a_slower_load_cell():
             r"controller.mode = assist needs wearer.moment; add a wearer",
         ),
         (
-            {
-                "plant": LOADED,
-                "wearer": "leg",
-                "controller": {"kind": "torque", "mode": "assist"},
-            },
+            {"plant": LOADED, "wearer": "leg", "controller": {"kind": "torque", "mode": "assist"}},
             r"controller.mode = assist needs wearer.moment; add gait, a table, .*",
         ),
         (

@@ -22,13 +22,7 @@ pytestmark = pytest.mark.slow  # compilers, analysers and emulators
 FUZZ_C = Path(__file__).with_name("fuzz.c")
 WARNINGS = ("-Wall", "-Wextra", "-Wconversion", "-Wdouble-promotion", "-Wpedantic", "-Werror")
 COMPILERS = {
-    "gcc": (
-        "gcc",
-        "-std=c99",
-        "-O2",
-        *WARNINGS,
-        "-c",
-    ),  # -O2: data flow
+    "gcc": ("gcc", "-std=c99", "-O2", *WARNINGS, "-c"),  # -O2: data flow
     "clang": ("clang", "-std=c99", *WARNINGS, "-fsyntax-only"),
 }
 SANITIZERS = ("-g", "-O1", "-ffp-contract=off", "-fno-sanitize-recover=all")

@@ -465,10 +465,7 @@ def test_two_controllers_link_into_one_program(tmp_path, tool):
 
 @pytest.mark.slow
 @needs_compiler
-@pytest.mark.parametrize(
-    ("precision", "fails"),
-    [("float", True), ("double", False)],
-)
+@pytest.mark.parametrize(("precision", "fails"), [("float", True), ("double", False)])
 def test_a_replay_that_differs_is_reported(tmp_path, capsys, precision, fails, no_targets):
     """In float the loop reads another count sooner or later."""
     options = ["--what", "loop", "--precision", precision, "--json"]

@@ -205,10 +205,7 @@ def test_scenario_parameters_are_those_of_kneexo_params(what, scenario, count):
 @pytest.mark.parametrize("what", WHAT)
 @pytest.mark.parametrize(
     "scenario",
-    [
-        pytest.param(PAPER, id="paper"),
-        pytest.param(LOADED, id="loaded", marks=pytest.mark.slow),
-    ],
+    [pytest.param(PAPER, id="paper"), pytest.param(LOADED, id="loaded", marks=pytest.mark.slow)],
 )
 def test_each_context_parameter_has_one_master_with_its_value(what, scenario):
     fmu = make_fmu(scenario, what)

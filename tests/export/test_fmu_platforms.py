@@ -10,12 +10,7 @@ from kneexo.command_line.main import main
 from kneexo.diagrams import SIGNALS
 from kneexo.export.fmu import export_fmu
 from kneexo.export.target import largest_step_s
-from kneexo.parameters import (
-    KneeLoadParameters,
-    PlantParameters,
-    Scenario,
-    SimulationParameters,
-)
+from kneexo.parameters import KneeLoadParameters, PlantParameters, Scenario, SimulationParameters
 from kneexo.parameters.paths import changed
 from kneexo.parameters.presets import with_preset
 from kneexo.simulation.compiled import simulate_compiled

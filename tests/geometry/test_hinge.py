@@ -13,8 +13,7 @@ from kneexo.simulation import simulate
 
 def with_hinge(preset, duration_s):
     return changed(
-        Scenario.preset(preset),
-        {"plant.linkage": HINGE, "simulation.duration_s": duration_s},
+        Scenario.preset(preset), {"plant.linkage": HINGE, "simulation.duration_s": duration_s}
     )
 
 

@@ -186,8 +186,7 @@ def test_g1_spans_992_encoder_counts():
 
 
 @pytest.mark.parametrize(
-    ("name", "first", "last"),
-    [("G1", 0.046, 0.213), ("G2", 0.047, 0.216), ("G3", 0.046, 0.081)],
+    ("name", "first", "last"), [("G1", 0.046, 0.213), ("G2", 0.047, 0.216), ("G3", 0.046, 0.081)]
 )
 def test_knee_angle_per_encoder_count_has_the_known_range(name, first, last):
     at = pose(LINKAGES[name], RANGE)

@@ -98,10 +98,7 @@ def test_a_joint_effect_that_no_pair_shows_is_an_error():
 
 @pytest.mark.slow
 @settings(max_examples=30)
-@given(
-    st.lists(st.floats(-5.0, 5.0), min_size=8, max_size=8),
-    st.floats(0.1, 2.0),
-)
+@given(st.lists(st.floats(-5.0, 5.0), min_size=8, max_size=8), st.floats(0.1, 2.0))
 def test_any_function_that_is_linear_in_two_and_smooth_in_a_third(k, rate):
     def function(a, b, c):
         smooth = [math.cos(rate * b), b, b * b, 1.0]

@@ -173,10 +173,7 @@ def test_a_cuff_too_stiff_for_the_page_is_refused_with_the_most_it_follows():
         ),
         (
             "paper",
-            {
-                "plant.motor": {"inertia_kg_m2": 2e-7},
-                "protection": {"safe_state": "dynamic_brake"},
-            },
+            {"plant.motor": {"inertia_kg_m2": 2e-7}, "protection": {"safe_state": "dynamic_brake"}},
             "plant.motor.inertia_kg_m2",
             0.04**2 / (0.15 * 2.7 * 15 / 0.002),
         ),

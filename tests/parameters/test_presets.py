@@ -9,7 +9,6 @@ import pytest
 
 from kneexo.analysis import linearize_loop, linearize_plant, simulate, track
 from kneexo.analysis.wearer.coupling import coupled_loop
-from kneexo.errors import ParameterError, ScenarioError
 from kneexo.parameters import Cia402Parameters, KneeLoadParameters, NoBus, NoLoad, Scenario
 from kneexo.parameters.criteria import SOUND_DISK_MARGIN
 from kneexo.parameters.paths import changed
@@ -86,29 +85,6 @@ def test_values_of_one_scenario_do_not_reach_the_next():
     values = with_preset("leg", {"plant": {"full_order": {"dead_volume_m3": 1e-5}}})
     values["plant"]["load"]["segment_mass_kg"] = 9.0
     assert Scenario.preset("leg") == LEG
-
-
-@pytest.mark.parametrize(
-    ("name", "hint"), [("lag", "; did you mean leg?"), ("x", ""), (3, ""), (None, "")]
-)
-def test_a_wrong_name_lists_the_presets(name, hint):
-    with pytest.raises(ParameterError) as caught:
-        Scenario.preset(name)
-    assert (
-        str(caught.value)
-        == f"preset = '{name}': must be paper, bench, leg, wearer or protected{hint}"
-    )
-
-
-def test_a_wrong_name_in_a_file_has_its_line(load):
-    with pytest.raises(ScenarioError, match=r"scenario\.yaml:2: preset = 'lag': must be paper, b"):
-        load("bus: {kind: none}\npreset: lag")
-
-
-def test_a_preset_is_no_value_of_a_scenario():
-    """A preset would replace what the scenario has, or would be replaced by it, in silence."""
-    with pytest.raises(ParameterError, match="preset: unknown name"):
-        changed(Scenario(), {"preset": "leg"})
 
 
 def test_the_friction_is_four_percent_of_the_rated_pressure():

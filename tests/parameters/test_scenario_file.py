@@ -28,25 +28,18 @@ from kneexo.parameters import (
     NoWearer,
     PidParameters,
     PlantParameters,
-    RampReference,
     RodPolynomialParameters,
     SampledReference,
     Scenario,
     SimulationParameters,
     SineReference,
     SlidingModeParameters,
-    StepReference,
     ThermalParameters,
     TorqueParameters,
     scenario_file,
 )
 from kneexo.parameters.fields.quantity import Parameters
-from kneexo.parameters.scenario_file import (
-    dump_scenario,
-    load_scenario,
-    read_value,
-    scenario_files,
-)
+from kneexo.parameters.scenario_file import dump_scenario, load_scenario, read_value, scenario_files
 from kneexo.studies.paper import IDEAL_SMC
 
 _KINDS = "'smc', 'pid', 'torque' or 'law'"
@@ -150,37 +143,6 @@ def test_every_section_loads_and_the_rest_is_default(file: File) -> None:
     )
 
 
-@pytest.mark.parametrize("section", Scenario.model_fields)
-def test_each_section_loads_from_its_own_dump(file: File, section: str) -> None:
-    text = dump_scenario(IDEAL_SMC.model_copy(update={"nominal": PlantParameters(linkage=G2)}))
-    whole = yaml.safe_load(text)
-    part = {section: whole[section]}
-    if section == "controller":  # continuous, which needs exact states
-        part["estimator"] = whole["estimator"]
-    loaded = file.load(yaml.safe_dump(part))
-    expected = G2 if section == "nominal" else getattr(IDEAL_SMC, section)
-    value = loaded.nominal.linkage if section == "nominal" else getattr(loaded, section)
-    assert value == expected
-
-
-@pytest.mark.parametrize(
-    ("text", "section", "value"),
-    [
-        ("controller: {kind: smc, lambda_per_s: 30}", "controller", {"lambda_per_s": 30.0}),
-        ("controller: {lambda_per_s: 30}", "controller", {"lambda_per_s": 30.0}),
-        ("controller: {kind: pid}", "controller", PidParameters()),
-        ("controller: {kind: pid, derivative: 1}", "controller", PidParameters(derivative=1.0)),
-        ("reference: {kind: step, end_deg: 45}", "reference", StepReference(end_deg=45.0)),
-        ("reference: {kind: ramp}", "reference", RampReference()),
-    ],
-)
-def test_kind_chooses_the_class_and_the_default_is_implied(
-    file: File, text: str, section: str, value: Parameters | dict[str, float]
-) -> None:
-    expected = SlidingModeParameters(**value) if isinstance(value, dict) else value
-    assert getattr(file.load(text), section) == expected
-
-
 @pytest.mark.parametrize(
     ("scalar", "value"),
     [
@@ -228,32 +190,8 @@ NO_PART = "has no value: must be a mapping of names to values, such as {%s: …}
             "must be finite and >= 0.01 and <= 1000 kg",
         ),
         (
-            "plant:\n  cylinder:\n    mass_kg: .inf\n",
-            "3: plant.cylinder.mass_kg = inf kg is out of range: "
-            "must be finite and >= 0.01 and <= 1000 kg",
-        ),
-        (
-            "plant:\n  cylinder:\n    mass_kg: .NaN\n",
-            "3: plant.cylinder.mass_kg = nan kg is out of range: "
-            "must be finite and >= 0.01 and <= 1000 kg",
-        ),
-        (
             "plant:\n  cylinder: {stroke_m: 0.1,\n    mass_kg: heavy}\n",
             "3: plant.cylinder.mass_kg = 'heavy': must be a number, >= 0.01 and <= 1000 kg",
-        ),
-        (
-            "bus: {latency_samples: 1}\nencoder:\n  quantized: 1\n",
-            "3: encoder.quantized = 1: must be true or false",
-        ),
-        (
-            "bus: {latency_samples: 1.5}\n",
-            "1: bus.latency_samples = 1.5 samples: must be a whole number, >= 0 and <= 10 samples",
-        ),
-        (
-            "simulation:\n  integrator: euler\n",
-            "2: simulation.integrator = 'euler': "
-            "must be 'exact_hold', 'rk4', 'rosenbrock', 'radau3', 'radau1', 'runge_kutta3' or "
-            "'implicit_euler'; did you mean implicit_euler?",
         ),
         (
             "reference:\n  kind: samples\n  angles_deg: [1, 2, 3, 4]\n  times_s:\n"
@@ -280,9 +218,7 @@ NO_PART = "has no value: must be a mapping of names to values, such as {%s: …}
         ),
         # missing values
         ("plant:\n  cylinder:\n    mass_kg:\n", f"3: plant.cylinder.mass_kg {NO_MASS}"),
-        ("plant:\n  cylinder:\n    mass_kg: ~\n", f"3: plant.cylinder.mass_kg {NO_MASS}"),
         ("plant:\n  cylinder:\n", f"2: plant.cylinder {NO_PART % 'bore_m'}"),
-        ("encoder: {}\nplant:\n", f"2: plant {NO_PART % 'pump'}"),
         ("plant:\n  load:\n", "2: plant.load has no value: must be none, knee or a mapping"),
         (
             "encoder: {}\nreference:\n  kind: samples\n",
@@ -290,19 +226,8 @@ NO_PART = "has no value: must be a mapping of names to values, such as {%s: …}
             "(and 1 more)",
         ),
         # unknown names
-        (
-            "plant:\n  knee:\n    flexion_min: 3\n",
-            "3: plant.knee.flexion_min: unknown name; did you mean plant.knee.flexion_min_deg?",
-        ),
         ("encoder: {}\nqqq: 1\n", f"2: qqq: unknown name; known here: {KNOWN}"),
-        (
-            "plnt:\n  cylinder: {}\n",
-            "1: plnt: unknown name; did you mean plant?",
-        ),
-        (
-            '"plant\\n": {}\n',
-            "1: plant\\n: unknown name; did you mean plant?",
-        ),
+        ('"plant\\n": {}\n', "1: plant\\n: unknown name; did you mean plant?"),
         # names that are wrong in YAML itself
         (
             "plant:\n  cylinder:\n    mass_kg: 1\n    bore_m: 0.03\n    mass_kg: 1\n",
@@ -352,18 +277,15 @@ def test_fault_is_one_line_with_file_line_and_path(
 @pytest.mark.parametrize(
     ("text", "parts"),
     [
-        ("plant: {linkage: G9}", ["linkage", "'G9'", "G1, G2, G3"]),
         ("controller: {kind: }", ["controller.kind", _KINDS]),
         ("encoder: &e {quantized: *e}", ["encoder.quantized.quantized", "too deep"]),
         ("plant: &a [*a]", ["plant.0.0.0", "too deep"]),
-        ("controller: smd", ["controller = 'smd'", "did you mean smc?"]),
         ("polynomial: {p_mm_deg: [1, 2, 3]}", ["polynomial.p_mm_deg has 3 values: must have 6"]),
         (
             "polynomial: {p_mm_deg: [1, 2, 3, 4, 5, 6, 7]}",
             ["polynomial.p_mm_deg has 7 values: must have at most 6"],
         ),
         ("polynomial: {p_mm_deg: 1}", ["polynomial.p_mm_deg = 1"]),
-        ("plant: {load: {kind: knee, segment_mass_kg: -1}}", ["plant.load.segment_mass_kg = -1"]),
         ("plant: {rod_map: 'a\\u2028\nb'}", ["plant.rod_map"]),
         ('a: "\\UFFFFFFFF"', ["YAML syntax"]),
         ('a: "\\ud800"', ["a: unknown name"]),
@@ -427,7 +349,6 @@ def test_large_files_are_refused_before_their_end_is_read(
     [
         f"{'a' * 100_000}: 1",
         f"controller: {{kind: {'a' * 100_000}}}",
-        f"plant: {{rod_map: {'a' * 100_000}}}",
         f"plant: {{linkage: {'a' * 100_000}}}",
         f"a: !{'a' * 1000} 1",
         f"{'1' * 1000}: 1",

@@ -149,10 +149,7 @@ FAULTS = {
         3,
         r"mass_kg\.hihg: unknown name; did you mean high\?",
     ),
-    "plant.cylinder.mass_kg:\n  low: a\n  high: 1": (
-        2,
-        "mass_kg.low = 'a': must be a number",
-    ),
+    "plant.cylinder.mass_kg:\n  low: a\n  high: 1": (2, "mass_kg.low = 'a': must be a number"),
     "plant.cylinder.mass_kg: {low: 1.4}": (1, "mass_kg: must have either low and high, or options"),
     "plant.cylinder.mass_kg: {low: 1, options: [1]}": (1, "must have either low and high, or"),
     "plant.cylinder.mass_kg: {low: 1, high: 2, options: [1]}": (1, "must have either low and"),

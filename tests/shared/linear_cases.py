@@ -170,12 +170,7 @@ def sampled_loop(a, b, g_x, g_z):
         operating_point=OperatingPoint(0.0, np.zeros(n + m), np.zeros(5), np.zeros(2)),
         ticks=(tick,),
     )
-    return SampledLoop(
-        model=model,
-        output="rod_extension",
-        knee_angle_rad=0.0,
-        scenario=Scenario(),
-    )
+    return SampledLoop(model=model, output="rod_extension", knee_angle_rad=0.0, scenario=Scenario())
 
 
 class Matrices:

@@ -4,10 +4,7 @@ import math
 
 import numpy as np
 
-from kneexo.diagrams import (
-    available_signals,
-    columns,
-)
+from kneexo.diagrams import available_signals, columns
 from kneexo.parameters import (
     EncoderParameters,
     ObserverParameters,

@@ -2,11 +2,7 @@
 
 import math
 
-from kneexo.parameters import (
-    BldcPumpParameters,
-    CylinderParameters,
-    PlantParameters,
-)
+from kneexo.parameters import BldcPumpParameters, CylinderParameters, PlantParameters
 
 # Lee et al. 2020, Tables 2 and 3; lag and leakage are this project's assumptions.
 PAPER = {

@@ -4,19 +4,11 @@ from functools import cache
 
 import numpy as np
 
-from kneexo.analysis import (
-    FrequencyResponse,
-    PolynomialFit,
-    Run,
-    TrackingMetrics,
-    TrackingResult,
-)
+from kneexo.analysis import FrequencyResponse, PolynomialFit, Run, TrackingMetrics, TrackingResult
 from kneexo.analysis.frequency.frequency_response import SinestreamSettings
 from kneexo.parameters import RodPolynomialParameters, Scenario, SimulationParameters
 from kneexo.studies.paper import EQ_27_DIFFERENCES, EQ_27_EXACT_STATES, FIG_12
-from kneexo.studies.reproduce.reproduce import (
-    ReproduceResult,
-)
+from kneexo.studies.reproduce.study import ReproduceResult
 
 METRICS = {
     "max_error_deg": 0.11,

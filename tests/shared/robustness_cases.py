@@ -5,18 +5,9 @@ from functools import cache
 
 import numpy as np
 
-from kneexo.parameters import (
-    UNCERTAIN_KNEE,
-    Uncertainty,
-    UncertaintySet,
-)
+from kneexo.parameters import UNCERTAIN_KNEE, Uncertainty, UncertaintySet
 from kneexo.parameters.paths import changed
-from kneexo.studies.robustness.robustness import (
-    MERITS,
-    Assessment,
-    RobustnessResult,
-    RobustnessSettings,
-)
+from kneexo.studies.robustness.study import MERITS, Assessment, RobustnessResult, RobustnessSettings
 
 FEW = RobustnessSettings(
     samples=40, corners_max=200, bandwidth=False, sensitivity_duration_s=0.0, nyquist_loops=3
@@ -66,11 +57,7 @@ UNITS = dict(zip(POSITION, (1.0, 0.5, 20.0, 0.3, 60.0, 0.2, 0.7), strict=True))
 
 
 def assessment(number, mass, lag, delay, **changes):
-    values = {
-        "plant.cylinder.mass_kg": mass,
-        "plant.pump.lag_s": lag,
-        "bus.latency_samples": delay,
-    }
+    values = {"plant.cylinder.mass_kg": mass, "plant.pump.lag_s": lag, "bus.latency_samples": delay}
     present = {path: value for path, value in values.items() if value is not None}
     numbers = {name: round(number * size, 6) for name, size in UNITS.items()}
     return Assessment(present, merits(**numbers, bandwidth_failure="") | changes)

@@ -9,13 +9,7 @@ import numpy as np
 
 from kneexo.analysis.walking.walking import WALKING_METRICS, WalkingDemand
 from kneexo.parameters import UNCERTAIN_KNEE
-from kneexo.studies.hardware import (
-    ACCELERATION_LIMIT,
-    DISPLACEMENT,
-    HARDWARE,
-    scaled,
-    with_piston,
-)
+from kneexo.studies.hardware import ACCELERATION_LIMIT, DISPLACEMENT, HARDWARE, scaled, with_piston
 from kneexo.studies.size.result import Search, SizeResult, WalkingDesign
 from kneexo.studies.size.settings import SizeSettings
 

@@ -11,25 +11,20 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
+from small_studies import SMALL, SMOOTH
 
 from diagramc.model import CompiledModel
 from kneexo.analysis import track
 from kneexo.analysis.frequency.frequency_response import SinestreamSettings
-from kneexo.analysis.frequency.sine_estimate import SineEstimateSettings
 from kneexo.command_line.main import main
 from kneexo.command_line.output import to_json
 from kneexo.errors import KneexoError
-from kneexo.parameters import PidParameters, Scenario, SineReference, Uncertainty, UncertaintySet
+from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 from kneexo.simulation import compiled, drake, simulate_compiled
 from kneexo.simulation.engines import simulate
-from kneexo.studies.bandwidth import BandwidthSettings, bandwidth_study
 from kneexo.studies.catalogue import STUDIES
-from kneexo.studies.contest import Contestant, ContestSettings, contest_study
-from kneexo.studies.controller import ControllerSettings, controller_study
-from kneexo.studies.reproduce import reproduce
-from kneexo.studies.robustness import RobustnessSettings, robustness_study
-from kneexo.studies.size import SizeSettings, size_study
+from kneexo.studies.reproduce import study as reproduce
 
 TOLERANCES = {
     # name in the results: (relative, absolute), and where it comes from
@@ -68,18 +63,6 @@ def test_the_exact_hold_is_small_steps_of_rk4(frequency_hz):
         assert np.abs(run[name] - exact).max() < 1e-9 * stroke  # 1.1e-10: docs/validation.md
 
 
-SMOOTH = changed(
-    Scenario(),
-    {
-        "encoder.quantized": False,
-        "plant.load": {"kind": "knee"},
-        "reference.amplitude_deg": 2.0,
-        "reference.frequency_hz": 2.0,
-        "simulation.duration_s": 0.6,
-    },
-)
-
-
 def refuse(*_, **__):
     raise AssertionError("this is not the engine that was asked for")
 
@@ -116,81 +99,6 @@ def require_equal(compiled, drake):
             assert ours[path] == pytest.approx(expected, rel=relative, abs=absolute), path
             count += 1
     return count
-
-
-MASS = UncertaintySet(values={"plant.cylinder.mass_kg": Uncertainty(low=1.4, high=1.8)})
-QUICK = SineEstimateSettings(averaged_cycles=2, largest_cycles=3, ramp_min_s=0.1)
-SMALL = {
-    "bandwidth": (
-        bandwidth_study,
-        SMOOTH,
-        BandwidthSettings(amplitudes_deg=(1.0,), frequencies_hz=(6.3, 8.0, 10.0), estimate=QUICK),
-    ),
-    "robustness": (
-        lambda scenario, *, settings: robustness_study(scenario, MASS, settings=settings),
-        SMOOTH,
-        RobustnessSettings(
-            samples=2, corners_max=2, bandwidth=False, sensitivity_duration_s=0.0, nyquist_loops=0
-        ),
-    ),
-    "study controller": (
-        controller_study,
-        SMOOTH,
-        ControllerSettings(
-            lambdas_per_s=(20.0,),
-            phis_m_s2=(3.2,),
-            etas_m_s3=(2.8e5,),
-            step_duration_s=0.3,
-            large_step_deg=5.0,
-            fast_duration_s=0.3,
-            fast_frequency_hz=5.0,
-            fast_amplitude_deg=0.5,
-            hold_duration_s=0.2,
-            limit_cycle_lambdas_per_s=(20.0,),
-            map_time_constants_s=(0.02,),
-            map_slopes_per_s=(1e5,),
-        ),
-    ),
-    "study contest": (
-        lambda scenario, *, settings: contest_study(scenario, MASS, settings=settings),
-        SMOOTH,
-        ContestSettings(
-            contestants={
-                "P": Contestant(
-                    controller=PidParameters(),
-                    gains={
-                        "controller.proportional_per_s": Uncertainty(low=1.0, high=9.0, scale="log")
-                    },
-                )
-            },
-            training_samples=1,
-            test_samples=1,
-            optimizer_seeds=(1,),
-            population=5,
-            generations=1,
-            duration_s=0.6,
-            other_reference=SineReference(amplitude_deg=0.5, frequency_hz=10.0),
-            other_duration_s=0.2,
-        ),
-    ),
-    "size": (
-        size_study,
-        changed(SMOOTH, {"reference.amplitude_deg": 0.2, "reference.frequency_hz": 5.0}),
-        SizeSettings(
-            factors=(1.0,),
-            walking_factors=(1.0,),
-            stride_frequencies_hz=(1.0,),
-            cycles=2,
-            lambda_per_s=(80.0,),
-            slope_per_s=(5e4,),
-            observer_s=(0.02,),
-            search_tolerance=0.5,
-            check_step_s=5e-4,
-            seal_friction_n=0.0,
-            wearer_torques_n_m=(0.0,),
-        ),
-    ),
-}
 
 
 @pytest.mark.slow(gate=0)

@@ -280,8 +280,7 @@ def test_every_quantity_changes_the_numbers_or_the_structure(case):
 
 
 @pytest.mark.parametrize(
-    "case",
-    ["ramp", *(pytest.param(c, marks=pytest.mark.slow) for c in EVERYTHING if c != "ramp")],
+    "case", ["ramp", *(pytest.param(c, marks=pytest.mark.slow) for c in EVERYTHING if c != "ramp")]
 )
 def test_no_quantity_is_baked_into_the_equations(case):
     base = EVERYTHING[case]

@@ -249,10 +249,7 @@ def test_every_input_reaches_a_law_in_python(estimator) -> None:
     assert not runs_as_python(scenario.with_law(law_of_all))
     assert runs_as_python(scenario.with_law(law_of_all_with_floats))
     np.testing.assert_allclose(
-        angles(scenario, law_of_all_with_floats),
-        angles(scenario, law_of_all),
-        rtol=0.0,
-        atol=1e-7,
+        angles(scenario, law_of_all_with_floats), angles(scenario, law_of_all), rtol=0.0, atol=1e-7
     )
 
 

@@ -22,19 +22,13 @@ def test_a_column_is_read_by_its_name(run):
 @pytest.mark.parametrize(
     ("column", "message"),
     [
-        (
-            "knee",
-            "column 'knee' is unknown; did you mean knee_angle_rad?",
-        ),
+        ("knee", "column 'knee' is unknown; did you mean knee_angle_rad?"),
         (
             "load_pressure_pa",
             "column 'load_pressure_pa': the run has not logged it; add all_signals=True to track, "
             "or its signal to the signals of simulate",
         ),
-        (
-            "rod",
-            "column 'rod' is unknown; did you mean rod_force_n?",
-        ),
+        ("rod", "column 'rod' is unknown; did you mean rod_force_n?"),
         (3, "column 3 is unknown; the run has time_s, knee_angle_rad, rod_force_n"),
     ],
 )

@@ -29,12 +29,6 @@ def test_a_sweep_shows_the_bars_that_have_a_description(capsys, monkeypatch, pro
     assert ("roots: 100%" in capsys.readouterr().err) == progress
 
 
-@pytest.mark.slow
-def test_a_sweep_has_no_other_options():
-    with pytest.raises(TypeError, match="'worker'"), open_sweep(worker=2):
-        pass
-
-
 @pytest.mark.parametrize("key", ["failure", "tracking_failure"])
 def test_a_sweep_in_which_every_run_fails_is_a_failure(key):
     def study():

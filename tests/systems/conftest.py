@@ -31,31 +31,6 @@ def tree_size(expression, limit=TREE_LIMIT):
     return count
 
 
-def structure(system):
-    """Ports, state sizes and direct feedthrough of a leaf as plain data."""
-    inputs, outputs = (
-        {port.get_name(): port.size() for port in map(get, range(count))}
-        for get, count in (
-            (system.get_input_port, system.num_input_ports()),
-            (system.get_output_port, system.num_output_ports()),
-        )
-    )
-    context = system.CreateDefaultContext()
-    groups = range(context.num_discrete_state_groups())
-    return SimpleNamespace(
-        inputs=inputs,
-        outputs=outputs,
-        continuous=context.num_continuous_states(),
-        discrete=[context.get_discrete_state(i).size() for i in groups],
-        feedthrough={
-            (source, name)
-            for i, source in enumerate(inputs)
-            for o, name in enumerate(outputs)
-            if system.HasDirectFeedthrough(i, o)
-        },
-    )
-
-
 def results(system, context):
     """Outputs, time derivatives and discrete update in a context, one after the other."""
     ports = map(system.get_output_port, range(system.num_output_ports()))
@@ -208,7 +183,5 @@ class Probe:
 
 @pytest.fixture(scope="session")
 def leaf():
-    """``leaf.structure(system)``, ``leaf.Probe(system, inputs, state)`` and the tree counter."""
-    return SimpleNamespace(
-        structure=structure, Probe=Probe, tree_size=tree_size, tree_limit=TREE_LIMIT
-    )
+    """``leaf.Probe(system, inputs, state)`` and the tree counter."""
+    return SimpleNamespace(Probe=Probe, tree_size=tree_size, tree_limit=TREE_LIMIT)

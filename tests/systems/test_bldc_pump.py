@@ -15,7 +15,6 @@ PARAMETERS = BldcPumpParameters(
     gear_ratio=5.0, internal_leakage_m3_per_s_pa=3e-13, external_leakage_m3_per_s_pa=4e-13
 )
 INPUTS = {"motor_speed_command": [(-600.0, 600.0)], "load_pressure": [(-3e6, 3e6)]}
-OUTPUTS = ("motor_speed", "load_flow", "shaft_torque", "shaft_power", "hydraulic_power")
 
 
 def at(system, *, command=0.0, pressure=0.0, speed=0.0, **releases):
@@ -47,37 +46,6 @@ def response(command, times, pressure=0.0, speed=0.0):
         simulator.AdvanceTo(time)
         speeds.append(system.GetOutputPort("motor_speed").Eval(simulator.get_context())[0])
     return np.array(speeds)
-
-
-# ------------------------------------------------------------------------------ structure
-
-
-def test_ports_state_and_feedthrough(leaf):
-    structure = leaf.structure(BldcPump())
-    assert structure.inputs == {"motor_speed_command": 1, "load_pressure": 1}
-    assert structure.outputs == dict.fromkeys(OUTPUTS, 1)
-    assert (structure.continuous, structure.discrete) == (1, [])
-    assert structure.feedthrough == {("load_pressure", name) for name in OUTPUTS[1:]}
-
-
-def test_ideal_pump_has_no_state_and_feeds_the_command_through(leaf):
-    structure = leaf.structure(BldcPump(ideal=True))
-    assert (structure.continuous, structure.discrete) == (0, [])
-    assert {name for source, name in structure.feedthrough if source == "motor_speed_command"} == {
-        "motor_speed", "load_flow", "shaft_power", "hydraulic_power",
-    }  # fmt: skip
-
-
-def test_parameters_have_these_names_and_the_values_of_the_paper():
-    system = BldcPump()
-    assert system.parameters(system.CreateDefaultContext())._asdict() == {
-        "speed_limit_rad_s": pytest.approx(LIMIT, rel=1e-15),
-        "lag_s": 0.010,
-        "acceleration_limit_rad_s2": 1e4,
-        "gear_ratio": 6.0,
-        "displacement_m3_per_rad": pytest.approx(0.8e-6 / (2.0 * math.pi), rel=1e-15),
-        "leakage_m3_per_s_pa": 2e-13,
-    }
 
 
 # ----------------------------------------------------------------------------- conversion
@@ -142,25 +110,6 @@ def test_step_beyond_the_acceleration_limit_is_a_ramp_and_then_a_lag():
     late = 500.0 - 100.0 * np.exp(-(times - 0.04) / 0.010)
     # The kink at 40 ms costs the integrator some accuracy: error control meets it with 1e-9.
     np.testing.assert_allclose(speeds, np.where(times < 0.04, 1e4 * times, late), atol=1e-4)
-
-
-def test_speed_settles_at_the_limit_when_more_is_commanded():
-    # After 0.25 s the lag has left exp(-20) of 100 rad/s.
-    assert response(2000.0, [0.25]) == pytest.approx([LIMIT], abs=1e-5)
-    assert response(-2000.0, [0.25]) == pytest.approx([-LIMIT], abs=1e-5)
-
-
-def test_pressure_does_not_slow_the_speed_controlled_motor():
-    assert response(80.0, [0.02], pressure=3e6) == pytest.approx(response(80.0, [0.02]), rel=1e-15)
-
-
-def test_acceleration_is_limited_both_ways():
-    assert acceleration(BldcPump(), command=500.0, speed=0.0) == pytest.approx(1e4, rel=1e-15)
-    assert acceleration(BldcPump(), command=-500.0, speed=0.0) == pytest.approx(-1e4, rel=1e-15)
-
-
-def test_ideal_pump_follows_any_command_at_once():
-    assert output(BldcPump(ideal=True), "motor_speed", command=1e5) == 1e5
 
 
 # ------------------------------------------------------------------------------ bad input

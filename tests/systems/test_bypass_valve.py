@@ -25,14 +25,6 @@ def opening_after(time_s, command, system):
     return system.GetOutputPort("bypass_opening").Eval(simulator.get_context())[0]
 
 
-def test_ports_state_and_feedthrough(leaf):
-    structure = leaf.structure(BypassValve())
-    assert structure.inputs == {"bypass": 1}
-    assert structure.outputs == {"bypass_opening": 1}
-    assert (structure.continuous, structure.discrete) == (1, [])
-    assert structure.feedthrough == set()
-
-
 def test_conversions_agree_and_keep_arguments_and_changes(leaf):
     probe = leaf.Probe(valve(minimum_opening=0.2), {"bypass": [(0.1, 0.9)]}, [(0.0, 1.0)])
     probe.check_contract(minimum_opening=0.4)

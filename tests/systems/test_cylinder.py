@@ -17,13 +17,7 @@ from kneexo.parameters import (
 from kneexo.simulation import simulate
 from kneexo.simulation.compiled import scenario_values
 from kneexo.systems import FullCylinder, ReducedCylinder
-from kneexo.systems.cylinder import (
-    EndStops,
-    cylinder_states,
-    cylinder_values,
-    start_extension,
-    stop_force,
-)
+from kneexo.systems.cylinder import EndStops, start_extension, stop_force
 
 BOTH = pytest.mark.parametrize("cylinder", [ReducedCylinder, FullCylinder])
 
@@ -49,15 +43,6 @@ def test_a_start_outside_the_stroke_is_refused(start_m):
     line = r"initial_extension_m = \S+ m is outside the stroke 0 … 0\.12 m"
     with pytest.raises(ParameterError, match=line):
         start_extension(CylinderParameters(stroke_m=0.12), start_m)
-
-
-def test_values_of_one_order_come_first():
-    parameters = CylinderParameters(mass_kg=1.7)
-    values = cylinder_values(parameters, "mean_area_m2")
-    assert next(iter(values)) == "mean_area_m2"
-    assert values["mean_area_m2"] == parameters.mean_area_m2
-    assert values["mass_kg"] == 1.7
-    assert set(values) - set(cylinder_values(parameters)) == {"mean_area_m2"}
 
 
 @BOTH
@@ -96,15 +81,6 @@ def test_a_mass_that_depends_on_the_posture_takes_force_to_change(cylinder, leaf
         load_force, mass, slope = z[2:5]
         expected = (rod_force - load_force - 0.5 * slope * v**2) / mass
         assert acceleration == pytest.approx(expected, rel=1e-12)
-
-
-@BOTH
-def test_the_states_are_those_of_the_context(cylinder):
-    system = cylinder()
-    context = at_rest(system, 0.03)
-    pressures = ("load_pressure_pa",) if cylinder is ReducedCylinder else ("cap_pa", "rod_side_pa")
-    assert context.num_continuous_states() == len(cylinder_states(*pressures))
-    assert system.GetOutputPort("rod_extension").Eval(context) == 0.03
 
 
 # ------------------------------------------------------------------------------- end stops
@@ -212,12 +188,7 @@ def test_a_knee_that_falls_comes_to_rest_on_a_stop(torque, angle_deg):
         simulation={"duration_s": 2.0},
         faults=[
             {"place": "command", "kind": "scale", "size": 0.0, "start_s": 0.1},
-            {
-                "place": "plant.bypass.minimum_opening",
-                "kind": "value",
-                "size": 1.0,
-                "start_s": 0.1,
-            },
+            {"place": "plant.bypass.minimum_opening", "kind": "value", "size": 1.0, "start_s": 0.1},
         ],
     )
     run = simulate(falling)

@@ -33,18 +33,7 @@ def drive(unit_rpm):
     return Cia402Drive(Cia402Parameters(velocity_unit_rpm=unit_rpm))
 
 
-# ------------------------------------------------------------------------------ structure
-
-
-def test_the_drive_is_stateless_and_fed_through(leaf):
-    structure = leaf.structure(Cia402Drive())
-    assert structure.inputs == {"motor_speed_command": 1}
-    assert structure.outputs == {"target_velocity": 1, "motor_speed_command": 1}
-    assert (structure.continuous, structure.discrete) == (0, [])
-    assert structure.feedthrough == {
-        ("motor_speed_command", "target_velocity"),
-        ("motor_speed_command", "motor_speed_command"),
-    }
+# ----------------------------------------------------------------------------- conversion
 
 
 def test_conversions_agree_and_have_no_derivative_but_that_of_the_unit(leaf):

@@ -10,14 +10,6 @@ from kneexo.parameters import EncoderParameters
 from kneexo.systems import EncoderCount
 
 
-def test_the_count_is_stateless_and_fed_through(leaf):
-    structure = leaf.structure(EncoderCount(0.1))
-    assert structure.inputs == {"encoder_reading": 1}
-    assert structure.outputs == {"encoder_count": 1}
-    assert (structure.continuous, structure.discrete) == (0, [])
-    assert structure.feedthrough == {("encoder_reading", "encoder_count")}
-
-
 def test_conversions_agree(leaf):
     # 40.2…40.4 counts: far from a half, where the count jumps.
     probe = leaf.Probe(EncoderCount(0.1), {"encoder_reading": [(4.02, 4.04)]}, spread=1e-4)

@@ -58,15 +58,6 @@ def powers(meter, **values):
     return dict(zip(ENERGIES, meter.EvalTimeDerivatives(context).CopyToVector(), strict=True))
 
 
-def test_ports_and_state(leaf):
-    structure = leaf.structure(EnergyMeter())
-    assert structure.inputs == {name: len(ranges) for name, ranges in INPUTS.items()}
-    assert structure.outputs == {"energies": 8}
-    assert structure.continuous == 8
-    assert structure.discrete == []
-    assert structure.feedthrough == set()
-
-
 def test_conversions_agree_and_keep_arguments_and_changes(leaf):
     probe = leaf.Probe(EnergyMeter(*PARAMETERS), INPUTS, [(-5.0, 5.0)] * 8)
     probe.check_conversions()

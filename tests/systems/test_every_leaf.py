@@ -1,16 +1,44 @@
-"""What all leaf systems have in common: names of Context parameters, conversion, periods.
+"""What all leaf systems have in common: ports, states, periods, parameters and conversion.
 
-The numbers of a leaf are tested in its own file against an independent source, and the ranges of
-all parameters in ``tests/parameters/fields/test_quantity.py``.
+`leaves.txt` has the structure of each leaf and of its variants. After a change that is meant,
+``python tests/systems/test_every_leaf.py`` writes the file. The numbers of a leaf are tested in
+its own file against an independent source, and the ranges of all parameters in
+``tests/parameters/test_every_class.py``.
 """
 
 import inspect
 import math
+from pathlib import Path
 
 import pytest
 
 from kneexo import systems
-from kneexo.parameters import LawParameters
+from kneexo.parameters import (
+    BypassParameters,
+    CuffParameters,
+    KneeLoadParameters,
+    LawParameters,
+    LegParameters,
+    LoadCellParameters,
+    PidParameters,
+    SlidingModeParameters,
+    ThermalParameters,
+    TorqueParameters,
+)
+from kneexo.systems import (
+    BackwardDifference,
+    BldcPump,
+    Cuff,
+    FullCylinder,
+    KneeLoad,
+    LoadCell,
+    PidController,
+    SlidingModeController,
+    TorqueController,
+    TorqueLimitedPump,
+    TrackingObserver,
+    WearerKnee,
+)
 from kneexo.systems._leaf import NamedLeaf
 
 
@@ -31,15 +59,61 @@ CLASSES = {
     for name in systems.__all__
     if inspect.isclass(value := getattr(systems, name)) and issubclass(value, NamedLeaf)
 }
-every_leaf = pytest.mark.parametrize("name", CLASSES)
+VARIANTS = {
+    "BldcPump, ideal": lambda: BldcPump(ideal=True),
+    "TorqueLimitedPump, warm": lambda: TorqueLimitedPump(thermal=ThermalParameters()),
+    "FullCylinder, bypass": lambda: FullCylinder(bypass=BypassParameters()),
+    "Cuff, slips": lambda: Cuff(CuffParameters(slip_torque_n_m=20.0)),
+    "KneeLoad, inertia": lambda: KneeLoad(KneeLoadParameters(inertia_kg_m2=0.1)),
+    "LoadCell, noise": lambda: LoadCell(LoadCellParameters(seed=1)),
+    "PidController, 1 ms": lambda: PidController(PidParameters(sample_time_s=0.001)),
+    "SlidingModeController, continuous": lambda: SlidingModeController(
+        SlidingModeParameters(continuous=True)
+    ),
+    "SlidingModeController, 1 ms": lambda: SlidingModeController(
+        SlidingModeParameters(sample_time_s=0.001)
+    ),
+    "TrackingObserver, 5 ms": lambda: TrackingObserver(sample_time_s=0.005),
+    "BackwardDifference, 5 ms": lambda: BackwardDifference(sample_time_s=0.005),
+    "TorqueController, assist": lambda: TorqueController(TorqueParameters(mode="assist")),
+    "WearerKnee, passive": lambda: WearerKnee(LegParameters(motion="passive")),
+    "WearerKnee, active": lambda: WearerKnee(LegParameters(motion="active")),
+}
+"""Leaf systems whose parameters change their structure."""
+LEAVES = (*CLASSES, *VARIANTS)
+SNAPSHOT = Path(__file__).with_name("leaves.txt")
+every_leaf = pytest.mark.parametrize("name", LEAVES)
 
 
 def made(name):
-    return CLASSES[name](*REQUIRED.get(name, ()))
+    return VARIANTS[name]() if name in VARIANTS else CLASSES[name](*REQUIRED.get(name, ()))
 
 
-def test_every_class_is_here():
-    assert set(CLASSES) == {name for name in systems.__all__ if f"{name}_" in systems.__all__}
+def structure(system):
+    """Ports with sizes, the inputs that an output feels at once, states, period, parameters."""
+    inputs = [system.get_input_port(n) for n in range(system.num_input_ports())]
+    outputs = []
+    for o in range(system.num_output_ports()):
+        felt = [p.get_name() for i, p in enumerate(inputs) if system.HasDirectFeedthrough(i, o)]
+        port = system.get_output_port(o)
+        outputs.append(f"{port.get_name()} {port.size()} ({', '.join(felt)})")
+    context = system.CreateDefaultContext()
+    groups = range(context.num_discrete_state_groups())
+    discrete = [context.get_discrete_state(n).size() for n in groups]
+    timing = system.GetUniquePeriodicDiscreteUpdateAttribute()
+    every = f" from {timing.offset_sec():g} s every {timing.period_sec():g} s" if timing else ""
+    parts = (
+        ", ".join(f"{port.get_name()} {port.size()}" for port in inputs),
+        ", ".join(outputs),
+        f"{context.num_continuous_states()} continuous, {discrete} discrete{every}",
+        ", ".join(system.parameter_names),
+    )
+    return " | ".join(parts)
+
+
+def snapshot():
+    lines = [f"{name} | {structure(made(name))}".rstrip() for name in LEAVES]
+    return "\n".join(["leaf | inputs | outputs (felt inputs) | states | parameters", *lines, ""])
 
 
 @every_leaf
@@ -59,17 +133,16 @@ def test_a_name_that_is_unknown_and_a_number_that_is_not_finite_are_refused(name
 
 
 @every_leaf
-def test_conversions_have_the_same_ports_states_and_parameters(name, leaf):
+def test_conversions_have_the_same_structure(name):
     system = made(name)
-    expected = leaf.structure(system)
-    timing = system.GetUniquePeriodicDiscreteUpdateAttribute()
     for converted in (system.ToAutoDiffXd(), system.ToSymbolic()):
-        assert isinstance(converted, CLASSES[name])
-        structure = leaf.structure(converted)
-        assert structure.inputs == expected.inputs
-        assert structure.outputs == expected.outputs
-        assert structure.continuous == expected.continuous
-        assert structure.discrete == expected.discrete
-        assert converted.parameter_names == system.parameter_names
-        other = converted.GetUniquePeriodicDiscreteUpdateAttribute()
-        assert (other and other.period_sec()) == (timing and timing.period_sec())
+        assert isinstance(converted, CLASSES[name.partition(",")[0]])
+        assert structure(converted) == structure(system)
+
+
+def test_the_structure_of_each_leaf_is_that_of_the_snapshot():
+    assert snapshot().splitlines() == SNAPSHOT.read_text(encoding="utf-8").splitlines()
+
+
+if __name__ == "__main__":
+    SNAPSHOT.write_text(snapshot(), encoding="utf-8")

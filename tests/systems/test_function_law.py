@@ -44,19 +44,6 @@ def command_of(simulator):
     return system.GetOutputPort("motor_speed_command").Eval(simulator.get_context())[0]
 
 
-def test_structure() -> None:
-    system = FunctionLaw(LawParameters(function=integrating, sample_time_s=0.01))
-    ports = {
-        system.get_input_port(i).get_name(): system.get_input_port(i).size()
-        for i in range(system.num_input_ports())
-    }
-    assert ports == {"rod_extension": 1}
-    assert system.parameter_names == ("gain", "initial_state_0", "command_limit_rad_s")
-    assert system.CreateDefaultContext().get_discrete_state(0).size() == 2
-    assert system.GetUniquePeriodicDiscreteUpdateAttribute().period_sec() == 0.01
-    assert not system.HasAnyDirectFeedthrough()
-
-
 def test_the_command_is_held_for_a_sample_and_limited() -> None:
     limit = 50.0
     system = FunctionLaw(LawParameters(function=proportional, command_limit_rad_s=limit))
@@ -89,11 +76,6 @@ def test_derivatives_against_mathematics() -> None:
     system.GetInputPort("rod_reference").FixValue(context, reference)
     updated = system.EvalUniquePeriodicDiscreteUpdate(context).get_vector(0)[0]
     np.testing.assert_allclose(updated.derivatives(), [-1e3, 1e3], rtol=1e-8)
-
-
-def test_conversion_to_expression() -> None:
-    system = FunctionLaw(LawParameters(function=proportional)).ToSymbolic()
-    assert isinstance(system, FunctionLaw_[Expression])
 
 
 @pytest.mark.parametrize(

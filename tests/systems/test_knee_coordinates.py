@@ -39,39 +39,6 @@ def rod(system, knee):
     return system.GetOutputPort("rod_reference").Eval(context)
 
 
-# ------------------------------------------------------------------------------ structure
-
-
-def test_coordinates_are_stateless_and_fed_through(leaf):
-    structure = leaf.structure(KneeCoordinates())
-    assert structure.inputs == {"encoder_reading": 1}
-    assert structure.outputs == {"knee_angle": 1, "rod_extension": 1}
-    assert (structure.continuous, structure.discrete) == (0, [])
-    assert structure.feedthrough == {
-        ("encoder_reading", "knee_angle"), ("encoder_reading", "rod_extension"),
-    }  # fmt: skip
-
-
-def test_rod_reference_is_stateless_and_fed_through(leaf):
-    structure = leaf.structure(RodReference())
-    assert (structure.inputs, structure.outputs) == ({"knee_reference": 4}, {"rod_reference": 4})
-    assert (structure.continuous, structure.discrete) == (0, [])
-    assert structure.feedthrough == {("knee_reference", "rod_reference")}
-
-
-def test_parameters_of_coordinates_are_links_sign_offset_and_table_1():
-    system = KneeCoordinates(offset_rad=1e-3)
-    values = system.parameters(system.CreateDefaultContext())._asdict()
-    assert (values.pop("eq6_sign"), values.pop("offset_rad")) == (-1.0, 1e-3)
-    links = ("o_a_x_m", "o_a_y_m", "o_b_x_m", "o_b_y_m", "a_2_m", "a_3_m", "a_4_m", "phi_rad")
-    table = {f"p_{n}": values.pop(f"p_{n}") for n in range(1, 7)}
-    assert values == {name: getattr(G1, name) for name in links}
-    expected = [1e-3 * c * math.degrees(1.0) ** (5 - n) for n, c in enumerate(P_MM_DEG)]
-    assert list(table.values()) == pytest.approx(expected, rel=1e-14)
-    reference = RodReference()
-    assert reference.parameters(reference.CreateDefaultContext())._asdict() == table
-
-
 # ----------------------------------------------------------------------------- conversion
 
 

@@ -46,15 +46,6 @@ def readings(parameters, times, force=0.0):
     return np.array(result)
 
 
-def test_ports_and_states(leaf):
-    for seed, size in ((None, 2), (1, 5)):
-        structure = leaf.structure(LoadCell(LoadCellParameters(seed=seed)))
-        assert structure.inputs == {"rod_force": 1}
-        assert structure.outputs == {"measured_force": 2}
-        assert (structure.continuous, structure.discrete) == (1, [size])
-        assert structure.feedthrough == set()
-
-
 @pytest.mark.parametrize("missing", [False, True])
 def test_conversions_agree_and_keep_arguments_and_changes(leaf, missing):
     numbers = {"offset_n": 3.0, "filter_s": 0.004, "noise_n": 2.0, "seed": 5, "quantized": False}

@@ -41,14 +41,6 @@ def at_loss(loss_w, parameters=OWN):
     return system, context
 
 
-def test_ports_state_and_feedthrough(leaf):
-    structure = leaf.structure(MotorTemperature())
-    assert structure.inputs == {"winding_loss": 1}
-    assert structure.outputs == {"motor_temperatures": 2}
-    assert (structure.continuous, structure.discrete) == (2, [])
-    assert structure.feedthrough == set()
-
-
 def test_conversions_agree_and_keep_arguments_and_changes(leaf):
     probe = leaf.Probe(MotorTemperature(OWN), {"winding_loss": [(0.0, 60.0)]}, [(0.2, 1.5)] * 2)
     probe.check_contract(winding_to_case_k_per_w=1.3)

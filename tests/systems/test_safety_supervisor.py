@@ -251,9 +251,6 @@ def test_inputs_of_the_operator_may_be_unconnected():
 
 def test_scalars_dependencies_and_parameters(leaf):
     system = supervisor()
-    structure = leaf.structure(system)
-    assert structure.discrete == [6]
-    assert structure.feedthrough == {("motor_speed_command", "motor_speed_command")}
     inputs = {
         "motor_speed_command": [(5.0, 8.0)],
         "motor_speed": [(0.2, 0.4)],

@@ -32,34 +32,6 @@ def run(system, positions):
     return np.array(estimates)
 
 
-# ------------------------------------------------------------------------------ structure
-
-
-@pytest.mark.parametrize(("kind", "states"), [(TrackingObserver, 3), (BackwardDifference, 2)])
-def test_estimate_feeds_the_measurement_through_and_remembers(leaf, kind, states):
-    structure = leaf.structure(kind())
-    assert (structure.inputs, structure.outputs) == (
-        {"measured_position": 1},
-        {"estimated_state": 3},
-    )
-    assert (structure.continuous, structure.discrete) == (0, [states])
-    assert structure.feedthrough == {("measured_position", "estimated_state")}
-
-
-@both
-def test_updates_come_every_2_ms_or_as_given(kind):
-    for system, period in ((kind(), 0.002), (kind(sample_time_s=0.005), 0.005)):
-        timing = system.GetUniquePeriodicDiscreteUpdateAttribute()
-        assert (timing.period_sec(), timing.offset_sec()) == (period, 0.0)
-
-
-def test_only_parameter_of_the_observer_is_its_time_constant():
-    system = TrackingObserver(ObserverParameters(time_constant_s=0.05))
-    values = system.parameters(system.CreateDefaultContext())._asdict()
-    assert values == {"time_constant_s": 0.05}
-    assert BackwardDifference().CreateDefaultContext().num_numeric_parameter_groups() == 0
-
-
 # ----------------------------------------------------------------------------- conversion
 
 
@@ -150,13 +122,6 @@ def test_differences_of_random_positions_are_the_written_out_ones():
     np.testing.assert_allclose(
         run(BackwardDifference(), y), np.transpose([y, v, a]), rtol=1e-9, atol=1e-9
     )
-
-
-def test_differences_lag_constant_acceleration_by_half_a_period():
-    times, a = T * np.arange(10), 0.8
-    estimates = run(BackwardDifference(), 0.5 * a * times**2)
-    np.testing.assert_allclose(estimates[2:, 1], a * (times[2:] - 0.5 * T), rtol=1e-11)
-    np.testing.assert_allclose(estimates[3:, 2], a, rtol=1e-8)  # 1e-17 m over T²
 
 
 # ------------------------------------------------------------------------- initialization

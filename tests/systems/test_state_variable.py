@@ -3,13 +3,9 @@
 import pytest
 
 from kneexo.parameters import BldcPumpParameters
-from kneexo.systems import BldcPump, StateVariable
+from kneexo.systems import BldcPump
 from kneexo.systems.bldc_pump import state_variables
 from kneexo.systems.cylinder import cylinder_states
-
-
-def test_a_state_without_a_factor_is_in_the_unit_of_its_column():
-    assert StateVariable("rod_velocity_m_s").factor == 1.0
 
 
 def test_pressures_are_states_in_megapascal():

@@ -5,7 +5,7 @@ import pytest
 from pydrake.systems.analysis import Simulator
 
 from kneexo.parameters import BldcPumpParameters, MotorParameters
-from kneexo.systems import BldcPump, TorqueLimitedPump
+from kneexo.systems import TorqueLimitedPump
 from kneexo.systems.torque_limited_pump import shaft_loss
 
 RPM = 2.0 * math.pi / 60.0
@@ -56,17 +56,6 @@ def limited(**values):
     return TorqueLimitedPump(motor=MotorParameters(**values))
 
 
-def test_a_motor_with_torque_adds_current_and_voltage(leaf):
-    structure, plain = leaf.structure(limited()), leaf.structure(BldcPump())
-    assert structure.inputs == plain.inputs | {"torque_off": 1, "dynamic_brake": 1}
-    assert structure.outputs == plain.outputs | {"motor_current": 1, "motor_voltage": 1}
-    assert structure.feedthrough - plain.feedthrough == {
-        (source, name) for source in structure.inputs for name in ("motor_current", "motor_voltage")
-    }
-    names = (*BldcPump().parameter_names, *MotorParameters.model_fields)
-    assert limited().parameter_names == names
-
-
 @pytest.mark.parametrize("supply", [4.0, 24.0])
 def test_conversions_with_torque_agree_and_keep_arguments_and_changes(leaf, supply):
     system = TorqueLimitedPump(PARAMETERS, MotorParameters(supply_voltage_v=supply))
@@ -106,25 +95,11 @@ def test_random_points_meet_the_written_out_torque_current_and_voltage(leaf):
     assert limits == {"none", "supply", "current", "torque off", "brake"}
 
 
-def test_within_its_limits_the_motor_follows_the_speed_loop():
-    for values in ({"command": 90.0, "speed": 30.0}, {"command": -200.0, "speed": -120.0}):
-        loaded = values | {"pressure": 2.5e6}
-        assert acceleration(limited(), **loaded) == pytest.approx(
-            acceleration(BldcPump(), **loaded), rel=1e-9
-        )
-
-
 def test_holding_a_pressure_takes_its_torque_over_the_torque_constant():
     current = output(limited(), "motor_current", pressure=2.8e6)
     assert current == pytest.approx(GEARED * 2.8e6 / 0.04, rel=1e-12)
     assert current == pytest.approx(1.485, abs=1e-3)
     assert output(limited(), "motor_voltage", pressure=2.8e6) == pytest.approx(0.15 * current)
-
-
-def test_a_part_of_the_current_makes_a_part_of_the_acceleration():
-    """One phase of three lost: 5 A. From rest, without oil: α = k_t i/J."""
-    rate = acceleration(limited(current_limit_a=5.0, inertia_kg_m2=4e-5), command=500.0)
-    assert rate == pytest.approx(0.04 * 5.0 / 4e-5, rel=1e-12)
 
 
 @pytest.mark.parametrize("supply", [12.0, 18.0])
@@ -147,21 +122,6 @@ def test_a_dead_motor_coasts_down_by_its_friction():
     viscous = MotorParameters(current_limit_a=0.0, coulomb_torque_n_m=0.0)
     (slow,) = response(0.0, [0.5], speed=60.0, motor=viscous)
     assert slow == pytest.approx(60.0 * math.exp(-1e-5 / 2e-5 * 0.5), rel=1e-5)
-
-
-def test_a_dead_motor_is_driven_by_the_oil():
-    rate = acceleration(limited(current_limit_a=0.0), command=0.0, pressure=2.0e6)
-    assert rate == pytest.approx(-GEARED * 2.0e6 / 2e-5, rel=1e-12)
-
-
-def test_without_torque_the_motor_is_a_dead_motor():
-    dead = limited(current_limit_a=0.0)
-    for speed in (-300.0, 100.0):
-        values = {"command": LIMIT, "pressure": 1e6, "speed": speed}
-        off = values | {"torque_off": 1.0}
-        assert acceleration(limited(), **off) == acceleration(dead, **values)
-        assert output(limited(), "motor_current", **off) == 0.0
-        assert output(limited(), "motor_voltage", **off) == pytest.approx(0.04 * speed)
 
 
 def test_the_dynamic_brake_is_a_viscous_damper_that_no_limit_or_command_weakens():

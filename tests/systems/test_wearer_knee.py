@@ -42,21 +42,7 @@ def rates(system, state, reference=(0.0, 0.0, 0.0, 0.0), moment=0.0, torque=0.0)
     return system.EvalTimeDerivatives(context).CopyToVector()
 
 
-# ------------------------------------------------------------------------------ structure
-
-
-@pytest.mark.parametrize("motion", ["prescribed", "active", "passive"])
-def test_ports_and_states_of_each_motion(leaf, motion):
-    structure = leaf.structure(leg(motion))
-    assert structure.inputs == {
-        "knee_reference": 4,
-        "biological_moment": 1,
-        "interaction_torque": 1,
-    }
-    assert structure.outputs == {"wearer_motion": 2}
-    assert structure.continuous == (0 if motion == "prescribed" else 7)
-    through = {("knee_reference", "wearer_motion")}
-    assert structure.feedthrough == (through if motion == "prescribed" else set())
+# ----------------------------------------------------------------------------- conversion
 
 
 @pytest.mark.parametrize("motion", ["prescribed", "active", "passive"])

@@ -34,10 +34,7 @@ CASES = {
         changed(LEG, {"estimator": {"kind": "exact"}}),
         (PLANT | LOAD | SMC | BUS | {"cylinder-law"}) - {"estimator-law", "coordinates-estimator"},
     ),
-    "wearer": (
-        changed(LEG, {"wearer": {"kind": "leg"}}),
-        PLANT | LOAD | SMC | BUS | WEARER,
-    ),
+    "wearer": (changed(LEG, {"wearer": {"kind": "leg"}}), PLANT | LOAD | SMC | BUS | WEARER),
     "function": (LEG.with_law(law), PLANT | LOAD | SMC | BUS | {"coordinates-law"}),
 }
 

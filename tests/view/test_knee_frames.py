@@ -70,22 +70,6 @@ class Shown:
 # ------------------------------------------------------------------------------ structure
 
 
-def test_ports_and_no_state():
-    system = KneeFrames(SceneGraph())
-    inputs = map(system.get_input_port, range(system.num_input_ports()))
-    assert {port.get_name(): port.size() for port in inputs} == {
-        "knee_angle": 1,
-        "knee_reference": 4,
-        "wearer_motion": 2,
-    }
-    assert system.num_output_ports() == 1
-    assert system.HasOutputPort("frame_poses")
-    assert system.CreateDefaultContext().num_total_states() == 0
-    assert system.HasDirectFeedthrough(0, 0)
-    assert system.HasDirectFeedthrough(1, 0)
-    assert system.HasDirectFeedthrough(2, 0)
-
-
 def test_it_does_not_convert_to_other_scalars():
     system = KneeFrames(SceneGraph())
     assert system.ToAutoDiffXdMaybe() is None

@@ -3,14 +3,7 @@ import pytest
 
 from kneexo.geometry.linkage import rod_extension
 from kneexo.parameters.device.linkages import G5, HINGE, LINKAGES
-from kneexo.view.mechanism import (
-    BARS,
-    HEAD,
-    PINS,
-    SHANK_M,
-    THIGH_M,
-    points,
-)
+from kneexo.view.mechanism import BARS, HEAD, PINS, SHANK_M, THIGH_M, points
 
 ANGLES = np.radians(np.linspace(0.0, 90.0, 181))
 

@@ -23,11 +23,7 @@ def show(monkeypatch):
 
 @pytest.mark.parametrize(
     ("parameters", "text"),
-    [
-        (kx.Scenario(), "Scenario()"),
-        (PlantParameters(), "PlantParameters()"),
-        (G1, "G1"),
-    ],
+    [(kx.Scenario(), "Scenario()"), (PlantParameters(), "PlantParameters()"), (G1, "G1")],
 )
 def test_parameters_have_a_drawing_and_their_repr(show, parameters, text):
     html = show(parameters)

@@ -22,14 +22,6 @@ def meshcat():
     return meshcat
 
 
-def test_ports_and_no_state(meshcat):
-    system = PressureColour(meshcat, "part", 1e6, 0.1)
-    port = system.get_input_port()
-    assert (port.get_name(), port.size(), system.num_input_ports()) == ("load_pressure", 1, 1)
-    assert system.num_output_ports() == 0
-    assert system.CreateDefaultContext().num_total_states() == 0
-
-
 def test_it_does_not_convert_to_other_scalars(meshcat):
     system = PressureColour(meshcat, "part", 1e6, 0.1)
     assert system.ToAutoDiffXdMaybe() is None

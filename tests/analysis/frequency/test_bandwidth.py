@@ -83,10 +83,7 @@ def test_the_follower_of_a_small_sine_is_the_closed_form():
 @given(amplitude=st.floats(1.0, 35.0), factor=st.floats(0.2, 5.0))
 def test_the_follower_depends_on_speed_over_frequency_alone(amplitude, factor):
     scenario = sine(amplitude)
-    faster = changed(
-        scenario,
-        {"plant.pump.displacement_m3_per_rad": 0.8e-6 / math.tau * factor},
-    )
+    faster = changed(scenario, {"plant.pump.displacement_m3_per_rad": 0.8e-6 / math.tau * factor})
     f = 8.0 / amplitude
     assert follower_response(faster, f * factor) == pytest.approx(
         follower_response(scenario, f), abs=1e-9

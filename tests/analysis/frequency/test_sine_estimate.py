@@ -16,12 +16,7 @@ from kneexo.analysis.frequency.sine_estimate import (
     settled_cycles,
 )
 from kneexo.errors import ParameterError
-from kneexo.parameters import (
-    RampReference,
-    Scenario,
-    SimulationParameters,
-    SineReference,
-)
+from kneexo.parameters import RampReference, Scenario, SimulationParameters, SineReference
 from kneexo.parameters.paths import changed
 
 

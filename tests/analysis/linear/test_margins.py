@@ -7,26 +7,15 @@ import control
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from linear_cases import (
-    SCENARIOS,
-    SPRING,
-    T,
-    plant_parameters,
-    raises_one_line,
-    sampled_loop,
-)
+from linear_cases import SCENARIOS, SPRING, T, plant_parameters, raises_one_line, sampled_loop
 
 from diagramc import loop_at
 from kneexo.analysis.linear.loop_equilibrium import find_equilibrium
-from kneexo.analysis.linear.margins import soundness, stability_margins
+from kneexo.analysis.linear.margins import stability_margins
 from kneexo.analysis.linear.sampled_loop import linearize_loop
 from kneexo.diagrams import make_closed_loop
 from kneexo.errors import LinearizationError
-from kneexo.parameters import (
-    PidParameters,
-    Scenario,
-    SlidingModeParameters,
-)
+from kneexo.parameters import PidParameters, Scenario, SlidingModeParameters
 from kneexo.parameters.paths import changed
 
 
@@ -179,11 +168,3 @@ def test_the_loop_of_the_diagram_has_the_same_margins(loops, margins):
     # Two poles near z = 1 multiply the rounding errors of the matrices by 1e5 at 0.1 Hz.
     np.testing.assert_allclose(opened.response(f), expected, rtol=1e-9)
     assert vars(stability_margins(opened)) == pytest.approx(vars(margins["pid_tuned"]), rel=1e-11)
-
-
-@pytest.mark.parametrize(
-    ("disk_margin", "verdict"),
-    [(0.5, "sound"), (math.inf, "sound"), (0.499, "small margin"), (math.nan, "unstable")],
-)
-def test_a_loop_is_sound_from_half_a_disk_margin_on(disk_margin, verdict):
-    assert soundness(disk_margin) == verdict

@@ -5,22 +5,14 @@ import math
 
 import numpy as np
 import pytest
-from linear_cases import (
-    SCENARIOS,
-    T,
-    distance,
-)
+from linear_cases import SCENARIOS, T, distance
 from pydrake.systems.analysis import InitializeParams, ResetIntegratorFromFlags, Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput
 
 from kneexo.analysis.linear.sampled_loop import linearize_loop
 from kneexo.diagrams import make_closed_loop
-from kneexo.parameters import (
-    EncoderParameters,
-    SineReference,
-    StepReference,
-)
+from kneexo.parameters import EncoderParameters, SineReference, StepReference
 from kneexo.studies.paper import EQ_27_EXACT_STATES
 
 
@@ -215,10 +207,7 @@ def assert_response(scenario, frequency_hz, *settings):
 # Amplitudes stay inside the boundary layer, whose s grows with f², and below the motor's
 # acceleration limit, 100 rad/s of sudden command.
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("frequency_hz", "amplitude_deg"),
-    [(20.0, 1e-3), (100.0, 1e-4)],
-)
+@pytest.mark.parametrize(("frequency_hz", "amplitude_deg"), [(20.0, 1e-3), (100.0, 1e-4)])
 def test_the_response_to_a_small_sine_is_that_of_the_simulator(frequency_hz, amplitude_deg):
     assert_response(SCENARIOS["smc"], frequency_hz, amplitude_deg, 0.5, 0.1, 2e-4)
 

@@ -166,10 +166,7 @@ def test_an_extension_that_is_no_length_in_mm_is_refused(extension_mm, message):
 
 @pytest.mark.parametrize(
     "limits",
-    [
-        {"least_arm_m": 0.1, "largest_arm_m": 0.05},
-        {"cylinder_height_m": 0.5, "pin_radius_m": 0.45},
-    ],
+    [{"least_arm_m": 0.1, "largest_arm_m": 0.05}, {"cylinder_height_m": 0.5, "pin_radius_m": 0.45}],
 )
 def test_limits_in_the_wrong_order_are_refused(limits):
     low, high = limits

@@ -49,12 +49,6 @@ def test_torque_and_powers_of_sines_are_those_of_integrals_by_hand():
     assert math.isnan(metrics.assistance_ratio)
 
 
-def test_a_wearer_who_is_pulled_along_gets_power():
-    metrics = interaction_metrics(sines(phase=math.pi), period_s=2.0)
-    assert metrics.power_from_wearer_w == pytest.approx(0.0, abs=1e-9)
-    assert metrics.power_to_wearer_w == pytest.approx(15.0, **EXACT)
-
-
 @pytest.mark.parametrize(("phase", "ratio"), [(math.pi, 0.25), (0.0, -0.25), (math.pi / 2, 0.0)])
 def test_the_assistance_ratio_is_the_share_of_the_moment_that_the_exoskeleton_gives(phase, ratio):
     moment = 40.0 * np.sin(OMEGA * TIME)
@@ -80,11 +74,6 @@ def test_the_initial_transient_and_a_part_of_a_period_do_not_count():
     between = interaction_metrics(run, period_s=5.0008 / 2)  # its end lies between two samples
     assert (between.start_s, between.end_s) == pytest.approx((2.501, 5.0))
     assert interaction_metrics(run, period_s=5.0012 / 2).start_s == 0.0
-
-
-def test_the_mean_torque_is_in_the_root_mean_square():
-    metrics = interaction_metrics(sines(bias_n_m=3.0), period_s=2.0)
-    assert metrics.rms_torque_n_m == pytest.approx(math.sqrt(9.0 + 50.0), **EXACT)
 
 
 def test_a_run_without_wearer_or_samples_is_refused():

@@ -158,11 +158,7 @@ def test_the_default_model_leaves_out_load_full_order_and_bus():
         "full order of the cylinder (valves, friction, air)",
         "torque of the motor",
     )
-    assert omissions(LEG) == (
-        "torque of the wearer",
-        "air in the oil",
-        "torque of the motor",
-    )
+    assert omissions(LEG) == ("torque of the wearer", "air in the oil", "torque of the motor")
 
 
 @pytest.mark.parametrize(
@@ -222,10 +218,7 @@ def test_a_heavy_rod_contradicts_the_bounds_of_the_controller_and_has_no_weight(
         "plant.cylinder.mass_kg = 3.2 kg is outside controller.mass_min_kg … mass_max_kg, "
         "1.4 … 1.8 kg"
     )
-    assert list(model_notices(heavy)) == [
-        bounds,
-        WEIGHTLESS,
-    ]
+    assert list(model_notices(heavy)) == [bounds, WEIGHTLESS]
     loaded = changed(heavy, {"plant.load": {"kind": "knee"}})
     assert list(model_notices(loaded)) == [
         bounds,

@@ -39,18 +39,6 @@ each_engine = pytest.mark.parametrize(
 
 
 @each_engine
-def test_the_basic_metrics_are_those_of_the_whole_result(change):
-    scenario = BRISK.changed(change)
-    basic, metrics = track_basic_metrics(scenario), track(scenario).metrics
-    expected = {name: getattr(metrics, name) for name in TRACKING_METRICS}
-    assert basic == pytest.approx(expected, rel=1e-12)
-    assert min(expected.values()) > 0.0
-    # Without sums, no rounding.
-    for name in ("max_error_deg", "saturated_share", "peak_pressure_mpa"):
-        assert basic[name] == expected[name]
-
-
-@each_engine
 def test_metrics_without_a_log_are_those_of_the_log(change):
     # The ratings are exceeded in a part of the samples, and power flows in both directions.
     scenario = BRISK.changed({"simulation.duration_s": 1.1, **change})

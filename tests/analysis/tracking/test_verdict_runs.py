@@ -42,10 +42,6 @@ def check(name):
         assert reduced[key] == pytest.approx(found[key], rel=1e-9), key
 
 
-def test_there_are_sixty_runs():
-    assert len(RUNS) == 60
-
-
 @pytest.mark.slow(gate=13)
 @pytest.mark.parametrize("name", RUNS)
 def test_each_run_has_the_verdict_of_its_signals(name):

@@ -76,7 +76,6 @@ def gait(frequency_hz, cycles=1):
 
 _MEAN = gait_knee_flexion()[1]
 _STRIDE = np.roll(_MEAN[:-1], -int(np.argmin(_MEAN)))  # closed to 0.03°
-SMALL = [(0, 30), (2, 30.4), (4, 29.6), (6, 30.4), (8, 29.6), (9, 30)]
 HILL = [(0, 20), (4, 60), (20, 20)]
 CASES = {
     # 40° − 30° cos(2πft): at a quarter of the period 40°, at a sixth 25°
@@ -142,10 +141,6 @@ def count_deg(low, high):
     angles = np.radians(np.linspace(low, high, 200) if high > low else [low - 0.01, low + 0.01])
     slope = np.min(np.abs(np.gradient(encoder_angle(G1, angles), angles)))
     return 360.0 / 4096.0 / slope
-
-
-def test_there_are_forty_references():
-    assert len(CASES) == 40
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -128,9 +128,7 @@ def test_the_moment_arm_is_the_linkages():
     [
         (Scenario(), 0.0, "frequency_hz = 0 Hz"),
         (
-            Scenario(
-                plant=PlantParameters(knee=KneeParameters(flexion_min_deg=5.0)),
-            ),
+            Scenario(plant=PlantParameters(knee=KneeParameters(flexion_min_deg=5.0))),
             1.0,
             "range of motion",
         ),

@@ -102,10 +102,7 @@ def test_plot_shows_z_and_its_asymptotes():
             lambda: measure_impedance(scenario(controller={"kind": "pid"}), 1.0),
             r"controller: follows the reference, .* mode = zero_torque or assist",
         ),
-        (
-            lambda: measure_impedance(scenario(), 1.0, 0.0),
-            r"amplitude_deg = 0 deg: must be > 0",
-        ),
+        (lambda: measure_impedance(scenario(), 1.0, 0.0), r"amplitude_deg = 0 deg: must be > 0"),
         (
             lambda: measure_impedance(scenario(), 51.0),
             r"frequencies_hz: 51 Hz is too high: must be <= 50 Hz, ten samples a period",

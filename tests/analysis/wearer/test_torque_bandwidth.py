@@ -56,11 +56,7 @@ def test_bad_input_is_one_line(case, options, line):
 def test_a_locked_rod_is_oil_behind_lag_and_hold():
     """F/u = k_q D_m Ā/gear/((τ_m s + 1)(s + k_q C_t)), sampled, held, with u = K_p (F_d − F)."""
     gain, period, lag, cell = 0.02, 0.002, 0.010, 1e-5
-    law = {
-        "proportional_rad_s_per_n": gain,
-        "integral_rad_s2_per_n": 0.0,
-        "speed_feedforward": 0.0,
-    }
+    law = {"proportional_rad_s_per_n": gain, "integral_rad_s2_per_n": 0.0, "speed_feedforward": 0.0}
     case = scenario(law, load_cell={"filter_s": cell})
     f = np.array([0.1, 1.0, 5.0, 20.0])
     result = torque_response(case, f, knee_angle_deg=45.0, held="rod")

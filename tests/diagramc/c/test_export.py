@@ -221,15 +221,9 @@ def test_the_rows_of_the_readme_tell_each_number_with_its_unit():
         ("operations in a step", "4: 3 *, 1 sqrt"),
         ("RAM of `m_state_t`", "24 bytes"),
         ("difference of `y0`", "1.25e-12, where it goes up to 34.5"),
-        (
-            "Cortex-M4F: flash, code and parameters, without the C library, -O2",
-            "1120 bytes",
-        ),
+        ("Cortex-M4F: flash, code and parameters, without the C library, -O2", "1120 bytes"),
         ("Cortex-M4F: stack of a step, without the C library, -O2", "48 bytes"),
-        (
-            "Cortex-M7: flash, code and parameters, without the C library, -O2",
-            "2040 bytes",
-        ),
+        ("Cortex-M7: flash, code and parameters, without the C library, -O2", "2040 bytes"),
         ("Cortex-M7: stack of a step, without the C library, -O2", "96 bytes"),
         ("power", "not measured: no / meter"),
     ]

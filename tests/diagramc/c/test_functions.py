@@ -70,8 +70,7 @@ def test_a_comment_asks_for_no_variable(built):
 
 
 @pytest.mark.parametrize(
-    ("port", "name"),
-    [("gain", "law_gain"), ("and", "law_and"), ("t", "law_t")],
+    ("port", "name"), [("gain", "law_gain"), ("and", "law_and"), ("t", "law_t")]
 )
 def test_a_variable_has_the_name_of_its_signal(built, port, name):
     source = CSource(*model_of("law", port), tick_s=0.1)

@@ -8,12 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import (
-    ConstantVectorSource,
-    Gain,
-    LinearSystem,
-    Sine,
-)
+from pydrake.systems.primitives import ConstantVectorSource, Gain, LinearSystem, Sine
 
 from diagramc import read_diagram
 from diagramc.c import functions

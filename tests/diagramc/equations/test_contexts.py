@@ -4,12 +4,7 @@ import numpy as np
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, FirstOrderLowPassFilter
 
-from diagramc.equations.contexts import (
-    parameters_of,
-    set_parameters,
-    set_state,
-    state_of,
-)
+from diagramc.equations.contexts import parameters_of, set_parameters, set_state, state_of
 from diagramc.equations.reader import read_equations
 from diagramc.equations.tree import Node
 from diagramc.run_data import State

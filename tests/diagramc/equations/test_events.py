@@ -129,12 +129,7 @@ def test_witness_functions_are_refused_without_a_crash():
 
 
 @pytest.mark.parametrize(
-    "branch",
-    [
-        lambda x: 1.0 if x else 2.0,
-        lambda x: x and 2.0,
-        lambda x: 1.0 if x > 0.0 else 2.0,
-    ],
+    "branch", [lambda x: 1.0 if x else 2.0, lambda x: x and 2.0, lambda x: 1.0 if x > 0.0 else 2.0]
 )
 def test_a_branch_on_a_value_is_refused_with_its_line(branch, diagram_of, leaf):
     def construct(self, T):

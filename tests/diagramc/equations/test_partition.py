@@ -3,12 +3,7 @@
 import pytest
 
 from diagramc.equations.graph import Graph
-from diagramc.equations.partition import (
-    fixed_nodes,
-    is_rounded,
-    nodes_by_count,
-    zero_factors,
-)
+from diagramc.equations.partition import fixed_nodes, is_rounded, nodes_by_count, zero_factors
 
 
 @pytest.fixture

@@ -115,19 +115,13 @@ def nested(g, x, y, p, q):
 
 CASES = {
     "quotient": (lambda g, x, y, p, q: g.divide(g.divide(x, p), q), ["multiply"]),
-    "sum of quotients": (
-        lambda g, x, y, p, q: g.add(g.divide(x, p), g.divide(x, q)),
-        ["multiply"],
-    ),
+    "sum of quotients": (lambda g, x, y, p, q: g.add(g.divide(x, p), g.divide(x, q)), ["multiply"]),
     "nested": (nested, ["add", "multiply"]),
     "like terms": (
         lambda g, x, y, p, q: g.add(g.multiply(p, x), y, g.multiply(q, x), q, p),
         ["add", "multiply"],
     ),
-    "factors": (
-        lambda g, x, y, p, q: g.multiply(p, g.multiply(x, y), q),
-        ["multiply", "multiply"],
-    ),
+    "factors": (lambda g, x, y, p, q: g.multiply(p, g.multiply(x, y), q), ["multiply", "multiply"]),
     "factor of two plain terms": (
         lambda g, x, y, p, q: g.multiply(p, g.add(x, y)),
         ["add", "multiply"],
@@ -136,10 +130,7 @@ CASES = {
         lambda g, x, y, p, q: g.multiply(p, g.add(x, g.multiply(q, y))),
         ["add", "multiply", "multiply"],
     ),
-    "fourth power": (
-        lambda g, x, y, p, q: g.multiply(x, x, p, x, x, y),
-        ["multiply", "multiply"],
-    ),
+    "fourth power": (lambda g, x, y, p, q: g.multiply(x, x, p, x, x, y), ["multiply", "multiply"]),
     "fifth power": (lambda g, x, y, p, q: g.multiply(x, x, x, x, x), ["multiply"]),
     "free quotient": (lambda g, x, y, p, q: g.divide(p, x), ["divide"]),
 }

@@ -4,13 +4,7 @@ import pytest
 from pydrake.examples import PendulumGeometry, PendulumPlant
 from pydrake.geometry import SceneGraph
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
-from pydrake.systems.primitives import (
-    ConstantVectorSource,
-    Gain,
-    Integrator,
-    LogVectorOutput,
-    Sine,
-)
+from pydrake.systems.primitives import ConstantVectorSource, Gain, Integrator, LogVectorOutput, Sine
 
 from diagramc.equations.reader import read_equations
 from diagramc.equations.tree import Node, cited_equations

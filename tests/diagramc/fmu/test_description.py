@@ -5,11 +5,7 @@ from xml.etree import ElementTree
 import pytest
 
 import diagramc
-from diagramc.fmu.description import (
-    Header,
-    build_description,
-    model_description,
-)
+from diagramc.fmu.description import Header, build_description, model_description
 from diagramc.fmu.variables import VariableTable
 
 

@@ -121,15 +121,12 @@ def _one_line(error):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"name": "my model"}, "name = 'my model': must be a C identifier of at most 31 letters"),
         ({"name": "a\nb"}, r"name = 'a\nb': must be a C identifier"),
         ({"name": "fmi3"}, "name = 'fmi3': is a prefix of FMI; choose another name"),
-        ({"name": "math"}, "name = 'math': is a header of C; choose another name"),
         ({"version": 1}, "version = 1: must be one of 2, 3"),
         ({"version": "3"}, "version = '3': must be one of 2, 3"),
         ({"inputs": ["torque"]}, "has no input port 'torque'; it has tau"),
         ({"tick_s": None}, "pendulum: tick_s is needed, for it has no sample time"),
-        ({"tick_s": -1.0}, "tick_s = -1 s: must be finite and > 0"),
         ({"tick_s": math.nan}, "tick_s = nan s: must be finite and > 0"),
         (
             {"platforms": ["win64"]},
@@ -146,15 +143,9 @@ def _one_line(error):
             {"parameters": [FmuParameter("m", 1.0, ("pendulum.mass",), low=2.0, high=3.0)]},
             "m = 1: must be 2 … 3",
         ),
-        (
-            {"parameters": [FmuParameter("m", math.nan, ("pendulum.mass",))]},
-            "m = nan: must be ",
-        ),
+        ({"parameters": [FmuParameter("m", math.nan, ("pendulum.mass",))]}, "m = nan: must be "),
         ({"stop_s": math.inf}, "stop_s = inf s: must be finite and > 0 s"),
-        ({"stop_s": 0.0}, "stop_s = 0 s: must be finite and > 0 s"),
         ({"stop_s": "a"}, "stop_s = 'a': must be finite and > 0 s"),
-        ({"version": 2.0}, "version = 2.0: must be one of 2, 3"),
-        ({"context": 3}, "context = 3: must be a Context of the diagram"),
         ({"platforms": 3}, "platforms = 3: must be all, or names of platforms"),
         ({"parameters": 3}, "parameters = 3: must be a list of names or of FmuParameter"),
         ({"parameters": [3]}, "an element of parameters = 3: must be a name or an FmuParameter"),
@@ -171,9 +162,6 @@ def _one_line(error):
         ({"description": 3}, "description = 3: must be a text"),
         ({"starts": {"tau": "a"}}, "start value tau = 'a': must be a finite number"),
         ({"starts": 3}, "starts = 3: must be a dictionary"),
-        ({"inputs": ["tau", "tau"]}, "inputs: has 'tau' twice; give each name once"),
-        ({"inputs": None}, "inputs = None: must be names"),
-        ({"tick_s": "x"}, "tick_s = 'x': must be finite and > 0 s"),
         ({"nope": 1}, "option 'nope': is unknown; known: "),
     ],
 )

@@ -250,8 +250,7 @@ def test_a_wrong_tolerance_is_refused(tolerance):
 
 
 @pytest.mark.parametrize(
-    "wrong",
-    [{"inputs": 3}, {"outputs": [3]}, {"bypass": None}, {"bypass": [3]}],
+    "wrong", [{"inputs": 3}, {"outputs": [3]}, {"bypass": None}, {"bypass": [3]}]
 )
 def test_names_of_another_type_are_refused(wrong):
     diagram = feedback()

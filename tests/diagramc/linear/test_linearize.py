@@ -293,11 +293,7 @@ def test_a_wrong_argument_is_one_line(loop, error, match, arguments):
 
 
 @pytest.mark.parametrize(
-    "call",
-    [
-        lambda: linearize(3, inputs=[], outputs=["y"]),
-        lambda: find_equilibrium(3),
-    ],
+    "call", [lambda: linearize(3, inputs=[], outputs=["y"]), lambda: find_equilibrium(3)]
 )
 def test_what_is_no_diagram_is_one_line(call):
     with pytest.raises(CompilationError, match=r"\Aint 3: cannot be compiled; [^\n]*\Z"):

@@ -20,14 +20,7 @@ from pydrake.systems.primitives import (
     ZeroOrderHold,
 )
 
-from diagramc import (
-    ParameterError,
-    PeriodicLoop,
-    linearize,
-    loop_at,
-    margins,
-    sensitivity,
-)
+from diagramc import ParameterError, PeriodicLoop, linearize, loop_at, margins, sensitivity
 
 T = 0.01
 PLANT = ([[0.0, 1.0], [-4.0, -1.0]], [[0.0], [4.0]], [[1.0, 0.0]], [[0.0]])

@@ -9,11 +9,7 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import Adder, Gain, LinearSystem, ZeroOrderHold
 from pydrake.trajectories import PiecewisePolynomial
 
-from diagramc import (
-    compile_diagram,
-    input_table,
-    linearize,
-)
+from diagramc import compile_diagram, input_table, linearize
 
 AMPLITUDE = 1e-4
 SAMPLES_PER_S = 64 * 256

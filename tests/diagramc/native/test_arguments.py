@@ -1,31 +1,13 @@
 """Arguments of machine code: names that the time loop and the runner share."""
 
 from diagramc.native.arguments import (
-    BETWEEN,
-    DOUBLES,
-    INPUT,
-    INTEGRATORS,
     MEMO_LINES,
     NOT_FINITE,
     OK,
     OUTPUT_NOT_FINITE,
     OUTSIDE,
-    RUN,
     TOO_ROUGH,
 )
-
-
-def test_no_argument_is_named_twice():
-    for names in (RUN, BETWEEN, INPUT, INTEGRATORS):
-        assert len(set(names)) == len(names)
-
-
-def test_records_between_ticks_add_their_times_and_places():
-    assert set(BETWEEN) - set(RUN) == {"times", "places"}
-
-
-def test_doubles_are_arguments_of_a_run():
-    assert set(DOUBLES) <= set(RUN)
 
 
 def test_outcomes_differ_and_a_run_to_its_end_is_zero():

@@ -127,23 +127,6 @@ def test_damage_of_any_byte_is_noticed():
             assert cache.load("key") is None, index
 
 
-@pytest.mark.parametrize("length", [0, 1, 14, 45, 46])
-def test_a_file_without_content_is_damaged(length):
-    path = entry_path("key")
-    path.write_bytes(path.read_bytes()[:length])
-    with pytest.warns(UserWarning, match="damaged"):
-        assert cache.load("key") is None
-
-
-def test_another_format_version_is_refused():
-    path = entry_path("key")
-    whole = path.read_bytes()
-    assert whole.startswith(b"diagramc code 1\n")
-    path.write_bytes(whole.replace(b"code 1", b"code 0", 1))
-    with pytest.warns(UserWarning, match="damaged"):
-        assert cache.load("key") is None
-
-
 def test_clear_deletes_a_link_to_a_directory_and_not_the_directory(tmp_path):
     path = entry_path("key")
     path.unlink()

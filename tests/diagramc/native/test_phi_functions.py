@@ -6,12 +6,7 @@ import scipy.linalg
 
 from diagramc.native.ir import Array, Module
 from diagramc.native.llvm import Library, compile_text
-from diagramc.native.phi_functions import (
-    FINEST,
-    Tables,
-    define_store_matrix,
-    fill_tables,
-)
+from diagramc.native.phi_functions import FINEST, Tables, define_store_matrix, fill_tables
 from diagramc.native.types import DOUBLE, INT, POINTER
 
 

@@ -4,25 +4,7 @@ import math
 
 import pytest
 
-from kneexo.parameters import (
-    RPM,
-    EncoderParameters,
-    PidParameters,
-    SlidingModeParameters,
-)
-
-
-def test_the_sliding_mode_controller_has_the_numbers_of_table_2() -> None:
-    controller = SlidingModeParameters()
-    assert (controller.mass_min_kg, controller.mass_max_kg) == (1.4, 1.8)
-    assert controller.mass_estimate_kg == pytest.approx(1.587, abs=5e-4)
-    assert controller.gain_ratio == pytest.approx(1.134, abs=5e-4)
-
-
-@pytest.mark.parametrize("controller", [SlidingModeParameters(), PidParameters()])
-def test_controllers_have_the_speed_limit_of_table_2_and_the_period_of_table_3(controller) -> None:
-    assert controller.command_limit_rad_s / RPM == pytest.approx(5000.0, rel=1e-14)
-    assert controller.sample_time_s == 0.002
+from kneexo.parameters import EncoderParameters, PidParameters
 
 
 def test_the_encoder_has_12_bits_unless_its_quantizer_is_bypassed() -> None:

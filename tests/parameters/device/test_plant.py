@@ -4,12 +4,7 @@ import math
 
 import pytest
 
-from kneexo.parameters import (
-    BldcPumpParameters,
-    CylinderParameters,
-    KneeParameters,
-    RodPolynomialParameters,
-)
+from kneexo.parameters import BldcPumpParameters, CylinderParameters, RodPolynomialParameters
 
 
 def test_the_polynomials_are_those_of_table_1() -> None:
@@ -24,31 +19,12 @@ def test_the_polynomials_are_those_of_table_1() -> None:
     assert back == pytest.approx(60.0, abs=0.1)  # the printed maps are inverse to 0.1 deg
 
 
-def test_cylinder_and_pump_have_the_numbers_of_table_2() -> None:
+def test_areas_follow_from_table_3_and_are_those_of_table_2() -> None:
     cylinder = CylinderParameters()
-    assert 1e6 * cylinder.mean_area_m2 == pytest.approx(274.8894, abs=5e-5)
-    assert 1e9 * cylinder.total_volume_m3 == pytest.approx(41_233.0, rel=1e-14)
-    assert 1e9 * cylinder.mean_area_m2 * cylinder.stroke_m == pytest.approx(41_233.0, abs=0.5)
-    assert cylinder.bulk_modulus_pa == pytest.approx(17_200 * 1e5, rel=1e-14)
-    assert cylinder.mass_kg == 1.6
-    assert cylinder.damping_n_s_per_m == 0.05
-
-
-def test_cylinder_and_pump_have_the_numbers_of_table_3() -> None:
-    pump, cylinder = BldcPumpParameters(), CylinderParameters()
-    assert pump.speed_limit_rad_s == pytest.approx(5000 * 2 * math.pi / 60, rel=1e-14)
-    assert 1e6 * pump.displacement_m3_per_rad * 2 * math.pi == pytest.approx(0.8, rel=1e-14)
-    assert pump.rated_power_w == 200.0
-    assert (cylinder.bore_m, cylinder.rod_diameter_m, cylinder.stroke_m) == (0.02, 0.01, 0.15)
     assert 1e6 * cylinder.cap_area_m2 == pytest.approx(100 * math.pi, rel=1e-14)
     assert 1e6 * cylinder.rod_side_area_m2 == pytest.approx(75 * math.pi, rel=1e-14)
-    assert cylinder.pressure_rating_pa == 3.5e6
-
-
-def test_gear_and_range_of_motion_are_those_of_the_text() -> None:
-    assert BldcPumpParameters().gear_ratio == 6.0
-    knee = KneeParameters()
-    assert (knee.flexion_min_deg, knee.flexion_max_deg) == (0.0, 90.0)
+    assert 1e6 * cylinder.mean_area_m2 == pytest.approx(274.8894, abs=5e-5)
+    assert 1e9 * cylinder.mean_area_m2 * cylinder.stroke_m == pytest.approx(41_233.0, abs=0.5)
 
 
 def test_the_load_flow_loses_half_of_the_external_leakage() -> None:

@@ -5,19 +5,12 @@ import math
 import pytest
 
 from kneexo.parameters import (
-    RPM,
     BldcPumpParameters,
     CuffParameters,
     CylinderParameters,
     LoadCellParameters,
     TorqueParameters,
 )
-
-
-def test_the_controller_has_the_speed_limit_of_table_2_and_the_period_of_table_3() -> None:
-    controller = TorqueParameters()
-    assert controller.command_limit_rad_s / RPM == pytest.approx(5000.0, rel=1e-14)
-    assert controller.sample_time_s == 0.002
 
 
 def test_default_gains_meet_the_low_frequency_limit_of_passivity() -> None:

@@ -12,7 +12,6 @@ from kneexo.parameters import (
     GaitReference,
     SampledReference,
     Scenario,
-    SineReference,
     gait_reference,
     sit_to_stand_reference,
 )
@@ -106,13 +105,6 @@ def test_the_gait_curve_has_a_name() -> None:
         Scenario(reference="walk")
     with pytest.raises(ParameterError, match="reference: cycles = 0 is out of range"):
         Scenario(reference={"kind": "gait", "cycles": 0})
-
-
-def test_the_default_sine_is_that_of_section_5() -> None:
-    reference = SineReference()
-    assert reference.mean_deg - reference.amplitude_deg == 10.0
-    assert reference.mean_deg + reference.amplitude_deg == 70.0
-    assert reference.frequency_hz == 0.1
 
 
 def motion(reference: SampledReference, times: np.ndarray) -> np.ndarray:

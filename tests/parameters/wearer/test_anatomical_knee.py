@@ -103,7 +103,6 @@ def test_a_path_of_three_mm_may_be_in_cm(tmp_path, recwarn):
         ({"up_m": (0.0, -0.1, 0.0)}, "up_angles_rad has 7 values and up_m has 3"),
         ({"up_angles_rad": (0.0, 1.0, 0.5), "up_m": (0.0,) * 3}, "up_angles_rad: must increase"),
         ({"up_angles_rad": (-2.0, -1.0, 0.0), "up_m": (0.0,) * 3}, "flexion, which is positive"),
-        ({"size": 0.0}, "size = 0 is out of range: must be finite and >= 0.3"),
     ],
 )
 def test_faulty_nodes_are_one_line(values, message):

@@ -20,7 +20,6 @@ def test_defaults_are_those_of_a_body_of_1_75_m_where_winter_has_the_length():
     [
         ({"swing_percent": (62.0, 75.0)}, "swing_percent has 2 values: must have 4"),
         ({"swing_percent": (62.0, 61.0, 87.0, 100.0)}, "swing_percent: must increase"),
-        ({"thigh_m": 42.0}, "thigh_m = 42 m is out of range: must be finite and >= 0.1"),
     ],
 )
 def test_faulty_values_are_refused_in_one_line(values, message):
