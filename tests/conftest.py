@@ -19,7 +19,7 @@ import sys
 import zipfile
 from contextlib import suppress
 from decimal import Decimal, InvalidOperation
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -35,6 +35,7 @@ import pytest
 from waiting import LOOK_S, wait_for
 
 from diagramc.native.cache import cache_directory
+from kneexo.command_line import parser
 
 # The tests start dozens of Pythons: none translates every module anew.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -399,6 +400,14 @@ def curves():
         }
 
     return read
+
+
+@pytest.fixture(scope="module")
+def parser_once():
+    """Build the parser of the command line, which takes longer than most answers, once."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(parser, "_parser", cache(parser._parser))
+        yield
 
 
 @pytest.fixture(autouse=True)

@@ -1,9 +1,11 @@
-"""Wrong inputs as newcomers type them: each answer is one short line that names the remedy."""
+"""Wrong inputs as newcomers type them: each answer is one short line that names the remedy.
+
+Those of command lines are rows of `WRONG` in ``command_line/test_command_lines.py``.
+"""
 
 from __future__ import annotations
 
 import re
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +13,6 @@ import pytest
 
 import kneexo as kx
 from kneexo.analysis import detector_thresholds, fault_survival, linearize_loop, linearize_plant
-from kneexo.command_line import parser
 from kneexo.command_line.main import main
 from kneexo.diagrams import make_closed_loop, make_plant
 from kneexo.diagrams.signals import SIGNALS, columns
@@ -38,14 +39,6 @@ def assert_helps(line: str, remedy: str) -> None:
     assert line.isprintable(), line
     assert len(line) <= LONGEST, line
     assert re.search(remedy, line), line
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _parser_once():
-    """Build the parser of the command line, which takes longer than most answers, once."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(parser, "_parser", cache(parser._parser))
-        yield
 
 
 @pytest.fixture
@@ -137,6 +130,7 @@ FILES = {
 }
 
 
+@pytest.mark.usefixtures("parser_once")
 @pytest.mark.parametrize("text", FILES)
 def test_a_scenario_file(directory, capsys, text):
     Path("my.yaml").write_text(text)
@@ -144,109 +138,6 @@ def test_a_scenario_file(directory, capsys, text):
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("kneexo: my.yaml:")
     assert_helps(line, FILES[text])
-
-
-# ------------------------------------------------------------------------------ commands
-
-COMMANDS = {
-    # --set
-    "--set mass_kg=2": rf"--set mass_kg: unknown name; did you mean {MASS}\?$",
-    "--set plant.cylinder.mass=2": rf"did you mean {MASS}\?$",
-    "--set cylinder.mass_kg=2": rf"did you mean {MASS}\?$",
-    "--set plant.cylindr.mass_kg=2": rf"unknown name; did you mean {MASS}\?$",
-    f"--set {MASS}": rf"--set {MASS}: must be NAME=VALUE$",
-    f"--set {MASS}:2": r"must be NAME=VALUE$",
-    f"--set {MASS}=": rf"--set {MASS} has no value: must be a number",
-    f"--set {MASS}=2kg": rf"--set {MASS} = '2kg': must be a number, .* kg$",
-    f"--set {MASS}=1,6": r"must be a number with a decimal point",
-    f"--set {MASS}.value=2": rf"{MASS} is a single value",
-    "--set =2": r"must be NAME=VALUE$",
-    "--set controller.proportional_per_s=3": r"needs controller.kind = pid$",
-    "--set controller=pd": r"did you mean pid\?$",
-    "--set plant.full_order.entrained_air=0.1": r"unknown name; needs plant.full_order = true$",
-    "--set nominal.cylinder.mass_kg=2": r"unknown name; needs nominal = {}$",
-    "--set bus.latency_samples=1.5": r"must be a whole number, >= 0 and <= 10 samples$",
-    "--set reference=walk.csv": r"--set reference: walk.csv: cannot be read: No such file",
-    "--set plant.linkage=[": r"--set plant.linkage:1: YAML syntax",
-    "--set plant.knee.flexion_max_deg=50": r"--set plant.knee.flexion_max_deg: reference = .* 50 d",
-    "--set controller.mass_min_kg=2": r"--set controller.mass_min_kg: controller: mass_min_kg = 2",
-    "--set preset=leg": r"--set preset: unknown name; known here: bus, controller",
-    # other arguments
-    "--preset legs": r"--preset = 'legs': must be paper, bench, .*protected; did you mean leg\?$",
-    "--engine fast": r"--engine: 'fast' is unknown; known: compiled, drake",
-    "--law law.py:contrl": r"--law 'law.py:contrl': .* did you mean control\?$",
-    "--law nolaw.py:control": r"--law 'nolaw.py:control': there is no file",
-    "--out notes.txt": r"--out notes.txt: cannot write there .*; choose another directory$",
-    "--out ": r"--out: is empty; must be a path",
-    "--ouut run": r"--ouut: unknown argument; did you mean --out\?",
-    "other.yaml": r"other.yaml: unknown argument; see kneexo simulate --help$",
-}
-
-
-@pytest.mark.parametrize("words", COMMANDS)
-def test_an_argument_is_not_blamed_on_the_scenario_file(directory, capsys, words):
-    before = sorted(Path().iterdir())
-    option, _, value = words.partition(" ")
-    command = ["simulate", "my.yaml", *([option, value] if " " in words else [option])]
-    line = answer([*command, *([] if "--ou" in words else ["--out", "run"])], capsys)
-    assert_helps(line, COMMANDS[words])
-    assert "my.yaml" not in line
-    assert sorted(Path().iterdir()) == before
-
-
-OTHER_COMMANDS = {
-    "simulat": r"'simulat' is unknown; did you mean simulate\?",
-    "simulate": r"the following arguments are required: --out; see kneexo simulate --help$",
-    "simulate my.yml --out run": r"my.yml: cannot be read: .*; did you mean my.yaml\?$",
-    "simulate . --out run": r"cannot be read: Is a directory$",
-    "linearize --knee-angle 200 --out run": r"--knee-angle = 200 deg .* >= 0 and <= 90 deg$",
-    "linearize --knee-angle 40deg --out run": r"'40deg' must be a finite number .* without unit;",
-    "study bandwith --out run": r"did you mean bandwidth\?",
-    f"study bandwidth --set {MASS}=2 --out run": rf"unknown name; Scenario has {MASS}$",
-    "study bandwidth --set mass_kg=2 --out run": rf"unknown name; Scenario has {MASS}$",
-    f"reproduce --set {MASS}=2 --out run": rf"unknown name; Scenario has {MASS}$",
-    "study bandwidth --set amplitude_deg=3 --out run": r"did you mean amplitudes_deg\?$",
-    "study bandwidth --set tolerance=3 --out run": r"did you mean estimate.tolerance\?$",
-    "study bandwidth --set estimate.tol=9 --out run": r"name; known here: averaged_cycles",
-    "study bandwidth --set estimate.tolerance=9 --out run": r"estimate.tolerance = 9 is out of",
-    "study bandwidth --set frequencies_hz=[1,2,90] --out run": r"90 Hz is too high: .* <= 50 Hz",
-    "study bandwidth --set amplitudes_deg=[1e-200] --out run": r">= 1e-06 and <= 46 deg$",
-    "study bandwidth --workers 0 --out run": r"^--workers = 0: must be at least 1$",
-    "reproduce --set trial=1 --out run": r"--set trial: unknown name; did you mean trials\?$",
-    "reproduce --set mass_min_kg=1.9 --out run": r"= 1.9 kg must not exceed mass_max_kg = 1.8 kg$",
-    "study robustness --uncertainty no.yaml --out run": r"no.yaml: cannot be read: No such file",
-    "study bandwidth --preset wearer --out run": r"controller.kind = torque: .* study wearer meas",
-    "play --out my.py": r"my.py: the name of a page must end in .html$",
-    "play --compare papr --out knee.html": r"preset = 'papr': .*; did you mean paper\?$",
-    f"play {'my.yaml ' * 9}--out knee.html": r"^9 scenarios: a page has at least 1 and at most 8$",
-    f"view {'my.yaml ' * 31}--out knee.html": r"^31 runs: a page shows 30 at most$",
-    "view --out knee.pdf": r"knee.pdf: the name of a page must end in .html$",
-    "view note.txt --out knee.html": r"cannot be read: .*; did you mean notes.txt\?$",
-    "view . --out knee.html": r"has no scenario.yaml; must be a directory of kneexo simulate$",
-    "export c --what knee --out run": r"'knee' is unknown; known: controller, plant, loop",
-    "new my.yaml": r"my.yaml exists already; choose another name$",
-    "params --find mas_kg": r"--find mas_kg: no parameter .*; did you mean mass_kg, ",
-}
-
-
-@pytest.mark.parametrize("words", OTHER_COMMANDS)
-def test_a_command(directory, capsys, words):
-    before = sorted(Path().iterdir())
-    assert_helps(answer(words.split(), capsys), OTHER_COMMANDS[words])
-    assert sorted(Path().iterdir()) == before
-
-
-def answer(words, capsys):
-    """The only line that a command prints on stderr, after its name."""
-    try:
-        code = main(words)
-    except SystemExit as end:  # of the parser
-        code = end.code
-    captured = capsys.readouterr()
-    assert (code, captured.out) == (2, "")
-    (line,) = captured.err.splitlines()
-    assert line.startswith("kneexo: ")
-    return line.removeprefix("kneexo: ")
 
 
 # -------------------------------------------------------------------------------- Python
@@ -368,8 +259,3 @@ def test_a_call_in_python(directory, name):
     with pytest.raises((KneexoError, AttributeError)) as caught:
         call()
     assert_helps(str(caught.value), remedy)
-
-
-def test_the_inputs_are_many():
-    tables = (FILES, COMMANDS, OTHER_COMMANDS, CALLS)
-    assert sum(map(len, tables)) >= 60
