@@ -363,31 +363,6 @@ def flat():
 
 
 @pytest.fixture(scope="session")
-def check_rules():
-    """The function ``check_rules(results)``: what holds for the numbers of every study."""
-
-    def check(results):
-        for path, value in _flat(results).items():
-            if isinstance(value, float) and math.isfinite(value):
-                name = next(part for part in reversed(path.split("/")) if not part.isdigit())
-                if re.search(r"(^|_)share(s|$|_)", name):
-                    assert 0.0 <= value <= 1.0, path
-                if re.match(r"(rms|max|peak|worst)_.*error|.*_swing_|rod_speed", name):
-                    assert value >= 0.0, path
-        if isinstance(results, dict):
-            for key, value in results.items():
-                seconds = results.get(f"{key[:-3]}_s") if key.endswith("_ms") else None
-                if isinstance(seconds, float) and math.isfinite(seconds):
-                    assert value == pytest.approx(1e3 * seconds), key
-                check(value)
-        elif isinstance(results, list | tuple):
-            for value in results:
-                check(value)
-
-    return check
-
-
-@pytest.fixture(scope="session")
 def curves():
     """The function ``curves(ax)``: the data (x, y) of each line that the legend names."""
 

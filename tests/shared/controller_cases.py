@@ -86,3 +86,7 @@ def made_up():
     ]
     failures = {(10.0, 0.32, 2.8e4): "left the range"}
     return ControllerResult(Scenario(), GRID, values, failures, tuple(limit_cycle), mapped)
+
+
+SMALL_STUDY = {"scenario": BASE, "settings": SMALL}
+"""Arguments of a study that takes about a second."""

@@ -130,3 +130,16 @@ def made_up():
         },
         local_failures=("tracking: too long",),
     )
+
+
+SMALL_STUDY = {
+    "scenario": REAL,
+    "uncertainty": uncertain(
+        plant__cylinder__mass_kg={"low": 1.4, "high": 1.8},
+        plant__pump__lag_s={"low": 0.0099, "high": 0.0101, "scale": "log"},
+    ),
+    "settings": FEW.model_copy(
+        update={"samples": 4, "corners_max": 4, "sensitivity_duration_s": 0.1}
+    ),
+}
+"""Arguments of a study that takes about a second."""
