@@ -19,7 +19,7 @@ import sys
 import zipfile
 from contextlib import suppress
 from decimal import Decimal, InvalidOperation
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -35,6 +35,7 @@ import pytest
 from waiting import LOOK_S, wait_for
 
 from diagramc.native.cache import cache_directory
+from kneexo.command_line import parser
 
 # The tests start dozens of Pythons: none translates every module anew.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -362,31 +363,6 @@ def flat():
 
 
 @pytest.fixture(scope="session")
-def check_rules():
-    """The function ``check_rules(results)``: what holds for the numbers of every study."""
-
-    def check(results):
-        for path, value in _flat(results).items():
-            if isinstance(value, float) and math.isfinite(value):
-                name = next(part for part in reversed(path.split("/")) if not part.isdigit())
-                if re.search(r"(^|_)share(s|$|_)", name):
-                    assert 0.0 <= value <= 1.0, path
-                if re.match(r"(rms|max|peak|worst)_.*error|.*_swing_|rod_speed", name):
-                    assert value >= 0.0, path
-        if isinstance(results, dict):
-            for key, value in results.items():
-                seconds = results.get(f"{key[:-3]}_s") if key.endswith("_ms") else None
-                if isinstance(seconds, float) and math.isfinite(seconds):
-                    assert value == pytest.approx(1e3 * seconds), key
-                check(value)
-        elif isinstance(results, list | tuple):
-            for value in results:
-                check(value)
-
-    return check
-
-
-@pytest.fixture(scope="session")
 def curves():
     """The function ``curves(ax)``: the data (x, y) of each line that the legend names."""
 
@@ -399,6 +375,14 @@ def curves():
         }
 
     return read
+
+
+@pytest.fixture(scope="module")
+def parser_once():
+    """Build the parser of the command line, which takes longer than most answers, once."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(parser, "_parser", cache(parser._parser))
+        yield
 
 
 @pytest.fixture(autouse=True)

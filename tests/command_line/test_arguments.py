@@ -9,21 +9,10 @@ from kneexo.command_line.main import main
 from kneexo.geometry.rod_polynomial import completed
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
-from kneexo.parameters.presets import PRESETS
 from kneexo.parameters.scenario_file import load_scenario
 from kneexo.studies.contest.contest import ContestSettings
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-
-
-@pytest.mark.parametrize("number", ["1_0", "٣", "nan", "inf", "1e999", "0x1", ""])
-@pytest.mark.parametrize("option", ["--knee-angle", "--workers"])
-def test_numbers_of_options_have_the_digits_0_to_9(capsys, option, number):
-    command = "linearize" if option == "--knee-angle" else "study bandwidth"
-    with pytest.raises(SystemExit) as caught:
-        main([*command.split(), option, number, "--out", "o"])
-    assert caught.value.code == 2
-    assert f"argument {option}: {number!r} must be a" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -62,14 +51,6 @@ def test_values_of_the_scenario_win_over_the_file(capsys, short, tmp_path, undra
     assert printed["max_error_deg"] != track(load_scenario(path)).metrics.max_error_deg
 
 
-def test_the_engine_wins_over_the_values(capsys, short, tmp_path, undrawn):
-    command = ["simulate", short, "--set", "simulation.integrator=radau1"]
-    arguments = [*command, "--set", "simulation.duration_s=1.1", "--engine", "compiled"]
-    assert main([*arguments, "--out", str(tmp_path / "out"), "--json"]) == 0
-    simulation = json.loads(capsys.readouterr().out)["scenario"]["simulation"]
-    assert (simulation["integrator"], simulation["duration_s"]) == ("exact_hold", 1.1)
-
-
 def test_changed_leaves_nested_mappings_of_settings_alone():
     settings = ContestSettings()
     path = "contestants.SMC.controller.lambda_per_s"
@@ -98,17 +79,6 @@ def test_the_preset_of_a_run_is_on_its_page(short, tmp_path, capsys, undrawn):
     assert printed["bus"]["latency_samples"] == 2
     title = f"kneexo simulate {short} --preset=bench --set=bus.latency_samples=2"
     assert f"<title>{title}</title>" in (tmp_path / "simulate.html").read_text()
-
-
-@pytest.mark.parametrize(
-    "command", ["simulate", "linearize", "view", "diagram", "params", "size", "export fmu"]
-)
-def test_the_help_of_each_command_with_a_scenario_has_the_presets(capsys, command):
-    with pytest.raises(SystemExit):
-        main([*command.split(), "--help"])
-    text = " ".join(capsys.readouterr().out.split())
-    for name in PRESETS:
-        assert f" {name} (" in text
 
 
 def test_a_relative_out_belongs_to_the_directory_of_the_call(

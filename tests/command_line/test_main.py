@@ -106,38 +106,6 @@ def test_commands_import_no_more_than_they_need(short):
         assert command in out.partition("plant:")[0]
 
 
-def test_no_command_shows_the_first_steps(capsys):
-    assert main([]) == 0
-    text = capsys.readouterr().out
-    commands = [line.split()[1] for line in text.splitlines() if line.startswith("  kneexo")]
-    assert commands == ["view", "simulate", "new", "reproduce"]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (
-            ["simulate", "a\nb\x1b", "--out", "o"],
-            "kneexo: a\\nb\\x1b: cannot be read: No such file",
-        ),
-        (["simulate", "x" * 5000, "--out", "o"], "kneexo: " + "x" * 150 + " … xxx"),
-        (["simulate", "--out", "o/" + "x" * 5000], "kneexo: --out o/" + "x" * 148 + " … xxx"),
-        (["simulate", "--set", "a\nb", "--out", "o"], "kneexo: --set a\\nb: must be NAME=VALUE"),
-        (["simulate", "--set", "x" * 5000 + "=1", "--out", "o"], "kneexo: --set xxx"),
-        (["view", "--out", "k.html", "loop"], "kneexo: loop: cannot be read: Too many levels of s"),
-    ],
-)
-def test_names_are_short_and_on_one_line(capsys, tmp_path, monkeypatch, arguments, message):
-    monkeypatch.chdir(tmp_path)
-    Path("loop").symlink_to("loop")
-    assert main(arguments) == 2
-    line = capsys.readouterr().err
-    assert line.startswith(message)
-    assert line.count("\n") == 1
-    assert len(line) < 1000
-    assert os.listdir() == ["loop"]
-
-
 @pytest.mark.parametrize(
     ("error", "message"),
     [

@@ -13,69 +13,11 @@ from kneexo.parameters.scenario_file import load_scenario
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
-def test_params_lists_every_number_with_unit_and_provenance(capsys):
-    assert main(["params", "--json"]) == 0
-    rows = {row["parameter"]: row for row in json.loads(capsys.readouterr().out)["parameters"]}
-    mass = rows["plant.cylinder.mass_kg"]
-    assert (mass["value"], mass["unit"]) == (1.6, "kg")
-    assert "Table" in mass["provenance"]
-    assert all(row["provenance"] for row in rows.values())
-    assert main(["params"]) == 0
-    text = capsys.readouterr().out
-    assert text.startswith(
-        "plant.pump:\n  speed_limit_rad_s = 523.5987756 rad/s  [0.1 … 5000]  Tab"
-    )
-    assert "\n\nuncertainty:\n  plant.cylinder.mass_kg = [1.4, 1.8]" in text
-
-
-def test_params_lists_a_law_of_the_user_and_its_gains(capsys):
-    law = f"{EXAMPLES / 'own_law.py'}:law"
-    assert main(["params", "--law", law]) == 0
-    assert f"function = {law}" in capsys.readouterr().out
-    assert main(["params", "--law", law, "--json"]) == 0
-    rows = json.loads(capsys.readouterr().out)["parameters"]
-    values = {row["parameter"]: row["value"] for row in rows}
-    assert values["controller.function"] == law
-    assert values["controller.values"] == {"gain": 1.3e5}
-
-
-def test_params_finds_what_the_scenario_changes(capsys, scenario_file):
-    path = scenario_file("plant: {cylinder: {mass_kg: 2}}")
-    assert main(["params", path, "--find", "yours"]) == 0
-    text = capsys.readouterr().out
-    assert text.startswith("plant.cylinder.mass_kg = 2 kg  [0.01 … 1000]\n    yours (paper: 1.6; ")
-    assert text.count(" = ") == 1
-    assert main(["params", path, "--find", "yours", "--json"]) == 0
-    (row,) = json.loads(capsys.readouterr().out)["parameters"]
-    assert (row["value"], row["default"]) == (2.0, 1.6)
-    assert main(["params", path, "--find", "zzz"]) == 2
-    assert capsys.readouterr().err.startswith("kneexo: --find zzz: no parameter has this text")
-
-
 def test_params_prints_a_scenario_file_that_loads(capsys, tmp_path):
     assert main(["params", "--yaml"]) == 0
     path = tmp_path / "full.yaml"
     path.write_text(capsys.readouterr().out)
     assert load_scenario(path) == Scenario()
-
-
-def test_params_of_a_scenario_have_no_alternatives_and_no_studies(capsys, scenario_file):
-    listed = []
-    for arguments in ([], [scenario_file("controller: {kind: pid}")]):
-        assert main(["params", *arguments, "--json"]) == 0
-        rows = json.loads(capsys.readouterr().out)["parameters"]
-        listed.append({row["parameter"] for row in rows})
-    everything, of_file = listed
-    assert "controller(pid).integral_per_s2" in everything
-    assert "study bandwidth: amplitudes_deg" in everything
-    assert "reproduce, Fig. 13: trials" in everything
-    assert "controller.integral_per_s2" in of_file
-    assert not any("(" in name or ":" in name for name in of_file)
-
-
-def test_params_prints_a_json_schema(capsys):
-    assert main(["params", "--schema"]) == 0
-    assert "plant" in json.loads(capsys.readouterr().out)["properties"]
 
 
 @pytest.mark.slow

@@ -58,3 +58,7 @@ def made_up():
             amplitudes_deg=AMPLITUDES, frequencies_hz=FREQUENCIES, estimate=QUICK
         ),
     )
+
+
+SMALL_STUDY = {"scenario": Scenario(), "settings": SMALL_MAP}
+"""Arguments of a study that takes about a second."""

@@ -11,6 +11,7 @@ from kneexo.parameters import (
     Uncertainty,
     UncertaintySet,
 )
+from kneexo.parameters.paths import changed
 from kneexo.studies.contest.contest import (
     CONTESTANTS,
     Contestant,
@@ -18,6 +19,7 @@ from kneexo.studies.contest.contest import (
     ContestSettings,
     Tuning,
 )
+from kneexo.studies.paper import PID_PAPER
 
 BASE = Scenario(
     reference=SineReference(amplitude_deg=0.5, frequency_hz=10.0),
@@ -111,3 +113,12 @@ SMALL = ContestSettings(
     other_reference=SineReference(amplitude_deg=0.2, frequency_hz=20.0),
     other_duration_s=0.1,
 )
+
+
+SMALL_STUDY = {
+    # The study replaces duration and controller.
+    "scenario": changed(BASE, {"simulation.duration_s": 7.0, "controller": PID_PAPER.model_dump()}),
+    "uncertainty": LAG,
+    "settings": SMALL,
+}
+"""Arguments of a study that takes about a second."""

@@ -9,7 +9,7 @@ import numpy as np
 from kneexo.parameters import Scenario, SimulationParameters, SineReference
 from kneexo.studies.controller.result import MAP_METRICS, METRICS, ControllerResult, LimitCycleCase
 from kneexo.studies.controller.settings import ControllerSettings
-from kneexo.studies.controller.study import LIMIT_CYCLE_VARIANTS
+from kneexo.studies.controller.controller import LIMIT_CYCLE_VARIANTS
 
 GRID = ControllerSettings(
     lambdas_per_s=(10.0, 20.0, 40.0),
@@ -75,3 +75,7 @@ def made_up():
     ]
     failures = {(10.0, 0.32, 2.8e4): "left the range"}
     return ControllerResult(Scenario(), GRID, values, failures, tuple(limit_cycle), mapped)
+
+
+SMALL_STUDY = {"scenario": BASE, "settings": SMALL}
+"""Arguments of a study that takes about a second."""

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from kneexo.parameters import UNCERTAIN_KNEE
+from kneexo.parameters import UNCERTAIN_KNEE, FaultParameters
 from kneexo.parameters.criteria import OBSERVED_S
 from kneexo.studies.faults import FaultsResult, FaultsSettings
 from kneexo.studies.faults.faults import EmergencyStop, FaultRow, Peaks, Rest
@@ -120,3 +120,13 @@ def made_up():
             for name, rate in curves.items()
         },
     )
+
+
+DEAD = FaultParameters(place="command", kind="scale", size=0.0)
+SWAPPED = FaultParameters(place="command", kind="scale", size=-1.0)
+QUICK = FaultsSettings(
+    faults=(DEAD, SWAPPED), controllers=("smc",), onsets=2, observed_s=2.0, samples=3
+)
+FAST = UNCERTAIN_KNEE.changed({"reference.frequency_hz": 0.2, "reference.amplitude_deg": 15.0})
+SMALL_STUDY = {"scenario": FAST, "settings": QUICK}
+"""Arguments of a study that takes about a second."""

@@ -8,7 +8,7 @@ from kneexo.analysis import FrequencyResponse, PolynomialFit, Run, TrackingMetri
 from kneexo.analysis.frequency.frequency_response import SinestreamSettings
 from kneexo.parameters import RodPolynomialParameters, Scenario, SimulationParameters
 from kneexo.studies.paper import EQ_27_DIFFERENCES, EQ_27_EXACT_STATES, FIG_12
-from kneexo.studies.reproduce.study import ReproduceResult
+from kneexo.studies.reproduce.reproduce import ReproduceResult
 
 METRICS = {
     "max_error_deg": 0.11,

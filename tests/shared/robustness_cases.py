@@ -7,7 +7,7 @@ import numpy as np
 
 from kneexo.parameters import UNCERTAIN_KNEE, Uncertainty, UncertaintySet
 from kneexo.parameters.paths import changed
-from kneexo.studies.robustness.study import MERITS, Assessment, RobustnessResult, RobustnessSettings
+from kneexo.studies.robustness.robustness import MERITS, Assessment, RobustnessResult, RobustnessSettings
 
 FEW = RobustnessSettings(
     samples=40, corners_max=200, bandwidth=False, sensitivity_duration_s=0.0, nyquist_loops=3
@@ -117,3 +117,16 @@ def made_up():
         },
         local_failures=("tracking: too long",),
     )
+
+
+SMALL_STUDY = {
+    "scenario": REAL,
+    "uncertainty": uncertain(
+        plant__cylinder__mass_kg={"low": 1.4, "high": 1.8},
+        plant__pump__lag_s={"low": 0.0099, "high": 0.0101, "scale": "log"},
+    ),
+    "settings": FEW.model_copy(
+        update={"samples": 4, "corners_max": 4, "sensitivity_duration_s": 0.1}
+    ),
+}
+"""Arguments of a study that takes about a second."""

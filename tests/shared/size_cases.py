@@ -154,3 +154,7 @@ def made_up():
         walking_map_deg=1.0 + 0.1 * np.arange(16.0).reshape(4, 4),
         traces={"nominal": trace, "sized": {k: 1.0 * v for k, v in trace.items()}},
     )
+
+
+SMALL_STUDY = {"scenario": UNCERTAIN_KNEE, "settings": SMALL}
+"""Arguments of a study that takes about a second."""

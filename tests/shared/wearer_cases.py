@@ -86,3 +86,7 @@ def made_up():
         for k, name in enumerate(LOOPS)
     ]
     return WearerResult(tuple(follow), (*weak, failed), tuple(margins), WEARER_KNEE, settings)
+
+
+SMALL_STUDY = {"scenario": WEARER_KNEE, "settings": SMALL}
+"""Arguments of a study that takes about a second."""

@@ -24,7 +24,7 @@ from kneexo.parameters.paths import changed
 from kneexo.simulation import compiled, drake, simulate_compiled
 from kneexo.simulation.engines import simulate
 from kneexo.studies.catalogue import STUDIES
-from kneexo.studies.reproduce import study as reproduce
+from kneexo.studies.reproduce import reproduce
 
 TOLERANCES = {
     # name in the results: (relative, absolute), and where it comes from

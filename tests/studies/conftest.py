@@ -1,7 +1,8 @@
 """Shared by the tests of studies: what a row must hold, from runs and margins without a study."""
 
+import importlib
 import math
-import re
+from functools import cache
 from unicodedata import combining
 
 import numpy as np
@@ -10,6 +11,8 @@ import pytest
 from kneexo.analysis.linear.sampled_loop import linearize_loop
 from kneexo.command_line.plain_text import head_of, plain_text
 from kneexo.simulation.engines import simulate
+from kneexo.studies.catalogue import STUDIES
+from kneexo.sweeps.checkpoint import Checkpoint
 
 
 def _in_numbers(scenario, period_s):
@@ -37,6 +40,34 @@ def _margins(scenario, angle_deg):
     }
 
 
+def _cases(name):
+    return importlib.import_module(f"{name}_cases")
+
+
+@pytest.fixture
+def by_hand(request):
+    """The result of the study of the test's folder that is made up, without a run."""
+    return _cases(request.path.parent.name).made_up()
+
+
+@pytest.fixture(scope="session")
+def computed(tmp_path_factory):
+    """The function ``computed(name)``: result of a small study, and path of its checkpoint."""
+
+    @cache
+    def compute(name):
+        path = tmp_path_factory.mktemp(name) / "checkpoint.jsonl"
+        return STUDIES[name].compute(**_cases(name).SMALL_STUDY, checkpoint=Checkpoint(path)), path
+
+    return compute
+
+
+@pytest.fixture
+def small(request, computed):
+    """Result and path of the checkpoint of the small study of the test's folder."""
+    return computed(request.path.parent.name)
+
+
 @pytest.fixture(scope="session")
 def in_numbers():
     """The function ``in_numbers(scenario, period_s)``: a run by NumPy, from its 2nd period on."""
@@ -47,26 +78,6 @@ def in_numbers():
 def margins():
     """The function ``margins(scenario, angle_deg)``: of the sampled loop; nan if unstable."""
     return _margins
-
-
-@pytest.fixture(scope="session")
-def rows_of(tables):
-    """The function ``rows_of(report)``: from the first cell of each row of tables to the others."""
-    return lambda report: {name: cells for table in tables(report) for name, *cells in table}
-
-
-@pytest.fixture(scope="session")
-def check_caption():
-    """The function ``check_caption(figure)``: its caption has sentences and no identifier."""
-
-    def check(figure):
-        caption = figure.get_label()
-        assert caption[:1].isupper() or caption[:1] in "ηλΦ"
-        assert caption.endswith(".")
-        assert "  " not in caption
-        assert not re.search(r"[a-z]{2}_[a-z]{2}|[;!]", caption), caption
-
-    return check
 
 
 @pytest.fixture(scope="session")

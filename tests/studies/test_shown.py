@@ -213,9 +213,14 @@ def test_each_figure_has_one_place_in_the_report(name):
 
 
 @pytest.mark.parametrize("name", STUDIES)
-def test_each_figure_has_a_caption_and_its_axes_have_labels(name, check_caption):
+def test_each_figure_has_a_caption_and_its_axes_have_labels(name):
+    """A caption has sentences and no identifier."""
     for figure in figures_of(name).values():
-        check_caption(figure)
+        caption = figure.get_label()
+        assert caption[:1].isupper() or caption[:1] in "ηλΦ"
+        assert caption.endswith(".")
+        assert "  " not in caption
+        assert not re.search(r"[a-z]{2}_[a-z]{2}|[;!]", caption), caption
         assert figure.axes[0].images or any(ax.get_xlabel() for ax in figure.axes)
 
 

@@ -6,12 +6,12 @@ import numpy as np
 from kneexo.studies.bandwidth.report import report
 
 
-def test_a_map_without_a_sine_to_compare_with_the_linear_loop_says_so(mapped):
-    limited = replace(mapped[0], unlimited=np.zeros(3, dtype=bool))
+def test_a_map_without_a_sine_to_compare_with_the_linear_loop_says_so(small):
+    limited = replace(small[0], unlimited=np.zeros(3, dtype=bool))
     assert "nothing to compare with the linear loop" in report(limited)
-    failed = mapped[0].response.copy()
+    failed = small[0].response.copy()
     failed[0] = math.nan
-    for result in (limited, replace(mapped[0], response=failed)):
+    for result in (limited, replace(small[0], response=failed)):
         assert "nan" not in report(result)
 
 

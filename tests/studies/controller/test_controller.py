@@ -9,10 +9,8 @@ from controller_cases import (
     SMALL,
 )
 
-from kneexo.command_line.output import to_json
-from kneexo.errors import ParameterError, SimulationError
+from kneexo.errors import SimulationError
 from kneexo.parameters import (
-    DifferenceParameters,
     Scenario,
     SineReference,
     SlidingModeParameters,
@@ -33,8 +31,11 @@ from kneexo.studies.controller.result import (
     METRICS,
 )
 from kneexo.studies.controller.settings import ControllerSettings
-from kneexo.studies.paper import IDEAL_SMC, PID_PAPER
-from kneexo.sweeps.checkpoint import Checkpoint
+from kneexo.studies.controller.controller import (
+    controller_study,
+    experiments,
+    settling_time_s,
+)
 
 # ------------------------------------------------------------------------ settling of a step
 
@@ -134,20 +135,6 @@ def test_the_oscillation_at_rest_is_that_of_the_later_half_of_the_hold(small):
     assert built.oscillation_at_rest_deg == pytest.approx(np.degrees(np.ptp(angle)), rel=1e-9)
 
 
-def test_a_finished_study_is_taken_from_its_checkpoint(small, monkeypatch):
-    study, checkpoint = small
-
-    def refuse(*arguments, **keywords):
-        raise AssertionError("computed again")
-
-    monkeypatch.setattr(controller, "track", refuse)
-    again = controller_study(
-        BASE, SMALL, checkpoint=Checkpoint(checkpoint.path, resume=True), progress=True
-    )
-    assert to_json(again.results()) == to_json(study.results())
-    assert report(again) == report(study)
-
-
 # ------------------------------------------------------------------------------ a run that fails
 
 
@@ -172,24 +159,6 @@ def test_a_run_that_fails_leaves_nan_and_its_reason(monkeypatch):
 
 
 # ------------------------------------------------------------------------------- bad input
-
-
-@pytest.mark.parametrize(
-    ("scenario", "message"),
-    [
-        (Scenario(controller=PID_PAPER), "controller.kind = pid: must be a sampled smc"),
-        (IDEAL_SMC, "controller.kind = smc: must be a sampled smc"),
-        (Scenario(estimator=DifferenceParameters()), "estimator.kind = difference: must be"),
-        (
-            Scenario(reference=SineReference(mean_deg=85.0, amplitude_deg=1.0)),
-            "end_deg = 95 deg is",
-        ),
-    ],
-)
-def test_a_scenario_that_cannot_be_studied_is_one_line(scenario, message):
-    with pytest.raises(ParameterError, match=message) as caught:
-        controller_study(scenario)
-    assert "\n" not in str(caught.value)
 
 
 def test_experiments_lie_about_the_middle_of_the_reference():

@@ -9,7 +9,6 @@ from design_cases import made_up
 from kneexo.analysis import design_linkage
 from kneexo.analysis.mechanism.alignment import align
 from kneexo.command_line.main import main
-from kneexo.errors import ParameterError
 from kneexo.geometry.linkage import rod_extension
 from kneexo.parameters import G1, HINGE, DesignLimits, RodPolynomialParameters, Scenario
 from kneexo.parameters.paths import changed
@@ -57,8 +56,6 @@ def test_a_word_stands_for_table_1_or_for_no_rod_map(searched):
     assert searched["rod"] == RodPolynomialParameters()
     design_study(settings=DesignSettings(rod="none"))
     assert searched["rod"] is None
-    with pytest.raises(ParameterError, match="rod = Table 1: must be table_1, none or a path"):
-        design_study(settings=DesignSettings(rod="Table 1"))
 
 
 def test_the_scenario_of_the_file_has_the_linkage(tmp_path, capsys, searched, monkeypatch):

@@ -6,7 +6,7 @@ from dataclasses import replace
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from faults_cases import made_up, row
+from faults_cases import DEAD, FAST, QUICK, SWAPPED, made_up, row
 
 from kneexo.analysis import fault_survival
 from kneexo.errors import ParameterError
@@ -18,13 +18,6 @@ from kneexo.studies.faults.faults import Rest, _controlled, _rest, _safe_after, 
 from kneexo.studies.faults.figures import plot_worst_case
 from kneexo.studies.faults.report import report
 
-DEAD = FaultParameters(place="command", kind="scale", size=0.0)
-SWAPPED = FaultParameters(place="command", kind="scale", size=-1.0)
-QUICK = FaultsSettings(
-    faults=(DEAD, SWAPPED), controllers=("smc",), onsets=2, observed_s=2.0, samples=3
-)
-FAST = UNCERTAIN_KNEE.changed({"reference.frequency_hz": 0.2, "reference.amplitude_deg": 15.0})
-
 
 class SimpleRun(dict):
     """Columns with times, as a `Run` has them."""
@@ -34,14 +27,10 @@ class SimpleRun(dict):
         self.time_s = time_s
 
 
-@pytest.fixture(scope="module")
-def result():
-    return faults_study(FAST, QUICK)
-
-
 @pytest.mark.slow
-def test_a_row_is_that_of_single_runs(result):
+def test_a_row_is_that_of_single_runs(small):
     """Without protection, with it, and the critical duration; the swapped phases end the run."""
+    result, _ = small
     assert [r.start_s for r in result.rows] == [5.0, 7.5, 5.0, 7.5]
     assert [r.alone.complete for r in result.rows] == [True, True, False, True]
     for found, fault in zip(result.rows, (DEAD, DEAD, SWAPPED, SWAPPED), strict=True):
@@ -71,7 +60,8 @@ def test_a_row_is_that_of_single_runs(result):
 
 
 @pytest.mark.slow
-def test_an_emergency_stop_is_that_of_a_single_run(result):
+def test_an_emergency_stop_is_that_of_a_single_run(small):
+    result, _ = small
     scenario = FAST.changed({"protection": {}, "simulation.duration_s": 9.5})
     assert [stop.start_s for stop in result.stops] == [5.0, 7.5]
     for stop in result.stops:
@@ -174,7 +164,8 @@ def test_a_motor_that_turns_on_after_an_overdue_stop_is_not_safe():
 
 
 @pytest.mark.slow
-def test_the_curves_are_those_of_the_worst_row(result):
+def test_the_curves_are_those_of_the_worst_row(small):
+    result, _ = small
     worst, traces = result.worst, result.traces
     assert worst.margin_s == min(r.margin_s for r in result.rows)
     time_s = traces["alone"]["time_s"]
@@ -214,24 +205,6 @@ def test_the_worst_case_is_drawn_until_the_motor_is_safe(safe_s, end_s):
     figure = plot_worst_case(replace(made_up(), all_rows=(late,)))
     assert figure.axes[0].get_xlim() == (9.0, end_s)
     plt.close(figure)
-
-
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        ({"faults": ({"place": "encoder"},)}, "faults, push: must be left out"),
-        ({"push": {"torque_n_m": 1.0}}, "faults, push: must be left out"),
-    ],
-)
-def test_a_scenario_has_no_faults_of_its_own(values, message):
-    with pytest.raises(ParameterError, match=message):
-        faults_study(UNCERTAIN_KNEE.changed(values), QUICK)
-
-
-def test_the_study_presses_the_emergency_stop_itself():
-    press = FaultParameters(place="emergency_stop", kind="value", size=1.0)
-    with pytest.raises(ParameterError, match="place = emergency_stop: must be left out; the study"):
-        faults_study(UNCERTAIN_KNEE, QUICK.changed({"faults": (press,)}))
 
 
 @pytest.mark.slow

@@ -45,8 +45,8 @@ def test_a_number_is_judged_to_the_digits_that_the_paper_prints(computed, printe
     assert comparison.because == ("of a reason" if judgement == DOES_NOT_HOLD else "")
 
 
-def test_the_judgements_of_the_paper_are_those_of_decimal_rounding(known):
-    results = known.results()
+def test_the_judgements_of_the_paper_are_those_of_decimal_rounding(by_hand):
+    results = by_hand.results()
     for comparison in compared(results):
         number = comparison.number
         if comparison.judgement == NOT_PRINTED or number.kind == "upper bound":
@@ -63,8 +63,8 @@ def test_the_printed_numbers_are_those_of_the_paper():
     assert bound.key == ("fig12", "smc", "max_error_deg")  # "less than 2°"
 
 
-def test_the_results_have_each_judgement(known):
-    results = known.results()
+def test_the_results_have_each_judgement(by_hand):
+    results = by_hand.results()
     assert results["comparison"][0] == {
         "quantity": "x at 10° (Section 5)",
         "unit": "mm",

@@ -11,9 +11,9 @@ from kneexo.studies.reproduce.report import report
 NOT = "does not hold"
 
 
-def test_the_report_has_each_number_of_the_paper_beside_ours(known, tables):
-    numbers = known.results()
-    comparison, more, *_ = tables(report(known))
+def test_the_report_has_each_number_of_the_paper_beside_ours(by_hand, tables):
+    numbers = by_hand.results()
+    comparison, more, *_ = tables(report(by_hand))
     heads = ["quantity", "unit", "paper", "kneexo", "difference"]
     assert comparison[0] == [*heads, "holds within", "verdict", "how obtained"]
     assert more[0] == ["quantity", "unit", "kneexo", "how obtained"]

@@ -29,9 +29,8 @@ from kneexo.studies.reproduce.reproduce import (
 )
 
 
-def test_every_number_of_the_results_is_the_one_that_its_name_says(known, flat, check_rules):
-    numbers = json.loads(to_json(known.results()))
-    check_rules(numbers)
+def test_every_number_of_the_results_is_the_one_that_its_name_says(by_hand, flat):
+    numbers = json.loads(to_json(by_hand.results()))
     peak_rpm, saturation_hz = speed_demand()
     growth = [case.pop("growth_rate_per_s") for case in numbers["eq27_exact_states"].values()]
     assert growth == pytest.approx([-0.5, 0.5], abs=0.02)

@@ -45,9 +45,8 @@ def demanded(frequency, factor):
     }
 
 
-def test_the_demand_is_in_the_units_of_its_names(sized, flat, check_rules):
-    numbers = sized.results()
-    check_rules(numbers)
+def test_the_demand_is_in_the_units_of_its_names(by_hand, flat):
+    numbers = by_hand.results()
     expected = {
         "demand": [demanded(1.0, 1.0), demanded(0.8, 0.7)],
         "demand_with_segment_inertia": [demanded(1.0, 1.1), demanded(0.8, 0.9)],
@@ -58,8 +57,8 @@ def test_the_demand_is_in_the_units_of_its_names(sized, flat, check_rules):
     assert flat(shown) == pytest.approx(flat(expected), rel=1e-3)
 
 
-def test_limits_are_those_of_pump_gear_and_piston(sized):
-    numbers = sized.results()["limits"]
+def test_limits_are_those_of_pump_gear_and_piston(by_hand):
+    numbers = by_hand.results()["limits"]
     # Eq. 10 with Table 1: half of 139.05 − 38.92 mm, on G1 to 0.2 mm.
     amplitude = 0.5 * (139.05 - 38.92)
     assert numbers["rod_amplitude_mm"] == pytest.approx(amplitude, abs=0.2)
@@ -75,9 +74,9 @@ def test_limits_are_those_of_pump_gear_and_piston(sized):
     assert numbers["acceleration_limit_alone_rad_s2"] == pytest.approx(0.73 * ratio, rel=1e-9)
 
 
-def test_a_design_tells_every_way_to_its_flow(sized):
+def test_a_design_tells_every_way_to_its_flow(by_hand):
     for numbers, design, share in zip(
-        sized.results()["designs"], sized.designs, (1.0, 2.0), strict=True
+        by_hand.results()["designs"], by_hand.designs, (1.0, 2.0), strict=True
     ):
         factor = FLOW * share
         expected = {
@@ -122,8 +121,8 @@ def test_a_design_tells_every_way_to_its_flow(sized):
         )
 
 
-def test_a_stride_has_its_pressures_in_stance_and_late_swing(sized):
-    rows = {(row["hardware"], row["moment_share"]): row for row in sized.results()["stride"]}
+def test_a_stride_has_its_pressures_in_stance_and_late_swing(by_hand):
+    rows = {(row["hardware"], row["moment_share"]): row for row in by_hand.results()["stride"]}
     names = ("hardware as it is", "sized", "sized, with its piston")
     assert list(rows) == [(name, share) for name in names for share in (1.0, 0.5)]
     # 773 N at 20.8° on A_1 and −757 N at 2.0° on A_2, each with P_r on the other side.
@@ -148,8 +147,8 @@ def test_a_stride_has_its_pressures_in_stance_and_late_swing(sized):
     assert fast["warnings"] == ()
 
 
-def test_the_controller_is_asked_for_what_the_lag_takes(sized):
-    numbers = sized.results()["controller"]
+def test_the_controller_is_asked_for_what_the_lag_takes(by_hand):
+    numbers = by_hand.results()["controller"]
     beta = math.sqrt(1.8 / 1.4)
     stiffness = 4.0 * 1.72e9 * (1e-6 * AREA_MM2) ** 2 / (math.sqrt(1.4 * 1.8) * 41_233e-9)
     assert numbers["authority_m_s3"] == pytest.approx(beta * 2.8e5, rel=1e-9)
@@ -159,7 +158,7 @@ def test_the_controller_is_asked_for_what_the_lag_takes(sized):
     ample = scaled(UNCERTAIN_KNEE, {DISPLACEMENT: SETTINGS.largest_flow_factor})
     for name, scenario in (
         ("linear_error_deg", ample),
-        ("linear_error_tuned_deg", tuned(ample, sized.best_gains)),
+        ("linear_error_tuned_deg", tuned(ample, by_hand.best_gains)),
     ):
         error = 0.01 * abs(
             linearize_loop(scenario, knee_angle_deg=40.0).output_response(1.0)[0] - 1.0
@@ -167,31 +166,31 @@ def test_the_controller_is_asked_for_what_the_lag_takes(sized):
         assert numbers[name] == pytest.approx(error, rel=2e-3)
 
 
-def test_what_was_measured_is_in_the_results_as_it_is(sized, flat):
-    numbers = json.loads(to_json(sized.results()))
+def test_what_was_measured_is_in_the_results_as_it_is(by_hand, flat):
+    numbers = json.loads(to_json(by_hand.results()))
     plain = json.loads(
         to_json(
             {
-                "nominal": sized.nominal,
-                "gains": sized.gains,
-                "best_gains": sized.best_gains,
-                "steps": sized.steps,
-                "design_at_reference": sized.design_at_reference,
-                "variations": sized.variations,
+                "nominal": by_hand.nominal,
+                "gains": by_hand.gains,
+                "best_gains": by_hand.best_gains,
+                "steps": by_hand.steps,
+                "design_at_reference": by_hand.design_at_reference,
+                "variations": by_hand.variations,
                 "bandwidth_map": {
                     "factors": [0.5, 1.0, 2.0],
-                    "bandwidth_hz": sized.bandwidth_map_hz,
+                    "bandwidth_hz": by_hand.bandwidth_map_hz,
                 },
                 "walking_map": {
                     "factors": [0.5, 1.0, 1.25, 1.5],
-                    "max_error_deg": sized.walking_map_deg,
+                    "max_error_deg": by_hand.walking_map_deg,
                 },
                 "walking_sweeps": {
                     path: [
                         {"factor": factor} | walked
                         for factor, walked in zip((0.5, 1.0, 1.25, 1.5), sweep, strict=True)
                     ]
-                    for path, sweep in sized.walking_sweeps.items()
+                    for path, sweep in by_hand.walking_sweeps.items()
                 },
             }
         )
@@ -201,7 +200,7 @@ def test_what_was_measured_is_in_the_results_as_it_is(sized, flat):
     for (path, sweep), value in zip(
         numbers["sweeps"].items(), (5000.0, 0.8, 6.0, 1e4, 10.0, 4096.0), strict=True
     ):
-        measured = json.loads(to_json(sized.sweeps[path]))
+        measured = json.loads(to_json(by_hand.sweeps[path]))
         for factor, row, measured_row in zip((0.5, 1.0, 2.0), sweep, measured, strict=True):
             assert row.pop("factor") == factor
             assert row.pop("value") == pytest.approx(factor * value, rel=1e-9)

@@ -10,13 +10,11 @@ from wearer_cases import SMALL, WALKING, walking
 
 from kneexo.analysis import measure_impedance
 from kneexo.analysis.wearer.coupling import coupled_stability
-from kneexo.errors import ParameterError
-from kneexo.parameters import WEARERS, Scenario
+from kneexo.parameters import WEARERS
 from kneexo.parameters.paths import changed
 from kneexo.simulation.engines import simulate
 from kneexo.studies.wearer import wearer
 from kneexo.studies.wearer.figures import figures
-from kneexo.studies.wearer.report import report
 from kneexo.studies.wearer.wearer import (
     WEARER_KNEE,
     WearerSettings,
@@ -28,7 +26,6 @@ from kneexo.studies.wearer.wearer import (
     wearer_study,
     with_flow,
 )
-from kneexo.sweeps.checkpoint import Checkpoint
 
 REDUCED = changed(WEARER_KNEE, {"plant.full_order": None})
 QUICK = (2.0, math.nan)
@@ -258,9 +255,8 @@ def test_a_run_that_fails_has_its_reason_in_its_row():
     assert "left the range of motion" in row["failure"]
 
 
-def test_results_are_the_rows_without_their_traces(by_hand, flat, check_rules):
+def test_results_are_the_rows_without_their_traces(by_hand, flat):
     numbers = by_hand.results()
-    check_rules(numbers)
     expected = {
         part: [
             {name: value for name, value in asdict(row).items() if name != "trace"}
@@ -304,6 +300,7 @@ def test_the_rows_are_those_of_their_cases(monkeypatch):
 
 @pytest.mark.slow(gate=0)
 def test_rows_are_those_of_their_own_runs(small, flat):
+    small, _ = small
     by_name = designs(WEARER_KNEE, SMALL)
     motions = {"walking, 1 Hz": WALKING, "rising in 0.8 s": (math.nan, 0.8)}
     assert len(small.transparency) == len(by_name) * len(motions)
@@ -336,13 +333,8 @@ ROW = (
 
 
 @pytest.mark.slow
-def test_the_study_resumes_and_draws(small, tmp_path, monkeypatch):
-    path = tmp_path / "checkpoint"
-    first = wearer_study(WEARER_KNEE, SMALL, checkpoint=Checkpoint(path))
-    monkeypatch.setattr(wearer, "simulate", None)  # nothing is computed again
-    again = wearer_study(WEARER_KNEE, SMALL, checkpoint=Checkpoint(path, resume=True))
-    assert report(again) == report(first) == report(small)
-    for figure in figures(again).values():
+def test_the_study_draws(small):
+    for figure in figures(small[0]).values():
         figure.canvas.draw()
 
 
@@ -362,12 +354,3 @@ HALF = (0.5, math.nan)
 
 
 # -------------------------------------------------------------------------------- bad input
-
-
-def test_a_scenario_without_wearer_is_refused():
-    with pytest.raises(
-        ParameterError,
-        match=r"\Awearer.kind = none, controller.kind = smc: must be leg and torque; add wearer: "
-        r"leg, controller: torque\Z",
-    ):
-        wearer_study(Scenario())
