@@ -66,7 +66,7 @@ CLASSES = parts_of(
     CsvReference,
     GaitReference,
     UncertaintySet,
-    *(study.settings for study in STUDIES.values()),
+    *(study.computation().settings for study in STUDIES.values()),
 )
 FIELDS = {
     f"{model.__name__}.{name}": (model, name, field)

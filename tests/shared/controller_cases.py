@@ -7,9 +7,9 @@ from itertools import product
 import numpy as np
 
 from kneexo.parameters import Scenario, SimulationParameters, SineReference
+from kneexo.studies.controller.controller import LIMIT_CYCLE_VARIANTS
 from kneexo.studies.controller.result import MAP_METRICS, METRICS, ControllerResult, LimitCycleCase
 from kneexo.studies.controller.settings import ControllerSettings
-from kneexo.studies.controller.controller import LIMIT_CYCLE_VARIANTS
 
 GRID = ControllerSettings(
     lambdas_per_s=(10.0, 20.0, 40.0),

@@ -7,7 +7,12 @@ import numpy as np
 
 from kneexo.parameters import UNCERTAIN_KNEE, Uncertainty, UncertaintySet
 from kneexo.parameters.paths import changed
-from kneexo.studies.robustness.robustness import MERITS, Assessment, RobustnessResult, RobustnessSettings
+from kneexo.studies.robustness.robustness import (
+    MERITS,
+    Assessment,
+    RobustnessResult,
+    RobustnessSettings,
+)
 
 FEW = RobustnessSettings(
     samples=40, corners_max=200, bandwidth=False, sensitivity_duration_s=0.0, nyquist_loops=3

@@ -57,7 +57,8 @@ def computed(tmp_path_factory):
     @cache
     def compute(name):
         path = tmp_path_factory.mktemp(name) / "checkpoint.jsonl"
-        return STUDIES[name].compute(**_cases(name).SMALL_STUDY, checkpoint=Checkpoint(path)), path
+        study = STUDIES[name].computation()
+        return study.compute(**_cases(name).SMALL_STUDY, checkpoint=Checkpoint(path)), path
 
     return compute
 

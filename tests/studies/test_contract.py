@@ -35,7 +35,7 @@ class NoRuns(Executor):
 def test_params_lists_each_setting_and_the_help_names_the_list(name, capsys):
     study = STUDIES[name]
     label = study.label or study.command
-    own = [f"{label}: {row['parameter']}" for row in parameter_rows(study.settings())]
+    own = [f"{label}: {row['parameter']}" for row in parameter_rows(study.computation().settings())]
     assert own
     assert set(own) <= {row["parameter"] for row in setting_rows()}
     with pytest.raises(SystemExit):
@@ -94,7 +94,7 @@ INTERRUPTED = [
 
 @pytest.mark.parametrize(("name", "part"), INTERRUPTED)
 def test_a_study_goes_on_from_its_finished_pieces_and_gives_the_same(name, part, small, tmp_path):
-    study, (result, path) = STUDIES[name], small
+    study, shown, (result, path) = STUDIES[name].computation(), STUDIES[name].presentation(), small
     pieces = path.read_bytes().splitlines(keepends=True)
     again = tmp_path / "checkpoint.jsonl"
     again.write_bytes(b"".join(pieces[: len(pieces) // part]))
@@ -104,10 +104,10 @@ def test_a_study_goes_on_from_its_finished_pieces_and_gives_the_same(name, part,
     executor = NoRuns() if part == 1 else None
     resumed = study.compute(**arguments, checkpoint=checkpoint, executor=executor)
     assert to_json(resumed.results()) == to_json(result.results())
-    assert study.report(resumed) == study.report(result)
+    assert shown.report(resumed) == shown.report(result)
     assert len(again.read_bytes().splitlines()) == len(pieces)
     for (_, columns), (_, before) in zip(
-        study.motions(resumed).values(), study.motions(result).values(), strict=True
+        shown.motions(resumed).values(), shown.motions(result).values(), strict=True
     ):
         assert columns.keys() == before.keys()
         assert all(np.array_equal(columns[name], before[name]) for name in before)
@@ -188,7 +188,7 @@ REFUSED = (
 def test_what_a_study_cannot_do_is_refused_in_one_line_before_any_run(
     name, values, settings, message
 ):
-    study = STUDIES[name]
+    study = STUDIES[name].computation()
     scenario = changed(Scenario(), values)
 
     def called():
@@ -222,4 +222,4 @@ def test_a_wrong_uncertainty_set_is_refused_in_one_line_before_any_run(name, pat
     if path == "plant.load.segment_mass_kg":
         line = f"none of the uncertain values is in this scenario: .*{line}"
     with pytest.raises(KneexoError, match=rf"\A{line}\Z"):
-        STUDIES[name].compute(Scenario(), uncertainty=wrong, executor=NoRuns())
+        STUDIES[name].computation().compute(Scenario(), uncertainty=wrong, executor=NoRuns())

@@ -31,11 +31,6 @@ from kneexo.studies.controller.result import (
     METRICS,
 )
 from kneexo.studies.controller.settings import ControllerSettings
-from kneexo.studies.controller.controller import (
-    controller_study,
-    experiments,
-    settling_time_s,
-)
 
 # ------------------------------------------------------------------------ settling of a step
 
