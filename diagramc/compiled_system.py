@@ -159,7 +159,10 @@ class CompiledSystem(LeafSystem):
 
 
 class _Running:
-    """Runs the model with the parameters of one Context, in memory that each run uses again."""
+    """Runs the model with the parameters of one Context.
+
+    All runs share the same arrays, so that no run allocates memory.
+    """
 
     def __init__(self, system: CompiledSystem, parameters: Array) -> None:
         self._system, self._parameters = system, parameters

@@ -77,8 +77,8 @@ class Node:
     def has_equations(self) -> bool:
         """True if a state, a margin or an output port of the whole diagram depends on this leaf.
 
-        A margin is the distance of a leaf from a limit that stops a run. Loggers and systems that
-        only feed viewers have no equations.
+        A margin is the distance of a leaf from a limit that stops a run. So the value is False for
+        loggers and for systems that only feed viewers.
         """
         root = self
         while root.parent is not None:

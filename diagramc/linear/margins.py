@@ -160,10 +160,11 @@ def _transfer_margins(system: Transfer) -> LoopMargins:
 
 
 def _require_exact(system: Transfer, grid: Array, gain_frequencies: list[float]) -> None:
-    """Raise `ParameterError` if rounding the numbers of a loop changes its margins.
+    """Raise `ParameterError` if rounding errors of a loop L make its margins meaningless.
 
-    On the grid the change of T = L/(1 + L) counts, so that a large L, as near an integrator, need
-    not be exact. At the frequencies of the gain margins the change of L itself counts.
+    At the frequencies ``grid`` the relative change of T = L/(1 + L) must be small. Where L is
+    large, as near an integrator, a change of L hardly changes T. At ``gain_frequencies`` the
+    relative change of L itself must be small.
     """
     every_few = grid[:: max(grid.size // _EXACT_POINTS, 1)]
     from_minus_1 = np.abs(1.0 + system.response(every_few))

@@ -273,9 +273,9 @@ class ScenarioChoice:
     def load(self, default: Scenario | None = None, *, runs_law: bool = True) -> Scenario:
         """Return the scenario.
 
-        Without a file and a preset, start from ``default`` (None: the paper's setup). The file of a
-        law that the scenario file names is imported unless ``runs_law`` is False. A line on stderr
-        says whose Python runs.
+        Without a file and a preset, start from ``default`` (None: the paper's setup). If the
+        scenario file names a law in a file of Python, this file is imported unless ``runs_law`` is
+        False. A line on stderr names the file whose code runs.
         """
         from kneexo.parameters import Scenario
         from kneexo.parameters.presets import with_preset

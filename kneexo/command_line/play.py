@@ -81,6 +81,7 @@ def play(
     if compare is not None:
         names.append(f"preset {compare}")
         loaded.append(Scenario.preset(compare))
+    # With several files the error does not say which one is at fault.
     with named_in_errors(scenarios[0] if len(scenarios) == 1 else None):
         page = playground_page(loaded, names)
     shortened_runs = [

@@ -96,11 +96,11 @@ def view(
 
 
 def run_names(runs: Sequence[str], preset: str | None = None) -> list[str]:
-    """Return a unique name for each run. Without runs, return the name of the preset.
+    """Return a unique name for each path in ``runs``; if there are none, the name of the preset.
 
-    The name of a run is the name of its file or directory. If two names are equal, the name of the
-    parent directory precedes each of the two names. If the names are still equal, the arguments
-    themselves are the names. Equal arguments get numbers from the second on.
+    A name is that of the file without suffix, or of the directory. Equal names get the parent
+    directory in front. If they are still equal, the paths as typed are the names. A path that is
+    typed again gets (2), (3), ….
     """
     if not runs:
         return [f"preset {preset}" if preset else "the paper's setup"]

@@ -99,7 +99,7 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
     outputs = {"motor_speed_command": command}
     sources: dict[str, Any] = {}  # ports inside the controller that the law can read
     inputs: dict[str, Any] = {}
-    if "coordinates" in subsystems:  # absent for a law that reads only the encoder
+    if "coordinates" in subsystems:  # absent for a law that reads nothing computed from a reading
         coordinates, rod_reference = subsystems["coordinates"], subsystems["rod_reference"]
         sources = {
             "rod_extension": coordinates.GetOutputPort("rod_extension"),
@@ -255,7 +255,8 @@ def _estimator_parts(scenario: Scenario) -> Iterable[Part]:
 def encoder_offset_rad(scenario: Scenario) -> float:
     """Return the offset in rad that the controller adds to an encoder reading.
 
-    The offset is the encoder's phase, plus half a count, minus the mounting error.
+    The offset is the encoder's phase, plus half a count, minus the mounting error. Half a count,
+    because an encoder rounds down: the error of a reading is then zero on average.
     """
     encoder = scenario.encoder
     phase = encoder.phase_rad if encoder.quantized else 0.0

@@ -127,9 +127,9 @@ class _SystemLaw(NamedTuple):
 
 
 def _system_law(scenario: Scenario) -> _SystemLaw:
-    """Return what is known of the system of a law.
+    """Return the ports of a law that is a Drake system, and why it cannot be compiled, if so.
 
-    Raises `ParameterError` if a port or a sample period is wrong.
+    The answer is remembered. Raises `ParameterError` if a port or a sample period is wrong.
     """
     law = users_law(scenario)
     known = known_text(scenario) if law.takes_scenario else ""

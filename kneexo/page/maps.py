@@ -32,10 +32,10 @@ _POINTS = 32
 """Number of points at which each formula is checked."""
 
 _NODES = (24, 48, 96)
-"""Numbers of Chebyshev nodes, tried in this order."""
+"""Numbers of Chebyshev nodes, tried in this order until `TOLERANCE` is met."""
 
 _MOST_FACTORS = 5
-"""Largest number of further numbers on which a Chebyshev formula depends linearly."""
+"""Largest number of numbers that are linear in a Chebyshev formula, beside the curved one."""
 
 
 def map_value(formula: Map, values: Mapping[str, float]) -> float:
@@ -119,7 +119,7 @@ def fit_maps(
     while True:
         maps, failed = _fits(probe, names, unit)
         if failed is None:
-            _prove(probe, maps, names)
+            _check_together(probe, maps, names)
             return maps, tuple(names)
         index, numbers = failed
         droppable = [name for name in numbers if name not in required]
@@ -230,7 +230,7 @@ def _fits(
     return maps, None
 
 
-def _prove(probe: _Probe, maps: Mapping[int, Map], names: Sequence[str]) -> None:
+def _check_together(probe: _Probe, maps: Mapping[int, Map], names: Sequence[str]) -> None:
     """Raise `ParameterError` if formulas are wrong where all numbers change together."""
     at_centre = probe({})
     mapped, expected = [at_centre], [at_centre]
@@ -259,7 +259,7 @@ def _fit(probe: _Probe, index: int, numbers: list[str], unit: float) -> Map | No
     with suppress(KneexoError):  # the scenario refuses some values together
         points = probe.points(numbers)
         expected = np.array([value(point) for point in points])
-        # `_prove` checks other points, where the error may be somewhat larger.
+        # `_check_together` checks other points, where the error may be somewhat larger.
         bound = 0.2 * TOLERANCE * np.abs(expected).max()
         # From few operations to many, because the page evaluates each formula whenever a slider
         # moves.

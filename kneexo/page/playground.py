@@ -122,7 +122,8 @@ def playground_page(scenarios: Sequence[Scenario], names: Sequence[str]) -> str:
     """Return one HTML page on which the closed loops of ``scenarios`` run and can be changed.
 
     ``names`` are the names of the scenarios on the page. Two scenarios are compared when the page
-    opens. A single scenario is compared with its other controller when the user asks for it.
+    opens. With a single scenario, the user can compare the loop with another
+    kind of controller.
 
     Raises `ParameterError` for no scenario or more than `MOST_SCENARIOS`, and the errors of
     `web_model`.

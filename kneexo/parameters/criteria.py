@@ -1,4 +1,4 @@
-"""Bounds by which kneexo calls margins and recoveries good, and the gain of a bandwidth."""
+"""Bounds by which kneexo judges margins, recoveries from a push and faults; −3 dB as a gain."""
 
 import math
 

@@ -352,7 +352,10 @@ class Scenario(Parameters):
     @field_validator("wearer", mode="before")
     @classmethod
     def _on_the_clock_of_the_reference(cls, wearer: Any, info: ValidationInfo) -> Any:
-        """Give a file of the moment the shift of the reference, since both are of one trial."""
+        """Shift a file of the biological moment by ``shift_s`` of the reference.
+
+        Both come from one recorded trial. A shift that the file of the moment has itself stays.
+        """
         shift_s = getattr(info.data.get("reference"), "shift_s", 0.0)
         moment = table_mapping(wearer.get("moment")) if isinstance(wearer, dict) else None
         if shift_s and isinstance(moment, dict) and moment.get("kind") == "csv":

@@ -136,10 +136,10 @@ _POINTS = 16  # some of which reach no limit of the command
 
 
 def _commands(scenario: Scenario, knees: Array, references: Array, rates: Array) -> list[float]:
-    """Return the limited commands in rad/s at successive samples.
+    """Call the law at n successive samples; return its commands in rad/s, after the limit.
 
-    Knee angles and references are in rad, (n,). The rates are the references' derivatives to the
-    third, (n, 3), of angle and of rod.
+    ``knees`` and ``references`` (n,) are angles in rad. ``rates`` (n, 3) are three derivatives,
+    which serve for the reference of the knee and for that of the rod.
     """
     extension_at = partial(polynomial, controller_polynomial(scenario).p_si)
     encoder_at = partial(encoder_angle, scenario.believed_plant.linkage)

@@ -161,8 +161,9 @@ def scaled(scenario: Scenario, factors: Mapping[str, float]) -> Scenario:
 def with_piston(scenario: Scenario, factor: float) -> Scenario:
     """Return a scenario with ``factor`` times the areas of the piston and the pump's displacement.
 
-    The limits of rod speed and acceleration do not change. The oil is stiffer by the factor. So η
-    of a sliding-mode controller is multiplied by the factor, and the commands do not change.
+    The limits of rod speed and acceleration do not change. The oil is stiffer by the factor, and so
+    is the rod's jerk per motor speed. η, a jerk too, is multiplied by the factor, so that the
+    commands do not change.
     """
     diameters = dict.fromkeys(
         ("plant.cylinder.bore_m", "plant.cylinder.rod_diameter_m"), math.sqrt(factor)

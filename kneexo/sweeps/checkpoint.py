@@ -67,7 +67,8 @@ class Checkpoint:
         data = self._file.read(_MOST_BYTES)
         self._torn = not data.endswith(b"\n") and bool(data)
         damaged = 0
-        for line in filter(None, data.splitlines()):  # an empty line ends one that was torn
+        # A line is empty if `keep` began anew after a torn line of which nothing was written.
+        for line in filter(None, data.splitlines()):
             payload = line[_PAYLOAD_START:-1]
             try:
                 if line != _sealed(payload):
@@ -91,6 +92,7 @@ class Checkpoint:
         return key in self._results
 
     def __getitem__(self, key: str) -> Any:
+        """Return the result of a piece of work, and count the piece as used: see `remove`."""
         result = self._results[key]
         self._used.add(key)
         return result
@@ -185,8 +187,8 @@ def _plain(value: Any) -> Any:
                 f"pieces are kept"
             )
         numbers = value.model_dump_json(exclude={"controller": {"function"}})
-        # Not its text: a law of equal equations finds its pieces again, and one of equal text
-        # that reads other values does not.
+        # The key has the equations of the law, not its text: a law that is written otherwise finds
+        # its pieces again, and the same text that reads other values does not.
         return [type(value).__name__, numbers, key]
     if isinstance(value, BaseModel):
         return [type(value).__name__, value.model_dump_json()]

@@ -133,7 +133,7 @@ class LoadCell(NamedLeaf):
         return [self._present(context, seeds), 0.0, *seeds]
 
     def _present(self, context: Any, seeds: Any) -> Any:
-        """Return the present reading in N for the present states of the generator."""
+        """Return the reading in N. ``seeds`` are the states of the random number generator."""
         p = self.parameters(context)
         force = _N_PER_KN * context.get_continuous_state_vector().GetAtIndex(0) + p.offset_n
         if self._noisy:

@@ -37,7 +37,7 @@ _ICR = Cylinder(0.002, 0.06)
 _UPRIGHT_LAYER_M = 0.028  # behind the brackets, in front of the limb
 _INSET_M = 0.002  # equal surfaces of skin and ghost would flicker
 _SPACING_M = 0.30  # distance of legs beside each other
-_ACROSS = RotationMatrix.MakeXRotation(0.5 * np.pi)
+_ACROSS = RotationMatrix.MakeXRotation(0.5 * np.pi)  # a cylinder lies across the leg
 
 
 @dataclass(frozen=True)
@@ -114,6 +114,7 @@ def parts(linkage: LinkageParameters) -> dict[str, Part]:
     pose = RigidTransform(_ACROSS, in_world(at["icr"], 0.0))
     result["pin_icr"] = Part("icr", _ICR, pose, ICR_COLOUR)
     result |= _skin() | _brace(at) | _drive(at)
+    # The poses so far are in the world at full extension; now they become those in the frames.
     straight = {name: next(p.poses()) for name, p in placements(linkage, 0.0, 0.0).items()}
     result = {
         name: replace(part, pose=straight[part.frame].inverse() @ part.pose)
@@ -142,7 +143,8 @@ def _between(start: complex, end: complex, layer_m: float) -> RigidTransform:
     return RigidTransform(turn, in_world(0.5 * (start + end), layer_m))
 
 
-def _beside(x: float, z: float, layer_m: float = LIMB_LAYER_M) -> RigidTransform:
+def _at(x: float, z: float, layer_m: float = LIMB_LAYER_M) -> RigidTransform:
+    """Return the pose at the point (x, z) of a layer, without rotation."""
     return RigidTransform(in_world(complex(x, z), layer_m))
 
 
@@ -150,12 +152,12 @@ def _skin() -> dict[str, Part]:
     """Return thigh, shank and foot in the pose of full extension."""
     forwards = _between(0.03 - 0.374j, 0.13 - 0.374j, LIMB_LAYER_M)
     limbs = {
-        "upper_thigh": ("thigh", Ellipsoid(0.072, 0.070, 0.190), _beside(0.004, 0.21)),
-        "lower_thigh": ("thigh", Capsule(0.050, 0.14), _beside(0.0, 0.10)),
-        "knee": ("thigh", Ellipsoid(0.053, 0.050, 0.060), _beside(0.004, 0.003)),
-        "calf": (WEARER, Ellipsoid(0.050, 0.050, 0.125), _beside(-0.014, -0.13)),
-        "shin": (WEARER, Capsule(0.036, 0.26), _beside(0.0, -0.19)),
-        "heel": (WEARER, Ellipsoid(0.075, 0.040, 0.038), _beside(0.015, -0.358)),
+        "upper_thigh": ("thigh", Ellipsoid(0.072, 0.070, 0.190), _at(0.004, 0.21)),
+        "lower_thigh": ("thigh", Capsule(0.050, 0.14), _at(0.0, 0.10)),
+        "knee": ("thigh", Ellipsoid(0.053, 0.050, 0.060), _at(0.004, 0.003)),
+        "calf": (WEARER, Ellipsoid(0.050, 0.050, 0.125), _at(-0.014, -0.13)),
+        "shin": (WEARER, Capsule(0.036, 0.26), _at(0.0, -0.19)),
+        "heel": (WEARER, Ellipsoid(0.075, 0.040, 0.038), _at(0.015, -0.358)),
         "toes": (WEARER, Capsule(0.024, 0.10), forwards),
     }
     return {name: Part(*limb, _SKIN_COLOUR, SKIN) for name, limb in limbs.items()}
@@ -169,7 +171,7 @@ def _brace(at: dict[str, complex]) -> dict[str, Part]:
     for frame, low, high in (("thigh", 0.0, top), ("shank", bottom, 0.0)):
         shape, pose = (
             Box(0.020, 0.006, high - low),
-            _beside(0.0, 0.5 * (low + high), _UPRIGHT_LAYER_M),
+            _at(0.0, 0.5 * (low + high), _UPRIGHT_LAYER_M),
         )
         result[f"{frame}_upright"] = Part(frame, shape, pose, _BRACE)
     for name, frame, radius, x, z in (
@@ -178,14 +180,14 @@ def _brace(at: dict[str, complex]) -> dict[str, Part]:
         ("upper_shank_cuff", "shank", 0.057, -0.010, -0.115),
         ("lower_shank_cuff", "shank", 0.044, -0.002, -0.235),
     ):
-        result[name] = Part(frame, Cylinder(radius, 0.035), _beside(x, z), _CUFF)
+        result[name] = Part(frame, Cylinder(radius, 0.035), _at(x, z), _CUFF)
         near = LIMB_LAYER_M - radius
         mount = Box(0.024, near - _UPRIGHT_LAYER_M + 0.012, 0.03)
-        pose = _beside(0.0, z, 0.5 * (near + _UPRIGHT_LAYER_M))
+        pose = _at(0.0, z, 0.5 * (near + _UPRIGHT_LAYER_M))
         result[f"{name}_mount"] = Part(frame, mount, pose, _BRACE)
-    result["sole"] = Part("shank", Box(0.205, 0.085, 0.012), _beside(0.045, -0.402), _SOLE)
+    result["sole"] = Part("shank", Box(0.205, 0.085, 0.012), _at(0.045, -0.402), _SOLE)
     ground = Cylinder(0.16, 0.004)
-    result["ground"] = Part("thigh", ground, _beside(0.04, -0.440), Rgba(0.88, 0.89, 0.91), GROUND)
+    result["ground"] = Part("thigh", ground, _at(0.04, -0.440), Rgba(0.88, 0.89, 0.91), GROUND)
     return result
 
 

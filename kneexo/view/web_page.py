@@ -22,7 +22,7 @@ _LICENCES = {
 def web_text(name: str) -> str:
     """Return the text of a file of the package, such as ``view/web/stage.js``.
 
-    A library begins with its licence.
+    The text of a library of others has its licence in front, as a comment.
     """
     folder = resources.files("kneexo")
     text = (folder / name).read_text(encoding="utf-8")
@@ -103,7 +103,10 @@ def self_contained_page(
 
 
 def _as_parsed(text: str, element: str) -> str:
-    """Return ``text`` as a browser reads this text between the tags of ``element``."""
+    """Return ``text`` with the line ends that a browser makes of it, so that its hash fits.
+
+    Raises `ValueError` if the text would end its ``element`` early.
+    """
     if f"</{element}" in text.lower() or "<!--" in text:
         raise ValueError(f"a {element} must not contain </{element} or <!--")
     return text.replace("\r\n", "\n").replace("\r", "\n")

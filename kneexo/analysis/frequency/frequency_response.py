@@ -311,7 +311,7 @@ def require_sine(scenario: Scenario) -> SineReference:
 
 
 def highest_frequency_hz(scenario: Scenario) -> float:
-    """Return the highest frequency in Hz of a sine, with ten samples of the controller a period."""
+    """Return the highest frequency in Hz of a sine of which a period has ten control samples."""
     return 0.1 / scenario.controller.sample_time_s
 
 

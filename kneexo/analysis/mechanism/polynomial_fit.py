@@ -86,6 +86,7 @@ class PolynomialFit(Result):
 
     @staticmethod
     def _plot_map(ax: Axes, argument: Array, value: Array, fit: Any, table: Any) -> None:
+        # Few points, so that the circles do not cover the curves.
         ax.plot(argument[::30], value[::30], "ko", ms=3.5, mfc="none", label="linkage (Eq. 1–9)")
         ax.plot(argument, np.polyval(fit, argument), BLUE, lw=1.2, label="quintic fit")
         ax.plot(argument, np.polyval(table, argument), GOLD, ls="--", lw=1.2, label="Table 1")

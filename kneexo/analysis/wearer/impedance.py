@@ -248,9 +248,9 @@ def output_impedance(
 def with_prescribed_leg(scenario: Scenario, what: str) -> Scenario:
     """Return a scenario whose leg follows the reference, without biological moment.
 
-    The biological moment does not move a leg that follows the reference, and is no part of a
-    response. The mode ``assist``, which needs the moment, becomes ``zero_torque``. Raises
-    `ParameterError`, which names ``what``, for a scenario without a leg.
+    The biological moment cannot move a leg that follows the reference, and a frequency response
+    does not contain it. The mode ``assist``, which needs the moment, becomes ``zero_torque``.
+    Raises `ParameterError` for a scenario without a leg; the message says that ``what`` needs it.
     """
     if not isinstance(scenario.wearer, LegParameters):
         raise ParameterError(

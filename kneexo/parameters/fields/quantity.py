@@ -237,7 +237,10 @@ class Parameters(BaseModel):
     @model_validator(mode="before")
     @classmethod
     def _completed(cls, data: Any) -> Any:
-        """Replace words by values, NumPy's numbers by Python's and arrays by tuples.
+        """Bring the data of a user to the types of the fields.
+
+        A word that a field knows, such as ``pid``, becomes its value, a number of NumPy becomes a
+        number of Python, and lists and arrays become tuples.
 
         Also insert the default ``kind`` into mappings without ``kind``.
         """

@@ -45,7 +45,7 @@ from kneexo.sweeps import Sweep, SweepOptions, open_sweep
 _WIDE = "assumption: wide enough that the optimum lies inside"
 
 
-def _gain(low: float, high: float, source: str = _WIDE) -> Uncertainty:
+def _search_range(low: float, high: float, source: str = _WIDE) -> Uncertainty:
     return Uncertainty(low=low, high=high, scale="log", source=source)
 
 
@@ -57,20 +57,22 @@ class Contestant(Parameters):
 
 
 _PID_GAINS = {
-    "controller.proportional_per_s": _gain(0.1, 100.0),
-    "controller.integral_per_s2": _gain(0.1, 2000.0),
-    "controller.derivative": _gain(1e-4, 1.0, _WIDE + "; the lowest is none"),
-    "controller.filter_s": _gain(0.002, 0.1, _WIDE + "; not below one sample"),
+    "controller.proportional_per_s": _search_range(0.1, 100.0),
+    "controller.integral_per_s2": _search_range(0.1, 2000.0),
+    "controller.derivative": _search_range(1e-4, 1.0, _WIDE + "; the lowest is none"),
+    "controller.filter_s": _search_range(0.002, 0.1, _WIDE + "; not below one sample"),
 }
 
 CONTESTANTS = {
     "SMC": Contestant(
         controller=SlidingModeParameters(),
         gains={
-            "controller.lambda_per_s": _gain(2.0, 200.0),
-            "controller.phi_m_s2": _gain(0.1, 100.0),
-            "controller.eta_m_s3": _gain(1e4, 1e7),
-            "estimator.time_constant_s": _gain(0.002, 0.1, _WIDE + "; not below one sample"),
+            "controller.lambda_per_s": _search_range(2.0, 200.0),
+            "controller.phi_m_s2": _search_range(0.1, 100.0),
+            "controller.eta_m_s3": _search_range(1e4, 1e7),
+            "estimator.time_constant_s": _search_range(
+                0.002, 0.1, _WIDE + "; not below one sample"
+            ),
         },
     ),
     "PID": Contestant(controller=PidParameters(), gains=_PID_GAINS),

@@ -81,7 +81,7 @@ def plot_migration(result: MechanismResult) -> Figure:
 
 
 def plot_misplacement(result: MechanismResult) -> Figure:
-    """Draw the migration over the error of the place, and the errors that are tolerated."""
+    """Draw how far the strap migrates if the device is misplaced, and what is tolerated."""
     figure, axes = plt.subplots(1, 2, figsize=(9.6, 4.8), layout="constrained")
     settings = result.settings
     figure.set_label(

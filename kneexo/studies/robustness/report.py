@@ -32,7 +32,10 @@ from kneexo.studies.template import filled
 _COMPARED = ("max_error_deg", "peak_torque_n_m", "bandwidth_hz", "disk_margin")
 """Figures of merit whose worst corner the report shows."""
 _MEANS = {"max_error_deg": "rms_error_deg", "peak_torque_n_m": "rms_torque_n_m"}
-"""Figures of merit whose root mean square shows better than the peak what matters."""
+"""For each peak value, the root mean square that the table of importance has in its place.
+
+A peak is one sample, whose worst case moves with the drawn plants.
+"""
 _DISTRIBUTION_HEAD = ("metric", "nominal", "median", "5 %", "95 %", "worst sample", "worst corner")
 _STRONGEST = 2
 """Largest number of uncertain values that the findings name for a figure of merit."""
@@ -55,9 +58,9 @@ def report(result: RobustnessResult) -> str:
         distribution=list(distribution.values()),
         compared=[distribution[merit] for merit in merits],
         failures=[
-            _failures("samples", result.samples),
-            _failures("corners", result.corners),
-            _failures("plants with one value changed", result.one_at_a_time),
+            _failure_summary("samples", result.samples),
+            _failure_summary("corners", result.corners),
+            _failure_summary("plants with one value changed", result.one_at_a_time),
         ],
         corner_labels=[MERITS[merit].label for merit in merits],
         corners=list(_corners(result, merits, names)),
@@ -98,7 +101,7 @@ def _distribution(result: RobustnessResult, merit: str) -> list[str]:
     return [MERITS[merit].label, *map(shown, values)]
 
 
-def _failures(name: str, assessments: Sequence[Assessment]) -> dict[str, Any]:
+def _failure_summary(name: str, assessments: Sequence[Assessment]) -> dict[str, Any]:
     """Return failure counts for a set of plants, and the largest error on each unstable plant."""
     unstable = [assessment for assessment in assessments if assessment.metrics["stable"] is False]
     errors = merit_values(unstable, "max_error_deg")

@@ -272,7 +272,10 @@ class RobustnessResult(Result):
         }
 
     def spread(self, merit: str, path: str) -> float:
-        """Return the range of a figure of merit over the levels of one value, or inf on failure."""
+        """Return the largest less the smallest figure of merit while one value takes its levels.
+
+        The nominal value is one of them. The result is inf if a run fails.
+        """
         values = [*self.effects(merit)[path], merit_value(self.nominal, merit)]
         return float(np.max(values) - np.min(values)) if np.isfinite(values).all() else math.inf
 
