@@ -57,7 +57,10 @@ class SubstepControl:
     least: float = 0.1
     most: float = 5.0
     whole: float = 0.9999
-    """A substep that is longer than this share of the rest of the tick ends with the tick."""
+    """A substep that is longer than this share of the rest of the tick ends with the tick.
+
+    Below 1, so that rounding leaves no last substep of almost zero length.
+    """
     share: float = 0.5
     """All other substeps take at most this share of the rest, so that none is very short."""
 

@@ -43,6 +43,7 @@ from kneexo.studies.robustness.robustness import Values
 from kneexo.sweeps import Sweep, SweepOptions, open_sweep
 
 _WIDE = "assumption: wide enough that the optimum lies inside"
+_TIMES_S = 0.002, 0.1, _WIDE + "; not below one sample"
 
 
 def _search_range(low: float, high: float, source: str = _WIDE) -> Uncertainty:
@@ -60,7 +61,7 @@ _PID_GAINS = {
     "controller.proportional_per_s": _search_range(0.1, 100.0),
     "controller.integral_per_s2": _search_range(0.1, 2000.0),
     "controller.derivative": _search_range(1e-4, 1.0, _WIDE + "; the lowest is none"),
-    "controller.filter_s": _search_range(0.002, 0.1, _WIDE + "; not below one sample"),
+    "controller.filter_s": _search_range(*_TIMES_S),
 }
 
 CONTESTANTS = {

@@ -32,10 +32,7 @@ from kneexo.studies.template import filled
 _COMPARED = ("max_error_deg", "peak_torque_n_m", "bandwidth_hz", "disk_margin")
 """Figures of merit whose worst corner the report shows."""
 _MEANS = {"max_error_deg": "rms_error_deg", "peak_torque_n_m": "rms_torque_n_m"}
-"""For each peak value, the root mean square that the table of importance has in its place.
-
-A peak is one sample, whose worst case moves with the drawn plants.
-"""
+"""For each peak value, the root mean square that the table of importance has in its place."""
 _DISTRIBUTION_HEAD = ("metric", "nominal", "median", "5 %", "95 %", "worst sample", "worst corner")
 _STRONGEST = 2
 """Largest number of uncertain values that the findings name for a figure of merit."""
