@@ -57,6 +57,7 @@ from kneexo.parameters import (
     SampledReference,
     Scenario,
 )
+from kneexo.parameters.device.safety_states import RELEASES
 from kneexo.parameters.scenario import require_scenario
 from kneexo.parameters.task.fault import OPERATOR_INPUTS
 from kneexo.systems import StateVariable, drive, knee_reference, push as push_system
@@ -95,7 +96,9 @@ def make_closed_loop(
     Inputs: ``disturbance_force``, ``knee_torque`` if the plant has a load and the scenario has
     neither wearer nor push, and ``bypass`` if the plant has a bypass and the scenario no
     protection. With protection, also ``emergency_stop`` and ``reset``, unless a fault presses
-    them. An unconnected input is zero.
+    them. These inputs are
+    zero if unconnected. Those of ``external_reference``, ``external_moment`` and ``law`` must be
+    connected.
     Outputs: each of `available_signals`. Drake logs the state before an update, so that the logged
     command at t was held until t. The paper's ideal case (Fig. 9) is
     `kneexo.studies.paper.IDEAL_SMC`.
@@ -128,6 +131,8 @@ def make_closed_loop(
     require_reference_in_range(scenario.reference, scenario.plant.knee)
     if reference is not None and [p.size() for p in _outputs(reference)] != [4]:
         raise ParameterError("reference: must have one output port of size 4")
+    if reference is not None and external_reference:
+        raise ParameterError("reference: external_reference = True replaces it; leave one out")
     names, available = chosen_signals(scenario, signals), available_signals(scenario)
     require_triggers(scenario, available)
     builder = DiagramBuilder()
@@ -205,7 +210,8 @@ def loop_parts(
         else None,
         Part(
             "can_bus",
-            # The controller holds its output for a sample, so n − 1 delays make n samples.
+            # Delay and controller update at the same sample, and the delay reads the command from
+            # before, which is one sample; so n − 1 delays make n samples.
             lambda: DiscreteTimeDelay(
                 update_sec=sample_time_s,
                 delay_time_steps=bus.latency_samples - 1,
@@ -232,8 +238,8 @@ def _plant_part(scenario: Scenario) -> Part:
     reads = {f"{name}_fault": f"faults_of_{name}" for name in fault_names}
     if scenario.protection is not None:
         # With another safe state the valve stays closed, and the windings are not shorted.
-        reads |= dict.fromkeys(("torque_off", "dynamic_brake", "bypass"), NO_SIGNAL)
-        reads[scenario.protection.safe_state] = "release"
+        safe_state = scenario.protection.safe_state
+        reads |= {name: "release" if name == safe_state else NO_SIGNAL for name in RELEASES}
     names = [name for names in PLANT_OUTPUTS.values() for name in names]
     names += [name for _, optional in OPTIONAL_OUTPUTS.values() for name in optional]
     return Part(

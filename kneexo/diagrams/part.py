@@ -101,9 +101,8 @@ def add_parts(
 def wire(
     builder: Any,
     parts: Iterable[Part],
-    signals: Mapping[str, Any] = MappingProxyType({}),
     fault_names: Mapping[str, tuple[str, ...]] = NO_FAULTS,
-) -> tuple[dict[str, Any], dict[str, Any]]:
+) -> tuple[dict[str, Any], dict[str, list[Any]]]:
     """Add the systems of ``parts`` to a DiagramBuilder and connect them by names of signals.
 
     Of parts that offer one signal, the last one has it. A part with ``through`` reads its signal
@@ -115,18 +114,17 @@ def wire(
         The DiagramBuilder.
     parts
         The systems, in their order in the diagram.
-    signals
-        Output ports that exist already, by signal.
     fault_names
         As in `add_parts`.
 
     Returns
     -------
     signals, inputs
-        The output port of each signal, and the input port of each signal that no part offers.
+        The output port of each signal, and the input ports of each signal that no part offers.
     """
     parts = tuple(parts)
-    systems, ports = add_parts(builder, parts, fault_names), dict(signals)
+    systems = add_parts(builder, parts, fault_names)
+    ports: dict[str, Any] = {}
     for part in parts:
         system = systems[part.name]
         for port in _inputs(system) if part.through else ():
@@ -136,7 +134,7 @@ def wire(
         own = {port.get_name(): port for port in outputs}
         offered = part.offers if part.offers is not None else {name: name for name in own}
         ports |= {signal: own[name] for signal, name in offered.items() if name in own}
-    inputs = {}
+    inputs: dict[str, list[Any]] = {}
     for part in parts:
         for port in _inputs(systems[part.name]):
             signal = part.reads.get(port.get_name(), port.get_name())
@@ -145,7 +143,7 @@ def wire(
             if signal in ports:
                 builder.Connect(ports[signal], port)
             else:
-                inputs[signal] = port
+                inputs.setdefault(signal, []).append(port)
     return ports, inputs
 
 
@@ -153,11 +151,19 @@ def _inputs(system: Any) -> list[Any]:
     return [system.get_input_port(index) for index in range(system.num_input_ports())]
 
 
-def export_inputs(builder: Any, inputs: Mapping[str, Any], names: Mapping[str, str]) -> None:
-    """Export input ports by their signals, in the order of ``names``: from signal to input."""
+def export_inputs(
+    builder: Any, inputs: Mapping[str, Sequence[Any]], names: Mapping[str, str]
+) -> None:
+    """Export the input ports of the signals in ``names``, in this order.
+
+    ``names`` maps a signal to the name of the diagram's input. Other signals of ``inputs`` stay
+    unconnected.
+    """
     for signal, name in names.items():
-        if signal in inputs:
-            builder.ExportInput(inputs[signal], name)
+        for port in inputs.get(signal, ())[:1]:
+            index = builder.ExportInput(port, name)
+            for other in inputs[signal][1:]:
+                builder.ConnectInput(index, other)
 
 
 def connect(builder: Any, source: Any, output: str, target: Any, input_: str) -> None:

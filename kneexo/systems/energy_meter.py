@@ -159,13 +159,7 @@ def _oil_powers(p: Any, signals: dict[str, Any]) -> tuple[Any, Any, Any]:
 def _rod_powers(p: Any, signals: dict[str, Any]) -> tuple[Any, Any]:
     """Return the power of friction and the rate of the displaced energy in W."""
     (cap, rod_side), (velocity,) = signals["chamber_pressures"], signals["rod_velocity"]
-    seals = full_cylinder.seal_friction(
-        velocity,
-        coulomb=p.coulomb_friction_n,
-        stribeck=p.stribeck_friction_n,
-        stribeck_speed=p.stribeck_speed_m_s,
-        band=p.friction_band_m_s,
-    )
+    seals = full_cylinder.seal_friction(velocity, p)
     friction = (seals + p.damping_n_s_per_m * velocity) * velocity
     # Volumes change under pressure: without this energy the stored energy is wrong by 0.15 J in a
     # stride with a wearer.

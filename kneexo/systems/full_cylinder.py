@@ -79,17 +79,15 @@ def effective_bulk_modulus(pressure: Any, *, bulk_modulus: Any, entrained_air: A
     return (1.0 + air) / (1.0 / bulk_modulus + air / (AIR_EXPONENT * absolute))
 
 
-def seal_friction(
-    velocity: Any, *, coulomb: Any, stribeck: Any, stribeck_speed: Any, band: Any
-) -> Any:
+def seal_friction(velocity: Any, p: Any) -> Any:
     """Return the friction of the seals in N, (F_c + F_s exp(−(v/v_s)²)) tanh(v/v_0).
 
-    The friction opposes the velocity v. F_c is ``coulomb``, F_s ``stribeck``, v_s
-    ``stribeck_speed`` and v_0 ``band``.
+    The friction opposes the velocity v in m/s. ``p`` has the numbers of `FullCylinderParameters`.
     """
     # tanh in place of a sign: the rate of a state must not jump where the rod reverses.
-    ratio = velocity / stribeck_speed
-    return (coulomb + stribeck * drake_math.exp(-ratio * ratio)) * drake_math.tanh(velocity / band)
+    ratio = velocity / p.stribeck_speed_m_s
+    force = p.coulomb_friction_n + p.stribeck_friction_n * drake_math.exp(-ratio * ratio)
+    return force * drake_math.tanh(velocity / p.friction_band_m_s)
 
 
 def holding_pressures(
@@ -243,13 +241,7 @@ class FullCylinder(Cylinder):
 
     def _rod_force(self, p: Any, state: list[Any]) -> Any:
         x, v, cap, rod_side = state
-        friction = seal_friction(
-            v,
-            coulomb=p.coulomb_friction_n,
-            stribeck=p.stribeck_friction_n,
-            stribeck_speed=p.stribeck_speed_m_s,
-            band=p.friction_band_m_s,
-        )
+        friction = seal_friction(v, p)
         pressure_force = cap * p.cap_area_m2 - rod_side * p.rod_side_area_m2
         return pressure_force - friction - p.damping_n_s_per_m * v - p.stiffness_n_per_m * x
 

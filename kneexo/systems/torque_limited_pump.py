@@ -25,7 +25,7 @@ from kneexo.systems.bldc_pump import BldcPump
 
 
 def shaft_loss(speed: Any, p: Any) -> Any:
-    """Return the torque in N·m that friction takes from the shaft, T_c tanh(ω/ω_0) + b ω.
+    """Return the torque in N·m that friction takes from the shaft, M_c tanh(ω/ω_0) + b ω.
 
     ``p`` has the numbers of `MotorParameters`.
     """
@@ -81,12 +81,13 @@ class TorqueLimitedPump(BldcPump):
 
     The drive asks for the torque that makes the acceleration α_d of `BldcPump`, and gets what
     current and supply allow: J dω_m/dt = k_t i − T_l, with
-    T_l = D_m P_L/gear + T_c tanh(ω_m/ω_0) + b ω_m and i = `limited_current` of J α_d + T_l. Within
+    T_l = D_m P_L/gear + M_c tanh(ω_m/ω_0) + b ω_m and i = `limited_current` of J α_d + T_l. Within
     the limits dω_m/dt is α_d. A dead motor, with i_max = 0, is no brake: the oil can drive it. With
     six-step commutation one lost phase of three leaves a third of the mean torque, and so of i_max.
     Its ripple is left out. With ``thermal`` the resistance R is that of `warm_resistance`, and
     `derating` lowers i_max. Torque off (IEC 61800-5-2) makes i zero. The dynamic brake shorts the
-    windings: i = −k_t ω_m/R.
+    windings: i = −k_t ω_m/R. The brake goes before torque off, and no limit of the drive holds its
+    current.
 
     Ports beside those of `BldcPump`:
 
@@ -95,7 +96,7 @@ class TorqueLimitedPump(BldcPump):
     ===================  ====  =======  ==============================================
     torque_off           1     1        1: no current; 0 if unconnected
     dynamic_brake        1     1        1: shorted windings; 0 if unconnected
-    motor_temperatures   2     °C       T_w of the winding, T_c; only with ``thermal``
+    motor_temperatures   2     °C       winding and case; only with ``thermal``
     **output port**
     motor_current        1     A        i
     motor_voltage        1     V        k_t ω_m + R i
@@ -113,7 +114,7 @@ class TorqueLimitedPump(BldcPump):
     motor
         Numbers of torque, current and supply.
     thermal
-        Numbers of the hot winding. None: the winding stays at the temperature of ``motor``.
+        Numbers of the hot winding. None: the resistance of the winding stays that of ``motor``.
     """
 
     def __init__(
