@@ -650,29 +650,22 @@ def test_libcosim_couples_plant_and_controller(path, tmp_path):
 
 
 @pytest.mark.slow
-def test_step_s_of_the_command_line_is_that_of_the_sources(tmp_path, no_compiler):
+@pytest.mark.parametrize(
+    "options",
+    [{"step_s": 5e-4}, {"integrator": "rosenbrock", "tolerance": 1e-5}],
+    ids=["step_s", "integrator"],
+)
+def test_options_of_the_command_line_are_those_of_the_sources(options, tmp_path, no_compiler):
     file = tmp_path / "plant.fmu"
-    assert main(["export", "fmu", "--what", "plant", "--step-s", "5e-4", "--out", str(file)]) == 0
-    with zipfile.ZipFile(file) as archive:
-        code = archive.read("sources/knee_plant.c").decode()
-    fmu = make_fmu(PAPER, "plant", step_s=5e-4)
-    assert fmu.source.plan.schedule.steps == 4
-    assert code == fmu.source.files()["knee_plant.c"]
-    assert code != make_fmu(PAPER, "plant").source.files()["knee_plant.c"]
-
-
-@pytest.mark.slow
-def test_integrator_of_the_command_line_is_that_of_the_sources(tmp_path, no_compiler):
-    file = tmp_path / "plant.fmu"
-    chosen = ["--integrator", "rosenbrock", "--tolerance", "1e-5"]
+    chosen = [f"--{name.replace('_', '-')}={value}" for name, value in options.items()]
     assert main(["export", "fmu", "--what", "plant", *chosen, "--out", str(file)]) == 0
     with zipfile.ZipFile(file) as archive:
         code = archive.read("sources/knee_plant.c").decode()
         texts = archive.read("sources/knee_plant_fmu.c").decode()
-    fmu = exports.make_fmu(PAPER, "plant", integrator="rosenbrock", tolerance=1e-5)
-    assert code == fmu.source.files()["knee_plant.c"]
-    assert "1000 substeps do not meet the tolerance" in texts
-    assert "RK4" not in texts
+    source = exports.make_fmu(PAPER, "plant", **options).source
+    assert code == source.files()["knee_plant.c"]
+    assert code != make_fmu(PAPER, "plant").source.files()["knee_plant.c"]
+    assert ("1000 substeps do not meet the tolerance" in texts) == ("integrator" in options)
 
 
 @pytest.mark.slow(gate=0)

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from table_1 import P_MM_DEG, THETA_4_DEG, changed
 
 from kneexo.errors import LinkageError
 from kneexo.geometry.linkage import (
@@ -29,30 +30,16 @@ from kneexo.parameters import (
     G5,
     HINGE,
     LINKAGES,
-    LinkageParameters,
     RodPolynomialParameters,
 )
 
 MM = 1e-3
 COUNT = 2.0 * np.pi / 4096
 RANGE = np.radians(np.linspace(0.0, 90.0, 901))
-THETA_4_DEG = {
-    "G1": (82.524, -4.705),
-    "G2": (-101.947, -189.267),
-    "G3": (-87.669, 38.729),
-    "G4": (-89.714, 20.804),
-    "G5": (-46.607, 134.773),
-    "hinge": (-60.0, 30.0),
-}
-P_MM_DEG = (1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0)  # Lee et al. 2020, Table 1
 
 names = pytest.mark.parametrize("name", LINKAGES)
 linkages = st.sampled_from([G1, G2, G3, G4, G5])
 knee_angles = st.floats(0.0, np.pi / 2.0)
-
-
-def changed(link, **values):
-    return LinkageParameters(**(link.model_dump() | values))
 
 
 # ------------------------------------------------------------------------------- Table 1

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from table_1 import changed
 
 from kneexo.errors import LinkageError
 from kneexo.geometry.linkage import pose
@@ -314,10 +315,6 @@ def test_the_linkages_have_their_known_properties(
     assert of.rod_arm_m.least / MM == pytest.approx(arm_mm, abs=5e-3)
     assert of.rod_arm_m.at_deg == 0.0
     assert of.mobility == MOBILITY == 1
-
-
-def changed(link, **values):
-    return LinkageParameters(**(link.model_dump() | values))
 
 
 def with_lengths(ground, a_2, a_3, a_4):

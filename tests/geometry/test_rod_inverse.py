@@ -12,6 +12,7 @@ from hypothesis import given, strategies as st
 from mpmath import mp
 from numpy.polynomial import Polynomial
 from numpy.polynomial.chebyshev import cheb2poly
+from table_1 import P_MM_DEG, changed
 
 from kneexo.errors import LinkageError
 from kneexo.geometry.linkage import (
@@ -31,21 +32,15 @@ from kneexo.parameters import (
     HINGE,
     LINKAGES,
     TABLE_1_LINKAGES,
-    LinkageParameters,
     RodPolynomialParameters,
 )
 
 MM = 1e-3
 RANGE = np.radians(np.linspace(0.0, 90.0, 901))
-P_MM_DEG = (1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0)  # Lee et al. 2020, Table 1
 
 names = pytest.mark.parametrize("name", LINKAGES)
 linkages = st.sampled_from([G1, G2, G3, G4, G5])
 knee_angles = st.floats(0.0, np.pi / 2.0)
-
-
-def changed(link, **values):
-    return LinkageParameters(**(link.model_dump() | values))
 
 
 def inverse(fit, extension):

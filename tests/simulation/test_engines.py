@@ -22,8 +22,7 @@ from kneexo.simulation.engines import RunRequest, can_reduce, reduce_run, serve_
 SHORT = Scenario(simulation=SimulationParameters(duration_s=0.2))
 
 
-def test_small_steps_stand_in_where_the_exact_hold_gives_up(monkeypatch):
-    expected = simulate(SHORT, signals=("rod_extension",))
+def refuse_the_exact_hold(monkeypatch):
     original = compiled.simulate_together
 
     def refusing(scenarios, signals, integrator, *options, **named):
@@ -32,6 +31,11 @@ def test_small_steps_stand_in_where_the_exact_hold_gives_up(monkeypatch):
         return original(scenarios, signals, integrator, *options, **named)
 
     monkeypatch.setattr(compiled, "simulate_together", refusing)
+
+
+def test_small_steps_stand_in_where_the_exact_hold_gives_up(monkeypatch):
+    expected = simulate(SHORT, signals=("rod_extension",))
+    refuse_the_exact_hold(monkeypatch)
     run = simulate(SHORT, signals=("rod_extension",))
     assert (run.settings.integrator, run.settings.step_s) == ("rk4", 2e-5)
     assert expected.settings.integrator == "exact_hold"
@@ -343,14 +347,7 @@ def test_reductions_do_not_depend_on_the_company_and_have_numbers_of_their_own()
 
 def test_reductions_are_repeated_with_small_steps(monkeypatch):
     expected = reduce_run(SHORT, REDUCTIONS)
-    original = compiled.simulate_together
-
-    def refusing(scenarios, signals, integrator, *options, **named):
-        if integrator == "exact_hold":
-            return [StiffnessError("the derivatives jump too often")]
-        return original(scenarios, signals, integrator, *options, **named)
-
-    monkeypatch.setattr(compiled, "simulate_together", refusing)
+    refuse_the_exact_hold(monkeypatch)
     np.testing.assert_allclose(reduce_run(SHORT, REDUCTIONS), expected, rtol=1e-6)
 
 

@@ -2,50 +2,12 @@ import math
 
 import numpy as np
 import pytest
-from pydrake.systems.analysis import Simulator
+from hydraulics import LIMIT, PUMP, PUMP_INPUTS, acceleration, output, response
 
 from kneexo.errors import SimulationError
-from kneexo.parameters import BldcPumpParameters
 from kneexo.systems import BldcPump
 
-RPM = 2.0 * math.pi / 60.0
-LIMIT = 5000.0 * RPM
 MEAN_AREA = 274.8894e-6  # Lee et al. 2020, Table 2
-PARAMETERS = BldcPumpParameters(
-    gear_ratio=5.0, internal_leakage_m3_per_s_pa=3e-13, external_leakage_m3_per_s_pa=4e-13
-)
-INPUTS = {"motor_speed_command": [(-600.0, 600.0)], "load_pressure": [(-3e6, 3e6)]}
-
-
-def at(system, *, command=0.0, pressure=0.0, speed=0.0, **releases):
-    context = system.CreateDefaultContext()
-    for name, value in releases.items():
-        system.GetInputPort(name).FixValue(context, value)
-    system.GetInputPort("motor_speed_command").FixValue(context, command)
-    system.GetInputPort("load_pressure").FixValue(context, pressure)
-    if context.num_continuous_states():
-        context.SetContinuousState([1e-3 * speed])
-    return context
-
-
-def output(system, name, **values):
-    return system.GetOutputPort(name).Eval(at(system, **values))[0]
-
-
-def acceleration(system, **values):
-    return 1e3 * system.EvalTimeDerivatives(at(system, **values)).CopyToVector()[0]
-
-
-def response(command, times, pressure=0.0, speed=0.0):
-    system = BldcPump()
-    simulator = Simulator(system, at(system, command=command, pressure=pressure, speed=speed))
-    simulator.get_mutable_integrator().set_target_accuracy(1e-9)
-    simulator.get_mutable_integrator().set_maximum_step_size(1e-3)
-    speeds = []
-    for time in times:
-        simulator.AdvanceTo(time)
-        speeds.append(system.GetOutputPort("motor_speed").Eval(simulator.get_context())[0])
-    return np.array(speeds)
 
 
 # ----------------------------------------------------------------------------- conversion
@@ -53,7 +15,7 @@ def response(command, times, pressure=0.0, speed=0.0):
 
 @pytest.mark.parametrize("ideal", [False, True], ids=["lag", "ideal"])
 def test_conversions_agree_and_keep_arguments_and_changes(leaf, ideal):
-    probe = leaf.Probe(BldcPump(PARAMETERS, ideal), INPUTS, [] if ideal else [(-0.6, 0.6)])
+    probe = leaf.Probe(BldcPump(PUMP, ideal), PUMP_INPUTS, [] if ideal else [(-0.6, 0.6)])
     probe.check_contract(8, gear_ratio=3.0)
 
 
@@ -61,8 +23,8 @@ def test_conversions_agree_and_keep_arguments_and_changes(leaf, ideal):
 
 
 def test_random_points_meet_the_written_out_equations(leaf):
-    p = PARAMETERS
-    probe = leaf.Probe(BldcPump(p), INPUTS, [(-0.6, 0.6)], spread=0.0)
+    p = PUMP
+    probe = leaf.Probe(BldcPump(p), PUMP_INPUTS, [(-0.6, 0.6)], spread=0.0)
     for z in probe.points(50):
         _, command, pressure, krad_s = z[:4]
         speed = 1e3 * krad_s
@@ -90,7 +52,7 @@ def test_full_flow_at_the_rated_pressure_takes_39_w_of_200_w():
 
 @pytest.mark.parametrize("ideal", [False, True], ids=["lag", "ideal"])
 def test_leakage_is_the_only_power_lost(ideal):
-    system, pressure = BldcPump(PARAMETERS, ideal), -2.5e6
+    system, pressure = BldcPump(PUMP, ideal), -2.5e6
     values = {"command": 300.0, "speed": 300.0, "pressure": pressure}
     lost = output(system, "shaft_power", **values) - output(system, "hydraulic_power", **values)
     assert lost == pytest.approx(5e-13 * pressure**2, rel=1e-11)  # difference of 20 W and 20 W
@@ -98,14 +60,14 @@ def test_leakage_is_the_only_power_lost(ideal):
 
 def test_step_within_the_limits_is_a_first_order_lag():
     times = np.array([0.002, 0.005, 0.01, 0.03, 0.08])
-    speeds = response(-80.0, times)  # asks for 8000 rad/s², below the limit of 1e4
+    speeds = response(BldcPump(), -80.0, times)  # asks for 8000 rad/s², below the limit of 1e4
     # The integrator's accuracy of 1e-9 krad/s, some ten times over.
     np.testing.assert_allclose(speeds, -80.0 * (1.0 - np.exp(-times / 0.010)), atol=1e-5)
 
 
 def test_step_beyond_the_acceleration_limit_is_a_ramp_and_then_a_lag():
     times = np.array([0.01, 0.03, 0.0399, 0.045, 0.06, 0.1])
-    speeds = response(500.0, times)
+    speeds = response(BldcPump(), 500.0, times)
     # At 1e4 rad/s² until 100 rad/s = 1e4 · 10 ms are missing, at 40 ms.
     late = 500.0 - 100.0 * np.exp(-(times - 0.04) / 0.010)
     # The kink at 40 ms costs the integrator some accuracy: error control meets it with 1e-9.

@@ -6,6 +6,7 @@ from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
+from table_1 import P_MM_DEG, THETA_4_DEG
 
 from kneexo.errors import LinkageError, SimulationError
 from kneexo.geometry.linkage import rod_extension
@@ -20,15 +21,6 @@ from kneexo.parameters import (
 )
 from kneexo.systems import FourBarKnee
 
-P_MM_DEG = (1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0)  # Lee et al. 2020, Table 1
-THETA_4_DEG = {
-    "G1": (82.5, -4.7),
-    "G2": (-101.95, -189.26),
-    "G3": (-87.6, 38.72),
-    "G4": (-89.7, 20.8),
-    "G5": (-46.6, 134.77),
-    "hinge": (-60.0, 30.0),
-}
 INPUTS = {"rod_extension": [(0.01, 0.13)]}
 OUTPUTS = {
     "knee_kinematics": 3, "knee_angle": 1, "encoder_angle": 1, "moment_arm": 1,

@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+from hydraulics import cylinder_at as at
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
@@ -41,16 +42,6 @@ INPUTS = {"load_flow": [(-1.2e-5, 1.2e-5)], "load_force": [(-100.0, 100.0)]}
 # The three seeded points of check_conversions keep clear of the corners of the valves' slopes,
 # over which differences would step.
 STATE = [(0.0, 0.15), (-0.05, 0.05), (0.1, 2.9), (0.1, 2.9)]
-
-
-def at(system, *, flow=0.0, force=None, state=None):
-    context = system.CreateDefaultContext()
-    system.GetInputPort("load_flow").FixValue(context, flow)
-    if force is not None:
-        system.GetInputPort("load_force").FixValue(context, force)
-    if state is not None:
-        context.SetContinuousState(state)
-    return context
 
 
 def rates(system, **values):

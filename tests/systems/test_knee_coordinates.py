@@ -3,20 +3,13 @@ import math
 import numpy as np
 import pytest
 from numpy import poly1d
+from table_1 import P_MM_DEG, THETA_4_DEG
 
 from kneexo.errors import LinkageError
 from kneexo.parameters import G1, TABLE_1_LINKAGES, LinkageParameters, RodPolynomialParameters
 from kneexo.systems import KneeCoordinates, RodReference
 
-P_MM_DEG = (1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0)  # Lee et al. 2020, Table 1
 OTHER_TABLE = RodPolynomialParameters(p_mm_deg=(2e-8, -4e-6, 0.0005, -0.03, -0.6, 140.0))
-THETA_4_DEG = {
-    "G1": (82.5, -4.7),
-    "G2": (-101.95, -189.26),
-    "G3": (-87.6, 38.72),
-    "G4": (-89.7, 20.8),
-    "G5": (-46.6, 134.77),
-}
 COUNT = 2.0 * math.pi / 4096
 
 names = pytest.mark.parametrize("name", TABLE_1_LINKAGES)

@@ -2,11 +2,11 @@ import math
 
 import numpy as np
 import pytest
+from table_1 import P_MM_DEG
 
 from kneexo.parameters import KneeLoadParameters
 from kneexo.systems import KneeLoad
 
-P_MM_DEG = (1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0)  # Lee et al. 2020, Table 1
 PARAMETERS = KneeLoadParameters(
     segment_mass_kg=3.0,
     centre_of_mass_m=0.25,

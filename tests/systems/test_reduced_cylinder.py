@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+from hydraulics import cylinder_at as at
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 from pydrake.systems.analysis import Simulator
 
@@ -16,16 +17,6 @@ PARAMETERS = CylinderParameters(
 )
 INPUTS = {"load_flow": [(-1.2e-5, 1.2e-5)], "load_force": [(-100.0, 100.0)]}
 STATE = [(0.0, 0.15), (-0.05, 0.05), (-2.0, 2.0)]
-
-
-def at(system, *, flow=0.0, force=None, state=None):
-    context = system.CreateDefaultContext()
-    system.GetInputPort("load_flow").FixValue(context, flow)
-    if force is not None:
-        system.GetInputPort("load_force").FixValue(context, force)
-    if state is not None:
-        context.SetContinuousState(state)
-    return context
 
 
 def state_matrix(system):

@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
+from table_1 import P_MM_DEG
 
 from diagramc import read_diagram
 from diagramc.c.plan import compensated_sums
@@ -11,7 +12,6 @@ from kneexo.parameters import TorqueParameters
 from kneexo.systems import TorqueController
 
 # Lee et al. 2020, Tables 1, 2 and 3.
-P_MM_DEG = np.array([1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0])
 GAIN = 6.0 * 274.8894e-6 / (0.8e-6 / (2.0 * math.pi))
 LIMIT = 5000.0 * 2.0 * math.pi / 60.0
 T = 0.002

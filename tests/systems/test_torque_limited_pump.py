@@ -2,50 +2,13 @@ import math
 
 import numpy as np
 import pytest
-from pydrake.systems.analysis import Simulator
+from hydraulics import LIMIT, PUMP, PUMP_INPUTS, RPM, acceleration, output, response
 
-from kneexo.parameters import BldcPumpParameters, MotorParameters
+from kneexo.parameters import MotorParameters
 from kneexo.systems import TorqueLimitedPump
 from kneexo.systems.torque_limited_pump import shaft_loss
 
-RPM = 2.0 * math.pi / 60.0
-LIMIT = 5000.0 * RPM
-PARAMETERS = BldcPumpParameters(
-    gear_ratio=5.0, internal_leakage_m3_per_s_pa=3e-13, external_leakage_m3_per_s_pa=4e-13
-)
-INPUTS = {"motor_speed_command": [(-600.0, 600.0)], "load_pressure": [(-3e6, 3e6)]}
-LIMITED_INPUTS = INPUTS | {"torque_off": [(0.0, 1.0)], "dynamic_brake": [(0.0, 1.0)]}
-
-
-def at(system, *, command=0.0, pressure=0.0, speed=0.0, **releases):
-    context = system.CreateDefaultContext()
-    for name, value in releases.items():
-        system.GetInputPort(name).FixValue(context, value)
-    system.GetInputPort("motor_speed_command").FixValue(context, command)
-    system.GetInputPort("load_pressure").FixValue(context, pressure)
-    if context.num_continuous_states():
-        context.SetContinuousState([1e-3 * speed])
-    return context
-
-
-def output(system, name, **values):
-    return system.GetOutputPort(name).Eval(at(system, **values))[0]
-
-
-def acceleration(system, **values):
-    return 1e3 * system.EvalTimeDerivatives(at(system, **values)).CopyToVector()[0]
-
-
-def response(command, times, pressure=0.0, speed=0.0, *, motor):
-    system = TorqueLimitedPump(motor=motor)
-    simulator = Simulator(system, at(system, command=command, pressure=pressure, speed=speed))
-    simulator.get_mutable_integrator().set_target_accuracy(1e-9)
-    simulator.get_mutable_integrator().set_maximum_step_size(1e-3)
-    speeds = []
-    for time in times:
-        simulator.AdvanceTo(time)
-        speeds.append(system.GetOutputPort("motor_speed").Eval(simulator.get_context())[0])
-    return np.array(speeds)
+LIMITED_INPUTS = PUMP_INPUTS | {"torque_off": [(0.0, 1.0)], "dynamic_brake": [(0.0, 1.0)]}
 
 
 DRY = {"viscous_torque_n_m_s_per_rad": 0.0}
@@ -58,7 +21,7 @@ def limited(**values):
 
 @pytest.mark.parametrize("supply", [4.0, 24.0])
 def test_conversions_with_torque_agree_and_keep_arguments_and_changes(leaf, supply):
-    system = TorqueLimitedPump(PARAMETERS, MotorParameters(supply_voltage_v=supply))
+    system = TorqueLimitedPump(PUMP, MotorParameters(supply_voltage_v=supply))
     inputs = LIMITED_INPUTS | {"dynamic_brake": [(0.0, 0.4)]}  # braked, the voltage is zero
     leaf.Probe(system, inputs, [(-0.3, 0.3)]).check_contract(11, inertia_kg_m2=3e-5)
 
@@ -69,7 +32,7 @@ def test_random_points_meet_the_written_out_torque_current_and_voltage(leaf):
         coulomb_torque_n_m=0.03, viscous_torque_n_m_s_per_rad=4e-5, friction_band_rad_s=40.0,
         supply_voltage_v=15.0, current_limit_a=6.0,
     )  # fmt: skip
-    probe = leaf.Probe(TorqueLimitedPump(PARAMETERS, n), LIMITED_INPUTS, [(-0.5, 0.5)], spread=0.0)
+    probe = leaf.Probe(TorqueLimitedPump(PUMP, n), LIMITED_INPUTS, [(-0.5, 0.5)], spread=0.0)
     limits = set()
     for z in probe.points(100):
         _, command, pressure, torque_off, brake, krad_s = z[:6]
@@ -105,7 +68,7 @@ def test_holding_a_pressure_takes_its_torque_over_the_torque_constant():
 @pytest.mark.parametrize("supply", [12.0, 18.0])
 def test_a_sagging_supply_sets_the_speed_without_load(supply):
     """U = k_t ω + R (T_c + b ω)/k_t."""
-    (speed,) = response(LIMIT, [0.5], motor=MotorParameters(supply_voltage_v=supply))
+    (speed,) = response(limited(supply_voltage_v=supply), LIMIT, [0.5])
     per_ohm = 0.04 / 0.15
     expected = (supply * per_ohm - 0.01) / (0.04 * per_ohm + 1e-5)
     assert speed == pytest.approx(expected, rel=1e-6)
@@ -116,11 +79,11 @@ def test_a_dead_motor_coasts_down_by_its_friction():
     """J dω/dt = −T_c tanh(ω/ω_0) makes sinh(ω/ω_0) decay with the rate T_c/(J ω_0)."""
     dead = MotorParameters(current_limit_a=0.0, **DRY)
     times = np.array([0.01, 0.05, 0.1, 0.13])
-    speeds = response(0.0, times, speed=60.0, motor=dead)
+    speeds = response(TorqueLimitedPump(motor=dead), 0.0, times, speed=60.0)
     expected = 10.0 * np.arcsinh(np.sinh(6.0) * np.exp(-0.01 / (2e-5 * 10.0) * times))
     np.testing.assert_allclose(speeds, expected, rtol=1e-4)
     viscous = MotorParameters(current_limit_a=0.0, coulomb_torque_n_m=0.0)
-    (slow,) = response(0.0, [0.5], speed=60.0, motor=viscous)
+    (slow,) = response(TorqueLimitedPump(motor=viscous), 0.0, [0.5], speed=60.0)
     assert slow == pytest.approx(60.0 * math.exp(-1e-5 / 2e-5 * 0.5), rel=1e-5)
 
 
@@ -154,7 +117,7 @@ def test_the_oil_turns_a_braked_motor_at_the_speed_of_its_damping():
 
 def test_a_locked_shaft_takes_the_current_limit_and_hardly_turns():
     """The friction of 10 N·m balances 0.6 N·m at ω_0 artanh(0.06), which is 6 rpm."""
-    (speed,) = response(LIMIT, [0.02], motor=MotorParameters(coulomb_torque_n_m=10.0, **DRY))
+    (speed,) = response(limited(coulomb_torque_n_m=10.0, **DRY), LIMIT, [0.02])
     assert speed == pytest.approx(10.0 * math.atanh(0.06), rel=1e-4)
     assert speed < 0.002 * LIMIT
 

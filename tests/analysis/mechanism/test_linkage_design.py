@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from table_1 import changed
 
 from kneexo.analysis import align, design_linkage, fit_polynomials, trade_off
 from kneexo.analysis.mechanism.linkage_design import (
@@ -26,7 +27,6 @@ from kneexo.parameters import (
     G4,
     GAIT2392,
     DesignLimits,
-    LinkageParameters,
     RodPolynomialParameters,
 )
 
@@ -42,10 +42,6 @@ WIDE = DesignLimits(
 def problem(limits=DesignLimits(), motion=None, **values):
     motion = motion or anatomical_motion(GAIT2392, ANGLE)
     return replace(_Problem(motion, ANGLE, TABLE_1, limits, (1.0, 1.0), 5.0), **values)
-
-
-def changed(link, **values):
-    return LinkageParameters(**(link.model_dump() | values))
 
 
 def best_strap_rms_mm(link, motion):

@@ -129,7 +129,7 @@ def test_50_random_diagrams_equal_drakes_linearize_anywhere(random_diagram):
         assert_equals_drakes_linearize(random_diagram(seed, "continuous"), seed)
 
 
-@pytest.mark.parametrize("make", [AcrobotPlant, QuadrotorPlant])
+@pytest.mark.parametrize("make", [AcrobotPlant, PendulumPlant, QuadrotorPlant])
 def test_drakes_examples_equal_drakes_linearize_anywhere(make):
     plant, rng = make(), np.random.default_rng(3)
     context = plant.CreateDefaultContext()
@@ -173,20 +173,6 @@ def test_a_multirate_loop_moves_as_drake_over_the_common_period(loop, drake_runs
     assert (model.c == np.eye(1, len(model.a))).all()
     assert not model.d.any()
     assert model.state_names[:3] == ("plant.x[0]", "plant.x[1]", "sampler.0[0]")
-
-
-def test_a_pendulum_equals_drakes_linearization():
-    plant = PendulumPlant()
-    context = plant.CreateDefaultContext()
-    context.SetContinuousState([math.pi, 0.0])
-    plant.get_input_port().FixValue(context, [0.0])
-    model = linearize(plant, context, inputs=["tau"], outputs=["state"])
-    drake = Linearize(plant, context)
-    for name in "abcd":
-        expected = getattr(drake, name.upper())()
-        np.testing.assert_allclose(getattr(model, name), expected, rtol=1e-13, atol=1e-13)
-    assert model.period_s is None
-    assert not model.stable
 
 
 def test_models_in_several_contexts_equal_single_ones():

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from kneexo.parameters import EncoderParameters, PidParameters
+from kneexo.parameters import EncoderParameters, PidParameters, SlidingModeParameters
 
 
 def test_the_encoder_has_12_bits_unless_its_quantizer_is_bypassed() -> None:
@@ -18,3 +18,9 @@ def test_proportional_action_alone_errs_as_fig_12_shows() -> None:
     pid = PidParameters()
     assert (pid.integral_per_s2, pid.derivative) == (0.0, 0.0)
     assert 30.0 * math.tau * 0.1 / pid.proportional_per_s == pytest.approx(4.0, abs=0.5)
+
+
+def test_the_masses_of_table_2_give_its_mean_and_ratio() -> None:
+    controller = SlidingModeParameters()
+    assert controller.mass_estimate_kg == pytest.approx(1.587, abs=5e-4)
+    assert controller.gain_ratio == pytest.approx(1.134, abs=5e-4)
