@@ -70,6 +70,12 @@ def small(request, computed):
 
 
 @pytest.fixture(scope="session")
+def rows_of(tables):
+    """The function ``rows_of(report)``: from the first cell of each row of tables to the others."""
+    return lambda report: {name: cells for table in tables(report) for name, *cells in table}
+
+
+@pytest.fixture(scope="session")
 def in_numbers():
     """The function ``in_numbers(scenario, period_s)``: a run by NumPy, from its 2nd period on."""
     return _in_numbers
