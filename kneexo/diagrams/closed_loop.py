@@ -35,7 +35,6 @@ from kneexo.diagrams.part import (
     NO_SIGNAL,
     Part,
     export_inputs,
-    leaf_part,
     state_names,
     wire,
 )
@@ -225,7 +224,13 @@ def loop_parts(
         else None,
         # Behind the bus, where the drive's watchdog sees that a frame is lost.
         *command_faults(scenario),
-        leaf_part("push", systems.Push, push_system, push, sample_time_s) if push else None,
+        Part(
+            "push",
+            lambda: systems.Push(push, sample_time_s),
+            lambda: push_system.context_values(push),
+        )
+        if push is not None
+        else None,
         *parameter_faults(scenario),
         *active_faults(scenario),
     ]

@@ -8,6 +8,7 @@ from loop_cases import COUNT, PERIOD, REFERENCE, UNQUANTIZED, logged
 from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
 
 from kneexo.diagrams import SIGNALS, available_signals, columns, make_closed_loop
+from kneexo.diagrams.closed_loop import loop_values
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
     Cia402Parameters,
@@ -455,3 +456,33 @@ def test_a_row_has_the_command_of_the_measurement_before_the_latency(latency):
     np.testing.assert_array_equal(command[:rows], 0.0)
     # 1e4 (rad/s)/m times a difference of lengths of 0.1 m, to some roundings
     np.testing.assert_allclose(command[rows:], computed[:-rows], rtol=0.0, atol=1e-11)
+
+
+PUSHED = {"plant.load": "knee", "push": {"torque_n_m": 20.0, "start_s": 1.0, "duration_s": 0.1}}
+FAULTS = (
+    {"place": "encoder", "kind": "frozen", "start_s": 1.0},
+    {"place": "command", "kind": "frozen", "start_s": 2.0},
+    {"place": "emergency_stop", "kind": "value", "size": 1.0, "start_s": 3.0},
+    {"place": "plant.pump.gear_ratio", "kind": "value", "size": 5.0, "start_s": 4.0},
+)
+
+
+@pytest.mark.parametrize(
+    "scenario",
+    [
+        changed(Scenario(), PUSHED),
+        Scenario.preset("wearer"),
+        changed(Scenario.preset("protected"), {"faults": FAULTS}),
+    ],
+    ids=["push", "wearer", "faults"],
+)
+def test_the_numbers_of_the_parts_are_those_of_the_contexts(scenario):
+    loop = make_closed_loop(scenario)
+    context = loop.CreateDefaultContext()
+    for path, values in loop_values(scenario):
+        leaf = loop
+        for name in path.split("/"):
+            leaf = leaf.GetSubsystemByName(name)
+        numbers = leaf.GetMyContextFromRoot(context).get_numeric_parameter(0).CopyToVector()
+        first = [value for name, value in values.items() if "[" not in name or name == "0[0]"]
+        assert numbers.tolist() == first, path
