@@ -108,7 +108,7 @@ def notices(scenario: Scenario) -> Iterator[str]:
     3. an unstable virtual stiffness, with both ends of the stable interval,
     4. torque control that is unstable at an end of the reference's range,
     5. missing readings of the load cell, and when they stop the motor,
-    6. a part of the reference that is not run as it stands: see `_reference_notices`.
+    6. a part of the reference that is not run as it stands: see ``_reference_notices``.
 
     Raises `LinkageError` when the linkage cannot be assembled.
     """
