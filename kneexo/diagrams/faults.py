@@ -50,7 +50,7 @@ def _losing(scenario: Scenario) -> list[int]:
     return [number for number, f in faults if f.place == "command" and f.kind in LOSING]
 
 
-SIGNAL_OF = {"encoder": "encoder_reading", "load_cell": "measured_force"} | {
+_SIGNAL_AT = {"encoder": "encoder_reading", "load_cell": "measured_force"} | {
     name: name for name in OPERATOR_INPUTS
 }
 """For each place of a fault before the controller, the signal that passes through the fault."""
@@ -58,7 +58,7 @@ SIGNAL_OF = {"encoder": "encoder_reading", "load_cell": "measured_force"} | {
 
 def reading_faults(scenario: Scenario) -> Iterator[Part]:
     """Yield the faults of what the controller reads, and each button that only faults press."""
-    for place, signal in SIGNAL_OF.items():
+    for place, signal in _SIGNAL_AT.items():
         if place in pressed_buttons(scenario):
             nobody = partial(ConstantVectorSource, [0.0])
             yield Part(place, nobody, lambda: {"0[0]": 0.0}, offers={place: "y0"})

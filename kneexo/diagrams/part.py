@@ -30,9 +30,10 @@ class Part(NamedTuple):
     name: str
     """Name of the system in the diagram."""
     make: Callable[..., Any]
-    """Function that returns a new system; compiled runs do not call it.
+    """Function that returns the system; compiled runs do not call it.
 
-    The makers of plant and wearer take ``fault_names``: the Context parameters that faults change.
+    The makers of plant, wearer and load cell take ``fault_names``: the Context parameters that
+    faults change.
     """
     values: Callable[[], dict[str, float]] = dict
     """Function that returns a dictionary from the name of a Context parameter to its value.

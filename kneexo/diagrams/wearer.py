@@ -97,5 +97,5 @@ def moment_parts(scenario: Scenario, external: bool = False) -> Iterator[Part]:
         reads, offers = {"u": MOMENT_INPUT}, {"biological_moment": "y"}
         yield Part("biological_moment", lambda: PassThrough(1), reads=reads, offers=offers)
     else:
-        spline = lambda: TrajectorySource(moment_spline(moment))  # noqa: E731
-        yield Part("moment", spline, offers={"biological_moment": "y0"})
+        offers = {"biological_moment": "y0"}
+        yield Part("moment", lambda: TrajectorySource(moment_spline(moment)), offers=offers)

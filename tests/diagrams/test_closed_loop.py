@@ -458,7 +458,8 @@ def test_a_row_has_the_command_of_the_measurement_before_the_latency(latency):
     np.testing.assert_allclose(command[rows:], computed[:-rows], rtol=0.0, atol=1e-11)
 
 
-PUSHED = {"plant.load": "knee", "push": {"torque_n_m": 20.0, "start_s": 1.0, "duration_s": 0.1}}
+PUSH = {"torque_n_m": 20.0, "start_s": 1.0, "duration_s": 0.1}
+PUSHED = {"plant.load": "knee", "encoder.phase_rad": 0.3, "push": PUSH}
 FAULTS = (
     {"place": "encoder", "kind": "frozen", "start_s": 1.0},
     {"place": "command", "kind": "frozen", "start_s": 2.0},
@@ -474,7 +475,6 @@ FAULTS = (
         Scenario.preset("wearer"),
         changed(Scenario.preset("protected"), {"faults": FAULTS}),
     ],
-    ids=["push", "wearer", "faults"],
 )
 def test_the_numbers_of_the_parts_are_those_of_the_contexts(scenario):
     loop = make_closed_loop(scenario)
