@@ -43,14 +43,14 @@ from pydrake.systems.primitives import SymbolicVectorSystem
 
 from diagramc import InputTable, compile_diagram
 from kneexo.diagrams import make_closed_loop
-from kneexo.diagrams.law import runs_as_python
 from kneexo.diagrams.signals import SIGNALS, columns
 from kneexo.errors import KneexoError
+from kneexo.law import FunctionLaw
+from kneexo.law.decision import runs_as_python
+from kneexo.law.python_law import SIGNAL_OF, PythonLaw
 from kneexo.parameters import Scenario
 from kneexo.simulation import simulate
-from kneexo.simulation.python_law import SIGNAL_OF, PythonLaw
 from kneexo.simulation.run import Run
-from kneexo.systems import FunctionLaw
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "shared"))
 

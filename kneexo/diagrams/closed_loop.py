@@ -51,6 +51,7 @@ from kneexo.diagrams.signals import (
 )
 from kneexo.diagrams.wearer import MOMENT_INPUT, moment_of, moment_parts, wearer_parts
 from kneexo.errors import ParameterError, close_names, question
+from kneexo.law.trace import LAW_COMMAND
 from kneexo.parameters import (
     Cia402Parameters,
     SampledReference,
@@ -60,7 +61,6 @@ from kneexo.parameters.device.safety_states import RELEASES
 from kneexo.parameters.scenario import require_scenario
 from kneexo.parameters.task.fault import OPERATOR_INPUTS
 from kneexo.systems import StateVariable, drive, knee_reference, push as push_system
-from kneexo.systems.function_law import LAW_COMMAND
 from kneexo.systems.knee_reference import require_reference_in_range
 
 

@@ -9,7 +9,13 @@ from pydrake.systems.framework import DiagramBuilder, System
 from pydrake.systems.primitives import Saturation, ZeroOrderHold
 
 from kneexo import systems
-from kneexo.diagrams.law import (
+from kneexo.diagrams.part import Part, add_parts, leaf_part
+from kneexo.diagrams.protection import connect_protection, guarded_ports, protection_parts
+from kneexo.diagrams.signals import CONTROLLER_SIGNALS, SIGNALS
+from kneexo.errors import ParameterError
+from kneexo.geometry.rod_polynomial import controller_polynomial
+from kneexo.law import FunctionLaw, trace
+from kneexo.law.decision import (
     connect_inputs,
     held_command,
     known_text,
@@ -19,11 +25,6 @@ from kneexo.diagrams.law import (
     remembered,
     users_law,
 )
-from kneexo.diagrams.part import Part, add_parts, leaf_part
-from kneexo.diagrams.protection import connect_protection, guarded_ports, protection_parts
-from kneexo.diagrams.signals import CONTROLLER_SIGNALS, SIGNALS
-from kneexo.errors import ParameterError
-from kneexo.geometry.rod_polynomial import controller_polynomial
 from kneexo.parameters import (
     LawParameters,
     ObserverParameters,
@@ -33,7 +34,6 @@ from kneexo.parameters import (
     TorqueParameters,
 )
 from kneexo.systems import (
-    function_law,
     knee_coordinates,
     pid_controller,
     sliding_mode_controller,
@@ -175,7 +175,7 @@ def _parts(scenario: Scenario, replacement: System | None = None) -> list[Part]:
     """Return the leaf systems of a controller; ``replacement`` replaces the scenario's law."""
     believed, polynomial = scenario.believed_plant, controller_polynomial(scenario)
     law = scenario.with_loaded_law().controller
-    measurement = believed.linkage, polynomial, encoder_offset_rad(scenario)
+    measurement = believed.linkage, polynomial, scenario.encoder.offset_rad
     # The scenario's limit is a whole number of the drive's units, so that a rounded command at the
     # limit still counts as saturated.
     if law.command_limit_rad_s != scenario.command_limit_rad_s:
@@ -234,7 +234,7 @@ def _law_part(scenario: Scenario, law: LawParameters, replacement: System | None
     if replacement is not None:
         return Part("law", lambda: replacement, dict)
     if not law.function.is_system:
-        return leaf_part("law", systems.FunctionLaw, function_law, law)
+        return leaf_part("law", FunctionLaw, trace, law)
     system = law.function.make_system(maker_arguments(scenario))
     return Part("law", lambda: system, dict)
 
@@ -250,17 +250,6 @@ def _estimator_parts(scenario: Scenario) -> Iterable[Part]:
         )
     elif estimator.kind == "difference":
         yield Part("estimator", lambda: systems.BackwardDifference(sample_time), dict)
-
-
-def encoder_offset_rad(scenario: Scenario) -> float:
-    """Return the offset in rad that the controller adds to an encoder reading.
-
-    The offset is the encoder's phase, plus half a count, minus the mounting error. Half a count,
-    because an encoder rounds down: the error of a reading is then zero on average.
-    """
-    encoder = scenario.encoder
-    phase = encoder.phase_rad if encoder.quantized else 0.0
-    return phase + 0.5 * encoder.resolution_rad - encoder.mounting_error_rad
 
 
 def controller_outputs(scenario: Scenario) -> dict[str, int]:

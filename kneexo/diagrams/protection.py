@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from kneexo import systems
-from kneexo.diagrams.law import connect_inputs, port_sizes
 from kneexo.diagrams.part import Part
 from kneexo.geometry import linkage
+from kneexo.law.decision import connect_inputs, port_sizes
 from kneexo.parameters import LinkageParameters, ProtectionParameters, Scenario
 from kneexo.systems import fault_detectors, input_guard, safety_supervisor
 

@@ -45,7 +45,10 @@ from kneexo.diagrams.controller import (
     make_controller,
 )
 from kneexo.diagrams.faults import fault_structure
-from kneexo.diagrams.law import (
+from kneexo.diagrams.signals import SIGNALS, columns
+from kneexo.diagrams.wearer import moment_of, moment_spline
+from kneexo.errors import KneexoError
+from kneexo.law.decision import (
     function_trace,
     held_command,
     known_text,
@@ -57,9 +60,13 @@ from kneexo.diagrams.law import (
     users_law,
     why_python,
 )
-from kneexo.diagrams.signals import SIGNALS, columns
-from kneexo.diagrams.wearer import moment_of, moment_spline
-from kneexo.errors import KneexoError
+from kneexo.law.python_law import SIGNAL_OF, PythonLaw, commands_at_points
+from kneexo.law.trace import (
+    COMMAND_AND_STATE,
+    LAW_COMMAND,
+    argument_sizes,
+    replay,
+)
 from kneexo.parameters import (
     LawParameters,
     MomentTable,
@@ -68,16 +75,9 @@ from kneexo.parameters import (
 )
 from kneexo.parameters.fields.fields import models_of
 from kneexo.parameters.fields.quantity import Parameters
-from kneexo.simulation.python_law import SIGNAL_OF, PythonLaw, commands_at_points
 from kneexo.simulation.run import Run
 from kneexo.simulation.sources import fingerprint
 from kneexo.systems import knee_reference
-from kneexo.systems.function_law import (
-    COMMAND_AND_STATE,
-    LAW_COMMAND,
-    argument_sizes,
-    replay,
-)
 
 _MADE_CONSTANT = ("sample_time_s",)  # numbers that the leaf systems turn into constants
 _SEED = "seed"  # decides by its presence, not by its number

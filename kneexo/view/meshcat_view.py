@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from pydrake.geometry import Meshcat, MeshcatVisualizer, MeshcatVisualizerParams, SceneGraph
 from pydrake.systems.framework import DiagramBuilder, System
 
-from kneexo.diagrams.law import port_sizes
 from kneexo.diagrams.part import connect
 from kneexo.errors import ParameterError
+from kneexo.law.decision import port_sizes
 from kneexo.parameters import CylinderParameters, LinkageParameters
 from kneexo.view.knee_frames import KneeFrames
 from kneexo.view.parts import ICR_COLOUR, depths_m, icr_path, look_at_legs

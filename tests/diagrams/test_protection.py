@@ -9,13 +9,13 @@ import pytest
 
 from kneexo.analysis import track
 from kneexo.diagrams import make_closed_loop, make_controller
-from kneexo.diagrams.law import port_sizes
 from kneexo.diagrams.protection import reading_range_rad
 from kneexo.errors import ParameterError
 from kneexo.export.firmware import export_firmware, export_sil
 from kneexo.export.fmu import export_fmu
 from kneexo.export.target import count_range, make_target
 from kneexo.geometry.linkage import moment_arm, pose
+from kneexo.law.decision import port_sizes
 from kneexo.parameters import Scenario
 from kneexo.parameters.device.safety_states import REASONS, STATES, SafeState
 from kneexo.simulation import simulate

@@ -11,20 +11,21 @@ from pydrake.systems.analysis import Simulator
 
 import diagramc
 from diagramc import DiagramEquations, read_diagram
-from kneexo.analysis.linear.law_tangent import LawTangent
 from kneexo.analysis.linear.plant_linearization import MID_RANGE_DEG
 from kneexo.analysis.linear.shared_equations import context_with, recent_equations, set_parameters
 from kneexo.common.result import Array
 from kneexo.diagrams import make_closed_loop
 from kneexo.diagrams.closed_loop import loop_values, plant_start
 from kneexo.diagrams.controller import has_unknown_parts
-from kneexo.diagrams.law import (
+from kneexo.diagrams.wearer import moment_of, moment_spline
+from kneexo.errors import LinearizationError, NoEquilibriumError
+from kneexo.law.decision import (
     known_text,
     makers_called_once,
     runs_as_python,
 )
-from kneexo.diagrams.wearer import moment_of, moment_spline
-from kneexo.errors import LinearizationError, NoEquilibriumError
+from kneexo.law.tangent import LawTangent
+from kneexo.law.trace import hides_state
 from kneexo.parameters import (
     LawParameters,
     LegParameters,
@@ -34,7 +35,6 @@ from kneexo.parameters import (
 )
 from kneexo.parameters.scenario import require_scenario
 from kneexo.simulation.compiled import law_key, structure_key
-from kneexo.systems.function_law import hides_state
 
 _NO_LIMIT = 1e12
 """A speed or an acceleration that no motor reaches, in rad/s or rad/s²."""

@@ -11,8 +11,8 @@ from pydrake.systems.framework import DiagramBuilder
 
 from diagramc import Simulation, compile_diagram
 from kneexo.common.result import Array, Result, data_frame
-from kneexo.diagrams.law import runs_as_python
 from kneexo.errors import ParameterError
+from kneexo.law.decision import runs_as_python
 from kneexo.parameters import FullCylinderParameters, Scenario
 from kneexo.simulation.compiled import scenario_diagram, scenario_inputs
 from kneexo.systems.energy_meter import ENERGIES, EnergyMeter

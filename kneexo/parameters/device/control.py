@@ -44,6 +44,16 @@ class EncoderParameters(Parameters):
         """Angle of one count in rad, or zero if the quantizer is bypassed."""
         return 2.0 * math.pi / self.counts_per_revolution if self.quantized else 0.0
 
+    @property
+    def offset_rad(self) -> float:
+        """Offset in rad that the controller adds to a reading.
+
+        The offset is the phase, plus half a count, minus the mounting error. Half a count, because
+        an encoder rounds down: the error of a reading is then zero on average.
+        """
+        phase = self.phase_rad if self.quantized else 0.0
+        return phase + 0.5 * self.resolution_rad - self.mounting_error_rad
+
 
 class ObserverParameters(Parameters):
     """Third-order tracking observer of rod position, velocity and acceleration."""

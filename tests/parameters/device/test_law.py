@@ -13,6 +13,7 @@ from pydrake.systems.framework import LeafSystem
 from pydrake.systems.primitives import Gain
 
 from kneexo.errors import ParameterError, ScenarioError
+from kneexo.law import FunctionLaw_
 from kneexo.parameters import Law, LawParameters, Scenario
 from kneexo.parameters.paths import changed
 from kneexo.parameters.scenario_file import (
@@ -21,7 +22,6 @@ from kneexo.parameters.scenario_file import (
     load_uncertainty,
     scenario_files,
 )
-from kneexo.systems import FunctionLaw_
 
 OWN_LAW = Path(__file__).parents[3] / "examples" / "own_law.py"
 

@@ -9,11 +9,11 @@ from pydrake.systems.analysis import Simulator
 
 from kneexo.common.result import Array
 from kneexo.common.user_code import user_code
-from kneexo.diagrams.law import law_inputs, maker_arguments
 from kneexo.errors import LinearizationError, SimulationError
+from kneexo.law.decision import law_inputs, maker_arguments
+from kneexo.law.python_law import SIGNAL_OF
+from kneexo.law.trace import FunctionLaw, LinearLaw
 from kneexo.parameters import LawParameters, Scenario
-from kneexo.simulation.python_law import SIGNAL_OF
-from kneexo.systems import FunctionLaw, LinearLaw
 
 _RELATIVE_STEP = 6e-6  # cube root of the rounding error: the best step of a central difference
 _SMALLEST_SCALE = 1e-2  # m, rad, rad/s, …: values below it are differentiated with its step

@@ -4,10 +4,10 @@ import pytest
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import Adder
 
-from kneexo.diagrams.law import held_command, law_inputs, port_sizes, runs_as_python, why_python
 from kneexo.errors import ParameterError
+from kneexo.law import FunctionLaw
+from kneexo.law.decision import held_command, law_inputs, port_sizes, runs_as_python, why_python
 from kneexo.parameters import LawParameters, Scenario
-from kneexo.systems import FunctionLaw
 
 
 def law(knee_angle, knee_reference, gain=1e3):

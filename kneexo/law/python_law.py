@@ -13,13 +13,12 @@ from pydrake.systems.analysis import Simulator
 
 from kneexo.common.result import Array
 from kneexo.common.user_code import user_code
-from kneexo.diagrams.controller import encoder_offset_rad
-from kneexo.diagrams.law import law_inputs, maker_arguments, why_python
 from kneexo.errors import KneexoError
 from kneexo.geometry.linkage import encoder_angle, polynomial
 from kneexo.geometry.rod_polynomial import controller_polynomial
+from kneexo.law.decision import law_inputs, maker_arguments, why_python
+from kneexo.law.trace import call_law, require_finite_result
 from kneexo.parameters import Law, LawParameters, Scenario
-from kneexo.systems.function_law import call_law, require_finite_result
 from kneexo.systems.knee_reference import start_angle_rad
 
 SIGNAL_OF = {
@@ -151,7 +150,7 @@ def _commands(scenario: Scenario, knees: Array, references: Array, rates: Array)
             "rod_reference": [extension_at(reference), *rate],
             "knee_reference": [reference, *rate],
             "estimated_state": [extension_at(knee), 0.0, 0.0],
-            "encoder_reading": [float(encoder_at(knee)) - encoder_offset_rad(scenario)],
+            "encoder_reading": [float(encoder_at(knee)) - scenario.encoder.offset_rad],
         }
         signals = {SIGNAL_OF[name]: np.array(value) for name, value in values.items()}
         commands.append(call(sample * scenario.controller.sample_time_s, signals))

@@ -11,11 +11,10 @@ from typing import Any, NamedTuple, TypeVar, cast
 from pydrake.systems.framework import System
 
 from diagramc import read_diagram, sampled_leaves
-from kneexo import systems
 from kneexo.errors import CompilationError, DifferenceError, KneexoError, ParameterError
 from kneexo.geometry.rod_polynomial import controller_polynomial
+from kneexo.law.trace import HeldCommand, Trace, trace
 from kneexo.parameters import LAW_INPUTS, Law, LawParameters, Scenario
-from kneexo.systems.function_law import Trace, trace
 
 T = TypeVar("T")
 
@@ -187,12 +186,12 @@ def law_inputs(scenario: Scenario) -> tuple[str, ...]:
     return _system_law(scenario).inputs if law.is_system else law.arguments.inputs
 
 
-def held_command(scenario: Scenario) -> systems.HeldCommand | None:
+def held_command(scenario: Scenario) -> HeldCommand | None:
     """Return the system that replaces a law that runs as Python; None if the law is compiled."""
     law = scenario.controller
     if not isinstance(law, LawParameters) or not runs_as_python(scenario):
         return None
-    return systems.HeldCommand(law.sample_time_s, law_inputs(scenario))
+    return HeldCommand(law.sample_time_s, law_inputs(scenario))
 
 
 def port_sizes(system: System, *, inputs: bool = False) -> dict[str, int]:

@@ -13,9 +13,9 @@ from pydrake.symbolic import Expression, if_then_else
 from pydrake.systems.analysis import Simulator
 
 from kneexo.errors import ParameterError, SimulationError
+from kneexo.law import FunctionLaw, FunctionLaw_, HeldCommand, LinearLaw
+from kneexo.law.trace import call_law, hides_state, replay, trace
 from kneexo.parameters import Law, LawParameters
-from kneexo.systems import FunctionLaw, FunctionLaw_, HeldCommand, LinearLaw
-from kneexo.systems.function_law import call_law, hides_state, replay, trace
 
 
 def proportional(rod_extension, rod_reference, gain=1e3):

@@ -15,10 +15,11 @@ from pydrake.systems.primitives import Gain, LinearSystem
 from kneexo.analysis import linearize_loop, track
 from kneexo.analysis.batches import batch
 from kneexo.analysis.tracking.reduced_tracking import track_basic_metrics
-from kneexo.diagrams.controller import encoder_offset_rad
-from kneexo.diagrams.law import runs_as_python, why_python
 from kneexo.errors import LinearizationError, ParameterError, SimulationError
 from kneexo.geometry.linkage import encoder_angle
+from kneexo.law import FunctionLaw
+from kneexo.law.decision import runs_as_python, why_python
+from kneexo.law.python_law import sign_hint
 from kneexo.parameters import (
     ExactParameters,
     LawParameters,
@@ -27,8 +28,6 @@ from kneexo.parameters import (
     SimulationParameters,
 )
 from kneexo.simulation import simulate
-from kneexo.simulation.python_law import sign_hint
-from kneexo.systems import FunctionLaw
 from kneexo.systems.knee_reference import start_angle_rad
 
 SHORT = Scenario(simulation=SimulationParameters(duration_s=0.3))
@@ -359,7 +358,7 @@ def test_the_message_names_a_wrong_sign_of_a_law_that_reads_the_encoder() -> Non
     """θ_4 falls with the knee angle. The law jumps at the reading of the start, with its offset."""
     scenario = Scenario().changed({"encoder.mounting_error_rad": 0.05})
     angle = start_angle_rad(scenario.reference)
-    at_start = encoder_angle(scenario.plant.linkage, angle) - encoder_offset_rad(scenario)
+    at_start = encoder_angle(scenario.plant.linkage, angle) - scenario.encoder.offset_rad
 
     def jumping(encoder_reading, gain=1e9):
         return gain * (encoder_reading - float(at_start))

@@ -11,7 +11,7 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 
 from kneexo.analysis.linear.loop_equilibrium import find_equilibrium
 from kneexo.analysis.linear.sampled_loop import linearize_loop
-from kneexo.diagrams.law import runs_as_python
+from kneexo.law.decision import runs_as_python
 from kneexo.parameters import Scenario
 
 ANGLE_RAD = math.radians(40.0)
