@@ -10,6 +10,7 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from kneexo.common.ports import input_ports, output_ports
 from kneexo.systems import StateVariable
 
 NO_FAULTS: Mapping[str, tuple[str, ...]] = MappingProxyType({})
@@ -128,17 +129,16 @@ def wire(
     ports: dict[str, Any] = {}
     for part in parts:
         system = systems[part.name]
-        for port in _inputs(system) if part.through else ():
-            if part.reads.get(port.get_name(), port.get_name()) == part.through:
+        for name, port in input_ports(system).items() if part.through else ():
+            if part.reads.get(name, name) == part.through:
                 builder.Connect(ports[part.through], port)
-        outputs = [system.get_output_port(i) for i in range(system.num_output_ports())]
-        own = {port.get_name(): port for port in outputs}
+        own = output_ports(system)
         offered = part.offers if part.offers is not None else {name: name for name in own}
         ports |= {signal: own[name] for signal, name in offered.items() if name in own}
     inputs: dict[str, list[Any]] = {}
     for part in parts:
-        for port in _inputs(systems[part.name]):
-            signal = part.reads.get(port.get_name(), port.get_name())
+        for name, port in input_ports(systems[part.name]).items():
+            signal = part.reads.get(name, name)
             if signal in (NO_SIGNAL, part.through):
                 continue
             if signal in ports:
@@ -146,10 +146,6 @@ def wire(
             else:
                 inputs.setdefault(signal, []).append(port)
     return ports, inputs
-
-
-def _inputs(system: Any) -> list[Any]:
-    return [system.get_input_port(index) for index in range(system.num_input_ports())]
 
 
 def export_inputs(
@@ -165,8 +161,3 @@ def export_inputs(
             index = builder.ExportInput(port, name)
             for other in inputs[signal][1:]:
                 builder.ConnectInput(index, other)
-
-
-def connect(builder: Any, source: Any, output: str, target: Any, input_: str) -> None:
-    """Connect the port ``output`` of ``source`` to the port ``input_`` of ``target``."""
-    builder.Connect(source.GetOutputPort(output), target.GetInputPort(input_))

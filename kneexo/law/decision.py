@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Hashable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any, NamedTuple, TypeVar, cast
@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 from pydrake.systems.framework import System
 
 from diagramc import read_diagram, sampled_leaves
+from kneexo.common.ports import input_ports, output_ports, sizes
 from kneexo.errors import CompilationError, DifferenceError, KneexoError, ParameterError
 from kneexo.geometry.rod_polynomial import controller_polynomial
 from kneexo.law.trace import HeldCommand, Trace, trace
@@ -169,7 +170,7 @@ def _read(scenario: Scenario) -> _SystemLaw:
     system = law.any_system(arguments)
     require_ports(system, f"law {law.short_name}")
     _require_periods(system, scenario.controller.sample_time_s, f"law {law.short_name}")
-    inputs = tuple(port_sizes(system, inputs=True))
+    inputs = tuple(input_ports(system))
     # `any_system` accepts a system that runs as Python only, `make_system` one that can be cloned.
     try:
         read_diagram(law.make_system(arguments), inputs=inputs)
@@ -194,64 +195,16 @@ def held_command(scenario: Scenario) -> HeldCommand | None:
     return HeldCommand(law.sample_time_s, law_inputs(scenario))
 
 
-def port_sizes(system: System, *, inputs: bool = False) -> dict[str, int]:
-    """Return a dictionary from name to size of the output ports of a system.
-
-    If ``inputs`` is True, the dictionary has the input ports instead.
-    """
-    if inputs:
-        ports = map(system.get_input_port, range(system.num_input_ports()))
-    else:
-        ports = map(system.get_output_port, range(system.num_output_ports()))
-    return {port.get_name(): port.size() for port in ports}
-
-
-def connect_inputs(
-    builder: Any,
-    system: System,
-    sources: Mapping[str, Any],
-    inputs: dict[str, Any],
-    connected: Collection[str] = (),
-) -> None:
-    """Connect the input ports of a part of the controller, by their names.
-
-    Parameters
-    ----------
-    builder
-        The DiagramBuilder of the controller.
-    system
-        The part.
-    sources
-        Output ports inside the controller by name.
-    inputs
-        Input ports of the controller by name. A port that is in neither mapping becomes one more.
-    connected
-        Names of the ports that are connected already.
-    """
-    for name in port_sizes(system, inputs=True):
-        port = system.GetInputPort(name)
-        # Without an estimator the true state of the rod takes the place of the estimated state.
-        input_name = "rod_state" if name == "estimated_state" else name
-        if name in connected:
-            continue
-        if name in sources:
-            builder.Connect(sources[name], port)
-        elif input_name in inputs:
-            builder.ConnectInput(inputs[input_name], port)
-        else:
-            inputs[input_name] = builder.ExportInput(port, input_name)
-
-
 def require_ports(system: System, subject: str) -> None:
     """Raise `ParameterError` unless a system of the user has the ports of a control law.
 
     ``subject`` begins the message.
     """
-    for name, size in port_sizes(system, inputs=True).items():
+    for name, size in sizes(input_ports(system)).items():
         if LAW_INPUTS.get(name) != size:
             expected = ", ".join(f"{name} ({size})" for name, size in LAW_INPUTS.items())
             raise ParameterError(
                 f"{subject}: has an input port {name} of size {size}; must be of {expected}"
             )
-    if port_sizes(system).get("motor_speed_command") != 1:
+    if sizes(output_ports(system)).get("motor_speed_command") != 1:
         raise ParameterError(f"{subject}: must have an output port motor_speed_command of size 1")

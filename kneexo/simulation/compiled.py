@@ -33,6 +33,7 @@ from diagramc import (
     simulate_with_feedback,
     stack_tables,
 )
+from kneexo.common.ports import input_ports
 from kneexo.common.result import Array
 from kneexo.diagrams.closed_loop import (
     chosen_signals,
@@ -54,7 +55,6 @@ from kneexo.law.decision import (
     known_text,
     law_inputs,
     makers_called_once,
-    port_sizes,
     remembered,
     runs_as_python,
     users_law,
@@ -251,7 +251,7 @@ def _unknown_parts(scenario: Scenario) -> _UnknownParts:
 
 def _read_controller(scenario: Scenario) -> _UnknownParts:
     controller = make_controller(scenario, held_command(scenario))
-    read = read_diagram(controller, inputs=list(port_sizes(controller, inputs=True)))
+    read = read_diagram(controller, inputs=input_ports(controller))
 
     def named(names: Sequence[str], values: Array) -> dict[str, float]:
         return dict(zip((f"controller/{name}" for name in names), values.tolist(), strict=True))

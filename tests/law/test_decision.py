@@ -4,9 +4,10 @@ import pytest
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import Adder
 
+from kneexo.common.ports import input_ports, sizes
 from kneexo.errors import ParameterError
 from kneexo.law import FunctionLaw
-from kneexo.law.decision import held_command, law_inputs, port_sizes, runs_as_python, why_python
+from kneexo.law.decision import held_command, law_inputs, runs_as_python, why_python
 from kneexo.parameters import LawParameters, Scenario
 
 
@@ -46,7 +47,7 @@ def test_another_law_is_replaced_by_its_held_command(form, reason: str) -> None:
     assert reason in why_python(scenario)
     assert runs_as_python(scenario)
     held = held_command(scenario)
-    assert port_sizes(held, inputs=True) == {"estimated_state": 3, "law_command": 1}
+    assert sizes(input_ports(held)) == {"estimated_state": 3, "law_command": 1}
     assert held.GetUniquePeriodicDiscreteUpdateAttribute().period_sec() == 0.004
 
 
