@@ -51,7 +51,7 @@ from kneexo.diagrams.signals import (
 )
 from kneexo.diagrams.wearer import MOMENT_INPUT, moment_of, moment_parts, wearer_parts
 from kneexo.errors import ParameterError, close_names, question
-from kneexo.law.trace import LAW_COMMAND
+from kneexo.law.leaves import LAW_COMMAND
 from kneexo.parameters import (
     Cia402Parameters,
     SampledReference,

@@ -14,16 +14,16 @@ from kneexo.diagrams.protection import protection_parts, raw
 from kneexo.diagrams.signals import CONTROLLER_SIGNALS, LAW_OUTPUTS, PROTECTION_OUTPUTS
 from kneexo.errors import ParameterError
 from kneexo.geometry.rod_polynomial import controller_polynomial
-from kneexo.law import FunctionLaw, trace
+from kneexo.law import FunctionLaw, leaves
 from kneexo.law.decision import (
     held_command,
     known_text,
     law_inputs,
-    maker_arguments,
     remembered,
     users_law,
+    users_system,
 )
-from kneexo.law.trace import LAW_COMMAND
+from kneexo.law.leaves import LAW_COMMAND
 from kneexo.parameters import (
     LawParameters,
     ObserverParameters,
@@ -229,9 +229,9 @@ def _users_law(
     if replacement is not None:
         yield Part("law", lambda: replacement)
     elif not law.function.is_system:
-        yield leaf_part("law", FunctionLaw, trace, law)
+        yield leaf_part("law", FunctionLaw, leaves, law)
     else:
-        system = law.function.make_system(maker_arguments(scenario))
+        system = users_system(scenario, copied=True)
         yield Part("law", lambda: system)
         limit, sample_time_s = scenario.command_limit_rad_s, scenario.controller.sample_time_s
         yield Part(

@@ -5,7 +5,7 @@ way into a loop: `FunctionLaw` for a law that is a function, `HeldCommand` for a
 as Python beside a compiled plant, and `LinearLaw` for such a law near an operating point.
 """
 
-from kneexo.law.trace import (
+from kneexo.law.leaves import (
     FunctionLaw,
     FunctionLaw_,
     HeldCommand,

@@ -14,39 +14,81 @@ from diagramc import read_diagram, sampled_leaves
 from kneexo.common.ports import input_ports, output_ports, sizes
 from kneexo.errors import CompilationError, DifferenceError, KneexoError, ParameterError
 from kneexo.geometry.rod_polynomial import controller_polynomial
-from kneexo.law.trace import HeldCommand, Trace, trace
+from kneexo.law.leaves import HeldCommand
+from kneexo.law.trace import Trace, trace
 from kneexo.parameters import LAW_INPUTS, Law, LawParameters, Scenario
 
 T = TypeVar("T")
 
 
-def why_python(scenario: Scenario) -> str:
-    """Return why the law of a scenario is called as Python; an empty text if it is compiled.
+class Decision(NamedTuple):
+    """Whether a law is compiled, what it reads, and the equations of a law that is a function."""
 
-    Raises `ParameterError` for a law that cannot be run at all.
+    why_python: str = ""
+    """Why the law is called as Python, or an empty text for a law that is compiled."""
+    inputs: tuple[str, ...] = ()
+    """Names of the inputs, of `LAW_INPUTS`, that the law reads."""
+    trace: Trace | None = None
+    """Equations of a function; None for a Drake system, and for kneexo's own controllers."""
+
+
+def decide(scenario: Scenario) -> Decision:
+    """Decide whether the law of a scenario is compiled, or called as Python once a sample.
+
+    kneexo's own controllers are compiled. Raises `ParameterError` for a law that cannot be run.
     """
-    if (traced := function_trace(scenario)) is not None:
-        return traced.why_not_compiled
-    return _system_law(scenario).why_python if scenario.controller.kind == "law" else ""
+    controller = scenario.controller
+    if not isinstance(controller, LawParameters):
+        return Decision()
+    law = controller.function
+    if law.is_system:
+        known = known_text(scenario) if law.takes_scenario else ""
+        question = "system", known, controller.sample_time_s
+        return remembered(law, question, lambda: _decide_for_system(scenario, law))
+    traced = trace(law, len(controller.loaded().initial_state))
+    return Decision(traced.why_not_compiled, law.arguments.inputs, traced)
 
 
-def function_trace(scenario: Scenario) -> Trace | None:
-    """Return the trace of a law that is a function; None for any other controller."""
-    law = scenario.controller
-    if not isinstance(law, LawParameters) or law.function.is_system:
+def why_python(scenario: Scenario) -> str:
+    """Return why the law of a scenario is called as Python; an empty text if it is compiled."""
+    return decide(scenario).why_python
+
+
+def held_command(scenario: Scenario) -> HeldCommand | None:
+    """Return the system that replaces a law that runs as Python; None if the law is compiled."""
+    if not (decision := decide(scenario)).why_python:
         return None
-    return trace(law.function, len(law.loaded().initial_state))
+    return HeldCommand(scenario.controller.sample_time_s, decision.inputs)
 
 
-def runs_as_python(scenario: Scenario) -> bool:
-    """Return True if the law of a scenario is called as Python once a sample."""
-    return bool(why_python(scenario))
+def law_inputs(scenario: Scenario) -> tuple[str, ...]:
+    """Return the names of the inputs, of `LAW_INPUTS`, that the law of the user reads."""
+    law = users_law(scenario)
+    return decide(scenario).inputs if law.is_system else law.arguments.inputs
 
 
 def users_law(scenario: Scenario) -> Law:
     """Return the law of a scenario whose controller has the kind ``law``."""
     assert isinstance(scenario.controller, LawParameters)
     return scenario.controller.function
+
+
+def users_system(scenario: Scenario, *, copied: bool = False) -> System:
+    """Return the Drake system of a law that is a system, or a new one of a law that makes systems.
+
+    ``copied``: return a clone of a law that is a system. Raises `ParameterError` as
+    `Law.make_system` does.
+    """
+    controller = scenario.controller
+    assert isinstance(controller, LawParameters)
+    law = controller.function
+    if isinstance(law.target, System) and not copied:
+        return law.target
+    if not law.takes_scenario:
+        return law.make_system()
+    return law.make_system(
+        {"scenario": known_to_controller(scenario), **controller.loaded().values}
+    )
 
 
 def remembered(law: Law, question: Hashable, answer: Callable[[], T]) -> T:
@@ -56,18 +98,17 @@ def remembered(law: Law, question: Hashable, answer: Callable[[], T]) -> T:
     system may make another one whenever a value that it reads has changed. So answers about it are
     kept only while `makers_called_once` lasts.
     """
-    makes_systems = law.is_system and not isinstance(law.target, System)
-    memo = _answers.get() if makes_systems else law.memo
-    if memo is None:
-        return answer()
-    key = id(law), question
-    if key not in memo:
-        memo[key] = law, answer()  # with the law, so that no other law gets its id
-    return cast(T, memo[key][1])
+    memo = law.memo
+    if law.is_system and not isinstance(law.target, System):
+        answers = _answers.get()
+        memo = {} if answers is None else answers.setdefault(law, {})
+    if question not in memo:
+        memo[question] = answer()
+    return cast(T, memo[question])
 
 
-_answers: ContextVar[dict[Any, Any] | None] = ContextVar("answers", default=None)
-"""The answers of `remembered` about laws that make systems, within `makers_called_once`."""
+_answers: ContextVar[dict[Law, dict[Any, Any]] | None] = ContextVar("answers", default=None)
+"""What is known of laws that make systems, within `makers_called_once`."""
 
 
 @contextmanager
@@ -81,15 +122,6 @@ def makers_called_once() -> Iterator[None]:
         yield
     finally:
         _answers.reset(token)
-
-
-def maker_arguments(scenario: Scenario) -> dict[str, Any]:
-    """Return the arguments with which the law of a scenario makes its Drake system."""
-    law = scenario.controller
-    assert isinstance(law, LawParameters)
-    if not law.function.takes_scenario:
-        return {}
-    return {"scenario": known_to_controller(scenario), **law.loaded().values}
 
 
 def known_to_controller(scenario: Scenario) -> Scenario:
@@ -115,26 +147,6 @@ def known_text(scenario: Scenario) -> str:
     """
     without_law = {"controller": {"function"}}
     return known_to_controller(scenario).model_dump_json(exclude=without_law)
-
-
-class _SystemLaw(NamedTuple):
-    """What the controller has to know of a law that is or makes a Drake system."""
-
-    why_python: str
-    """Why the system cannot be compiled, or an empty text for a system that compiles."""
-    inputs: tuple[str, ...]
-    """Names of the input ports of the system."""
-
-
-def _system_law(scenario: Scenario) -> _SystemLaw:
-    """Return the ports of a law that is a Drake system, and why it cannot be compiled, if so.
-
-    The answer is remembered. Raises `ParameterError` if a port or a sample period is wrong.
-    """
-    law = users_law(scenario)
-    known = known_text(scenario) if law.takes_scenario else ""
-    question = "system", known, scenario.controller.sample_time_s
-    return remembered(law, question, lambda: _read(scenario))
 
 
 def _require_periods(system: System, sample_time_s: float, subject: str) -> None:
@@ -165,37 +177,25 @@ def _require_periods(system: System, sample_time_s: float, subject: str) -> None
             )
 
 
-def _read(scenario: Scenario) -> _SystemLaw:
-    law, arguments = users_law(scenario), maker_arguments(scenario)
-    system = law.any_system(arguments)
-    require_ports(system, f"law {law.short_name}")
-    _require_periods(system, scenario.controller.sample_time_s, f"law {law.short_name}")
+def _decide_for_system(scenario: Scenario, law: Law) -> Decision:
+    """Decide for a law that is or makes a Drake system.
+
+    Raises `ParameterError` if a port or a sample period of the system is wrong.
+    """
+    system, subject = users_system(scenario), f"law {law.short_name}"
+    _require_ports(system, subject)
+    _require_periods(system, scenario.controller.sample_time_s, subject)
     inputs = tuple(input_ports(system))
-    # `any_system` accepts a system that runs as Python only, `make_system` one that can be cloned.
     try:
-        read_diagram(law.make_system(arguments), inputs=inputs)
+        read_diagram(users_system(scenario, copied=True), inputs=inputs)
     except DifferenceError as error:
-        raise ParameterError(f"law {law.short_name}: {error}") from None
+        raise ParameterError(f"{subject}: {error}") from None
     except KneexoError as error:
-        return _SystemLaw(str(error), inputs)
-    return _SystemLaw("", inputs)
+        return Decision(str(error), inputs)
+    return Decision("", inputs)
 
 
-def law_inputs(scenario: Scenario) -> tuple[str, ...]:
-    """Return the names of the inputs, of `LAW_INPUTS`, that the law of the user reads."""
-    law = users_law(scenario)
-    return _system_law(scenario).inputs if law.is_system else law.arguments.inputs
-
-
-def held_command(scenario: Scenario) -> HeldCommand | None:
-    """Return the system that replaces a law that runs as Python; None if the law is compiled."""
-    law = scenario.controller
-    if not isinstance(law, LawParameters) or not runs_as_python(scenario):
-        return None
-    return HeldCommand(law.sample_time_s, law_inputs(scenario))
-
-
-def require_ports(system: System, subject: str) -> None:
+def _require_ports(system: System, subject: str) -> None:
     """Raise `ParameterError` unless a system of the user has the ports of a control law.
 
     ``subject`` begins the message.

@@ -16,8 +16,8 @@ from kneexo.common.user_code import user_code
 from kneexo.errors import KneexoError
 from kneexo.geometry.linkage import encoder_angle, polynomial
 from kneexo.geometry.rod_polynomial import controller_polynomial
-from kneexo.law.decision import law_inputs, maker_arguments, why_python
-from kneexo.law.trace import call_law, require_finite_result
+from kneexo.law.call import call_law, require_finite_result
+from kneexo.law.decision import law_inputs, users_system, why_python
 from kneexo.parameters import Law, LawParameters, Scenario
 from kneexo.systems.knee_reference import start_angle_rad
 
@@ -51,7 +51,7 @@ class PythonLaw:
         """Names of the output ports of the closed loop that the law reads."""
         self._reason = why_python(scenario) if announce else ""
         if law.function.is_system:
-            self._simulator = Simulator(law.function.any_system(maker_arguments(scenario)))
+            self._simulator = Simulator(users_system(scenario))
             self._started = False
             return
         self._function = law.function.copy_of_target()
@@ -72,12 +72,8 @@ class PythonLaw:
 
     def _function_command(self, time_s: float, values: dict[str, Array]) -> float:
         law = self._law.function
-        arguments = values | self._gains
-        if law.arguments.time:
-            arguments["time_s"] = np.array([time_s])
-        if law.arguments.state:
-            arguments["state"] = self._state
-        command, *state = call_law(law, self._function, arguments)
+        values |= self._gains | {"time_s": np.array([time_s]), "state": self._state}
+        command, *state = call_law(law, self._function, values)
         require_finite_result(law, time_s, [command, *state])
         self._state = np.array(state)
         return float(command)

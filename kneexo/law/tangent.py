@@ -10,9 +10,9 @@ from pydrake.systems.analysis import Simulator
 from kneexo.common.result import Array
 from kneexo.common.user_code import user_code
 from kneexo.errors import LinearizationError, SimulationError
-from kneexo.law.decision import law_inputs, maker_arguments
+from kneexo.law.decision import law_inputs, users_system
+from kneexo.law.leaves import FunctionLaw, LinearLaw
 from kneexo.law.python_law import SIGNAL_OF
-from kneexo.law.trace import FunctionLaw, LinearLaw
 from kneexo.parameters import LawParameters, Scenario
 
 _RELATIVE_STEP = 6e-6  # cube root of the rounding error: the best step of a central difference
@@ -33,7 +33,7 @@ class LawTangent:
         self._held: list[float] = []
         """Discrete states before those of the law: the command of a `FunctionLaw`, or none."""
         if law.function.is_system:
-            self._system = law.function.any_system(maker_arguments(scenario))
+            self._system = users_system(scenario)
         else:
             self._system, self._held = FunctionLaw(law), [0.0]
         self._context = self._system.CreateDefaultContext()

@@ -18,7 +18,7 @@ from kneexo.analysis.tracking.reduced_tracking import track_basic_metrics
 from kneexo.errors import LinearizationError, ParameterError, SimulationError
 from kneexo.geometry.linkage import encoder_angle
 from kneexo.law import FunctionLaw
-from kneexo.law.decision import runs_as_python, why_python
+from kneexo.law.decision import why_python
 from kneexo.law.python_law import sign_hint
 from kneexo.parameters import (
     ExactParameters,
@@ -91,11 +91,11 @@ def angles(scenario, law):
 @pytest.mark.slow
 def test_a_law_in_python_moves_the_knee_as_the_compiled_law_does() -> None:
     """All forms of one law give the same motion within the tolerance of the integrator."""
-    assert not runs_as_python(SHORT.with_law(pi))
+    assert not why_python(SHORT.with_law(pi))
     expected = angles(SHORT, pi)
     assert np.ptp(expected) > 1e-3
     for form in (pi_with_floats, HiddenPi(), SystemPi, SystemPi()):
-        assert runs_as_python(SHORT.with_law(form))
+        assert why_python(SHORT.with_law(form))
         for _ in range(2):  # each run begins with the first state
             np.testing.assert_allclose(angles(SHORT, form), expected, rtol=0.0, atol=1e-7)
     np.testing.assert_array_less(1e-4, np.abs(angles(SHORT, law) - expected).max())
@@ -135,7 +135,7 @@ def test_laws_of_one_text_with_other_values_have_their_own_equations(held) -> No
 
     for gain in (80_000, 20_000):
         form = with_value(held(gain))
-        assert not runs_as_python(SHORT.with_law(form))
+        assert not why_python(SHORT.with_law(form))
         direct = lambda rod_extension, rod_reference, k=float(gain): (  # noqa: E731
             k * (rod_reference[0] - rod_extension)
         )
@@ -169,7 +169,7 @@ def system_that_starts_moving():
 
 
 def test_a_drake_system_starts_at_its_default_state() -> None:
-    assert not runs_as_python(SHORT.with_law(system_that_starts_moving))
+    assert not why_python(SHORT.with_law(system_that_starts_moving))
     command = simulate(SHORT, law=system_that_starts_moving)["motor_speed_command_rad_s"]
     np.testing.assert_allclose(command[:3], [300.0, 297.0, 294.03], rtol=1e-12)
 
@@ -245,8 +245,8 @@ def law_of_all_with_floats(
 )
 def test_every_input_reaches_a_law_in_python(estimator) -> None:
     scenario = SHORT if estimator is None else SHORT.model_copy(update={"estimator": estimator})
-    assert not runs_as_python(scenario.with_law(law_of_all))
-    assert runs_as_python(scenario.with_law(law_of_all_with_floats))
+    assert not why_python(scenario.with_law(law_of_all))
+    assert why_python(scenario.with_law(law_of_all_with_floats))
     np.testing.assert_allclose(
         angles(scenario, law_of_all_with_floats), angles(scenario, law_of_all), rtol=0.0, atol=1e-7
     )
@@ -316,7 +316,7 @@ def test_a_drake_system_that_converts_is_compiled_and_held() -> None:
     def system():
         return FunctionLaw(LawParameters(function=law))
 
-    assert not runs_as_python(SHORT.with_law(system))
+    assert not why_python(SHORT.with_law(system))
     np.testing.assert_array_equal(angles(SHORT, system), angles(SHORT, law))
     loop = linearize_loop(law=system)
     assert loop.margins() == linearize_loop(law=law).margins()

@@ -14,7 +14,8 @@ from pydrake.systems.analysis import Simulator
 
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.law import FunctionLaw, FunctionLaw_, HeldCommand, LinearLaw
-from kneexo.law.trace import call_law, hides_state, replay, trace
+from kneexo.law.call import call_law
+from kneexo.law.trace import HIDES_STATE, replay, trace
 from kneexo.parameters import Law, LawParameters
 
 
@@ -415,10 +416,10 @@ def test_a_law_is_traced_anew_when_its_values_change() -> None:
 
 
 def test_hidden_state() -> None:
-    assert not hides_state(Law(proportional), 0)
-    assert not hides_state(Law(lambda rod_extension: math.nan), 0)
-    assert hides_state(Law(Integrator()), 0)
-    assert hides_state(Law(Late()), 0)
+    assert reason(proportional) != HIDES_STATE
+    assert reason(lambda rod_extension: math.nan) != HIDES_STATE
+    assert reason(Integrator()) == HIDES_STATE
+    assert reason(Late()) == HIDES_STATE
     calls = []
 
     def remembers(rod_extension):
@@ -426,10 +427,10 @@ def test_hidden_state() -> None:
         return 0.0
 
     with pytest.raises(ParameterError, match=r"hides state: .* must take the argument state"):
-        hides_state(Law(remembers), 0)
+        reason(remembers)
     random = np.random.default_rng()
     with pytest.raises(ParameterError, match="hides state"):
-        hides_state(Law(lambda rod_extension: random.normal()), 0)
+        reason(lambda rod_extension: random.normal())
     last = deque([0.0] * 99)
 
     def late(rod_extension):
@@ -437,7 +438,7 @@ def test_hidden_state() -> None:
         return last.popleft()
 
     with pytest.raises(ParameterError, match="hides state"):
-        hides_state(Law(late), 0)
+        reason(late)
     hits = []
 
     def above(rod_extension):
@@ -447,7 +448,7 @@ def test_hidden_state() -> None:
 
     for _ in range(2):
         with pytest.raises(ParameterError, match="hides state"):
-            hides_state(Law(above), 0)
+            reason(above)
 
 
 def test_an_object_that_cannot_be_copied_is_one_line() -> None:
@@ -461,4 +462,4 @@ def test_an_object_that_cannot_be_copied_is_one_line() -> None:
     with pytest.raises(
         ParameterError, match=r"Locked: the object cannot be copied for a run: Type"
     ):
-        hides_state(Law(Locked()), 0)
+        reason(Locked())

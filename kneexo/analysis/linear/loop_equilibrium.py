@@ -22,10 +22,10 @@ from kneexo.errors import LinearizationError, NoEquilibriumError
 from kneexo.law.decision import (
     known_text,
     makers_called_once,
-    runs_as_python,
+    why_python,
 )
 from kneexo.law.tangent import LawTangent
-from kneexo.law.trace import hides_state
+from kneexo.law.trace import HIDES_STATE
 from kneexo.parameters import (
     LawParameters,
     LegParameters,
@@ -144,13 +144,6 @@ def find_equilibrium(scenario: Scenario, *, knee_angle_deg: float = MID_RANGE_DE
     if controller.kind == "smc" and (controller.continuous or controller.switching == "signum"):
         what = "continuous = true" if controller.continuous else "switching = signum"
         raise LinearizationError(f"controller.{what}: there is no linear sampled-data loop")
-    if isinstance(controller, LawParameters) and not controller.function.is_system:
-        function = controller.function
-        if hides_state(function, len(controller.loaded().initial_state)):
-            raise LinearizationError(
-                f"law {function.short_name}: the object hides state, which no linear loop would "
-                f"have; write the law as a function with the argument state"
-            )
     scenario.plant.knee.require_posture(knee_angle_deg)
     fixed = scenario.without_quantizers().model_copy(
         update={
@@ -158,8 +151,14 @@ def find_equilibrium(scenario: Scenario, *, knee_angle_deg: float = MID_RANGE_DE
             "initial_offset_m": 0.0,
         }
     )
+    reason = why_python(fixed)
+    if isinstance(controller, LawParameters) and reason == HIDES_STATE:
+        raise LinearizationError(
+            f"law {controller.function.short_name}: the object hides state, which no linear loop "
+            f"would have; write the law as a function with the argument state"
+        )
     unlimited = _without_motor_limits(fixed)
-    law = LawTangent(unlimited) if runs_as_python(fixed) else None
+    law = LawTangent(unlimited) if reason else None
     equations = _shared_equations(fixed, law)
     loop = equations.diagram
     _require_one_sample_time(loop)

@@ -12,7 +12,7 @@ from pydrake.systems.framework import DiagramBuilder
 from diagramc import Simulation, compile_diagram
 from kneexo.common.result import Array, Result, data_frame
 from kneexo.errors import ParameterError
-from kneexo.law.decision import runs_as_python
+from kneexo.law.decision import why_python
 from kneexo.parameters import FullCylinderParameters, Scenario
 from kneexo.simulation.compiled import scenario_diagram, scenario_inputs
 from kneexo.systems.energy_meter import ENERGIES, EnergyMeter
@@ -140,7 +140,7 @@ def _metered_cylinder(scenario: Scenario) -> FullCylinderParameters:
             f"simulation.integrator = {settings.integrator}: must be exact_hold, rk4 or rosenbrock "
             f"for an energy balance"
         )
-    if runs_as_python(scenario):
+    if why_python(scenario):
         raise ParameterError("controller: runs as Python; must compile for an energy balance")
     return full
 

@@ -23,6 +23,7 @@ from numbers import Real
 from pathlib import Path
 from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
 from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 import cloudpickle
 import numpy as np
@@ -60,10 +61,8 @@ class LawArguments(NamedTuple):
 
     inputs: tuple[str, ...]
     """Names in `LAW_INPUTS`."""
-    time: bool
-    """Whether the law has the argument ``time_s``."""
-    state: bool
-    """Whether the law has the argument ``state``."""
+    names: tuple[str, ...]
+    """All names, but for ``scenario``: inputs, ``time_s``, ``state`` and gains."""
     initial_state: tuple[float, ...]
     """Default of the argument ``state``; empty without default."""
     gains: dict[str, float]
@@ -77,15 +76,13 @@ class Law:
     without arguments, or a function with the argument ``scenario``, that returns a Drake system.
     ``name`` is ``FILE.py:NAME`` or ``MODULE:NAME``, and ``written`` is the name that a scenario
     file gets. Two laws are equal if their targets are the same object, or if they have the same
-    name in files of equal names and contents. ``memo`` holds results that other modules have
-    computed about this law.
+    name in files of equal names and contents.
     """
 
     def __init__(self, target: Any, name: str | None = None) -> None:
         """Wrap a law. Raises `ParameterError` if ``target`` is neither callable nor a system."""
         self.target = _checked(target)
         self.name = self.written = name or _name_of(self.target)
-        self.memo: dict[Any, Any] = {}
 
     @classmethod
     def from_text(cls, text: str, directory: str | Path = ".", *, is_data: bool = False) -> Law:
@@ -112,7 +109,7 @@ class Law:
         if not place or not path or ".py:" in place:
             raise ParameterError(f"{subject}: must be FILE.py:NAME, such as my.py:law")
         law = cls.__new__(cls)
-        law.name, law.memo = text, {}
+        law.name = text
         with user_code(f"{subject}: the file cannot be read"):
             file = Path(directory, place).resolve() if place.endswith(".py") else None
             if is_data and not (file and file.is_relative_to(Path(directory).resolve())):
@@ -147,6 +144,12 @@ class Law:
             hint = question(close_names(path, known) or known[:4])
             raise ParameterError(f"{subject}: the file has no {shortened(path)!r}{hint}")
         return _checked(getattr(module, path))
+
+    @cached_property
+    def memo(self) -> dict[Any, Any]:
+        """What a process has found out about the law. All laws of one function share it."""
+        is_function = isinstance(self.target, FunctionType)
+        return _memos.setdefault(self.target, {}) if is_function else {}
 
     @property
     def is_loaded(self) -> bool:
@@ -272,13 +275,6 @@ class Law:
             )
         return system
 
-    def any_system(self, arguments: Mapping[str, Any] = {}) -> Any:
-        """Return the Drake system of the law itself, or a new one if the law makes systems.
-
-        `make_system` describes ``arguments``.
-        """
-        return self.target if _is_system(self.target) else self.make_system(arguments)
-
     @cached_property
     def short_name(self) -> str:
         """The name without the directory of the file."""
@@ -300,22 +296,20 @@ class Law:
             return self._read_arguments()
 
     def _read_arguments(self) -> LawArguments:
-        inputs, gains = [], {}
-        flags = {"time_s": False, "state": False}
+        names, gains = [], {}
+        known = (*LAW_INPUTS, "time_s", "state")
         initial_state: tuple[float, ...] = ()
         for name, parameter in self._parameters.items():
             default = parameter.default
             if name == "scenario":
                 continue
-            if self.takes_scenario and (name in LAW_INPUTS or name in flags):
+            if self.takes_scenario and name in known:
                 raise ParameterError(
                     f"law {self.short_name}: has the arguments scenario and {name}; a function of "
                     f"a scenario must return a Drake system, whose ports have names such as {name}"
                 )
-            if name in LAW_INPUTS:
-                inputs.append(name)
-            elif name in flags:
-                flags[name] = True
+            if name in known:
+                names.append(name)
                 if name == "state" and default is not parameter.empty:
                     with user_code(f"law {self.short_name}: the default of state must be numbers"):
                         initial_state = tuple(map(float, np.atleast_1d(default)))
@@ -329,13 +323,13 @@ class Law:
                 gains[name] = float(default)
                 self._require_finite(name, gains[name])
             else:
-                known = [*LAW_INPUTS, *flags]
                 hint = question(close_names(name, known))
                 raise ParameterError(
                     f"law {self.short_name}: unknown argument {name!r}; must have a number as "
                     f"default, or a name of {', '.join(known)}{hint}"
                 )
-        return LawArguments(tuple(inputs), flags["time_s"], flags["state"], initial_state, gains)
+        inputs = tuple(name for name in names if name in LAW_INPUTS)
+        return LawArguments(inputs, (*names, *gains), initial_state, gains)
 
     def _require_finite(self, name: str, *defaults: float) -> None:
         for default in defaults:
@@ -448,6 +442,8 @@ def _is_system(value: Any) -> bool:
 
 _making: ContextVar[frozenset[int]] = ContextVar("making", default=frozenset())
 """The id of each function that is making its system, by which recursion is detected."""
+
+_memos: WeakKeyDictionary[FunctionType, dict[Any, Any]] = WeakKeyDictionary()
 
 _importing: set[Path] = set()
 """Files of laws that are being imported, by which recursion is detected."""

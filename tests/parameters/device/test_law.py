@@ -43,8 +43,7 @@ def test_arguments_choose_inputs_and_gains() -> None:
 
     arguments = Law(stateful).arguments
     assert arguments.inputs == ("knee_angle", "knee_reference")
-    assert arguments.time
-    assert arguments.state
+    assert arguments.names == ("knee_angle", "time_s", "knee_reference", "state", "k", "tau")
     assert arguments.initial_state == (1.0, 2.0)
     assert arguments.gains == {"k": 3.0, "tau": 0.5}
 
