@@ -85,21 +85,6 @@ def state_names(part: Part, path: str) -> list[str]:
     return [f"{system}.x[{index}]" for index in range(len(part.states))]
 
 
-def add_parts(
-    builder: Any, parts: Iterable[Part], fault_names: Mapping[str, tuple[str, ...]] = NO_FAULTS
-) -> dict[str, Any]:
-    """Add the systems of ``parts`` to a DiagramBuilder; return a dictionary from name to system.
-
-    ``fault_names`` has the Context parameters that faults change, by the name of the part.
-    """
-    systems = {}
-    for part in parts:
-        names = fault_names.get(part.name)
-        system = part.make(fault_names=names) if names else part.make()
-        systems[part.name] = builder.AddNamedSystem(part.name, system)
-    return systems
-
-
 def wire(
     builder: Any,
     parts: Iterable[Part],
@@ -117,18 +102,18 @@ def wire(
     parts
         The systems, in their order in the diagram.
     fault_names
-        As in `add_parts`.
+        The Context parameters that faults change, by the name of the part.
 
     Returns
     -------
     signals, inputs
         The output port of each signal, and the input ports of each signal that no part offers.
     """
-    parts = tuple(parts)
-    systems = add_parts(builder, parts, fault_names)
-    ports: dict[str, Any] = {}
+    systems, ports = [], dict[str, Any]()
     for part in parts:
-        system = systems[part.name]
+        names = fault_names.get(part.name)
+        system = part.make(fault_names=names) if names else part.make()
+        systems.append((part, builder.AddNamedSystem(part.name, system)))
         for name, port in input_ports(system).items() if part.through else ():
             if part.reads.get(name, name) == part.through:
                 builder.Connect(ports[part.through], port)
@@ -136,8 +121,8 @@ def wire(
         offered = part.offers if part.offers is not None else {name: name for name in own}
         ports |= {signal: own[name] for signal, name in offered.items() if name in own}
     inputs: dict[str, list[Any]] = {}
-    for part in parts:
-        for name, port in input_ports(systems[part.name]).items():
+    for part, system in systems:
+        for name, port in input_ports(system).items():
             signal = part.reads.get(name, name)
             if signal in (NO_SIGNAL, part.through):
                 continue

@@ -18,16 +18,12 @@ from kneexo.geometry.linkage import encoder_angle, polynomial
 from kneexo.geometry.rod_polynomial import controller_polynomial
 from kneexo.law.call import call_law, require_finite_result
 from kneexo.law.decision import law_inputs, users_system, why_python
-from kneexo.parameters import Law, LawParameters, Scenario
+from kneexo.parameters import LAW_INPUTS, Law, LawParameters, Scenario
 from kneexo.systems.knee_reference import start_angle_rad
 
-SIGNAL_OF = {
+SIGNAL_OF = {name: name for name in LAW_INPUTS} | {
     "rod_extension": "measured_rod_extension",
     "knee_angle": "measured_knee_angle",
-    "rod_reference": "rod_reference",
-    "knee_reference": "knee_reference",
-    "estimated_state": "estimated_state",
-    "encoder_reading": "encoder_reading",
     "rod_state": "estimated_state",  # with the estimator exact, the only one with rod_state
 }
 """For each input of a law the output port of the closed loop with the same value."""
@@ -52,7 +48,6 @@ class PythonLaw:
         self._reason = why_python(scenario) if announce else ""
         if law.function.is_system:
             self._simulator = Simulator(users_system(scenario))
-            self._started = False
             return
         self._function = law.function.copy_of_target()
         self._state = np.array(law.initial_state)
@@ -85,13 +80,13 @@ class PythonLaw:
         """
         system, context = self._simulator.get_system(), self._simulator.get_mutable_context()
         with user_code(f"law {self._law.function.short_name}: the system fails"):
-            if self._started:
+            is_first = time_s == context.get_time()
+            if not is_first:
                 self._simulator.AdvanceTo(time_s)
             for name, value in values.items():
                 system.GetInputPort(name).FixValue(context, value)
-            if not self._started:
+            if is_first:
                 self._simulator.Initialize()
-                self._started = True
             self._simulator.AdvancePendingEvents()
             command = float(system.GetOutputPort("motor_speed_command").Eval(context)[0])
         require_finite_result(self._law.function, time_s, [command])

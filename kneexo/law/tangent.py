@@ -29,13 +29,10 @@ class LawTangent:
         law = scenario.with_loaded_law().controller
         assert isinstance(law, LawParameters)
         self._name, self._sample_time_s = law.function.short_name, law.sample_time_s
-        self._inputs = law_inputs(scenario)
-        self._held: list[float] = []
+        self._inputs, is_system = law_inputs(scenario), law.function.is_system
+        self._system = users_system(scenario) if is_system else FunctionLaw(law)
+        self._held = [] if is_system else [0.0]
         """Discrete states before those of the law: the command of a `FunctionLaw`, or none."""
-        if law.function.is_system:
-            self._system = users_system(scenario)
-        else:
-            self._system, self._held = FunctionLaw(law), [0.0]
         self._context = self._system.CreateDefaultContext()
         continuous, discrete = self._states()
         self.sizes = continuous.size, discrete.size

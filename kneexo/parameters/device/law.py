@@ -292,10 +292,6 @@ class Law:
         Raises `ParameterError` for an unknown argument without a number as default, and for an
         argument beside ``scenario`` that is no gain.
         """
-        with user_code(f"law {self.short_name}: has no readable arguments"):
-            return self._read_arguments()
-
-    def _read_arguments(self) -> LawArguments:
         names, gains = [], {}
         known = (*LAW_INPUTS, "time_s", "state")
         initial_state: tuple[float, ...] = ()
@@ -320,7 +316,8 @@ class Law:
                     f"rename the argument"
                 )
             elif isinstance(default, Real) and not isinstance(default, bool):
-                gains[name] = float(default)
+                with user_code(f"law {self.short_name}: the default of {name} must be a number"):
+                    gains[name] = float(default)
                 self._require_finite(name, gains[name])
             else:
                 hint = question(close_names(name, known))
