@@ -2,10 +2,11 @@
 
 from kneexo.diagrams.closed_loop import available_signals, make_closed_loop
 from kneexo.diagrams.controller import make_controller
-from kneexo.diagrams.plant import make_plant
+from kneexo.diagrams.plant import cylinder_start, make_plant
 from kneexo.diagrams.signals import PLANT_OUTPUTS, SIGNALS, columns
 
 __all__ = [
+    "cylinder_start",
     "PLANT_OUTPUTS",
     "SIGNALS",
     "available_signals",
