@@ -6,11 +6,11 @@ from kneexo.diagrams.plant import cylinder_start, make_plant
 from kneexo.diagrams.signals import PLANT_OUTPUTS, SIGNALS, columns
 
 __all__ = [
-    "cylinder_start",
     "PLANT_OUTPUTS",
     "SIGNALS",
     "available_signals",
     "columns",
+    "cylinder_start",
     "make_closed_loop",
     "make_controller",
     "make_plant",

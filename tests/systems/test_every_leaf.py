@@ -1,8 +1,8 @@
 """What all leaf systems have in common: ports, states, periods, parameters and conversion.
 
 The end of `docs/drake_systems.md` has the structure of each leaf and of its variants. After a
-change that is meant, ``python tests/systems/test_every_leaf.py`` writes the table. The numbers of a leaf are tested in
-its own file against an independent source, and the ranges of all parameters in
+change that is meant, ``python tests/systems/test_every_leaf.py`` writes the table. The numbers of a
+leaf are tested in its own file against an independent source, and the ranges of all parameters in
 ``tests/parameters/test_every_class.py``.
 """
 
@@ -122,7 +122,8 @@ def structure(system):
     outputs = []
     for o in range(system.num_output_ports()):
         felt = [p.get_name() for i, p in enumerate(inputs) if system.HasDirectFeedthrough(i, o)]
-        outputs.append(shown(system.get_output_port(o)) + (felt and f" ← {', '.join(felt)}" or ""))
+        follows = f" ← {', '.join(felt)}" if felt else ""
+        outputs.append(shown(system.get_output_port(o)) + follows)
     context = system.CreateDefaultContext()
     groups = range(context.num_discrete_state_groups())
     discrete = sum(context.get_discrete_state(n).size() for n in groups)
