@@ -78,7 +78,7 @@ class LeafwiseEquations(DiagramEquations):
         """Ports from each output of the model back to the source of its signal."""
         self.leaves: dict[Node, _Leaf] = {}
         updates: dict[tuple[float, float], list[int]] = {}
-        for node in root.equation_leaves():
+        for node in root.equation_leaves:
             context = node.system.CreateDefaultContext()
             refuse_witness_functions(node, context)
             leaf = self.leaves[node] = _Leaf(node, len(equations.states), len(equations.discrete))
