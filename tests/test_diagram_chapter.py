@@ -61,14 +61,31 @@ def test_the_examples_print_what_the_page_shows(numbers, tmp_path, monkeypatch, 
 
 @pytest.mark.parametrize(
     "index",
-    [pytest.param(0, marks=pytest.mark.slow, id="a pendulum"), pytest.param(1, id="a failed run")],
+    [
+        pytest.param(0, marks=pytest.mark.slow, id="a pendulum"),
+        pytest.param(1, id="a MultibodyPlant"),
+        pytest.param(2, id="a failed run"),
+    ],
 )
 def test_the_examples_of_the_first_page_print_what_it_shows(index, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     codes, texts = (blocks(kind, FIRST_PAGE) for kind in ("python", "text"))
-    assert len(codes) == len(texts) == 2
+    assert len(codes) == len(texts) == 3
     exec(compile(codes[index], "an example", "exec"), {})
     require_alike(capsys.readouterr().out, texts[index])
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*an absolute value is at its corner")
+def test_the_page_of_the_systems_prints_what_it_shows(capsys):
+    text, names = (DOCS / "drake_systems.md").read_text(encoding="utf-8"), {}
+    pairs = re.findall(
+        r"^```python\n(.*?)^```(?:\n\n```text\n(.*?)^```)?", text, re.DOTALL | re.MULTILINE
+    )
+    assert len(pairs) == 7
+    for code, shown in pairs:
+        exec(compile(code, "an example", "exec"), names)
+        require_alike(capsys.readouterr().out, shown)
 
 
 def test_each_name_of_the_chapter_is_a_name_of_the_compiler():

@@ -101,9 +101,8 @@ def test_every_page_is_in_the_table_of_contents():
     pages = {page.with_suffix("").resolve() for page in PAGES if DOCS in page.parents}
     generated = {page.with_suffix("") for page in DOCS.glob("*.rst")}  # from docstrings
     assert pages | generated == listed | {DOCS / "index"}
-    assert (
-        len(pages - {page.with_suffix("") for page in DOCS.glob("tutorials/*.md")}) <= 25
-    )  # one is moved.md
+    # A reader must find a page among the titles. One is moved.md, which goes with the old names.
+    assert len(pages - {page.with_suffix("") for page in DOCS.glob("tutorials/*.md")}) <= 26
 
 
 def test_two_clicks_lead_from_the_first_page_to_every_page():

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from kneexo.analysis import interaction_metrics, linearize_plant, simulate
@@ -20,14 +21,8 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def block(language, text=README):
-    (code,) = re.findall(rf"^```{language}\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    code, *_ = re.findall(rf"^```{language}\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
     return code
-
-
-def test_the_scenario_file_loads(tmp_path):
-    path = tmp_path / "scenario.yaml"
-    path.write_text(block("yaml"), encoding="utf-8")
-    assert load_scenario(path).controller.kind == "pid"
 
 
 @pytest.mark.parametrize("command", re.findall(r"^\| `kneexo (\w+)", README, re.MULTILINE))
@@ -39,6 +34,16 @@ def test_every_command_of_the_table_has_help(command, capsys):
 
 def test_the_readme_is_short():
     assert len(README.split()) <= 600
+
+
+@pytest.mark.slow
+def test_the_example_for_drake_flexes_the_knee_and_has_the_poles_of_the_plant(tmp_path, capsys):
+    code = block("python", README.partition("## In Drake")[2])
+    angle_deg, poles = output_of(code, tmp_path, capsys).split("\n", 1)
+    assert 10.0 < float(angle_deg) < 20.0
+    expected = linearize_plant(Scenario().plant, knee_angle_deg=10.0).poles
+    found = [complex(number) for number in poles.replace("[", " ").replace("]", " ").split()]
+    np.testing.assert_allclose(np.sort_complex(found), np.sort_complex(expected), rtol=1e-6)
 
 
 @pytest.mark.slow

@@ -52,7 +52,7 @@ def discrete_values(values: Any) -> list[Any]:
 
 
 def _contexts(root: Node, context: Any) -> Iterator[Any]:
-    return (leaf.context(context) for leaf in root.equation_leaves())
+    return (leaf.context(context) for leaf in root.equation_leaves)
 
 
 def _parameters(root: Node, context: Any) -> Iterator[Any]:

@@ -40,11 +40,13 @@ from .symbolic import Conversion, Steps, completed
 from .tree import Node, Port
 
 
-def _rates(system: Any, context: Any) -> Any:
+def time_derivatives(system: Any, context: Any) -> Any:
+    """Return the rates of the continuous states of a system in a Context."""
     return system.EvalTimeDerivatives(context).CopyToVector().tolist()
 
 
-def _update(system: Any, context: Any) -> list[Any]:
+def discrete_update(system: Any, context: Any) -> list[Any]:
+    """Return the discrete states of a system after its update in a Context."""
     return discrete_values(system.EvalUniquePeriodicDiscreteUpdate(context))
 
 
@@ -198,10 +200,12 @@ class _Reader:
         """Add the derivatives, discrete updates and margin of one leaf to the equations."""
         equations, context = self.equations, leaf.context
         if context.num_continuous_states():
-            equations.derivatives += completed(self._evaluated("time derivatives", leaf, _rates))
+            equations.derivatives += completed(
+                self._evaluated("time derivatives", leaf, time_derivatives)
+            )
         if context.num_discrete_state_groups():
             timing = timing_of(leaf.node)
-            nodes = completed(self._evaluated("discrete update", leaf, _update))
+            nodes = completed(self._evaluated("discrete update", leaf, discrete_update))
             self._add_update(timing, list(enumerate(nodes, leaf.first_discrete)))
         if callable(getattr(leaf.system, "margin", None)):
             (node,) = completed(self._evaluated("margin", leaf, _margin))
@@ -354,8 +358,9 @@ def read_tree(root: Node, inputs: Mapping[str, Port], outputs: Mapping[str, Port
     for leaf in reader.leaves.values():
         reader.read(leaf)
     for index in range(root.system.num_output_ports()):
-        name = root.system.get_output_port(index).get_name()
-        reader.equations.outputs[name] = reader.signal(root.output_route(index))
+        port = root.system.get_output_port(index)
+        if port.get_data_type() == PortDataType.kVectorValued:
+            reader.equations.outputs[port.get_name()] = reader.signal(root.output_route(index))
     for name, route in routes.items():
         reader.equations.outputs[name] = reader.signal(route)
     reader.compare(root)

@@ -99,9 +99,10 @@ class Node:
         for child in self.children.values():
             yield from child.leaves()
 
-    def equation_leaves(self) -> Iterator[Node]:
-        """Yield the leaf systems that have equations, in the order of the diagram."""
-        return (leaf for leaf in self.leaves() if leaf.has_equations)
+    @cached_property
+    def equation_leaves(self) -> tuple[Node, ...]:
+        """The leaf systems that have equations, in the order of the diagram."""
+        return tuple(leaf for leaf in self.leaves() if leaf.has_equations)
 
     def context(self, root_context: Any) -> Any:
         """Return the Context of this system within the Context of the root."""

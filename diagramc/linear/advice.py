@@ -13,7 +13,9 @@ from ..equations.equations import Section
 from ..equations.operations import OPERATIONS, Role
 from ..equations.ports import can_bypass
 from ..run_data import Array
-from .point import EQUILIBRIUM_TOLERANCE, Point, Slopes, read_point, require_tolerance
+from .leafwise import LeafwisePoint
+from .point import EQUILIBRIUM_TOLERANCE, Point, Slopes, require_tolerance
+from .reading import read_point
 
 _AT_CORNER = 1e-9  # relative distance of two numbers that counts as equal
 _CORNERS = {"where": "a switch", "abs": "an absolute value", "min": "a minimum", "max": "a maximum"}
@@ -64,7 +66,8 @@ def advice(
     Parameters
     ----------
     diagram
-        A Diagram or leaf system that `compile_diagram` accepts.
+        A Diagram or leaf system, as in `linearize`. Without symbolic equations, the obstacles are
+        values that change without a derivative, derivatives by differences, and quaternions.
     context
         The operating point: parameters, state, time and values of the input ports. None: the
         default Context.
@@ -97,6 +100,9 @@ def advice(
 
 def obstacles(point: Point, outputs: Iterable[str] = ()) -> list[Obstacle]:
     """Return all obstacles to a useful linear model in the equations of states and outputs."""
+    if isinstance(point, LeafwisePoint):
+        point.slopes(tuple(outputs))
+        return [Obstacle(*gap) for gap in point.gaps.values()]
     survey = _Survey(point, outputs)
     by_port: dict[tuple[str, str], Obstacle] = {}
     for section, reason, remedy in survey.faults():

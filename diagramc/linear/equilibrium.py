@@ -15,7 +15,8 @@ from ..equations.contexts import set_state
 from ..errors import NoEquilibriumError, ParameterError, shown
 from ..run_data import Array, Integers, State
 from .newton import newton
-from .point import EQUILIBRIUM_TOLERANCE, Point, read_point, require_tolerance, system_of
+from .point import EQUILIBRIUM_TOLERANCE, Point, require_tolerance
+from .reading import read_point, system_of
 
 
 def find_equilibrium(

@@ -18,14 +18,8 @@ from ..native.timing import timing
 from ..run_data import Array
 from .advice import obstacles
 from .model import LinearModel, OperatingPoint, TickModel, over_period
-from .point import (
-    EQUILIBRIUM_TOLERANCE,
-    Point,
-    mean_slopes,
-    read_points,
-    require_tolerance,
-    system_of,
-)
+from .point import EQUILIBRIUM_TOLERANCE, Point, mean_slopes, require_tolerance
+from .reading import read_points, system_of
 
 _MOST_TICKS = 100_000  # each has a matrix J of its own: 0.3 GB for 20 states
 _MOST_TIME_CONSTANTS = 1e9  # seven digits of the matrix exponential are left
@@ -44,9 +38,11 @@ def linearize(
 ) -> LinearModel:
     """Linearize a continuous, sampled, mixed or multirate diagram of floats at an equilibrium.
 
-    The derivatives are exact, from the symbolic equations of the leaf systems. A diagram with
-    sample periods becomes a discrete model over their least common multiple. The matrix exponential
-    moves its continuous states between the updates. See `LinearModel` for the definitions.
+    The derivatives are exact, from the symbolic equations of the leaf systems. If a leaf has none,
+    such as a `MultibodyPlant`, the derivatives are those of Drake's AutoDiffXd, and for a leaf of
+    floats they are central differences, which a warning names. A diagram with sample periods
+    becomes a discrete model over their least common multiple. The matrix exponential moves its
+    continuous states between the updates. See `LinearModel` for the definitions.
 
     At a corner, such as the limit of a saturation, the derivatives hold on one side only. The
     derivative of a quantizer is zero. A warning of one line names each such block, and `advice`
@@ -55,9 +51,9 @@ def linearize(
     Parameters
     ----------
     diagram
-        A Diagram or leaf system that `compile_diagram` accepts. Or the result of `read_diagram`,
-        which a caller of many models reads only once. The ``inputs`` of `read_diagram` must begin
-        with those of this function, and its ``outputs`` must contain those inside the diagram.
+        A Diagram or leaf system, which need not be symbolic. Or the result of `read_diagram`, which
+        a caller of many models reads only once. The ``inputs`` of `read_diagram` must begin with
+        those of this function, and its ``outputs`` must contain those inside the diagram.
     context
         Its Context with parameters, state and time, by default the default Context. Values of input
         ports come from the Context too. An input port in ``inputs`` without a value has the value
@@ -91,7 +87,9 @@ def linearize(
     Raises
     ------
     CompilationError
-        The diagram does not compile, a port does not exist, or a port is no vector.
+        A leaf has no derivative here: it has an abstract state, its AutoDiffXd form gives other
+        values than floats (`DifferenceError`), or it cannot be called at the point. Or a port does
+        not exist or is no vector.
     LinearizationError
         The point is no equilibrium, or a derivative or the motion over the period is not finite.
     ParameterError
@@ -121,7 +119,7 @@ def linearize_at(
     Parameters
     ----------
     diagram
-        A Diagram or leaf system that `compile_diagram` accepts.
+        A Diagram or leaf system, as in `linearize`.
     contexts
         The operating points, one Context each.
     inputs, outputs, bypass, period_s, equilibrium_tolerance

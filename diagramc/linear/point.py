@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import PortDataType
 
-from ..arguments import names, number, quoted
-from ..diagram_equations import DiagramEquations, read_diagram, require_system
-from ..errors import CompilationError, LinearizationError, ParameterError, shown
+from ..arguments import number
+from ..diagram_equations import DiagramEquations
+from ..errors import LinearizationError
 from ..native.runner import element_name
 from ..run_data import Array
 from .jacobian import Derivatives
@@ -188,140 +185,3 @@ class Point:
 def require_tolerance(equilibrium_tolerance: float) -> None:
     """Raise `ParameterError` for a tolerance that is no number, is below zero, or is nan."""
     number("equilibrium_tolerance", equilibrium_tolerance, "", ">= 0", lambda x: x >= 0.0)
-
-
-def read_point(
-    diagram: Any,
-    context: Any,
-    inputs: Iterable[str] = (),
-    outputs: Iterable[str] = (),
-    bypass: Iterable[str] = (),
-    setting: str = "inputs",
-) -> Point:
-    """Read the equations of a diagram of floats, and the values of a Context.
-
-    The open inputs are ``inputs`` and then all other input ports of the diagram that have a value
-    in the Context. An input without a value, or inside the diagram, has the value zero. For the
-    names and errors see `linearize`. ``setting`` is the name of ``inputs`` in the caller's
-    arguments, for the message about an input that has no value.
-
-    ``diagram`` may be a diagram with its equations, which are then not read again. The open inputs
-    of these equations are then the open inputs of the point.
-    """
-    return read_points(diagram, [context], inputs, outputs, bypass, setting)[0]
-
-
-def read_points(
-    diagram: Any,
-    contexts: Iterable[Any],
-    inputs: Iterable[str] = (),
-    outputs: Iterable[str] = (),
-    bypass: Iterable[str] = (),
-    setting: str = "inputs",
-) -> list[Point]:
-    """Read the equations of a diagram once, and the values of several Contexts; see `read_point`.
-
-    An input is open if it has a value in at least one of the Contexts.
-    """
-    system = system_of(diagram)
-    try:
-        contexts = list(contexts)
-    except TypeError:
-        raise ParameterError(f"contexts = {quoted(contexts)}: must be a list of Contexts") from None
-    values = [_input_values(system, context) for context in contexts]
-    bypass = names("bypass", bypass)
-    if isinstance(diagram, DiagramEquations):
-        read, first = diagram, tuple(diagram.equations.inputs)[: len(tuple(inputs))]
-        if bypass or first != tuple(inputs) or not {*outputs} <= {*read.equations.outputs}:
-            raise ParameterError(
-                f"diagram: its equations were read with the inputs {quoted(first)} first, and with "
-                f"other outputs or bypass; must be read with those of this call"
-            )
-    else:
-        open_ports = tuple(dict.fromkeys([*inputs, *itertools.chain(*values)]))
-        ports = map(system.get_output_port, range(system.num_output_ports()))
-        exported = {port.get_name() for port in ports}
-        inner = [name for name in outputs if name not in exported]
-        read = _read(system, open_ports, inner, bypass, setting)
-    sizes = read.equations.inputs
-    states = [read.state(context) for context in contexts]
-    return [
-        Point(
-            read=read,
-            time_s=0.0 if context is None else float(context.get_time()),
-            parameters=read.parameters(context),
-            state=np.concatenate([state.continuous, state.discrete]),
-            inputs=np.concatenate(
-                [np.empty(0), *(of_port.get(name, np.zeros(sizes[name])) for name in sizes)]
-            ),
-        )
-        for context, of_port, state in zip(contexts, values, states, strict=True)
-    ]
-
-
-def system_of(diagram: Any) -> Any:
-    """Return the system of a diagram with its equations, or a Diagram or leaf system itself.
-
-    Raises `CompilationError` for anything else.
-    """
-    if isinstance(diagram, DiagramEquations):
-        return diagram.diagram
-    require_system(diagram)
-    return diagram
-
-
-def _read(
-    diagram: Any, inputs: Sequence[str], outputs: Sequence[str], bypass: Sequence[str], setting: str
-) -> DiagramEquations:
-    """Return the equations of a diagram. The error names an input port without a value."""
-    try:
-        return read_diagram(diagram, inputs=inputs, outputs=outputs, bypass=bypass)
-    except CompilationError as error:
-        if port := _port_without_value(diagram, inputs, outputs, bypass):
-            raise CompilationError(
-                f"input port {quoted(port)} has no value: FixValue it in the Context, or name it "
-                f"in {setting}"
-            ) from error
-        raise
-
-
-def _port_without_value(
-    diagram: Any, inputs: Iterable[str], outputs: Sequence[str], bypass: Sequence[str]
-) -> str:
-    """Return the name of an input port whose value is missing, or "" if no value is missing.
-
-    Call it after `read_diagram` has failed with the same arguments: the missing port is the one
-    with which, as a further open input, `read_diagram` succeeds.
-    """
-    ports = (diagram.get_input_port(index) for index in range(diagram.num_input_ports()))
-    vectors = [p.get_name() for p in ports if p.get_data_type() == PortDataType.kVectorValued]
-    more = list(inputs)
-    for port in vectors:
-        if port in more:
-            continue
-        more.append(port)
-        try:
-            read_diagram(diagram, inputs=more, outputs=outputs, bypass=bypass)
-        except CompilationError:
-            continue
-        return port
-    return ""
-
-
-def _input_values(diagram: Any, context: Any) -> dict[str, Array]:
-    """Return the value of each input port of vectors that has a value in a Context, by its name."""
-    if context is None:
-        return {}
-    try:
-        diagram.ValidateContext(context)
-    except (RuntimeError, TypeError):
-        raise ParameterError(
-            f"context: is no Context of {shown(diagram.get_name() or type(diagram).__name__)}; "
-            f"create it by diagram.CreateDefaultContext()"
-        ) from None
-    ports = (diagram.get_input_port(index) for index in range(diagram.num_input_ports()))
-    return {
-        port.get_name(): port.Eval(context)
-        for port in ports
-        if port.get_data_type() == PortDataType.kVectorValued and port.HasValue(context)
-    }

@@ -2,7 +2,7 @@
 
 from kneexo.diagrams.closed_loop import available_signals, make_closed_loop
 from kneexo.diagrams.controller import make_controller
-from kneexo.diagrams.plant import make_plant
+from kneexo.diagrams.plant import cylinder_start, make_plant
 from kneexo.diagrams.signals import PLANT_OUTPUTS, SIGNALS, columns
 
 __all__ = [
@@ -10,6 +10,7 @@ __all__ = [
     "SIGNALS",
     "available_signals",
     "columns",
+    "cylinder_start",
     "make_closed_loop",
     "make_controller",
     "make_plant",

@@ -259,6 +259,29 @@ def plant_parts(
     return [part._replace(reads={"fault": f"{part.name}_fault"}) for part in parts]
 
 
+def cylinder_start(
+    knee_angle_rad: float, parameters: PlantParameters = PlantParameters()
+) -> dict[str, Any]:
+    """Return the arguments with which a cylinder starts at rest at a knee angle.
+
+    They are ``initial_extension_m``, and the pressures that balance load and spring:
+    ``initial_pressure_pa`` of `ReducedCylinder`, or ``initial_pressures_pa`` of `FullCylinder` for
+    a plant of full order.
+
+    Raises
+    ------
+    ParameterError, LinkageError
+        As in `make_plant`.
+    """
+    extension, force = _start_extension_and_force(
+        parameters, knee_angle_rad, 0.0, RodPolynomialParameters()
+    )
+    pressures = _holding_pressures_pa(parameters, force)
+    if parameters.full_order is None:
+        return {"initial_extension_m": extension, "initial_pressure_pa": pressures[0]}
+    return {"initial_extension_m": extension, "initial_pressures_pa": pressures}
+
+
 def moving_masses_kg(parameters: PlantParameters) -> tuple[float, float]:
     """Return the least and the largest mass in kg that moves with the rod in the range of motion.
 

@@ -111,7 +111,7 @@ class FaultDetectors(NamedLeaf):
     encoder_reading      1     rad            y, or y⁻ for an implausible y
     knee_angle           1     rad            θ, that of the last plausible reading
     rod_extension        1     m              x, that of the last plausible reading
-    residuals            6     see above      in the order of `DETECTORS`
+    residuals            6     rad, rad/s, …  in the order of `DETECTORS`
     detected             6     1              1 for a detector that has detected a fault, else 0
     ===================  ====  =============  ====================================================
 

@@ -1,13 +1,15 @@
 """What all leaf systems have in common: ports, states, periods, parameters and conversion.
 
-`leaves.txt` has the structure of each leaf and of its variants. After a change that is meant,
-``python tests/systems/test_every_leaf.py`` writes the file. The numbers of a leaf are tested in
-its own file against an independent source, and the ranges of all parameters in
+The end of `docs/drake_systems.md` has the structure of each leaf and of its variants. After a
+change that is meant, ``python tests/systems/test_every_leaf.py`` writes the table. The numbers of a
+leaf are tested in its own file against an independent source, and the ranges of all parameters in
 ``tests/parameters/test_every_class.py``.
 """
 
 import inspect
+import itertools
 import math
+import re
 from pathlib import Path
 
 import pytest
@@ -82,7 +84,13 @@ VARIANTS = {
 }
 """Leaf systems whose parameters change their structure."""
 LEAVES = (*CLASSES, *VARIANTS)
-SNAPSHOT = Path(__file__).with_name("leaves.txt")
+PAGE = Path(__file__).parents[2] / "docs" / "drake_systems.md"
+HEAD = """\
+| leaf | inputs | outputs | states | Context parameters |
+|---|---|---|---|---|
+"""
+UNITS = {"command_and_state": "rad/s, …", "law_command": "rad/s"}
+"""Units of the ports that no docstring has."""
 every_leaf = pytest.mark.parametrize("name", LEAVES)
 
 
@@ -90,31 +98,55 @@ def made(name):
     return VARIANTS[name]() if name in VARIANTS else CLASSES[name](*REQUIRED.get(name, ()))
 
 
+def units_of(kind):
+    """Units of ports by name, from the table in the docstring of a leaf."""
+    lines = inspect.getdoc(kind).splitlines()
+    rules = [n for n, line in enumerate(lines) if line.startswith("===")]
+    heads = [n for n in rules if lines[n + 1].startswith(("input port", "output port"))]
+    for first in heads:
+        starts = [match.start() for match in re.finditer("=+", lines[first])]
+        for line in lines[first + 2 : next(n for n in rules if n > first + 2)]:
+            name, _, unit = (line[a:b].strip() for a, b in itertools.pairwise(starts[:4]))
+            yield name, unit
+
+
 def structure(system):
     """Ports with sizes, the inputs that an output feels at once, states, period, parameters."""
+    units = UNITS | dict(itertools.chain(*map(units_of, CLASSES.values())))
+    units |= dict(units_of(CLASSES[type(system).__name__.partition("_𝓣")[0].rstrip("_")]))
+
+    def shown(port):
+        size = f" ({port.size()})" if port.size() > 1 else ""
+        return f"`{port.get_name()}`{size} {units[port.get_name()]}"
+
     inputs = [system.get_input_port(n) for n in range(system.num_input_ports())]
     outputs = []
     for o in range(system.num_output_ports()):
         felt = [p.get_name() for i, p in enumerate(inputs) if system.HasDirectFeedthrough(i, o)]
-        port = system.get_output_port(o)
-        outputs.append(f"{port.get_name()} {port.size()} ({', '.join(felt)})")
+        follows = f" ← {', '.join(felt)}" if felt else ""
+        outputs.append(shown(system.get_output_port(o)) + follows)
     context = system.CreateDefaultContext()
     groups = range(context.num_discrete_state_groups())
-    discrete = [context.get_discrete_state(n).size() for n in groups]
+    discrete = sum(context.get_discrete_state(n).size() for n in groups)
     timing = system.GetUniquePeriodicDiscreteUpdateAttribute()
-    every = f" from {timing.offset_sec():g} s every {timing.period_sec():g} s" if timing else ""
-    parts = (
-        ", ".join(f"{port.get_name()} {port.size()}" for port in inputs),
-        ", ".join(outputs),
-        f"{context.num_continuous_states()} continuous, {discrete} discrete{every}",
-        ", ".join(system.parameter_names),
-    )
-    return " | ".join(parts)
+    states = [f"{count} continuous"] if (count := context.num_continuous_states()) else []
+    if timing:
+        assert timing.offset_sec() == 0.0
+        states.append(f"{discrete} discrete, every {timing.period_sec():g} s")
+    names = ", ".join(f"`{name}`" for name in system.parameter_names)
+    columns = map("<br>".join, (map(shown, inputs), outputs, states))
+    return " | ".join([*columns, names])
 
 
-def snapshot():
-    lines = [f"{name} | {structure(made(name))}".rstrip() for name in LEAVES]
-    return "\n".join(["leaf | inputs | outputs (felt inputs) | states | parameters", *lines, ""])
+def table():
+    rows = []
+    for name in LEAVES:
+        kind, _, variant = name.partition(",")
+        module = CLASSES[kind].__module__.rpartition(".")[2]
+        source, test = f"../kneexo/systems/{module}.py", f"../tests/systems/test_{module}.py"
+        links = f"[{kind}]({source}){variant and f',{variant}'} ([test]({test}))"
+        rows.append(f"| {links} | {structure(made(name))} |")
+    return HEAD + "\n".join([*rows, ""])
 
 
 @every_leaf
@@ -141,9 +173,10 @@ def test_conversions_have_the_same_structure(name):
         assert structure(converted) == structure(system)
 
 
-def test_the_structure_of_each_leaf_is_that_of_the_snapshot():
-    assert snapshot().splitlines() == SNAPSHOT.read_text(encoding="utf-8").splitlines()
+def test_the_page_has_the_structure_of_each_leaf():
+    assert PAGE.read_text(encoding="utf-8").endswith(f"\n\n{table()}")
 
 
 if __name__ == "__main__":
-    SNAPSHOT.write_text(snapshot(), encoding="utf-8")
+    text = PAGE.read_text(encoding="utf-8").partition(HEAD.partition("\n")[0])[0]
+    PAGE.write_text(text + table(), encoding="utf-8")

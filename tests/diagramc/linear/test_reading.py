@@ -16,7 +16,7 @@ from diagramc import (
     find_equilibrium,
     linearize_at,
 )
-from diagramc.linear.point import read_point
+from diagramc.linear.reading import read_point
 
 
 @pytest.fixture

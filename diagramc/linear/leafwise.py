@@ -1,0 +1,504 @@
+"""Derivatives of diagrams without symbolic equations, one leaf system at a time.
+
+A linear model needs values and derivatives at one point only. Each leaf system is called in a
+Context of its own, first with floats, then with Drake's AutoDiffXd, whose values must be those of
+the floats. A leaf without an AutoDiffXd form has central differences instead, so that one leaf of
+floats does not spoil the derivatives of the others. The chain rule joins the leaves at their ports.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from graphlib import CycleError, TopologicalSorter
+from typing import Any, NamedTuple
+
+import numpy as np
+from pydrake.autodiffutils import AutoDiffXd
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.systems.framework import PortDataType
+
+from ..arguments import quoted
+from ..diagram_equations import DiagramEquations
+from ..equations.comparison import Evaluate
+from ..equations.equations import Equations, Update
+from ..equations.events import reason_of, refuse_witness_functions
+from ..equations.names import numbered_names, state_names
+from ..equations.periods import timing_of
+from ..equations.ports import bypass as bypass_system, find_port, route_of, size_of
+from ..equations.reader import discrete_update, time_derivatives
+from ..equations.tree import Node, Port
+from ..errors import CompilationError, DifferenceError
+from ..run_data import Array
+from .point import Point, Slopes
+
+_EQUAL = 1e-9  # relative difference of values of floats and of AutoDiffXd that counts as none
+_STEP = 1e-3
+# The error of central differences with one extrapolation is about _STEP⁴ by truncation and
+# 1e-16/_STEP by rounding, so that both are about 1e-12.
+_JUMP = 1e-2  # relative difference of two central differences that no smooth function has
+_FLAT_STEPS = (1e-6, 1e-5, 1e-3, 1e-2, 0.1, 1.0)
+"""Relative changes at which a value with the derivative zero is asked whether it changes."""
+
+
+class LeafwiseEquations(DiagramEquations):
+    """A diagram of which only the names, sizes and sample periods are known as equations.
+
+    The nodes in `equations` are placeholders. Parameters are as in `read_diagram`.
+    """
+
+    def __init__(
+        self,
+        diagram: Any,
+        inputs: Sequence[str],
+        outputs: Sequence[str],
+        bypass: Sequence[str],
+    ) -> None:
+        root = Node(diagram)
+        for path in bypass:
+            bypass_system(root, path)
+        ports = [diagram.get_output_port(i) for i in range(diagram.num_output_ports())]
+        is_vector = {p.get_name(): p.get_data_type() == PortDataType.kVectorValued for p in ports}
+        routes = {
+            name: list(root.output_route(index))
+            for index, (name, vector) in enumerate(is_vector.items())
+            if vector
+        }
+        routes |= {name: list(route_of(find_port(root, name, "output"))) for name in outputs}
+        root.observed = [route[-1][0] for route in routes.values() if route[-1][1] == "output"]
+        equations = Equations()
+        self.open_inputs: dict[Port, int] = {}
+        """Index of the first element of each open input among the elements of all open inputs."""
+        for name in inputs:
+            port = find_port(root, name, "input")
+            self.open_inputs[port] = sum(equations.inputs.values())
+            equations.inputs[name] = size_of(port)
+        self.routes = routes
+        """Ports from each output of the model back to the source of its signal."""
+        self.leaves: dict[Node, _Leaf] = {}
+        updates: dict[tuple[float, float], list[int]] = {}
+        for node in root.equation_leaves:
+            context = node.system.CreateDefaultContext()
+            refuse_witness_functions(node, context)
+            leaf = self.leaves[node] = _Leaf(node, len(equations.states), len(equations.discrete))
+            if context.num_continuous_states():
+                equations.states += state_names(node, context)
+            for group in range(context.num_discrete_state_groups()):
+                size = context.get_discrete_state(group).size()
+                equations.discrete += numbered_names(node.path, group, size)
+            leaf.continuous = len(equations.states) - leaf.first_continuous
+            leaf.discrete = len(equations.discrete) - leaf.first_discrete
+            if leaf.discrete:
+                _refuse_abstract_state(node)
+                timing = timing_of(node)
+                key = timing.period_sec(), timing.offset_sec()
+                first = leaf.first_discrete
+                updates.setdefault(key, []).extend(range(first, first + leaf.discrete))
+        equations.updates = [
+            Update(*key, tuple((index, 0) for index in indices)) for key, indices in updates.items()
+        ]
+        equations.outputs = {name: [0] * size_of(route[0]) for name, route in routes.items()}
+        super().__init__(diagram, equations, root)
+
+
+@dataclass(eq=False)
+class _Leaf:
+    """A leaf system with the places of its states among all states of the diagram."""
+
+    node: Node
+    first_continuous: int
+    first_discrete: int
+    continuous: int = 0
+    discrete: int = 0
+
+    def of(self, states: Array, count: int) -> tuple[Array, Array]:
+        """Return the rows of the leaf's states; the first ``count`` states are continuous."""
+        first = count + self.first_discrete
+        continuous = states[self.first_continuous : self.first_continuous + self.continuous]
+        return continuous, states[first : first + self.discrete]
+
+
+class _Signal(NamedTuple):
+    """Values (size,) and their derivatives (size, n + m) by n states and m inputs."""
+
+    values: Array
+    derivatives: Array
+
+
+class _Gap(NamedTuple):
+    """A fact about the derivatives of a leaf that a user of the linear model must know."""
+
+    path: str
+    port: str
+    reason: str
+    remedy: str
+
+
+@dataclass(frozen=True)
+class LeafwisePoint(Point):
+    """A point of a diagram of `LeafwiseEquations`."""
+
+    read: LeafwiseEquations
+    context: Any
+    """Context of the diagram, with parameters and abstract values."""
+    setting: str
+    """Name of the open inputs in the caller's arguments, for messages."""
+    gaps: dict[tuple[str, str], _Gap] = field(default_factory=dict, init=False)
+    """What `slopes` has found out, by path and port."""
+    _known: dict[tuple[str, ...], Slopes] = field(default_factory=dict, init=False)
+
+    def slopes(self, outputs: Sequence[str] = ()) -> Slopes:
+        """Return values and derivatives of the diagram at the point; see `Point.slopes`."""
+        key = tuple(outputs)
+        if key not in self._known:
+            self._known[key] = self._slopes(key)
+        return self._known[key]
+
+    def _slopes(self, outputs: tuple[str, ...]) -> Slopes:
+        leaves = self.read.leaves.values()
+        routes = [self.read.routes[name] for name in outputs]
+        moving = [leaf for leaf in leaves if leaf.continuous or leaf.discrete]
+        inputs = {leaf: list(_routes(leaf.node)) for leaf in moving}
+        needed = [route for of_leaf in inputs.values() for _, route in of_leaf]
+        signals: dict[Port, _Signal] = {}
+        calls: dict[Node, _Call] = {}
+        for node, index in self._order([*needed, *routes]):
+            where = f"output port {node.system.get_output_port(index).get_name()}"
+            call = calls.setdefault(node, _Call(self, self.read.leaves[node]))
+            call.give(_routes(node, index), signals)
+            signals[node, "output", index] = call.result(where, _output(index), signals)
+        rates, updates = [], []
+        for leaf in moving:
+            call = calls.setdefault(leaf.node, _Call(self, leaf))
+            call.give(inputs[leaf], signals)
+            if leaf.continuous:
+                rates.append(call.result("time derivatives", time_derivatives, signals))
+            if leaf.discrete:
+                updates.append(call.result("discrete update", discrete_update, signals))
+        width = self.state.size + self.inputs.size
+        return Slopes(
+            *_joined([*rates, *updates], width),
+            *_joined([self.signal(route, signals) for route in routes], width),
+        )
+
+    def time_varying(self, outputs: Sequence[str] = ()) -> list[str]:
+        """Return the names of rates, updates and outputs whose derivatives change with the time.
+
+        They are compared with those at two later times.
+        """
+        here = self.slopes(outputs)
+        names = (*self.rate_names, *self.element_names(outputs))
+        jacobian = np.vstack([here.rates_jacobian, here.outputs_jacobian])
+        varies = np.zeros(len(names), dtype=bool)
+        for later_s in (0.1, 1.0 / 3.0):
+            other = self._at_time(self.time_s + later_s).slopes(outputs)
+            change = np.vstack([other.rates_jacobian, other.outputs_jacobian]) - jacobian
+            largest = np.abs(jacobian).max(axis=1, initial=0.0)
+            varies |= np.abs(change).max(axis=1, initial=0.0) > _EQUAL * (1.0 + largest)
+        return [name for name, does in zip(names, varies, strict=True) if does]
+
+    def signal(self, route: Sequence[Port], signals: Mapping[Port, _Signal]) -> _Signal:
+        """Return the signal at the first port of a route: that of its source, and perturbations."""
+        size, source = size_of(route[0]), route[-1]
+        width = self.state.size + self.inputs.size
+        values, derivatives = np.zeros(size), np.zeros((size, width))
+        if source[1] == "output":
+            values, derivatives = (part.copy() for part in signals[source])
+        elif source not in self.read.open_inputs:
+            node, _, index = source
+            name = quoted(node.system.get_input_port(index).get_name())
+            if node.parent is not None:
+                raise CompilationError(
+                    f"{node.name}: input port {name} is not connected; connect it, or name the "
+                    f"diagram's port in inputs"
+                )
+            raise CompilationError(
+                f"input port {name} has no value: FixValue it in the Context, or name it in "
+                f"{self.setting}"
+            )
+        for port in route:
+            if port in self.read.open_inputs:
+                first = self.read.open_inputs[port]
+                values += self.inputs[first : first + size]
+                column = self.state.size + first
+                derivatives[:, column : column + size] += np.eye(size)
+        return _Signal(values, derivatives)
+
+    def is_known(self, route: Sequence[Port]) -> bool:
+        """Return whether the signal of a route has a source."""
+        return route[-1][1] == "output" or route[-1] in self.read.open_inputs
+
+    def _at_time(self, time_s: float) -> LeafwisePoint:
+        context = self.context.Clone()
+        context.SetTime(time_s)
+        return LeafwisePoint(
+            *(self.read, time_s, self.parameters, self.state, self.inputs), context, self.setting
+        )
+
+    def _order(self, routes: Iterable[Sequence[Port]]) -> Iterator[tuple[Node, int]]:
+        """Yield the output ports on which routes depend, each after those it depends on itself."""
+        sorter: TopologicalSorter[Port] = TopologicalSorter()
+        pending = [route[-1] for route in routes if route[-1][1] == "output"]
+        known: set[Port] = set()
+        while pending:
+            port = pending.pop()
+            if port in known:
+                continue
+            known.add(port)
+            node, _, index = port
+            ends = [route[-1] for _, route in _routes(node, index)]
+            before = [end for end in ends if end[1] == "output"]
+            sorter.add(port, *before)
+            pending += before
+        try:
+            yield from ((node, index) for node, _, index in [*sorter.static_order()])
+        except CycleError as error:
+            node, _, index = error.args[1][0]
+            raise CompilationError(
+                f"{node.name}: output port {node.system.get_output_port(index).get_name()}: "
+                f"depends on itself (algebraic loop)"
+            ) from None
+
+
+class _Call:
+    """Calls of one leaf at a point: Contexts of floats and of AutoDiffXd, with states and inputs.
+
+    The variables of the leaf are its states, and then all elements of its vector inputs.
+    """
+
+    def __init__(self, point: LeafwisePoint, leaf: _Leaf) -> None:
+        node, system = leaf.node, leaf.node.system
+        self.point, self.node, self.system = point, node, system
+        _refuse_abstract_state(node)
+        count = len(point.read.state_names)
+        self.continuous, self.discrete = leaf.of(point.state, count)
+        width = point.state.size + point.inputs.size
+        self._of_states = np.vstack(leaf.of(np.eye(point.state.size, width), count))
+        ports = [system.get_input_port(index) for index in range(system.num_input_ports())]
+        self._first: dict[int, int] = {}
+        """Index of the first variable of each vector input."""
+        self.size = len(self._of_states)
+        for index, port in enumerate(ports):
+            if port.get_data_type() == PortDataType.kVectorValued:
+                self._first[index] = self.size
+                self.size += port.size()
+        self._inputs: dict[int, _Signal] = {}
+        self._floats = system.CreateDefaultContext()
+        self._floats.SetTimeStateAndParametersFrom(node.context(point.context))
+        self._auto: tuple[Any, Any] | None = None
+        try:
+            converted = system.ToAutoDiffXdMaybe()
+        except Exception as error:  # a user's conversion may raise any error
+            self._why = f"does not convert to AutoDiffXd ({reason_of(error)})"
+            return
+        self._why = "does not convert to AutoDiffXd"
+        if converted is not None:
+            context = converted.CreateDefaultContext()
+            context.SetTimeStateAndParametersFrom(self._floats)
+            self._auto = converted, context
+
+    def give(self, routes: Iterable[tuple[int, Sequence[Port]]], signals: Any) -> None:
+        """Give the leaf the signals of its input ports, as far as they have a source."""
+        for index, route in routes:
+            if index not in self._inputs and self.point.is_known(route):
+                self._inputs[index] = self.point.signal(route, signals)
+
+    def result(self, purpose: str, evaluate: Evaluate, signals: Any) -> _Signal:
+        """Return the values that a function of leaf and Context has, and their derivatives."""
+        where = f"{self.node.name}: {purpose}"
+        variables = self._variables()
+        try:
+            values = self._called(evaluate, variables)
+        except (Exception, SystemExit) as error:
+            self._require_inputs(where, str(error))
+            raise CompilationError(f"{where}: fails at this point ({reason_of(error)})") from error
+        local = self._gradients(where, evaluate, variables, values)
+        if local is None:
+            local = self._differences(where, evaluate, variables, values)
+            self._note(
+                self.node.type_name,
+                f"{self._why}: its derivatives are central differences",
+                _TEMPLATE,
+            )
+        self._note_flat(purpose, evaluate, variables, values, local)
+        if isinstance(self.system, MultibodyPlant) and (
+            self.system.num_positions() != self.system.num_velocities()
+        ):
+            self._note(
+                "state",
+                "has a quaternion: the model has one more eigenvalue for its length",
+                "leave out the eigenvalue 0 of a continuous or 1 of a sampled model",
+            )
+        count = len(self._of_states)
+        derivatives = local[:, :count] @ self._of_states
+        for index, signal in self._inputs.items():
+            first = self._first[index]
+            derivatives += local[:, first : first + signal.values.size] @ signal.derivatives
+        return _Signal(values, derivatives)
+
+    def _variables(self) -> Array:
+        values = np.zeros(self.size)
+        values[: len(self._of_states)] = np.concatenate([self.continuous, self.discrete])
+        for index, signal in self._inputs.items():
+            first = self._first[index]
+            values[first : first + signal.values.size] = signal.values
+        return values
+
+    def _called(self, evaluate: Evaluate, variables: Any, auto: bool = False) -> Any:
+        """Return the values of a function at variables of the leaf."""
+        system, context = (self.system, self._floats) if not auto else self._auto  # type: ignore[misc]
+        end = self.continuous.size
+        if end:
+            context.SetContinuousState(variables[:end])
+        for group in range(context.num_discrete_state_groups()):
+            vector = context.get_mutable_discrete_state(group)
+            vector.SetFromVector(variables[end : end + vector.size()])
+            end += vector.size()
+        for index, signal in self._inputs.items():
+            first = self._first[index]
+            port = system.get_input_port(index)
+            port.FixValue(context, variables[first : first + signal.values.size])
+        values = evaluate(system, context)
+        return values if auto else np.array(values, dtype=float).reshape(-1)
+
+    def _gradients(
+        self, where: str, evaluate: Evaluate, variables: Array, values: Array
+    ) -> Array | None:
+        """Return the derivatives by AutoDiffXd; None if the leaf has none at this point.
+
+        Raises `DifferenceError` if the values are not those of floats.
+        """
+        if self._auto is None:
+            return None
+        seeds = np.eye(variables.size)
+        seeded = np.array([AutoDiffXd(v, s) for v, s in zip(variables, seeds, strict=True)])
+        try:
+            results = list(np.ravel(self._called(evaluate, seeded, auto=True)))
+        except (Exception, SystemExit) as error:
+            self._why = f"fails with AutoDiffXd ({reason_of(error)})"
+            return None
+        found = np.array([result.value() for result in results])
+        if not np.allclose(found, values, _EQUAL, _EQUAL, equal_nan=True):
+            element = int(np.argmax(~np.isclose(found, values, _EQUAL, _EQUAL, equal_nan=True)))
+            raise DifferenceError(
+                f"{where}: AutoDiffXd gives {found[element]:.9g} where floats give "
+                f"{values[element]:.9g}; the conversion of {self.node.type_name} must keep "
+                f"attributes and parameters"
+            )
+        rows = [result.derivatives() for result in results]
+        rows = [row if row.size else np.zeros(variables.size) for row in rows]
+        return np.array(rows).reshape(values.size, variables.size)
+
+    def _differences(
+        self, where: str, evaluate: Evaluate, variables: Array, values: Array
+    ) -> Array:
+        """Return the derivatives by central differences, extrapolated once (Richardson)."""
+        columns = []
+        for index, value in enumerate(variables):
+            step = _STEP * max(1.0, abs(value))
+            wide, narrow = (
+                (
+                    self._moved(evaluate, variables, index, h)
+                    - self._moved(evaluate, variables, index, -h)
+                )
+                / (2.0 * h)
+                for h in (step, step / 2.0)
+            )
+            jump = np.abs(wide - narrow) > _JUMP * np.maximum(np.abs(wide), np.abs(narrow))
+            if jump.any() and np.abs(wide - narrow).max() > _EQUAL:
+                purpose = where.removeprefix(f"{self.node.name}: ")
+                self._note(purpose, "jumps or bends near this point", "choose another point")
+            columns.append((4.0 * narrow - wide) / 3.0)
+        return np.array(columns).T.reshape(values.size, variables.size)
+
+    def _moved(self, evaluate: Evaluate, variables: Array, index: int, change: float) -> Array:
+        moved = variables.copy()
+        moved[index] += change
+        return np.asarray(self._called(evaluate, moved))
+
+    def _note_flat(
+        self, purpose: str, evaluate: Evaluate, variables: Array, values: Array, local: Array
+    ) -> None:
+        """Note a value that changes although its derivatives are zero, as that of a quantizer.
+
+        A smooth value with the derivative zero, such as a cosine at 0, changes with the square of a
+        small step. A quantizer does not change at all, or jumps.
+        """
+        flat = ~local.any(axis=1)
+        if not flat.any():
+            return
+        changes = np.zeros((len(_FLAT_STEPS), values.size))
+        for number, step in enumerate(_FLAT_STEPS):
+            for index, value in enumerate(variables):
+                for change in (step * max(1.0, abs(value)), -step * max(1.0, abs(value))):
+                    with suppress(Exception):  # such as for a quaternion of length 0
+                        moved = self._moved(evaluate, variables, index, change)
+                        changes[number] = np.fmax(changes[number], np.abs(moved - values))
+        least, next_, *_ = changes
+        rests = (least == 0.0) & (changes > 0.0).any(axis=0)
+        jumps = (least > 0.0) & (next_ < 5.0 * least)
+        if (flat & (rests | jumps)).any():
+            self._note(
+                purpose,
+                "changes without a derivative, as a quantizer or at a limit",
+                "choose another operating point",
+            )
+
+    def _note(self, port: str, reason: str, remedy: str) -> None:
+        key = self.node.name, port
+        self.point.gaps.setdefault(key, _Gap(*key, reason, remedy))
+
+    def _require_inputs(self, where: str, text: str) -> None:
+        """Raise `CompilationError` if an input without a value can be why a call failed.
+
+        ``text`` is the message of the failure.
+        """
+        for index in range(self.system.num_input_ports()):
+            port, route = self.system.get_input_port(index), list(self.node.route(index))
+            if port.get_data_type() != PortDataType.kVectorValued:
+                if route[-1][1] == "output":
+                    raise CompilationError(
+                        f"{where}: fails at this point; its input {port.get_name()} is no vector "
+                        f"and has no derivative"
+                    )
+            elif f"InputPort[{index}]" in text and not self.point.is_known(route):
+                self.point.signal(route, {})
+
+
+_TEMPLATE = "their error is about 1e-11; write the leaf with Drake's TemplateSystem for exact ones"
+
+
+def _refuse_abstract_state(node: Node) -> None:
+    """Raise `CompilationError` if a leaf has an abstract state."""
+    if node.system.num_abstract_states():
+        is_plant = isinstance(node.system, MultibodyPlant)
+        remedy = "; call SetUseSampledOutputPorts(False) before its Finalize()"
+        raise CompilationError(
+            f"{node.name or node.type_name}: has an abstract state, which has no derivative"
+            f"{remedy if is_plant else ''}"
+        )
+
+
+def _output(index: int) -> Evaluate:
+    return lambda system, context: system.get_output_port(index).Eval(context)
+
+
+def _routes(node: Node, output: int | None = None) -> Iterator[tuple[int, list[Port]]]:
+    """Yield index and route of each vector input that an output port, or anything, depends on."""
+    system = node.system
+    if output is not None:
+        port = system.get_output_port(output)
+        if port.get_data_type() != PortDataType.kVectorValued:
+            raise CompilationError(
+                f"{node.name}: output port {port.get_name()}: is no vector and has no derivative"
+            )
+    for index in range(system.num_input_ports()):
+        is_vector = system.get_input_port(index).get_data_type() == PortDataType.kVectorValued
+        if is_vector and (output is None or system.HasDirectFeedthrough(index, output)):
+            yield index, list(node.route(index))
+
+
+def _joined(signals: Sequence[_Signal], width: int) -> tuple[Array, Array]:
+    values = np.concatenate([np.empty(0), *(signal.values for signal in signals)])
+    return values, np.vstack([np.empty((0, width)), *(signal.derivatives for signal in signals)])

@@ -1,0 +1,137 @@
+"""Reads the equations of a diagram, and the values of Contexts as points of these equations."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from pydrake.systems.framework import PortDataType
+
+from ..arguments import names, quoted
+from ..diagram_equations import DiagramEquations, read_diagram, require_system
+from ..errors import CompilationError, DifferenceError, ParameterError, shown
+from ..run_data import Array
+from .leafwise import LeafwiseEquations, LeafwisePoint
+from .point import Point
+
+
+def read_point(
+    diagram: Any,
+    context: Any,
+    inputs: Iterable[str] = (),
+    outputs: Iterable[str] = (),
+    bypass: Iterable[str] = (),
+    setting: str = "inputs",
+) -> Point:
+    """Read the equations of a diagram of floats, and the values of a Context.
+
+    The open inputs are ``inputs`` and then all other input ports of the diagram that have a value
+    in the Context. An input without a value, or inside the diagram, has the value zero. For the
+    names and errors see `linearize`. ``setting`` is the name of ``inputs`` in the caller's
+    arguments, for the message about an input that has no value.
+
+    ``diagram`` may be a diagram with its equations, which are then not read again. The open inputs
+    of these equations are then the open inputs of the point.
+    """
+    return read_points(diagram, [context], inputs, outputs, bypass, setting)[0]
+
+
+def read_points(
+    diagram: Any,
+    contexts: Iterable[Any],
+    inputs: Iterable[str] = (),
+    outputs: Iterable[str] = (),
+    bypass: Iterable[str] = (),
+    setting: str = "inputs",
+) -> list[Point]:
+    """Read the equations of a diagram once, and the values of several Contexts; see `read_point`.
+
+    An input is open if it has a value in at least one of the Contexts.
+    """
+    system = system_of(diagram)
+    try:
+        contexts = list(contexts)
+    except TypeError:
+        raise ParameterError(f"contexts = {quoted(contexts)}: must be a list of Contexts") from None
+    values = [_input_values(system, context) for context in contexts]
+    bypass = names("bypass", bypass)
+    if isinstance(diagram, DiagramEquations):
+        read, first = diagram, tuple(diagram.equations.inputs)[: len(tuple(inputs))]
+        if bypass or first != tuple(inputs) or not {*outputs} <= {*read.equations.outputs}:
+            raise ParameterError(
+                f"diagram: its equations were read with the inputs {quoted(first)} first, and with "
+                f"other outputs or bypass; must be read with those of this call"
+            )
+    else:
+        open_ports = tuple(dict.fromkeys([*inputs, *itertools.chain(*values)]))
+        ports = map(system.get_output_port, range(system.num_output_ports()))
+        exported = {port.get_name() for port in ports}
+        inner = [name for name in outputs if name not in exported]
+        read = _read(system, open_ports, inner, bypass)
+    sizes = read.equations.inputs
+    states = [read.state(context) for context in contexts]
+    points: list[Point] = []
+    for context, of_port, state in zip(contexts, values, states, strict=True):
+        numbers = (
+            0.0 if context is None else float(context.get_time()),
+            read.parameters(context),
+            np.concatenate([state.continuous, state.discrete]),
+            np.concatenate(
+                [np.empty(0), *(of_port.get(name, np.zeros(sizes[name])) for name in sizes)]
+            ),
+        )
+        if isinstance(read, LeafwiseEquations):
+            base = system.CreateDefaultContext() if context is None else context
+            point: Point = LeafwisePoint(read, *numbers, base, setting)
+            point.slopes(tuple(outputs))  # so that a leaf that cannot be called is told here
+        else:
+            point = Point(read, *numbers)
+        points.append(point)
+    return points
+
+
+def system_of(diagram: Any) -> Any:
+    """Return the system of a diagram with its equations, or a Diagram or leaf system itself.
+
+    Raises `CompilationError` for anything else.
+    """
+    if isinstance(diagram, DiagramEquations):
+        return diagram.diagram
+    require_system(diagram)
+    return diagram
+
+
+def _read(
+    diagram: Any, inputs: Sequence[str], outputs: Sequence[str], bypass: Sequence[str]
+) -> DiagramEquations:
+    """Return the equations of a diagram; only their names and sizes if a leaf has no equations.
+
+    Equations come first, because they tell more: see `advice`.
+    """
+    try:
+        return read_diagram(diagram, inputs=inputs, outputs=outputs, bypass=bypass)
+    except DifferenceError:  # a leaf whose forms disagree has no right derivative
+        raise
+    except CompilationError:
+        return LeafwiseEquations(diagram, inputs, outputs, bypass)
+
+
+def _input_values(diagram: Any, context: Any) -> dict[str, Array]:
+    """Return the value of each input port of vectors that has a value in a Context, by its name."""
+    if context is None:
+        return {}
+    try:
+        diagram.ValidateContext(context)
+    except (RuntimeError, TypeError):
+        raise ParameterError(
+            f"context: is no Context of {shown(diagram.get_name() or type(diagram).__name__)}; "
+            f"create it by diagram.CreateDefaultContext()"
+        ) from None
+    ports = (diagram.get_input_port(index) for index in range(diagram.num_input_ports()))
+    return {
+        port.get_name(): port.Eval(context)
+        for port in ports
+        if port.get_data_type() == PortDataType.kVectorValued and port.HasValue(context)
+    }
