@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any
 
@@ -11,8 +11,10 @@ import numpy as np
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from kneexo import systems
+from kneexo.common.ports import input_ports
 from kneexo.diagrams.part import NO_FAULTS, Part, export_inputs, leaf_part, wire
 from kneexo.diagrams.signals import OPTIONAL_OUTPUTS, PLANT_OUTPUTS
+from kneexo.diagrams.users_part import users_part
 from kneexo.errors import ParameterError
 from kneexo.geometry import linkage
 from kneexo.geometry.rod_inverse import RodInverse, fit_rod_inverse, rounded_rod_extension
@@ -24,6 +26,12 @@ from kneexo.parameters import (
     RodPolynomialParameters,
     Scenario,
     SineReference,
+)
+from kneexo.parameters.device.parts import (
+    PartsParameters,
+    believed,
+    believed_plant,
+    is_replaced,
 )
 from kneexo.parameters.fields.quantity import require_object
 from kneexo.systems import (
@@ -52,6 +60,8 @@ def make_plant(
     initial_offset_m: float = 0.0,
     rod_polynomial: RodPolynomialParameters = RodPolynomialParameters(),
     fault_names: Mapping[str, tuple[str, ...]] = NO_FAULTS,
+    parts: PartsParameters | Mapping[str, Any] = PartsParameters(),
+    scenario: Scenario | None = None,
 ) -> Diagram:
     """Build the plant, motor → cylinder → knee with load, as a purely continuous diagram.
 
@@ -100,6 +110,11 @@ def make_plant(
     fault_names
         For subsystems by name, Context parameters that a fault can change. Such a subsystem has an
         input port for the changes, which the plant exports, such as ``motor_fault``.
+    parts
+        Drake leaf systems of the user in place of ``motor``, ``cylinder`` or ``load``, by these
+        names, or functions that make them: see `kneexo.parameters.device.parts.PartParameters`.
+    scenario
+        What such a function gets as ``scenario``.
 
     Raises
     ------
@@ -110,8 +125,11 @@ def make_plant(
     """
     require_object("parameters", parameters, PlantParameters, 'Scenario.preset("leg").plant')
     builder = DiagramBuilder()
-    parts = plant_parts(parameters, initial_knee_angle_rad, initial_offset_m, rod_polynomial)
-    signals, inputs = wire(builder, parts, fault_names=fault_names)
+    if isinstance(parts, Mapping):
+        parts = PartsParameters(**parts)
+    start = initial_knee_angle_rad, initial_offset_m, rod_polynomial
+    of_plant = plant_parts(parameters, *start, parts, scenario)
+    signals, inputs = wire(builder, of_plant, fault_names=fault_names)
     export_inputs(
         builder, inputs, _INPUTS | {f"{name}_fault": f"{name}_fault" for name in fault_names}
     )
@@ -149,6 +167,8 @@ def start_arguments(scenario: Scenario) -> dict[str, Any]:
         "initial_knee_angle_rad": knee_reference.start_angle_rad(scenario.reference),
         "initial_offset_m": scenario.initial_offset_m,
         "rod_polynomial": controller_polynomial(scenario),
+        "parts": scenario.parts,
+        "scenario": scenario,
     }
 
 
@@ -157,6 +177,8 @@ def plant_parts(
     initial_knee_angle_rad: float = _START_RAD,
     initial_offset_m: float = 0.0,
     rod_polynomial: RodPolynomialParameters = RodPolynomialParameters(),
+    parts: PartsParameters = PartsParameters(),
+    scenario: Scenario | None = None,
 ) -> list[Part]:
     """Return the leaf systems of the plant; `make_plant` describes the arguments.
 
@@ -166,15 +188,26 @@ def plant_parts(
     cylinder, full_order, load = parameters.cylinder, parameters.full_order, parameters.load
     bypass, motor, thermal = parameters.bypass, parameters.motor, parameters.thermal
     rod_map = _rod_map(parameters, rod_polynomial)
-    external_leakage = parameters.pump.external_leakage_m3_per_s_pa
+    # The pump's leakage to the reservoir acts on the chambers, also beside a pump of the user.
+    external_leakage = believed(parameters.pump).external_leakage_m3_per_s_pa
 
     # A part has functions, because a compiled run needs values but no systems.
+    def begin() -> dict[str, Any]:
+        """Return what a part of the user gets as ``start``."""
+        users_load = None if parts.load is None else make_load(start={})
+        extension, force = _start_extension_and_force(
+            parameters, initial_knee_angle_rad, initial_offset_m, rod_polynomial, users_load
+        )
+        return _cylinder_arguments(believed_plant(parameters), extension, force)
+
+    def make_load(start: dict[str, Any]) -> Any:
+        assert parts.load is not None
+        return parts.load.make.make({"scenario": scenario, "start": start, **parts.load.values})
+
     def start() -> tuple[float, ...]:
         """Return the cylinder's state at rest: the chamber pressures balance load and spring."""
-        extension, force = _start_extension_and_force(
-            parameters, initial_knee_angle_rad, initial_offset_m, rod_polynomial
-        )
-        return (extension, 0.0, *_holding_pressures_pa(parameters, force))
+        extension, pressures = begin().values()
+        return (extension, 0.0, *np.atleast_1d(pressures))
 
     def make_motor(**fault: Any) -> Any:
         if motor is None:
@@ -213,7 +246,7 @@ def plant_parts(
         values = four_bar_knee.context_values(parameters.linkage, parameters.knee, fit)
         return values | _polynomial_values(fit)
 
-    parts = [
+    own = [
         Part(
             "motor",
             make_motor,
@@ -235,10 +268,10 @@ def plant_parts(
             knee_values,
         ),
     ]
-    if isinstance(load, KneeLoadParameters):
-        parts.append(leaf_part("load", systems.KneeLoad, knee_load, load))
+    if isinstance(load, KneeLoadParameters) or parts.load is not None:
+        own.append(leaf_part("load", systems.KneeLoad, knee_load, load))
     if thermal is not None:
-        parts.append(
+        own.append(
             Part(
                 "temperature",
                 lambda **fault: systems.MotorTemperature(thermal, **fault),
@@ -248,7 +281,7 @@ def plant_parts(
             )
         )
     if bypass is not None:
-        parts.append(
+        own.append(
             Part(
                 "bypass",
                 lambda **fault: systems.BypassValve(bypass, **fault),
@@ -256,7 +289,25 @@ def plant_parts(
                 bypass_valve.STATE_VARIABLES,
             )
         )
-    return [part._replace(reads={"fault": f"{part.name}_fault"}) for part in parts]
+    # Leaf systems with the ports of those that parts of the user replace.
+    templates: dict[str, Callable[[], Any]] = {
+        "motor": lambda: (
+            systems.BldcPump()
+            if motor is None
+            else systems.TorqueLimitedPump(motor=believed(motor), thermal=thermal)
+        ),
+        "cylinder": lambda: (
+            systems.ReducedCylinder()
+            if full_order is None
+            else systems.FullCylinder(full_order=believed(full_order), bypass=bypass)
+        ),
+        "load": systems.KneeLoad,
+    }
+    chosen = {place: part for place, part in parts.chosen().items() if place in templates}
+    for index, part in enumerate(own):
+        if part.name in chosen:
+            own[index] = users_part(chosen[part.name], part, templates[part.name], begin, scenario)
+    return [part._replace(reads={"fault": f"{part.name}_fault"}) for part in own]
 
 
 def cylinder_start(
@@ -273,9 +324,14 @@ def cylinder_start(
     ParameterError, LinkageError
         As in `make_plant`.
     """
-    extension, force = _start_extension_and_force(
-        parameters, knee_angle_rad, 0.0, RodPolynomialParameters()
-    )
+    start = _start_extension_and_force(parameters, knee_angle_rad, 0.0, RodPolynomialParameters())
+    return _cylinder_arguments(parameters, *start)
+
+
+def _cylinder_arguments(
+    parameters: PlantParameters, extension: float, force: float
+) -> dict[str, Any]:
+    """Return the arguments of a cylinder whose rod holds a force in N at an extension in m."""
     pressures = _holding_pressures_pa(parameters, force)
     if parameters.full_order is None:
         return {"initial_extension_m": extension, "initial_pressure_pa": pressures[0]}
@@ -343,8 +399,12 @@ def _start_extension_and_force(
     initial_knee_angle_rad: float,
     initial_offset_m: float,
     rod_polynomial: RodPolynomialParameters,
+    users_load: Any = None,
 ) -> tuple[float, float]:
-    """Return the initial rod extension in m, and the force in N of load and spring on the rod."""
+    """Return the initial rod extension in m, and the force in N of load and spring on the rod.
+
+    A cylinder of the user has neither stroke nor spring here. ``users_load``: a load of the user.
+    """
     low, high = parameters.knee.flexion_min_deg, parameters.knee.flexion_max_deg
     if not low - 1e-9 <= math.degrees(initial_knee_angle_rad) <= high + 1e-9:
         raise ParameterError(
@@ -357,10 +417,11 @@ def _start_extension_and_force(
     extension += initial_offset_m
     polynomials = (fit.knee_angle, fit.encoder_angle, fit.moment_arm)
     angle, _, arm = knee_kinematics(fit, polynomials, extension)
-    if not 0.0 <= extension <= parameters.cylinder.stroke_m:
+    cylinder = None if is_replaced(parameters.cylinder) else parameters.cylinder
+    if cylinder and not 0.0 <= extension <= cylinder.stroke_m:
         raise ParameterError(
             f"the rod starts at {extension:.6g} m (initial offset {initial_offset_m:g} m), outside "
-            f"the stroke 0 … {parameters.cylinder.stroke_m:g} m; change the start of the "
+            f"the stroke 0 … {cylinder.stroke_m:g} m; change the start of the "
             f"reference, initial_offset_m, plant.linkage.rod_length_m or plant.cylinder.stroke_m"
         )
     slack = parameters.knee.overshoot_deg
@@ -369,8 +430,13 @@ def _start_extension_and_force(
             f"initial_offset_m = {initial_offset_m:g} m: starts at {math.degrees(angle):.3g} deg, "
             f"outside {low:g} … {high:g} deg; reduce it, or change the start of the reference"
         )
-    force = parameters.cylinder.stiffness_n_per_m * extension
-    if isinstance(parameters.load, KneeLoadParameters):
+    force = cylinder.stiffness_n_per_m * extension if cylinder else 0.0
+    if users_load is not None:
+        context, given = users_load.CreateDefaultContext(), {"knee_angle": angle, "moment_arm": arm}
+        for name, port in input_ports(users_load).items():
+            port.FixValue(context, [given.get(name, 0.0)])
+        force += users_load.GetOutputPort("load_force").Eval(context)[0]
+    elif isinstance(parameters.load, KneeLoadParameters):
         force += load_force(parameters.load, angle, arm, 0.0)
     return extension, force
 
@@ -385,6 +451,8 @@ def start_rod_force(
     extension, force = _start_extension_and_force(
         parameters, initial_knee_angle_rad, initial_offset_m, rod_polynomial
     )
+    if is_replaced(parameters.cylinder):
+        return force
     return force - parameters.cylinder.stiffness_n_per_m * extension
 
 

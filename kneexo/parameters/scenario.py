@@ -20,6 +20,15 @@ from kneexo.parameters.device.control import (
     SlidingModeParameters,
 )
 from kneexo.parameters.device.law import Law
+from kneexo.parameters.device.parts import (
+    NUMBERS,
+    PartMaker,
+    PartParameters,
+    PartsParameters,
+    believed_plant,
+    is_replaced,
+    replaced,
+)
 from kneexo.parameters.device.plant import RPM, PlantParameters, RodPolynomialParameters
 from kneexo.parameters.device.protection import ProtectionParameters
 from kneexo.parameters.device.torque import LoadCellParameters, TorqueParameters
@@ -150,6 +159,7 @@ class Scenario(Parameters):
         SlidingModeParameters | PidParameters | TorqueParameters | LawParameters,
         Field(discriminator="kind"),
     ] = SlidingModeParameters()
+    parts: PartsParameters = PartsParameters()
     load_cell: LoadCellParameters = LoadCellParameters()
     bus: Annotated[
         NoBus | Cia402Parameters,
@@ -255,6 +265,39 @@ class Scenario(Parameters):
             raise ParameterError(text) from None
         return self.model_copy(update={"controller": controller})
 
+    def with_part(self, place: str, part: Any, *, values: Mapping[str, float] = {}) -> Scenario:
+        """Return the scenario with a Drake leaf system of the user in place of one of kneexo.
+
+        `PartParameters` says what the system must have. The numbers of the part that it replaces,
+        such as ``plant.cylinder``, stay what the controller believes of the plant. Reading them for
+        anything else raises a `ParameterError`.
+
+        Parameters
+        ----------
+        place
+            ``cylinder``, ``motor`` (with the pump), ``load`` or ``estimator``.
+        part
+            A leaf system, a class or function that makes one, or the name ``FILE.py:NAME`` of one
+            of these. None: kneexo's own part again.
+        values
+            Context parameters of the system, by name.
+
+        Raises
+        ------
+        ParameterError
+            There is no such place, or the part cannot be used.
+        """
+        if place not in PartsParameters.model_fields:
+            raise ParameterError(
+                f"place = {place!r}: must be {', '.join(PartsParameters.model_fields)}; knee, "
+                f"cuff, wearer and encoder cannot be replaced, and a law enters by with_law"
+            )
+        maker = PartMaker.from_text(part) if isinstance(part, str) else part
+        made = None if part is None else PartParameters(make=maker, values=dict(values))
+        parts = self.parts.model_copy(update={place: made})
+        plant = believed_plant(self.plant)
+        return self.model_copy(update={"parts": parts, "plant": plant})._with_replaced_numbers()
+
     def with_loaded_law(self) -> Scenario:
         """Return the scenario with all gains of its law, which imports the file of the law.
 
@@ -336,9 +379,33 @@ class Scenario(Parameters):
         return limit
 
     @property
+    def pressure_rating_pa(self) -> float:
+        """Rated pressure of the cylinder in Pa; infinite for a cylinder of the user."""
+        cylinder = self.plant.cylinder
+        return math.inf if is_replaced(cylinder) else cylinder.pressure_rating_pa
+
+    @property
+    def power_rating_w(self) -> float:
+        """Rated power of the motor in W; infinite for a motor of the user."""
+        return math.inf if is_replaced(self.plant.pump) else self.plant.pump.rated_power_w
+
+    @property
     def believed_plant(self) -> PlantParameters:
         """The plant for which the controller is designed: ``nominal``, or ``plant`` without it."""
-        return self.plant if self.nominal is None else self.nominal
+        return believed_plant(self.plant) if self.nominal is None else self.nominal
+
+    @model_validator(mode="after")
+    def _with_replaced_numbers(self) -> Scenario:
+        """Make the numbers that parts of the user replace unreadable, but for the controller."""
+        names = [name for place in self.parts.chosen() for name in NUMBERS.get(place, ())]
+        update = {
+            name: replaced(value, f"plant.{name}")
+            for name in names
+            if isinstance(value := getattr(self.plant, name), Parameters)
+        }
+        if update:
+            object.__setattr__(self, "plant", self.plant.model_copy(update=update))
+        return self
 
     @field_validator("reference", mode="wrap")
     @classmethod

@@ -42,11 +42,14 @@ from kneexo.diagrams.closed_loop import (
     plant_start,
 )
 from kneexo.diagrams.controller import (
+    controller_parts,
     has_unknown_parts,
     make_controller,
 )
 from kneexo.diagrams.faults import fault_structure
+from kneexo.diagrams.plant import scenario_plant_parts
 from kneexo.diagrams.signals import SIGNALS, columns
+from kneexo.diagrams.users_part import part_key
 from kneexo.diagrams.wearer import moment_of, moment_spline
 from kneexo.errors import KneexoError
 from kneexo.law.call import argument_sizes
@@ -136,6 +139,8 @@ def structure_key(scenario: Scenario) -> str:
         del fields["load_cell"]
     if isinstance(scenario.reference, SampledReference):
         fields["reference"] = scenario.reference.kind  # the samples enter by an open input
+    if scenario.parts.chosen():
+        fields["parts"] = _users_parts_key(scenario)
     law = scenario.controller
     if isinstance(law, LawParameters):
         decision = decide(scenario)
@@ -147,6 +152,13 @@ def structure_key(scenario: Scenario) -> str:
             key = _unknown_parts(scenario).key if traced is None else traced.key
             fields["controller"] = law.sample_time_s, key
     return _key(tuple(fields.items()))
+
+
+def _users_parts_key(scenario: Scenario) -> tuple[tuple[str, str], ...]:
+    """Return the place of each part of the user, and a hash of its equations."""
+    parts = (*scenario_plant_parts(scenario), *controller_parts(scenario))
+    chosen = scenario.parts.chosen()
+    return tuple((part.name, part_key(part)) for part in parts if part.name in chosen)
 
 
 @lru_cache

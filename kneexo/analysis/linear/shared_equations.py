@@ -40,24 +40,24 @@ def set_parameters(
     """
     for path, named in values:
         system = _system(diagram, path)
-        if system is None:
+        if system is None or not named:
             continue
         subcontext = system.GetMyMutableContextFromRoot(context)
         for name, value in named.items():
             if group := re.fullmatch(r"(\d+)\[(\d+)\]", name):
                 vector = subcontext.get_mutable_numeric_parameter(int(group[1]))
                 vector.SetAtIndex(int(group[2]), value)
-            else:
+            elif hasattr(system, "set_parameter"):
                 system.set_parameter(subcontext, name, value)
+            else:  # a part of the user
+                index = system.parameter_names.index(name)
+                subcontext.get_mutable_numeric_parameter(0).SetAtIndex(index, value)
 
 
 def _system(diagram: Any, path: str) -> Any:
-    """Return the system at a path in ``diagram``.
-
-    The result is None if there is no system at the path or if it has no named parameters.
-    """
+    """Return the system at a path in ``diagram``; None if there is no system at the path."""
     for name in path.split("/"):
         if not diagram.HasSubsystemNamed(name):
             return None
         diagram = diagram.GetSubsystemByName(name)
-    return diagram if hasattr(diagram, "set_parameter") else None
+    return diagram

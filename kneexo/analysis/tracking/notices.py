@@ -25,6 +25,7 @@ from kneexo.parameters import (
     SlidingModeParameters,
     StepReference,
 )
+from kneexo.parameters.device.parts import believed_plant
 from kneexo.parameters.fields.fields import unit_of
 from kneexo.parameters.fields.quantity import Parameters
 from kneexo.parameters.labels import value_text
@@ -54,8 +55,9 @@ def omissions(scenario: Scenario) -> tuple[str, ...]:
 
     The effects of the plant come first. The tuple is empty if the model leaves out no such effect.
     """
-    plant, load, full = scenario.plant, scenario.plant.load, scenario.plant.full_order
-    controller, bus = scenario.controller, scenario.bus
+    own, controller, bus = scenario.parts.chosen(), scenario.controller, scenario.bus
+    plant = believed_plant(scenario.plant)
+    load, full = plant.load, plant.full_order
     knee = load if load.kind == "knee" else None
     friction = full is not None and full.coulomb_friction_n + full.stribeck_friction_n > 0.0
     leakage = plant.pump.leakage_m3_per_s_pa + plant.cylinder.leakage_m3_per_s_pa
@@ -78,7 +80,21 @@ def omissions(scenario: Scenario) -> tuple[str, ...]:
         "sampling": controller.kind == "smc" and controller.continuous,
         "bus": bus.velocity_unit_rad_s == 0.0 and bus.latency_samples == 0,
     }
-    return tuple(name for name, is_left_out in left_out.items() if is_left_out)
+    # Of what a part of the user computes or leaves out, kneexo knows nothing.
+    unknown = {name for place in own for name in _EFFECTS_OF[place]}
+    return tuple(name for name, is_out in left_out.items() if is_out and name not in unknown)
+
+
+_EFFECTS_OF = {
+    "cylinder": (
+        "full order of the cylinder (valves, friction, air)",
+        *("friction of the seals", "air in the oil", "leakage"),
+    ),
+    "motor": ("leakage", "lag and limits of the motor", "torque of the motor", "heat of the motor"),
+    "load": ("load on the knee", "weight of the shank", "torque of the wearer"),
+    "estimator": ("estimation of the rod's state",),
+}
+"""For each place of a part of the user, the effects that the part may compute."""
 
 
 def model_lines(scenario: Scenario, notes: Iterable[str]) -> list[str]:
@@ -252,6 +268,12 @@ def model_notices(scenario: Scenario) -> Iterator[str]:
     Raises `LinkageError` when the linkage cannot be assembled.
     """
     plant, controller = scenario.plant, scenario.controller
+    if own := scenario.parts.chosen():
+        names = ", ".join(f"{place} = {part.make.short_name}" for place, part in own.items())
+        yield f"a part of yours replaces {names}; the controller believes kneexo's numbers"
+    if {"cylinder", "load"} & own.keys():  # of whose masses kneexo knows nothing
+        yield from polynomial_notices(scenario)
+        return
     mass_kg, inertia = plant.cylinder.mass_kg, plant.knee_inertia_kg_m2
     if controller.kind == "smc":
         low, high = controller.mass_min_kg, controller.mass_max_kg

@@ -43,12 +43,11 @@ def track_metrics(scenario: Scenario) -> TrackingMetrics:
 
     As in `track_basic_metrics`, the compiled engine computes the metrics without a log.
     """
-    plant = scenario.plant
     reductions = tracking_reductions(
         settled_s(scenario),
         scenario.command_limit_rad_s,
-        plant.cylinder.pressure_rating_pa,
-        plant.pump.rated_power_w,
+        scenario.pressure_rating_pa,
+        scenario.power_rating_w,
     )
     return TrackingMetrics(**all_metrics(_values(scenario, reductions)))
 

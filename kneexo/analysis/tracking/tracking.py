@@ -153,8 +153,8 @@ def run_metrics(
         signals["hydraulic_power_w"],
         settled_s=settled_s,
         command_limit_rad_s=scenario.command_limit_rad_s,
-        pressure_rating_pa=scenario.plant.cylinder.pressure_rating_pa,
-        power_rating_w=scenario.plant.pump.rated_power_w,
+        pressure_rating_pa=scenario.pressure_rating_pa,
+        power_rating_w=scenario.power_rating_w,
     )
 
 

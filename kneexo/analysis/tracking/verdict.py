@@ -411,7 +411,7 @@ def _pressure_notices(scenario: Scenario, run: Run) -> Iterator[str]:
     """
     peak = np.max(np.abs(run["load_pressure_pa"]))
     reduced_order = scenario.plant.full_order is None and scenario.wearer.kind != "none"
-    if reduced_order and peak > scenario.plant.cylinder.pressure_rating_pa:
+    if reduced_order and peak > scenario.pressure_rating_pa:
         yield (
             f"the load pressure reaches {1e-6 * peak:.3g} MPa, because the reduced order has no "
             f"relief valves, so torques are too large; add plant: {{full_order: true}}"
@@ -472,17 +472,18 @@ class _Limit:
 
 def _limits(scenario: Scenario, run: Run) -> dict[str, _Limit]:
     """Return the limits of the command, the load pressure, the chambers and the power by name."""
-    plant, full = scenario.plant, scenario.plant.full_order
+    full = scenario.plant.full_order if scenario.parts.cylinder is None else None
     command, limit = run["motor_speed_command_rad_s"], scenario.command_limit_rad_s
-    pressure, rating = run["load_pressure_pa"], plant.cylinder.pressure_rating_pa
-    power, rated_w = run["shaft_power_w"], plant.pump.rated_power_w
+    pressure, rating = run["load_pressure_pa"], scenario.pressure_rating_pa
+    power, rated_w = run["shaft_power_w"], scenario.power_rating_w
     relief_share = math.nan
     if full is not None and "cap_pressure_pa" in run.data:
         chambers = np.maximum(run["cap_pressure_pa"], run["rod_side_pressure_pa"])
         relief_share = share_above(chambers, full.relief_pressure_pa)
     rpm, limit_rpm = to_rpm(np.max(np.abs(command))), to_rpm(limit)
     of_limit = f" of {limit_rpm:.4g}" if limit_rpm < _UNLIMITED_RPM else ""
-    mpa, rating_mpa = 1e-6 * np.max(np.abs(pressure)), 1e-6 * rating
+    of_rating = f" of {1e-6 * rating:.3g}" if rating < math.inf else ""
+    of_power = f" of {rated_w:.3g}" if rated_w < math.inf else ""
     return {
         "command": _Limit(
             saturated_share(command, limit),
@@ -491,14 +492,14 @@ def _limits(scenario: Scenario, run: Run) -> dict[str, _Limit]:
         ),
         "pressure": _Limit(
             share_above(pressure, rating),
-            f"pressure above {rating_mpa:.3g} MPa",
-            f"pressure {mpa:.2g} of {rating_mpa:.3g} MPa",
+            f"pressure above {1e-6 * rating:.3g} MPa",
+            f"pressure {1e-6 * np.max(np.abs(pressure)):.2g}{of_rating} MPa",
         ),
         "relief": _Limit(relief_share, "relief valves open", ""),
         "power": _Limit(
             share_above(power, rated_w),
             f"power above {rated_w:.3g} W",
-            f"power {np.max(np.abs(power)):.2g} of {rated_w:.3g} W",
+            f"power {np.max(np.abs(power)):.2g}{of_power} W",
         ),
         **_torque_limits(scenario, run),
     }

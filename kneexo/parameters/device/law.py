@@ -79,9 +79,12 @@ class Law:
     name in files of equal names and contents.
     """
 
+    noun = "law"
+    """What messages call the object."""
+
     def __init__(self, target: Any, name: str | None = None) -> None:
         """Wrap a law. Raises `ParameterError` if ``target`` is neither callable nor a system."""
-        self.target = _checked(target)
+        self.target = _checked(target, self.noun)
         self.name = self.written = name or _name_of(self.target)
 
     @classmethod
@@ -105,9 +108,9 @@ class Law:
             There is no such law.
         """
         place, _, path = text.rpartition(":")
-        subject = f"law {shortened(text)!r}"
+        subject = f"{cls.noun} {shortened(text)!r}"
         if not place or not path or ".py:" in place:
-            raise ParameterError(f"{subject}: must be FILE.py:NAME, such as my.py:law")
+            raise ParameterError(f"{subject}: must be FILE.py:NAME, such as my.py:{cls.noun}")
         law = cls.__new__(cls)
         law.name = text
         with user_code(f"{subject}: the file cannot be read"):
@@ -115,7 +118,7 @@ class Law:
             if is_data and not (file and file.is_relative_to(Path(directory).resolve())):
                 raise ParameterError(
                     f"{subject}: must be NAME.py:function, in a file beside or below the scenario "
-                    f"file; copy the law there, or name a law that you trust with --law"
+                    f"file; copy the {cls.noun} there, or name one that you trust in Python"
                 )
             if file is not None:
                 if not file.is_file():
@@ -129,9 +132,9 @@ class Law:
     @cached_property
     def target(self) -> Any:
         """The function, object or system; the first reading of a named law runs its file."""
-        subject, path = f"law {self.short_name!r}", self.name.rpartition(":")[2]
+        subject, path = f"{self.noun} {self.short_name!r}", self.name.rpartition(":")[2]
         if vars(self).get("file") is None:
-            return _checked(function_at(self.name, subject))
+            return _checked(function_at(self.name, subject), self.noun)
         if self.file in _importing:
             raise ParameterError(
                 f"{subject}: importing the file loads this law again; put the lines that use the "
@@ -143,7 +146,7 @@ class Law:
             known = [n for n, v in vars(module).items() if callable(v) and n[:1] != "_"]
             hint = question(close_names(path, known) or known[:4])
             raise ParameterError(f"{subject}: the file has no {shortened(path)!r}{hint}")
-        return _checked(getattr(module, path))
+        return _checked(getattr(module, path), self.noun)
 
     @cached_property
     def memo(self) -> dict[Any, Any]:
@@ -163,7 +166,7 @@ class Law:
         """
         if not self.sources:
             raise ParameterError(
-                f"law {self.short_name}: this name leads to no file with this law; give a law of a "
+                f"{self.subject}: this name leads to no file with this law; give a law of a "
                 f"file as text, FILE.py:NAME"
             )
 
@@ -183,7 +186,7 @@ class Law:
 
         The law's file is first. Empty without `file`.
         """
-        with user_code(f"law {self.short_name}: the file cannot be read"):
+        with user_code(f"{self.subject}: the file cannot be read"):
             return {} if self.file is None else _sources(self.file)
 
     @property
@@ -210,7 +213,7 @@ class Law:
         An object may hide state, so each run begins with a copy. Raises `ParameterError` for an
         object that cannot be copied.
         """
-        with user_code(f"law {self.short_name}: the object cannot be copied for a run"):
+        with user_code(f"{self.subject}: the object cannot be copied for a run"):
             return copy.deepcopy(self.target)
 
     @cached_property
@@ -245,7 +248,7 @@ class Law:
                 and (clone.get_input_port(0).get_name() != self.target.get_input_port(0).get_name())
             ):
                 raise ParameterError(
-                    f"law {self.short_name}: Drake cannot clone this system; give its class, or a "
+                    f"{self.subject}: Drake cannot clone this system; give its class, or a "
                     f"function without arguments that makes the system"
                 )
             return clone
@@ -253,27 +256,32 @@ class Law:
         failure = "the function fails" if arguments else "cannot be made without arguments"
         if id(self.target) in _making.get():
             raise ParameterError(
-                f"law {self.short_name}: the function asks for its own controller; must build the "
+                f"{self.subject}: the function asks for its own controller; must build the "
                 f"system, or ask for a controller of another kind"
             )
         token = _making.set(_making.get() | {id(self.target)})
         try:
-            with user_code(f"law {self.short_name}: {failure}"):
+            with user_code(f"{self.subject}: {failure}"):
                 system = self.target(**arguments)
         finally:
             _making.reset(token)
         if not _is_system(system):
             if isinstance(self.target, type):
                 raise ParameterError(
-                    f"law {self.short_name}: is a class, but no Drake system; give an object of "
+                    f"{self.subject}: is a class, but no Drake system; give an object of "
                     f"the class, {self.target.__name__}()"
                 )
             raise ParameterError(
-                f"law {self.short_name}: {takes} and returns "
+                f"{self.subject}: {takes} and returns "
                 f"{type(system).__name__}; must have an argument of {', '.join(LAW_INPUTS)}, or "
                 f"return a Drake system"
             )
         return system
+
+    @property
+    def subject(self) -> str:
+        """Name of the law at the beginning of messages."""
+        return f"{self.noun} {self.short_name}"
 
     @cached_property
     def short_name(self) -> str:
@@ -282,7 +290,7 @@ class Law:
 
     @property
     def _parameters(self) -> Mapping[str, inspect.Parameter]:
-        with user_code(f"law {self.short_name}: has no readable arguments"):
+        with user_code(f"{self.subject}: has no readable arguments"):
             return inspect.signature(self.target).parameters
 
     @cached_property
@@ -301,28 +309,28 @@ class Law:
                 continue
             if self.takes_scenario and name in known:
                 raise ParameterError(
-                    f"law {self.short_name}: has the arguments scenario and {name}; a function of "
+                    f"{self.subject}: has the arguments scenario and {name}; a function of "
                     f"a scenario must return a Drake system, whose ports have names such as {name}"
                 )
             if name in known:
                 names.append(name)
                 if name == "state" and default is not parameter.empty:
-                    with user_code(f"law {self.short_name}: the default of state must be numbers"):
+                    with user_code(f"{self.subject}: the default of state must be numbers"):
                         initial_state = tuple(map(float, np.atleast_1d(default)))
                     self._require_finite("state", *initial_state)
             elif name.startswith(_RESERVED):
                 raise ParameterError(
-                    f"law {self.short_name}: the argument {name!r} has a name that kneexo uses; "
+                    f"{self.subject}: the argument {name!r} has a name that kneexo uses; "
                     f"rename the argument"
                 )
             elif isinstance(default, Real) and not isinstance(default, bool):
-                with user_code(f"law {self.short_name}: the default of {name} must be a number"):
+                with user_code(f"{self.subject}: the default of {name} must be a number"):
                     gains[name] = float(default)
                 self._require_finite(name, gains[name])
             else:
                 hint = question(close_names(name, known))
                 raise ParameterError(
-                    f"law {self.short_name}: unknown argument {name!r}; must have a number as "
+                    f"{self.subject}: unknown argument {name!r}; must have a number as "
                     f"default, or a name of {', '.join(known)}{hint}"
                 )
         inputs = tuple(name for name in names if name in LAW_INPUTS)
@@ -332,7 +340,7 @@ class Law:
         for default in defaults:
             if not math.isfinite(default):
                 raise ParameterError(
-                    f"law {self.short_name}: the default {name} = {default} must be finite; give "
+                    f"{self.subject}: the default {name} = {default} must be finite; give "
                     f"the argument a number"
                 )
 
@@ -363,12 +371,13 @@ class Law:
         """Pickle the code and its values, or else the name if it leads to this law."""
         sources = tuple(self.sources.items())
         try:
-            return _unpickled, (cloudpickle.dumps(self.target), self.name, self.file, sources)
+            data = cloudpickle.dumps(self.target)
+            return _unpickled, (type(self), data, self.name, self.file, sources)
         except Exception as error:  # pickling a user's object may raise any error
             if sources:
                 return type(self).from_text, (self.name,)
             raise ParameterError(
-                f"law {self.short_name}: cannot be sent to worker processes "
+                f"{self.subject}: cannot be sent to worker processes "
                 f"({shortened(text_of(error), 100)}); give a function or the class of the system, "
                 f"or use one worker"
             ) from None
@@ -410,25 +419,29 @@ class Law:
 
 @lru_cache(maxsize=64)  # a worker process gets the same law with each unit of work
 def _unpickled(
-    data: bytes, name: str, file: Path | None, sources: tuple[tuple[str, bytes], ...]
+    kind: type[Law],
+    data: bytes,
+    name: str,
+    file: Path | None,
+    sources: tuple[tuple[str, bytes], ...],
 ) -> Law:
-    law = Law(cloudpickle.loads(data), name)
+    law = kind(cloudpickle.loads(data), name)
     law.file, law.sources = file, dict(sources)
     return law
 
 
-def _checked(target: Any) -> Any:
+def _checked(target: Any, noun: str = "law") -> Any:
     """Return the target of a law. Raise `ParameterError` for one that cannot be a law."""
     # Attributes are looked up in the type, because an object may run code at each look-up.
     if hasattr(type(target), "get_instantiation"):  # a template of Drake: its class for floats
         target = target[None]
     if not (callable(target) or _is_system(target)):
         raise ParameterError(
-            f"law = {shown_value(target)}: must be a function, a Drake system, or "
+            f"{noun} = {shown_value(target)}: must be a function, a Drake system, or "
             f"their name as text, FILE.py:NAME"
         )
     if inspect.iscoroutinefunction(target):
-        raise ParameterError(f"law = {shown_value(target)}: is async; remove the word async")
+        raise ParameterError(f"{noun} = {shown_value(target)}: is async; remove the word async")
     return target
 
 

@@ -1,0 +1,136 @@
+"""Puts a Drake leaf system of the user in the place of a leaf system of kneexo."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from pydrake.systems.framework import Diagram
+
+from diagramc import read_diagram
+from kneexo.common.ports import input_ports, output_ports, sizes
+from kneexo.diagrams.part import Part
+from kneexo.errors import ParameterError
+from kneexo.parameters.device.parts import PartParameters
+from kneexo.systems import StateVariable
+
+_EXTENSION_TOLERANCE_M = 1e-6  # of the start of an object, which cannot be told where to start
+
+
+def users_part(
+    chosen: PartParameters,
+    replaced: Part,
+    template: Callable[[], Any],
+    begin: Callable[[], dict[str, Any]],
+    scenario: Any,
+    *,
+    period_s: float | None = None,
+) -> Part:
+    """Return the part of the user that takes a place.
+
+    Parameters
+    ----------
+    chosen
+        The part of the user.
+    replaced
+        kneexo's own part, whose name and wires the user's part gets.
+    template
+        Function that returns a leaf system with the ports of kneexo's own part.
+    begin
+        Function that returns what a function of the user gets as ``start``.
+    scenario
+        What a function of the user gets as ``scenario``.
+    period_s
+        Sample time in s that a sampled part must have; None: the part must be continuous.
+
+    Raises
+    ------
+    ParameterError
+        The system has other ports, other kinds of states, or another start.
+    """
+    place, start = replaced.name, begin()
+    subject = f"parts.{place}: {chosen.make.short_name}"
+
+    def make(**fault: Any) -> Any:
+        if fault:
+            raise ParameterError(
+                f"{subject}: a fault changes {', '.join(fault['fault_names'])}, but "
+                f"a part of yours has no fault of its parameters; fail a signal"
+            )
+        return chosen.make.make({"scenario": scenario, "start": start, **chosen.values})
+
+    system = make()
+    if isinstance(system, Diagram):
+        raise ParameterError(f"{subject}: is a Diagram; must be a LeafSystem")
+    _require_ports(subject, system, template())
+    context = system.CreateDefaultContext()
+    _require_states(subject, system, context, period_s)
+    values = _values(system, context)
+    if place == "cylinder":
+        extension = system.GetOutputPort("rod_extension").Eval(context)[0]
+        wanted = start["initial_extension_m"]
+        if not abs(extension - wanted) <= _EXTENSION_TOLERANCE_M:
+            raise ParameterError(
+                f"{subject}: its rod starts at {extension:.7g} m, and the knee at {wanted:.7g} m; "
+                f"must start there: give a function with the argument start, and begin at "
+                f"start['initial_extension_m']"
+            )
+    states = context.get_continuous_state_vector().CopyToVector()
+    return replaced._replace(
+        make=make,
+        values=lambda: values,
+        states=tuple(StateVariable(f"{place}_state_{n}") for n in range(states.size)),
+        start=lambda: states,
+    )
+
+
+def part_key(part: Part) -> str:
+    """Return a hash of the equations of a part of the user.
+
+    Raises `CompilationError` if the part has no symbolic equations.
+    """
+    system = part.make()
+    return read_diagram(system, inputs=list(input_ports(system))).key
+
+
+def _require_ports(subject: str, system: Any, template: Any) -> None:
+    """Raise `ParameterError` unless a system can replace ``template``.
+
+    The system must have all outputs of the template, and may leave out inputs. Its inputs are among
+    those of the template.
+    """
+    for kind, ports in (("input", input_ports), ("output", output_ports)):
+        found, wanted = sizes(ports(system)), sizes(ports(template))
+        table = ", ".join(f"{name} ({size})" for name, size in wanted.items())
+        for name in wanted if kind == "output" else found:
+            if name not in wanted or found.get(name) != wanted[name]:
+                size = f"{name} of size {found[name]}" if name in found else f"no {name}"
+                raise ParameterError(
+                    f"{subject}: has {size} as {kind} port; {kind} ports must be of {table}"
+                )
+
+
+def _require_states(subject: str, system: Any, context: Any, period_s: float | None) -> None:
+    """Raise `ParameterError` for a sampled part where a continuous one is meant, or otherwise."""
+    continuous, groups = context.num_continuous_states(), context.num_discrete_state_groups()
+    if period_s is None and groups:
+        raise ParameterError(f"{subject}: has discrete states; this place must be continuous")
+    if period_s is not None:
+        timing = system.GetUniquePeriodicDiscreteUpdateAttribute() if groups else None
+        if continuous or (groups and (timing is None or timing.period_sec() != period_s)):
+            raise ParameterError(
+                f"{subject}: must be sampled, with one update every controller.sample_time_s = "
+                f"{period_s:g} s"
+            )
+
+
+def _values(system: Any, context: Any) -> dict[str, float]:
+    """Return the Context parameters of a leaf system, by the names that a compiled model gives."""
+    named = tuple(getattr(system, "parameter_names", ()))
+    values: dict[str, float] = {}
+    for group in range(context.num_numeric_parameter_groups()):
+        vector = context.get_numeric_parameter(group).CopyToVector()
+        is_named = group == 0 and len(named) == vector.size
+        names = named if is_named else [f"{group}[{i}]" for i in range(vector.size)]
+        values |= dict(zip(names, vector.tolist(), strict=True))
+    return values

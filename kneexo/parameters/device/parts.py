@@ -1,0 +1,166 @@
+"""Parts of the user: Drake systems in place of leaf systems of plant and controller."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping
+from functools import cache
+from typing import Any, TypeVar, cast
+
+from pydantic import model_validator
+
+from kneexo.common.user_code import user_code
+from kneexo.errors import ParameterError
+from kneexo.parameters.device.law import Law
+from kneexo.parameters.fields.quantity import Parameters, choice
+
+P = TypeVar("P", bound=Parameters)
+
+
+class PartMaker(Law):
+    """A Drake leaf system of the user, or a class or function that makes one.
+
+    A function may have the arguments ``scenario`` and ``start``, see `PartParameters`. A maker is
+    named and imported as a `Law` is.
+    """
+
+    noun = "part"
+    _last: Any = None
+
+    def make(self, arguments: Mapping[str, Any]) -> Any:
+        """Return a new Drake system.
+
+        ``arguments`` has the values of the arguments that a function may have. Raises
+        `ParameterError` if the maker makes no Drake system, or is a system that cannot be cloned.
+        """
+        if self.is_object:
+            return self.make_system()
+        subject = self.subject
+        with user_code(f"{subject}: cannot be made"):
+            known = inspect.signature(self.target).parameters
+            offered = arguments.keys() & {"scenario", "start"} - known.keys()
+            system = self.target(**{n: v for n, v in arguments.items() if n not in offered})
+        if system is self._last:
+            raise ParameterError(
+                f"{subject}: returns one system twice; must make a new one at each call"
+            )
+        self._last = system
+        if not hasattr(type(system), "CreateDefaultContext"):
+            raise ParameterError(
+                f"{subject}: returns {type(system).__name__}; must return a Drake LeafSystem"
+            )
+        return system
+
+    @property
+    def is_object(self) -> bool:
+        """Whether the user gave a system itself, and no class or function."""
+        return hasattr(type(self.target), "CreateDefaultContext")
+
+
+class PartParameters(Parameters):
+    """A Drake leaf system of the user in place of one of kneexo, with the same ports.
+
+    The system must have the output ports of the leaf system that it replaces in the scenario, and
+    read what is connected to that leaf. More states, outputs and Context parameters are welcome.
+    It must convert to symbolic Expression.
+
+    ``make`` is a system, or a class or function that makes one. A function may have the arguments
+    ``scenario``, and ``start``, the dictionary that `kneexo.diagrams.cylinder_start` returns. All
+    its other arguments are numbers, which ``values`` changes; ``--set`` and uncertainty sets reach
+    them by paths such as ``parts.cylinder.values.coulomb_n``.
+    """
+
+    make: PartMaker = choice(..., "given by the user: FILE.py:NAME of a Drake leaf system")
+    values: dict[str, float] = choice({}, "given by the user: numbers of the part, by argument")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _short_form(cls, data: Any) -> Any:
+        """Accept the maker alone in place of a mapping."""
+        return data if isinstance(data, Mapping) else {"make": data}
+
+    def __hash__(self) -> int:
+        """Return a hash of the maker and the sorted values."""
+        return hash((self.make, tuple(sorted(self.values.items()))))
+
+
+class PartsParameters(Parameters):
+    """The parts of the user in place of leaf systems of kneexo."""
+
+    cylinder: PartParameters | None = choice(None, "left out: that of plant.cylinder")
+    motor: PartParameters | None = choice(None, "left out: that of plant.pump and plant.motor")
+    load: PartParameters | None = choice(None, "left out: that of plant.load")
+    estimator: PartParameters | None = choice(None, "left out: that of estimator")
+
+    def chosen(self) -> dict[str, PartParameters]:
+        """Return the parts that there are, by the name of their place."""
+        return {name: part for name, part in vars(self).items() if part is not None}
+
+
+NUMBERS = {"cylinder": ("cylinder", "full_order"), "motor": ("pump", "motor"), "load": ("load",)}
+"""For each place of a part of the plant, the parameters of the plant that the part replaces."""
+
+
+def replaced(parameters: P, path: str) -> P:
+    """Return parameters whose numbers only the controller believes: reading one raises an error.
+
+    ``path`` is the place of the parameters in a scenario. `believed` returns them readable.
+    """
+    if is_replaced(parameters):
+        return parameters
+    kind = _replaced_kind(type(parameters), path)
+    copy = kind.__new__(kind)
+    for name in (
+        "__dict__",
+        "__pydantic_fields_set__",
+        "__pydantic_extra__",
+        "__pydantic_private__",
+    ):
+        object.__setattr__(copy, name, object.__getattribute__(parameters, name))
+    return cast(P, copy)
+
+
+def believed(parameters: P) -> P:
+    """Return parameters that can be read, also if they are `replaced`."""
+    if not is_replaced(parameters):
+        return parameters
+    kind = type(parameters).__bases__[0]
+    return cast(P, kind.model_construct(**vars(parameters)))
+
+
+_REPLACED = "Replaced"
+
+
+def is_replaced(parameters: Any) -> bool:
+    """Return whether parameters are those that a part of the user replaces."""
+    return type(parameters).__name__ == _REPLACED
+
+
+@cache
+def _replaced_kind(kind: type[Parameters], path: str) -> type[Parameters]:
+    numbers = {name for name in dir(kind) if name[:1] != "_" and name not in dir(Parameters)}
+    numbers |= {*kind.model_fields} - {"kind"}  # a kind decides the structure
+
+    def read(self: Any, name: str) -> Any:
+        if name in numbers:
+            raise ParameterError(
+                f"needs {path}.{name}, but a part of yours replaces what has this number; leave "
+                f"out the part, or ask for what needs no number of it"
+            )
+        return super(type(self), self).__getattribute__(name)
+
+    members = {
+        "__getattribute__": read,
+        "__module__": kind.__module__,
+        "__reduce__": lambda self: (replaced, (believed(self), path)),
+        "__repr_args__": lambda self: believed(self).__repr_args__(),
+    }
+    return type(_REPLACED, (kind,), members)
+
+
+def believed_plant(plant: P) -> P:
+    """Return a plant whose numbers can all be read."""
+    hidden = {n: v for n, v in vars(plant).items() if is_replaced(v)}
+    if not hidden:
+        return plant
+    return plant.model_copy(update={name: believed(value) for name, value in hidden.items()})
