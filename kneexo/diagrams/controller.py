@@ -12,12 +12,14 @@ from kneexo.common.ports import output_ports, sizes
 from kneexo.diagrams.part import Part, export_inputs, leaf_part, wire
 from kneexo.diagrams.protection import protection_parts, raw
 from kneexo.diagrams.signals import CONTROLLER_SIGNALS, LAW_OUTPUTS, PROTECTION_OUTPUTS
+from kneexo.diagrams.users_part import users_part
 from kneexo.errors import ParameterError
 from kneexo.geometry.rod_polynomial import controller_polynomial
 from kneexo.law import FunctionLaw, leaves
 from kneexo.law.decision import (
     held_command,
     known_text,
+    known_to_controller,
     law_inputs,
     remembered,
     users_law,
@@ -256,7 +258,11 @@ def _estimator_parts(scenario: Scenario) -> Iterator[Part]:
     """Yield the estimator of a scenario; yield nothing if the estimator is ``exact``."""
     estimator, sample_time = scenario.estimator, scenario.controller.sample_time_s
     position = {"measured_position": "rod_extension"}
-    if isinstance(estimator, ObserverParameters):
+    if (chosen := scenario.parts.estimator) is not None:
+        own = Part("estimator", systems.TrackingObserver, reads=position)
+        known = known_to_controller(scenario)
+        yield users_part(chosen, own, systems.TrackingObserver, dict, known, period_s=sample_time)
+    elif isinstance(estimator, ObserverParameters):
         yield Part(
             "estimator",
             lambda: systems.TrackingObserver(estimator, sample_time),

@@ -17,6 +17,7 @@ from kneexo.geometry.rod_polynomial import controller_polynomial
 from kneexo.law.leaves import HeldCommand
 from kneexo.law.trace import Trace, trace
 from kneexo.parameters import LAW_INPUTS, Law, LawParameters, Scenario
+from kneexo.parameters.device.parts import PartsParameters
 
 T = TypeVar("T")
 
@@ -135,6 +136,7 @@ def known_to_controller(scenario: Scenario) -> Scenario:
         polynomial=controller_polynomial(scenario),
         encoder=scenario.encoder,
         estimator=scenario.estimator,
+        parts=PartsParameters(estimator=scenario.parts.estimator),
         controller=scenario.controller,
         protection=scenario.protection,
     )

@@ -292,11 +292,11 @@ class Scenario(Parameters):
                 f"place = {place!r}: must be {', '.join(PartsParameters.model_fields)}; knee, "
                 f"cuff, wearer and encoder cannot be replaced, and a law enters by with_law"
             )
-        maker = PartMaker.from_text(part) if isinstance(part, str) else part
+        maker: Any = PartMaker.from_text(part) if isinstance(part, str) else part
         made = None if part is None else PartParameters(make=maker, values=dict(values))
         parts = self.parts.model_copy(update={place: made})
-        plant = believed_plant(self.plant)
-        return self.model_copy(update={"parts": parts, "plant": plant})._with_replaced_numbers()
+        update = {"parts": parts, "plant": _plant_beside(parts, believed_plant(self.plant))}
+        return self.model_copy(update=update)
 
     def with_loaded_law(self) -> Scenario:
         """Return the scenario with all gains of its law, which imports the file of the law.
@@ -396,15 +396,7 @@ class Scenario(Parameters):
 
     @model_validator(mode="after")
     def _with_replaced_numbers(self) -> Scenario:
-        """Make the numbers that parts of the user replace unreadable, but for the controller."""
-        names = [name for place in self.parts.chosen() for name in NUMBERS.get(place, ())]
-        update = {
-            name: replaced(value, f"plant.{name}")
-            for name in names
-            if isinstance(value := getattr(self.plant, name), Parameters)
-        }
-        if update:
-            object.__setattr__(self, "plant", self.plant.model_copy(update=update))
+        object.__setattr__(self, "plant", _plant_beside(self.parts, self.plant))
         return self
 
     @field_validator("reference", mode="wrap")
@@ -621,3 +613,14 @@ class Scenario(Parameters):
                 f"wearer.moment: gait has frequency_hz = {moment_hz:.6g} Hz, must be "
                 f"{knee_hz:.6g} Hz, the frequency of reference: gait"
             )
+
+
+def _plant_beside(parts: PartsParameters, plant: PlantParameters) -> PlantParameters:
+    """Return a plant in which the numbers that parts of the user replace cannot be read."""
+    names = [name for place in parts.chosen() for name in NUMBERS.get(place, ())]
+    update = {
+        name: replaced(value, f"plant.{name}")
+        for name in names
+        if isinstance(value := getattr(plant, name), Parameters)
+    }
+    return plant.model_copy(update=update) if update else plant

@@ -316,9 +316,22 @@ def scenario_start(scenario: Scenario) -> dict[str, float]:
     states start at zero. Raises `ParameterError` and `LinkageError` as `make_plant` does.
     """
     start = plant_start(scenario)
+    if scenario.parts.estimator is not None:
+        start |= _users_estimator_start(scenario)
     if has_unknown_parts(scenario):
         start |= _unknown_parts(scenario).state
     return start
+
+
+def _users_estimator_start(scenario: Scenario) -> dict[str, float]:
+    """Return the default discrete states of an estimator of the user, by their names."""
+    (part,) = (part for part in controller_parts(scenario) if part.name == "estimator")
+    state = part.make().CreateDefaultContext().get_discrete_state()
+    return {
+        f"controller/estimator.{group}[{index}]": value
+        for group in range(state.num_groups())
+        for index, value in enumerate(state.get_vector(group).CopyToVector())
+    }
 
 
 _NO_INPUTS = InputTable()

@@ -34,7 +34,11 @@ class PartMaker(Law):
         `ParameterError` if the maker makes no Drake system, or is a system that cannot be cloned.
         """
         if self.is_object:
-            return self.make_system()
+            # Drake clones a leaf system in Python by its conversions only.
+            converted = self.target.ToAutoDiffXdMaybe()
+            if converted is None:
+                return self.make_system()
+            return converted.ToScalarType[float]()
         subject = self.subject
         with user_code(f"{subject}: cannot be made"):
             known = inspect.signature(self.target).parameters
@@ -124,7 +128,7 @@ def believed(parameters: P) -> P:
     """Return parameters that can be read, also if they are `replaced`."""
     if not is_replaced(parameters):
         return parameters
-    kind = type(parameters).__bases__[0]
+    kind: Any = type(parameters).__bases__[0]
     return cast(P, kind.model_construct(**vars(parameters)))
 
 
