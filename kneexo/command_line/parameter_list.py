@@ -51,7 +51,7 @@ def parameter_rows(
     cls = model if isinstance(model, type) else type(model)
     for name, field in cls.model_fields.items():
         default = "(required)" if field.is_required() else field.default
-        value = default if isinstance(model, type) else getattr(model, name)
+        value = default if isinstance(model, type) else vars(model)[name]
         if isinstance(value, BaseModel):
             yield from parameter_rows(value, f"{path}{name}.", all_kinds=all_kinds)
             for other in models_of(field) if all_kinds and field.discriminator else ():

@@ -138,6 +138,7 @@ def linearize(
     """
     scenario = choice.load()
     from kneexo.analysis import linearize_loop, linearize_plant
+    from kneexo.analysis.linear.plant_linearization import plant_at
     from kneexo.analysis.tracking.notices import model_lines, model_notices, wrapped
     from kneexo.analysis.tracking.verdict import loop_lines
     from kneexo.command_line.output import to_json
@@ -146,7 +147,7 @@ def linearize(
     if knee_angle is None:
         knee_angle = run_middle_deg(scenario)
     scenario.plant.knee.require_posture(knee_angle, "--knee-angle")
-    plant = linearize_plant(scenario.plant, knee_angle_deg=knee_angle)
+    plant = linearize_plant(plant_at(scenario, knee_angle), knee_angle_deg=knee_angle)
     loop = linearize_loop(scenario, knee_angle_deg=knee_angle)
     frequencies_rad_s, damping_ratios = plant.damping
     margins = asdict(loop.margins())

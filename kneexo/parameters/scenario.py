@@ -298,6 +298,14 @@ class Scenario(Parameters):
         update = {"parts": parts, "plant": _plant_beside(parts, believed_plant(self.plant))}
         return self.model_copy(update=update)
 
+    def users_code(self) -> dict[str, Law]:
+        """Return the law and the parts of the user, by their paths in the scenario."""
+        found: dict[str, Law] = {}
+        if isinstance(self.controller, LawParameters):
+            found["controller.function"] = self.controller.function
+        chosen = self.parts.chosen().items()
+        return found | {f"parts.{place}.make": part.make for place, part in chosen}
+
     def with_loaded_law(self) -> Scenario:
         """Return the scenario with all gains of its law, which imports the file of the law.
 

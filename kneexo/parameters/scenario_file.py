@@ -27,7 +27,6 @@ from kneexo.errors import OutputError, ParameterError, ScenarioError, shortened,
 from kneexo.parameters import (
     UNCERTAIN_KNEE,
     Law,
-    LawParameters,
     Scenario,
     Uncertainty,
     UncertaintySet,
@@ -147,7 +146,8 @@ def load_uncertainty(
             message = f"{place}: must be a dotted path, such as plant.cylinder.mass_kg"
             raise file_error(name, lines[place,], message)
         parts = [part for part in value.get("options") or () if isinstance(part, dict)]
-        if place == "controller.function" or any("function" in part for part in parts):
+        names_code = re.fullmatch(r"controller\.function|parts\.\w+(\.make)?", place)
+        if names_code or any({"function", "make"} & part.keys() for part in parts):
             message = f"{place}: must name no law; vary its gains, such as controller.values.gain"
             raise file_error(name, lines[place,], message)
         try:
@@ -174,30 +174,31 @@ def dump_scenario(scenario: Scenario) -> str:
 def scenario_files(
     scenario: Scenario, name: str, folder: Path | None = None
 ) -> dict[str, str | bytes]:
-    """Return a scenario file called ``name``, and the files of the law that lie beside it.
+    """Return a scenario file called ``name``, and the user's Python that lies beside it.
 
     So the folder repeats the run, also elsewhere. If ``folder``, where the files are to lie, is the
-    folder of the law, its files are there already. Raises `OutputError` if the folder has another
-    file in place of one of the law's, and no scenario file of an earlier run: a user's own code.
+    folder of a law or part, its files are there already. Raises `OutputError` if the folder has
+    another file in place of one of these, and no scenario file of an earlier run: a user's own
+    code.
     """
-    controller = scenario.controller
-    if not isinstance(controller, LawParameters) or not controller.function.sources:
-        return {name: dump_scenario(scenario)}
-    law = controller.function
-    file = next(iter(law.sources))
-    is_there = folder is not None and law.file == Path(folder, file).resolve()
-    if folder is not None and not is_there and not Path(folder, name).exists():
-        for source, content in law.sources.items():
-            other = Path(folder, source)
-            if other.exists() and not (other.is_file() and other.read_bytes() == content):
-                raise OutputError(
-                    f"--out {shown(folder)}: has another {source} than law {law.short_name}; "
-                    f"choose a new folder"
-                )
-    copy = Law(law.target, f"{file}:{law.name.rpartition(':')[2]}")
-    controller = controller.model_copy(update={"function": copy})
-    text = dump_scenario(scenario.model_copy(update={"controller": controller}))
-    return {name: text, **({} if is_there else law.sources)}
+    others: dict[str, str | bytes] = {}
+    for path, code in scenario.users_code().items():
+        if not code.sources:
+            continue
+        file = next(iter(code.sources))
+        is_there = folder is not None and code.file == Path(folder, file).resolve()
+        if folder is not None and not is_there and not Path(folder, name).exists():
+            for source, content in code.sources.items():
+                other = Path(folder, source)
+                if other.exists() and not (other.is_file() and other.read_bytes() == content):
+                    raise OutputError(
+                        f"--out {shown(folder)}: has another {source} than {code.subject}; choose "
+                        f"a new folder"
+                    )
+        copy = type(code)(code.target, f"{file}:{code.name.rpartition(':')[2]}")
+        scenario = scenario.changed({path: copy})
+        others |= {} if is_there else code.sources
+    return {name: dump_scenario(scenario), **others}
 
 
 def read_value(name: str, text: str) -> Any:
@@ -335,7 +336,7 @@ def _read(name: str, text: str) -> tuple[dict[str, Any], dict[_Path, int]]:
 def _dumped(parameters: Parameters, indent: str) -> Iterator[str]:
     """Yield the YAML lines of ``parameters``. Nested parameters are indented by two more spaces."""
     for name, field in type(parameters).model_fields.items():
-        value = getattr(parameters, name)
+        value = vars(parameters)[name]  # a replaced number too
         notes = (_note(field), source_of(field) if value is None else "")
         comment = f"  # {note}" if (note := "; ".join(filter(None, notes))) else ""
         if isinstance(value, Parameters):

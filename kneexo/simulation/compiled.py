@@ -275,21 +275,24 @@ def _read_controller(scenario: Scenario) -> _UnknownParts:
     )
 
 
-def law_key(scenario: Scenario) -> str | None:
-    """Return a text by which a later process recognizes the law of the user in a scenario.
+def users_code_key(scenario: Scenario) -> str | None:
+    """Return a text by which a later process recognizes law and parts of the user in a scenario.
 
-    A compiled law is known by its equations. A law that is called as Python is known by the files
+    A part is known by its equations and numbers. A compiled law is known by its equations. A law that is called as Python is known by the files
     of its code, and by the commands that it gives at some points, because the values that it reads
     may come from elsewhere. Returns None for a law whose name in a file does not lead to it.
     """
-    law = users_law(scenario)
-    code = f"{law.digest} {law.name.rpartition(':')[2]}"
+    laws = scenario.users_code().values()
+    code = " ".join(f"{law.digest} {law.name.rpartition(':')[2]}" for law in laws)
     try:
+        parts = repr(scenario_values(scenario)) if scenario.parts.chosen() else ""
         if why_python(scenario):
-            return f"{code} {commands_at_points(scenario)}" if law.digest else None
-        if law.is_system:
-            return repr(_unknown_parts(scenario))
-        return structure_key(scenario)
+            law = users_law(scenario)
+            points = f"{law.name.rpartition(':')[2]} {commands_at_points(scenario)}"
+            return f"{law.digest} {points}{parts}" if law.digest else None
+        if has_unknown_parts(scenario):
+            return f"{_unknown_parts(scenario)!r}{parts}"
+        return f"{structure_key(scenario)}{parts}"
     except KneexoError as error:  # the run will fail alike
         return f"{code} {error}"
 

@@ -17,8 +17,8 @@ from pydantic import BaseModel
 from kneexo.common.files.locking import LockedFile
 from kneexo.common.files.reading import MIB
 from kneexo.errors import KneexoError, OutputError, shown
-from kneexo.parameters import LawParameters, Scenario
-from kneexo.simulation.compiled import law_key
+from kneexo.parameters import Scenario
+from kneexo.simulation.compiled import users_code_key
 from kneexo.version import __version__
 
 _MOST_BYTES = 4096 * MIB  # the results of some million runs
@@ -162,7 +162,7 @@ def piece_keys(function: Any, items: Iterable[Any]) -> list[str]:
 
     The key is a digest of kneexo's version, the function with its bound arguments, and the item.
     Raises `UnknownLawError` for an item with a law that another process cannot recognize: see
-    `kneexo.simulation.compiled.law_key`.
+    `kneexo.simulation.compiled.users_code_key`.
     """
     shared = hashlib.sha256(_text([__version__, function]))
     keys = []
@@ -179,14 +179,15 @@ def _text(value: Any) -> bytes:
 
 def _plain(value: Any) -> Any:
     """Return JSON-compatible data that stands for a value that JSON cannot write."""
-    if isinstance(value, Scenario) and isinstance(value.controller, LawParameters):
-        if (key := law_key(value)) is None:
+    if isinstance(value, Scenario) and (code := value.users_code()):
+        if (key := users_code_key(value)) is None:
             raise UnknownLawError(
-                f"law {value.controller.function.short_name}: it is called as Python, and its name "
+                f"{code['controller.function'].subject}: it is called as Python, and its name "
                 f"in no file leads to it, so a later run cannot recognize it and no finished "
                 f"pieces are kept"
             )
-        numbers = value.model_dump_json(exclude={"controller": {"function"}})
+        makers = {place: {"make"} for place in value.parts.chosen()}
+        numbers = value.model_dump_json(exclude={"controller": {"function"}, "parts": makers})
         # The key has the equations of the law, not its text: a law that is written otherwise finds
         # its pieces again, and the same text that reads other values does not.
         return [type(value).__name__, numbers, key]

@@ -34,7 +34,7 @@ from kneexo.parameters import (
     StepReference,
 )
 from kneexo.parameters.scenario import require_scenario
-from kneexo.simulation.compiled import law_key, structure_key
+from kneexo.simulation.compiled import structure_key, users_code_key
 
 _NO_LIMIT = 1e12
 """A speed or an acceleration that no motor reaches, in rad/s or rad/s²."""
@@ -109,7 +109,7 @@ def _shared_equations(scenario: Scenario, law: LawTangent | None) -> DiagramEqua
     if law is not None:  # such laws share a structure, but for the numbers of states
         return recent_equations.of(f"{key} {law.sizes}", read)
     if has_unknown_parts(scenario):  # whose Context parameters cannot be set by name
-        key += f"{known_text(scenario)} {law_key(scenario)}"
+        key += f"{known_text(scenario)} {users_code_key(scenario)}"
     return recent_equations.of(key, read)
 
 

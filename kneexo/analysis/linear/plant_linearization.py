@@ -20,7 +20,7 @@ from kneexo.common.result import Array, Result
 from kneexo.diagrams import SIGNALS, make_plant
 from kneexo.diagrams.plant import plant_parts
 from kneexo.errors import LinearizationError, NoEquilibriumError
-from kneexo.parameters import PlantParameters
+from kneexo.parameters import PlantParameters, Scenario
 from kneexo.parameters.fields.quantity import require_object
 from kneexo.simulation.compiled import structure
 
@@ -55,6 +55,18 @@ class OperatingPoint(Result):
             f"{_rounded(1e-6 * self.load_pressure_pa):.4g} MPa, "
             f"rod force {_rounded(self.rod_force_n):.4g} N"
         )
+
+
+def plant_at(scenario: Scenario, knee_angle_deg: float) -> PlantParameters | Diagram:
+    """Return the plant of a scenario for `linearize_plant`: a diagram, if it has parts of the user.
+
+    The diagram starts at a knee angle in deg. Raises the errors of `make_plant`.
+    """
+    if not scenario.parts.chosen():
+        return scenario.plant
+    angle_rad, parts = math.radians(knee_angle_deg), scenario.parts
+    plant = scenario.plant.without_temperatures()
+    return make_plant(plant, initial_knee_angle_rad=angle_rad, parts=parts, scenario=scenario)
 
 
 def _rounded(value: float) -> float:
