@@ -300,10 +300,11 @@ class ScenarioChoice:
                 f"leave out one of them"
             )
         scenario = scenario.with_engine(self.engine)
-        law = scenario.controller.function if scenario.controller.kind == "law" else None
-        if law is not None and (runs_law or law.is_loaded):
-            sys.stderr.write(f"kneexo: runs Python of {shown(law.short_name.rpartition(':')[0])}\n")
-            scenario = scenario.with_loaded_law()
+        for code in scenario.users_code().values():
+            if runs_law or code.is_loaded:
+                place = shown(code.short_name.rpartition(":")[0])
+                sys.stderr.write(f"kneexo: runs Python of {place}\n")
+                scenario = scenario.with_loaded_law()
         return scenario
 
 

@@ -29,11 +29,9 @@ from kneexo.parameters import (
 )
 from kneexo.parameters.device.parts import (
     PartsParameters,
-    believed,
-    believed_plant,
-    is_replaced,
 )
 from kneexo.parameters.fields.quantity import require_object
+from kneexo.parameters.fields.replaced import believed, is_replaced
 from kneexo.systems import (
     bldc_pump,
     bypass_valve,
@@ -198,7 +196,7 @@ def plant_parts(
         extension, force = _start_extension_and_force(
             parameters, initial_knee_angle_rad, initial_offset_m, rod_polynomial, users_load
         )
-        return _cylinder_arguments(believed_plant(parameters), extension, force)
+        return _cylinder_arguments(believed(parameters), extension, force)
 
     def make_load(start: dict[str, Any]) -> Any:
         assert parts.load is not None

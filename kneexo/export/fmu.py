@@ -30,6 +30,7 @@ from kneexo.geometry.rod_polynomial import completed
 from kneexo.parameters import Scenario, SlidingModeParameters
 from kneexo.parameters.fields.fields import limits_of, source_of as provenance_of
 from kneexo.parameters.fields.quantity import Parameters
+from kneexo.parameters.fields.replaced import is_replaced
 from kneexo.parameters.paths import changed, value_at
 from kneexo.simulation.compiled import scenario_start, scenario_values, structure_key
 from kneexo.systems import knee_reference
@@ -267,6 +268,8 @@ def _numbers(parameters: Parameters, path: str = "") -> Iterator[tuple[str, floa
 
     A number in a tuple has the path ``name[index]``, and the other values to try are whole tuples.
     """
+    if is_replaced(parameters):
+        return
     for name, field in type(parameters).model_fields.items():
         value = getattr(parameters, name)
         if isinstance(value, Parameters):

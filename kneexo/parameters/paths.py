@@ -9,6 +9,7 @@ from pydantic import BaseModel
 
 from kneexo.parameters.fields.fields import models_of
 from kneexo.parameters.fields.quantity import Parameters
+from kneexo.parameters.fields.replaced import believed, is_replaced
 from kneexo.parameters.scenario import Scenario
 
 _Changed = TypeVar("_Changed", bound=Parameters)
@@ -18,7 +19,7 @@ def value_at(parameters: Parameters, path: str) -> Any:
     """Return the value at a dotted path, or None if the parameters have no such path."""
     value: Any = parameters
     for name in path.split("."):
-        value = getattr(value, name, None)
+        value = getattr(believed(value), name, None)
     return value
 
 
@@ -31,11 +32,14 @@ def changed(scenario: _Changed, values: Mapping[str, Any]) -> _Changed:
 
 
 def has_path(scenario: Scenario, path: str) -> bool:
-    """Return True if ``scenario``, with its present parts, has a value at a dotted path."""
+    """Return True if ``scenario``, with its present parts, has a value at a dotted path.
+
+    A scenario does not have the numbers that a part of the user replaces.
+    """
     holder: Any = scenario
     for name in path.split("."):
         values = vars(holder) if isinstance(holder, Parameters) else holder
-        if not isinstance(values, dict) or name not in values:
+        if is_replaced(holder) or not isinstance(values, dict) or name not in values:
             return False
         holder = values[name]
     return True

@@ -25,9 +25,6 @@ from kneexo.parameters.device.parts import (
     PartMaker,
     PartParameters,
     PartsParameters,
-    believed_plant,
-    is_replaced,
-    replaced,
 )
 from kneexo.parameters.device.plant import RPM, PlantParameters, RodPolynomialParameters
 from kneexo.parameters.device.protection import ProtectionParameters
@@ -35,6 +32,7 @@ from kneexo.parameters.device.torque import LoadCellParameters, TorqueParameters
 from kneexo.parameters.fields.fields import Words
 from kneexo.parameters.fields.names import searched_for_names
 from kneexo.parameters.fields.quantity import Parameters, choice, quantity, require_object
+from kneexo.parameters.fields.replaced import believed, is_replaced, replaced
 from kneexo.parameters.presets import PRESETS, with_preset
 from kneexo.parameters.task.fault import OPERATOR_INPUTS, FaultParameters
 from kneexo.parameters.task.push import PushParameters
@@ -295,7 +293,7 @@ class Scenario(Parameters):
         maker: Any = PartMaker.from_text(part) if isinstance(part, str) else part
         made = None if part is None else PartParameters(make=maker, values=dict(values))
         parts = self.parts.model_copy(update={place: made})
-        update = {"parts": parts, "plant": _plant_beside(parts, believed_plant(self.plant))}
+        update = {"parts": parts, "plant": _plant_beside(parts, believed(self.plant))}
         return self.model_copy(update=update)
 
     def users_code(self) -> dict[str, Law]:
@@ -400,7 +398,7 @@ class Scenario(Parameters):
     @property
     def believed_plant(self) -> PlantParameters:
         """The plant for which the controller is designed: ``nominal``, or ``plant`` without it."""
-        return believed_plant(self.plant) if self.nominal is None else self.nominal
+        return believed(self.plant) if self.nominal is None else self.nominal
 
     @model_validator(mode="after")
     def _with_replaced_numbers(self) -> Scenario:

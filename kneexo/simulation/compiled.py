@@ -278,9 +278,10 @@ def _read_controller(scenario: Scenario) -> _UnknownParts:
 def users_code_key(scenario: Scenario) -> str | None:
     """Return a text by which a later process recognizes law and parts of the user in a scenario.
 
-    A part is known by its equations and numbers. A compiled law is known by its equations. A law that is called as Python is known by the files
-    of its code, and by the commands that it gives at some points, because the values that it reads
-    may come from elsewhere. Returns None for a law whose name in a file does not lead to it.
+    A part is known by its equations and numbers. A compiled law is known by its equations. A law
+    that is called as Python is known by the files of its code, and by the commands that it gives at
+    some points, because the values that it reads may come from elsewhere. Returns None for a law
+    whose name in a file does not lead to it.
     """
     laws = scenario.users_code().values()
     code = " ".join(f"{law.digest} {law.name.rpartition(':')[2]}" for law in laws)

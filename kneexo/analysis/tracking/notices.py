@@ -25,9 +25,9 @@ from kneexo.parameters import (
     SlidingModeParameters,
     StepReference,
 )
-from kneexo.parameters.device.parts import believed_plant
 from kneexo.parameters.fields.fields import unit_of
 from kneexo.parameters.fields.quantity import Parameters
+from kneexo.parameters.fields.replaced import believed
 from kneexo.parameters.labels import value_text
 from kneexo.systems.knee_reference import run_middle_deg, run_range_deg
 
@@ -56,7 +56,7 @@ def omissions(scenario: Scenario) -> tuple[str, ...]:
     The effects of the plant come first. The tuple is empty if the model leaves out no such effect.
     """
     own, controller, bus = scenario.parts.chosen(), scenario.controller, scenario.bus
-    plant = believed_plant(scenario.plant)
+    plant = believed(scenario.plant)
     load, full = plant.load, plant.full_order
     knee = load if load.kind == "knee" else None
     friction = full is not None and full.coulomb_friction_n + full.stribeck_friction_n > 0.0

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Mapping
-from functools import cache
-from typing import Any, TypeVar, cast
+from typing import Any
 
 from pydantic import model_validator
 
@@ -13,8 +12,6 @@ from kneexo.common.user_code import user_code
 from kneexo.errors import ParameterError
 from kneexo.parameters.device.law import Law
 from kneexo.parameters.fields.quantity import Parameters, choice
-
-P = TypeVar("P", bound=Parameters)
 
 
 class PartMaker(Law):
@@ -103,68 +100,3 @@ class PartsParameters(Parameters):
 
 NUMBERS = {"cylinder": ("cylinder", "full_order"), "motor": ("pump", "motor"), "load": ("load",)}
 """For each place of a part of the plant, the parameters of the plant that the part replaces."""
-
-
-def replaced(parameters: P, path: str) -> P:
-    """Return parameters whose numbers only the controller believes: reading one raises an error.
-
-    ``path`` is the place of the parameters in a scenario. `believed` returns them readable.
-    """
-    if is_replaced(parameters):
-        return parameters
-    kind = _replaced_kind(type(parameters), path)
-    copy = kind.__new__(kind)
-    for name in (
-        "__dict__",
-        "__pydantic_fields_set__",
-        "__pydantic_extra__",
-        "__pydantic_private__",
-    ):
-        object.__setattr__(copy, name, object.__getattribute__(parameters, name))
-    return cast(P, copy)
-
-
-def believed(parameters: P) -> P:
-    """Return parameters that can be read, also if they are `replaced`."""
-    if not is_replaced(parameters):
-        return parameters
-    kind: Any = type(parameters).__bases__[0]
-    return cast(P, kind.model_construct(**vars(parameters)))
-
-
-_REPLACED = "Replaced"
-
-
-def is_replaced(parameters: Any) -> bool:
-    """Return whether parameters are those that a part of the user replaces."""
-    return type(parameters).__name__ == _REPLACED
-
-
-@cache
-def _replaced_kind(kind: type[Parameters], path: str) -> type[Parameters]:
-    numbers = {name for name in dir(kind) if name[:1] != "_" and name not in dir(Parameters)}
-    numbers |= {*kind.model_fields} - {"kind"}  # a kind decides the structure
-
-    def read(self: Any, name: str) -> Any:
-        if name in numbers:
-            raise ParameterError(
-                f"needs {path}.{name}, but a part of yours replaces what has this number; leave "
-                f"out the part, or ask for what needs no number of it"
-            )
-        return super(type(self), self).__getattribute__(name)
-
-    members = {
-        "__getattribute__": read,
-        "__module__": kind.__module__,
-        "__reduce__": lambda self: (replaced, (believed(self), path)),
-        "__repr_args__": lambda self: believed(self).__repr_args__(),
-    }
-    return type(_REPLACED, (kind,), members)
-
-
-def believed_plant(plant: P) -> P:
-    """Return a plant whose numbers can all be read."""
-    hidden = {n: v for n, v in vars(plant).items() if is_replaced(v)}
-    if not hidden:
-        return plant
-    return plant.model_copy(update={name: believed(value) for name, value in hidden.items()})

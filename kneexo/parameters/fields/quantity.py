@@ -30,6 +30,7 @@ from kneexo.errors import ParameterError, shortened
 from kneexo.parameters.fields.fields import Words, limits_of, unit_of, words_of
 from kneexo.parameters.fields.messages import one_line, shown_value
 from kneexo.parameters.fields.names import Place, advice, frozen, unknown_attribute
+from kneexo.parameters.fields.replaced import believed, is_replaced
 
 
 def quantity(
@@ -275,7 +276,7 @@ class Parameters(BaseModel):
             )
         if (copy := self._with_numbers(values)) is not None:
             return copy
-        data = dict(vars(self))
+        data = {name: believed(value) for name, value in vars(self).items()}
         # Parts before what is in them, and a kind before its values, so that the order of the user
         # does not matter.
         for path in sorted(values, key=lambda path: (path.count("."), not path.endswith(".kind"))):
@@ -296,6 +297,8 @@ class Parameters(BaseModel):
         its field, and the validators of the changed parts must accept the copy. In all other cases
         the result is None.
         """
+        if is_replaced(self):
+            return believed(self)._with_numbers(values)
         ranges = _number_ranges(type(self))
         update: dict[str, Any] = {}
         parts: dict[str, dict[str, Any]] = {}
@@ -335,7 +338,7 @@ class Parameters(BaseModel):
             if isinstance(part, str | bool):
                 part = words_of(place.field).get(part, part)
             if isinstance(part, Parameters):  # parts without a change are not validated again
-                part = vars(part)
+                part = vars(believed(part))
             if not isinstance(part, dict):
                 wrong = tuple(path.split("."))
                 remedy = advice(type(self), wrong) or advice(

@@ -1,0 +1,74 @@
+"""Numbers that a part of the user replaces: only the controller believes and reads them."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, TypeVar, cast
+
+from pydantic import BaseModel
+
+from kneexo.errors import ParameterError
+
+P = TypeVar("P")
+
+
+def replaced(parameters: P, path: str) -> P:
+    """Return parameters whose numbers only the controller believes: reading one raises an error.
+
+    ``path`` is the place of the parameters in a scenario. `believed` returns them readable.
+    """
+    if is_replaced(parameters):
+        return parameters
+    kind: Any = _replaced_kind(cast(Any, type(parameters)), path)
+    copy = kind.__new__(kind)
+    for name in (
+        "__dict__",
+        "__pydantic_fields_set__",
+        "__pydantic_extra__",
+        "__pydantic_private__",
+    ):
+        object.__setattr__(copy, name, object.__getattribute__(parameters, name))
+    return cast(P, copy)
+
+
+def believed(parameters: P) -> P:
+    """Return a value that can be read, also if it is, or contains, parameters `replaced`."""
+    if is_replaced(parameters):
+        kind: Any = type(parameters).__bases__[0]
+        return cast(P, kind.model_construct(**vars(parameters)))
+    if not isinstance(parameters, BaseModel):
+        return parameters
+    hidden = {n: v for n, v in vars(parameters).items() if is_replaced(v)}
+    if not hidden:
+        return parameters
+    return parameters.model_copy(update={name: believed(value) for name, value in hidden.items()})
+
+
+_REPLACED = "Replaced"
+
+
+def is_replaced(parameters: Any) -> bool:
+    """Return whether parameters are those that a part of the user replaces."""
+    return type(parameters).__name__ == _REPLACED
+
+
+@cache
+def _replaced_kind(kind: type[BaseModel], path: str) -> type[BaseModel]:
+    numbers = {name for name in dir(kind) if name[:1] != "_" and name not in dir(BaseModel)}
+    numbers |= {*kind.model_fields} - {"kind"}  # a kind decides the structure
+
+    def read(self: Any, name: str) -> Any:
+        if name in numbers:
+            raise ParameterError(
+                f"needs {path}.{name}, but a part of yours replaces what has this number; leave "
+                f"out the part, or ask for what needs no number of it"
+            )
+        return super(type(self), self).__getattribute__(name)
+
+    members = {
+        "__getattribute__": read,
+        "__module__": kind.__module__,
+        "__reduce__": lambda self: (replaced, (believed(self), path)),
+        "__repr_args__": lambda self: believed(self).__repr_args__(),
+    }
+    return type(_REPLACED, (kind,), members)
