@@ -291,7 +291,11 @@ class Scenario(Parameters):
                 f"cuff, wearer and encoder cannot be replaced, and a law enters by with_law"
             )
         maker: Any = PartMaker.from_text(part) if isinstance(part, str) else part
-        made = None if part is None else PartParameters(make=maker, values=dict(values))
+        try:
+            made = None if part is None else PartParameters(make=maker, values=dict(values))
+        except ParameterError as error:
+            text = str(error).removeprefix("PartParameters: ").removeprefix("make: ")
+            raise ParameterError(text) from None
         parts = self.parts.model_copy(update={place: made})
         update = {"parts": parts, "plant": _plant_beside(parts, believed(self.plant))}
         return self.model_copy(update=update)

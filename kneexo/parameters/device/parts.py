@@ -41,15 +41,15 @@ class PartMaker(Law):
             known = inspect.signature(self.target).parameters
             offered = arguments.keys() & {"scenario", "start"} - known.keys()
             system = self.target(**{n: v for n, v in arguments.items() if n not in offered})
+        if not hasattr(type(system), "CreateDefaultContext"):
+            raise ParameterError(
+                f"{subject}: returns {type(system).__name__}; must return a Drake LeafSystem"
+            )
         if system is self._last:
             raise ParameterError(
                 f"{subject}: returns one system twice; must make a new one at each call"
             )
         self._last = system
-        if not hasattr(type(system), "CreateDefaultContext"):
-            raise ParameterError(
-                f"{subject}: returns {type(system).__name__}; must return a Drake LeafSystem"
-            )
         return system
 
     @property

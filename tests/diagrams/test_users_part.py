@@ -1,0 +1,251 @@
+"""A part of the user in place of a leaf system of kneexo."""
+
+import math
+import pickle
+import re
+
+import numpy as np
+import pytest
+import scipy
+from pydrake.systems.framework import BasicVector_, LeafSystem, LeafSystem_
+from pydrake.systems.scalar_conversion import TemplateSystem
+
+import kneexo as kx
+from kneexo import systems
+from kneexo.analysis import energy_balance, linearize_loop, stride_load
+from kneexo.diagrams import cylinder_start, make_closed_loop, make_plant
+from kneexo.errors import ParameterError
+from kneexo.parameters import KneeLoadParameters, Scenario
+from kneexo.parameters.scenario_file import dump_scenario, load_scenario, scenario_files
+from kneexo.simulation import simulate
+
+PAPER = Scenario().changed({"simulation.duration_s": 0.2})
+LEG = Scenario.preset("leg").changed({"simulation.duration_s": 0.2})
+
+
+@TemplateSystem.define("Rubbing_")
+def Rubbing_(T):
+    class Impl(LeafSystem_[T]):
+        """dx/dt = v, m dv/dt = A P − B v − F_c v/√(v² + v_0²), dP/dt = 4β/V (Q − A v)."""
+
+        parameter_names = ("coulomb_n",)
+
+        def _construct(self, extension_m=0.1, coulomb_n=0.0, converter=None):
+            LeafSystem_[T].__init__(self, converter)
+            self.start = extension_m, coulomb_n
+            self.flow = self.DeclareVectorInputPort("load_flow", 1)
+            self.DeclareVectorInputPort("load_force", 1)
+            self.DeclareNumericParameter(BasicVector_[T]([coulomb_n]))
+            self.DeclareContinuousState(BasicVector_[T]([extension_m, 0.0, 0.0]))
+            states = {self.all_state_ticket()}
+            for name, value in {
+                "rod_extension": lambda c: [self.x(c)[0]],
+                "rod_velocity": lambda c: [self.x(c)[1]],
+                "load_pressure": lambda c: [1e6 * self.x(c)[2]],
+                "rod_force": self.force,
+                "rod_state": lambda c: [self.x(c)[0], self.x(c)[1], self.force(c)[0] / 1.6],
+            }.items():
+                size = 3 if name == "rod_state" else 1
+                self.DeclareVectorOutputPort(
+                    name, size, lambda c, o, value=value: o.SetFromVector(value(c)), states
+                )
+
+        def _construct_copy(self, other, converter=None):
+            Impl._construct(self, *other.start, converter=converter)
+
+        def x(self, context):
+            return context.get_continuous_state_vector().CopyToVector()
+
+        def force(self, context):
+            _, v, p = self.x(context)
+            cylinder = PAPER.plant.cylinder
+            friction = context.get_numeric_parameter(0)[0] * v / (v * v + 1e-4) ** 0.5
+            return [cylinder.mean_area_m2 * 1e6 * p - cylinder.damping_n_s_per_m * v - friction]
+
+        def DoCalcTimeDerivatives(self, context, rates):
+            cylinder = PAPER.plant.cylinder
+            _, v, _ = self.x(context)
+            flow = self.flow.Eval(context)[0] - cylinder.mean_area_m2 * v
+            rate = 4e-6 * cylinder.bulk_modulus_pa / cylinder.total_volume_m3 * flow
+            rates.get_mutable_vector().SetFromVector(
+                [v, self.force(context)[0] / cylinder.mass_kg, rate]
+            )
+
+    return Impl
+
+
+def rubbing(start, coulomb_n=20.0):
+    return Rubbing_[None](start["initial_extension_m"], coulomb_n)
+
+
+OWN = {
+    "motor": (PAPER, systems.BldcPump),
+    "cylinder": (PAPER, lambda start: systems.ReducedCylinder(**start)),
+    "estimator": (PAPER, systems.TrackingObserver()),
+    "motor beside both chambers": (LEG, systems.BldcPump(LEG.plant.pump)),
+    "load beside both chambers": (LEG, systems.KneeLoad(LEG.plant.load)),
+}
+
+
+@pytest.mark.parametrize("name", OWN)
+def test_kneexos_own_leaf_as_a_part_gives_the_bits_of_the_run_without_it(name):
+    scenario, part = OWN[name]
+    expected = simulate(scenario)
+    run = simulate(scenario.with_part(name.partition(" ")[0], part))
+    assert run.columns.keys() == expected.columns.keys()
+    for column in expected.columns:
+        np.testing.assert_array_equal(run[column], expected[column])
+
+
+def test_both_engines_and_a_hand_wired_plant_have_the_part():
+    scenario = PAPER.with_part("cylinder", rubbing, values={"coulomb_n": 30.0})
+    compiled, drake = simulate(scenario), simulate(scenario.with_engine("drake"))
+    np.testing.assert_allclose(compiled["knee_angle_rad"], drake["knee_angle_rad"], atol=1e-6)
+    plant = make_plant(parts={"cylinder": rubbing})
+    context = plant.CreateDefaultContext()
+    assert plant.GetSubsystemByName("cylinder").start[1] == 20.0
+    start = plant.GetOutputPort("knee_angle").Eval(context)[0]
+    assert start == pytest.approx(math.radians(10.0), abs=1e-9)
+
+
+@pytest.mark.slow
+def test_the_friction_of_a_part_against_an_own_integration():
+    scenario = PAPER.with_part("cylinder", rubbing)
+    run = simulate(scenario.changed({"simulation.tolerance": 1e-12}))
+    cylinder, pump = PAPER.plant.cylinder, PAPER.plant.pump
+    area, stiffness = cylinder.mean_area_m2, 4 * cylinder.bulk_modulus_pa / cylinder.total_volume_m3
+    ratio = pump.displacement_m3_per_rad / pump.gear_ratio
+    state = np.array([run["rod_extension_m"][0], 0.0, 0.0, 0.0])
+
+    def rates(_, x, command):
+        force = area * x[2] - cylinder.damping_n_s_per_m * x[1]
+        force -= 20.0 * x[1] / math.sqrt(x[1] ** 2 + 1e-4)
+        oil = stiffness * (ratio * x[3] - pump.leakage_m3_per_s_pa * x[2] - area * x[1])
+        lag = (command - x[3]) / pump.lag_s
+        return [x[1], force / cylinder.mass_kg, oil, lag]
+
+    for k, command in enumerate(run["motor_speed_command_rad_s"][1:]):
+        given = (command,)
+        step = scipy.integrate.solve_ivp(
+            rates, (0.0, 0.002), state, "Radau", args=given, rtol=1e-11, atol=1e-13
+        )
+        state = step.y[:, -1]
+        assert state[0] == pytest.approx(run["rod_extension_m"][k + 1], abs=1e-8)
+
+
+def test_a_number_of_a_part_changes_its_linear_model_and_batches():
+    loops = [
+        linearize_loop(
+            Scenario().with_part("cylinder", rubbing, values={"coulomb_n": force}),
+            knee_angle_deg=40.0,
+        )
+        for force in (0.0, 20.0)
+    ]
+    without = linearize_loop(Scenario(), knee_angle_deg=40.0).margins()
+    assert loops[0].margins().gain_margin == pytest.approx(without.gain_margin, rel=1e-12)
+    assert loops[1].margins().gain_margin > 1.003 * without.gain_margin
+    path = "parts.cylinder.values.coulomb_n"
+    rows = kx.batch(PAPER.with_part("cylinder", rubbing), {path: [0.0, 20.0]}).rows
+    peaks = [row.metrics.peak_pressure_mpa for row in rows]
+    assert peaks[1] > 10.0 * peaks[0]
+
+
+def test_the_numbers_of_the_replaced_part_are_the_controllers_alone():
+    scenario = PAPER.with_part("cylinder", rubbing).changed({"plant.cylinder.mass_kg": 1.7})
+    assert scenario.believed_plant.cylinder.mass_kg == 1.7
+    copy = pickle.loads(pickle.dumps(scenario.plant))
+    for plant in (scenario.plant, copy):
+        assert "mass_kg=1.7" in repr(plant)
+        with pytest.raises(ParameterError, match=r"^needs plant\.cylinder\.mass_kg, but a part of"):
+            plant.cylinder.mass_kg  # noqa: B018
+    assert scenario.with_part("cylinder", None).plant.cylinder.mass_kg == 1.7
+    for function in (energy_balance, stride_load):
+        leg = LEG.with_part("motor", systems.BldcPump(LEG.plant.pump))
+        with pytest.raises(ParameterError, match=r"^needs plant\.pump\.\w+, but a part of yours"):
+            function(leg)
+    with pytest.raises(ParameterError, match=r"a part of yours has no fault of its parameters"):
+        make_closed_loop(
+            LEG.with_part("motor", systems.BldcPump).changed(
+                {"faults": [{"place": "plant.pump.lag_s", "kind": "value", "size": 0.02}]}
+            )
+        )
+
+
+def test_a_scenario_file_names_a_part_and_its_folder_gets_the_code(tmp_path):
+    code = "from kneexo.systems import ReducedCylinder\n"
+    code += "def make(start, stroke_m=0.2):\n    return ReducedCylinder(**start)\n"
+    (tmp_path / "own.py").write_text(code, encoding="utf-8")
+    text = "parts: {cylinder: own.py:make}\nsimulation: {duration_s: 0.1}\n"
+    (tmp_path / "my.yaml").write_text(text, encoding="utf-8")
+    scenario = load_scenario(tmp_path / "my.yaml")
+    assert not scenario.parts.cylinder.make.is_loaded
+    files = scenario_files(scenario, "scenario.yaml")
+    assert files["own.py"] == code.encode()
+    folder = tmp_path / "copy"
+    folder.mkdir()
+    for name, content in files.items():
+        (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    again = load_scenario(folder / "scenario.yaml")
+    assert again == scenario
+    assert dump_scenario(again) == files["scenario.yaml"]
+    np.testing.assert_array_equal(simulate(again).time_s, simulate(scenario).time_s)
+
+
+class Sampled(LeafSystem):
+    def __init__(self):
+        super().__init__()
+        for name in ("motor_speed_command", "load_pressure"):
+            self.DeclareVectorInputPort(name, 1)
+        state = self.DeclareDiscreteState(1)
+        for name in ("motor_speed", "load_flow", "shaft_torque", "shaft_power", "hydraulic_power"):
+            self.DeclareStateOutputPort(name, state)
+
+
+TWICE = systems.BldcPump()
+
+
+@pytest.mark.parametrize(
+    ("place", "part", "line"),
+    [
+        ("knee", rubbing, r"place = 'knee': must be cylinder, motor, load, estimator; knee, cuff"),
+        ("cylinder", 3.0, r"part = 3: must be a function, a Drake system, or their name"),
+        ("cylinder", lambda: None, r"returns NoneType; must return a Drake LeafSystem"),
+        ("motor", lambda: TWICE, r"returns one system twice; must make a new one at each call"),
+        (
+            "motor",
+            systems.KneeLoad,
+            r"parts\.motor: .*: has knee_angle of size 1 as input port",
+        ),
+        ("motor", Sampled, r"parts\.motor: .*Sampled: has discrete states; this place must be con"),
+        ("motor", lambda: make_plant(), r"parts\.motor: .*: is a Diagram; must be a LeafSystem"),
+        ("estimator", systems.BackwardDifference, None),
+        (
+            "estimator",
+            lambda: systems.TrackingObserver(sample_time_s=0.004),
+            "must be sampled",
+        ),
+        (
+            "cylinder",
+            Rubbing_[None](0.1),
+            r"its rod starts at 0\.1 m, and the knee at 0\.13",
+        ),
+        ("cylinder", lambda: systems.FullCylinder(), r"its rod starts"),
+        ("load", systems.KneeLoad, None),
+    ],
+)
+def test_a_part_that_does_not_fit_is_one_line(place, part, line):
+    if line is None:
+        make_closed_loop(PAPER.with_part(place, part))
+        return
+    with pytest.raises(ParameterError, match=line) as caught:
+        make_closed_loop(PAPER.with_part(place, part))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_load_of_the_user_is_balanced_at_the_start():
+    load = KneeLoadParameters(segment_mass_kg=2.0)
+    own = PAPER.with_part("load", lambda: systems.KneeLoad(load))
+    expected = cylinder_start(math.radians(10.0), PAPER.plant.model_copy(update={"load": load}))
+    pressure = simulate(own)["load_pressure_pa"][0]
+    assert pressure == pytest.approx(expected["initial_pressure_pa"], rel=1e-12)
+    assert re.search("a part of yours replaces load", kx.track(own).verdict.text)
