@@ -166,7 +166,16 @@ def test_the_numbers_of_the_replaced_part_are_the_controllers_alone():
     with pytest.raises(ParameterError, match=r"a part of yours has no fault of its parameters"):
         make_closed_loop(
             LEG.with_part("motor", systems.BldcPump).changed(
-                {"faults": [{"place": "plant.pump.lag_s", "kind": "value", "size": 0.02}]}
+                {
+                    "faults": [
+                        {
+                            "place": "plant.pump.lag_s",
+                            "kind": "value",
+                            "size": 0.02,
+                            "start_s": 0.05,
+                        }
+                    ]
+                }
             )
         )
 
