@@ -25,10 +25,10 @@ from pathlib import Path
 from ..errors import OutputError, shortened
 from ..files import (
     FileStatus,
-    delete_stale,
+    delete_leftovers,
     files_in,
     process_directory,
-    write_whole,
+    temporary_in,
 )
 from ..root import ROOT, variable
 
@@ -43,8 +43,7 @@ _LARGEST_LIMIT_MB = 10**9
 _TIDY_SHARE = 0.01
 _LONGEST_WARNING = 400  # characters
 # 128 bits of the hash of a key. The seal covers the whole key, so two keys of one name do no harm.
-_NAME = rf"[0-9a-f]{{32}}\.{ROOT}"
-_ENTRY = re.compile(_NAME)
+_ENTRY = re.compile(rf"[0-9a-f]{{32}}\.{ROOT}")
 
 _unwritable: set[Path] = set()
 _bytes_since_tidy: dict[Path, int] = {}  # by directory
@@ -90,7 +89,9 @@ def store(key: str, content: bytes) -> None:
     path = directory / _name(key)
     try:
         directory.mkdir(mode=0o700, parents=True, exist_ok=True)
-        write_whole(path, _header(key, content) + content)
+        with temporary_in(directory) as new:
+            (new / path.name).write_bytes(_header(key, content) + content)
+            os.replace(new / path.name, path)
     except OSError as error:
         reason = f"cannot be written ({error.strerror or error})"
         if directory == _private_directory():
@@ -110,7 +111,7 @@ def cache_entries() -> list[FileStatus]:
 
 
 def clear_cache() -> int:
-    """Delete all cache entries and the temporary files of killed processes.
+    """Delete all cache entries and the temporary directories of killed processes.
 
     Returns the number of deleted entries.
 
@@ -118,7 +119,7 @@ def clear_cache() -> int:
     """
     count = 0
     for directory in _directories():
-        delete_stale(directory, _NAME)
+        delete_leftovers(directory)
         for entry in files_in(directory, _ENTRY):
             try:
                 entry.path.unlink()
@@ -168,7 +169,7 @@ def _header(key: str, content: bytes) -> bytes:
 
 
 def _tidy(stored: Path, size_bytes: int) -> None:
-    """Delete stale files, and the least recently used entries until the rest is within the limit.
+    """Delete leftovers, and the least recently used entries until the rest is within the limit.
 
     The file ``stored``, which was just written, stays in any case. Reading a directory of thousands
     of files takes long. So a process reads it at its first store, and then once for each 1 % of the
@@ -180,7 +181,7 @@ def _tidy(stored: Path, size_bytes: int) -> None:
     if since < _TIDY_SHARE * limit:
         return
     _bytes_since_tidy[directory] = total = 0
-    delete_stale(directory, _NAME)
+    delete_leftovers(directory)
     files = files_in(directory, _ENTRY)
     for entry in sorted(files, key=lambda entry: (entry.path != stored, -entry.last_use_s)):
         total += entry.size_bytes

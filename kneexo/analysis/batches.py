@@ -13,12 +13,12 @@ from typing import Any, Literal, overload
 
 import numpy as np
 
+from diagramc import write_files
 from kneexo.analysis.tracking.reduced_tracking import track_metrics
 from kneexo.analysis.tracking.tracking import TrackingMetrics
-from kneexo.common.files.writing import write_file
 from kneexo.common.plotting import PURPLE, RED, axes_or_new
 from kneexo.common.result import Result, data_frame
-from kneexo.errors import ParameterError, close_names, failure_noted, question, shortened
+from kneexo.errors import ParameterError, close_names, failure_noted, question, shortened, shown
 from kneexo.parameters import LawParameters, Scenario
 from kneexo.parameters.paths import has_path
 from kneexo.parameters.scenario_file import as_scenario, scenario_files
@@ -65,8 +65,8 @@ class BatchRow(Result):
         if isinstance(controller := self.scenario.controller, LawParameters):
             controller.function.require_name()
         file = Path(path)
-        others: dict[str, Any] = scenario_files(self.scenario, file.name, file.parent)
-        write_file(file, others.pop(file.name).encode(), others)
+        files = scenario_files(self.scenario, file.name, file.parent)
+        write_files(file.parent, files, f"file {shown(file)}")
 
     def __str__(self) -> str:
         """Return the changed values as text, a line for each."""

@@ -22,8 +22,7 @@ from importlib import import_module
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
-from diagramc import available_cores
-from kneexo.common.interruption import interrupt_later
+from diagramc import available_cores, interrupt_later
 from kneexo.common.progress import progress_bar
 from kneexo.diagrams.law import makers_called_once
 from kneexo.errors import ParameterError, WorkerError

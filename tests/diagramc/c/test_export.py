@@ -316,14 +316,6 @@ def test_the_file_that_a_model_was_made_from_is_beside_it(tmp_path, no_targets):
     )
 
 
-def test_what_a_killed_export_left_is_deleted(folder, no_targets):
-    left = folder / ".diagramc_x1"
-    left.mkdir()
-    (left / "filter.c").write_text("")
-    export_c(low_pass(), folder, name="filter", inputs=["u0"], samples=SAMPLES)
-    assert {path.name for path in folder.iterdir()} == FILES
-
-
 @pytest.mark.parametrize("samples", [[[1.0, 2.0]], [1.0], []])
 def test_samples_of_another_shape_are_refused(tmp_path, samples):
     with pytest.raises(CompilationError, match=r"must be \(steps, 1\)"):

@@ -181,23 +181,18 @@ def test_an_interrupt_leaves_the_old_entry_and_no_temporary_file(
     assert path.read_bytes().endswith(b"code")
 
 
-def test_the_next_process_removes_stale_temporary_files_of_the_cache_alone(directory):
-    name = f".{entry_path('key').name}."
-    stale, live = directory / (name + "0" * 16), directory / (name + "1" * 16)
-    names = (".diagramc", "notes.diagramc", f"{name}0", f"{stale.name}0", f"{name[1:]}bak")
-    foreign = [directory / name for name in names]
-    for path in (stale, live, *foreign):
-        path.write_bytes(b"")
-        set_last_use(path, HOUR_S + 60.0)
-    set_last_use(live, HOUR_S - 60.0)
-    foreign.append(directory / ("0" * 32 + ".diagramc"))
-    foreign[-1].mkdir()
-    begin_process()
-    cache.store("other", b"code")
-    assert not stale.exists()
-    assert live.exists()
-    set_last_use(live, HOUR_S + 60.0)
-    assert cache.clear_cache() == 2
+def test_the_next_process_removes_what_a_killed_one_left_and_nothing_else(directory):
+    entry_path("key")
+    left = directory / ".diagramc-left"
+    foreign = [directory / name for name in (".diagramc", "notes.diagramc", "0" * 32 + ".diagramc")]
+    for path in foreign:
+        path.mkdir()
+    for end in (lambda: cache.store("other", b"code"), cache.clear_cache):
+        left.mkdir()
+        (left / "diagramc.lock").touch()
+        begin_process()
+        end()
+        assert not left.exists()
     assert sorted(directory.iterdir()) == sorted(foreign)
 
 
