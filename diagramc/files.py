@@ -7,16 +7,14 @@ left by a killed process, and a later process deletes it.
 
 from __future__ import annotations
 
-import atexit
 import fcntl
 import os
-import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import IO
 
 from .errors import OutputError, shown
 from .interruption import interrupt_later
@@ -112,6 +110,7 @@ def _write(directory: Path, files: Mapping[str, str | bytes]) -> None:
 def _replace(target: Path, new: Path, place: str) -> None:
     """Move the new files to ``target``. If a new file cannot be moved, restore the old files."""
     old = new.with_name("old")
+    old.mkdir()
     files = sorted(new.iterdir())
     for file in files:
         destination = target / file.name
@@ -181,7 +180,6 @@ def _workspace(directory: Path, stack: ExitStack) -> Path:
         with suppress(FileNotFoundError, BlockingIOError):
             lock_file(stack.enter_context((workspace / _LOCK).open("wb")))
             stack.callback(_delete, workspace)
-            (workspace / "old").mkdir()
             (workspace / "new").mkdir()
             return workspace
 
@@ -233,46 +231,3 @@ def temporary_folder(files: Mapping[str, str]) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix=f"{ROOT}-") as folder:
         _write(Path(folder), files)
         yield Path(folder)
-
-
-def process_directory() -> Path:
-    """Make a temporary directory that is deleted when this process ends.
-
-    The end of a forked process does not delete the directory. Raises `OSError` if the directory
-    cannot be made.
-    """
-    directory = Path(tempfile.mkdtemp(prefix=f"{ROOT}-"))
-    atexit.register(_delete_directory, directory, os.getpid())
-    return directory
-
-
-def _delete_directory(directory: Path, process: int) -> None:
-    if os.getpid() == process:  # not in a fork
-        shutil.rmtree(directory, ignore_errors=True)
-
-
-# ---------------------------------------------------------------------------- lists of files
-
-
-class FileStatus(NamedTuple):
-    """The path of a file, its size, and the time of its last use."""
-
-    path: Path
-    size_bytes: int
-    last_use_s: float
-    """Unix time of the last use in s. The modification time of the file records the last use."""
-
-
-def files_in(directory: Path, names: re.Pattern[str]) -> list[FileStatus]:
-    """Return the files of a directory whose whole name matches the regular expression ``names``.
-
-    A directory that cannot be read gives an empty list.
-    """
-    files = []
-    with suppress(OSError), os.scandir(directory) as items:
-        for item in items:
-            if names.fullmatch(item.name) and not item.is_dir(follow_symlinks=False):
-                with suppress(FileNotFoundError):  # another process deleted it
-                    status = item.stat(follow_symlinks=False)
-                    files.append(FileStatus(Path(item.path), status.st_size, status.st_mtime))
-    return files

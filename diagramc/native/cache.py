@@ -13,23 +13,21 @@ another user could write is never used.
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import os
 import re
+import shutil
 import stat
+import tempfile
 import warnings
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 from ..errors import OutputError, shortened
-from ..files import (
-    FileStatus,
-    delete_leftovers,
-    files_in,
-    process_directory,
-    temporary_in,
-)
+from ..files import delete_leftovers, temporary_in
 from ..root import ROOT, variable
 
 _FORMAT = f"{ROOT} code 1\n".encode()  # raise the number when the layout of the files changes
@@ -51,6 +49,15 @@ _warnings_given: set[str] = set()
 
 
 # ----------------------------------------------------------------------------- entries
+
+
+class CacheEntry(NamedTuple):
+    """The path of the file of a cache entry, its size, and the time of its last use."""
+
+    path: Path
+    size_bytes: int
+    last_use_s: float
+    """Unix time of the last use in s. The modification time of the file records the last use."""
 
 
 def load(key: str) -> bytes | None:
@@ -104,10 +111,10 @@ def store(key: str, content: bytes) -> None:
         _tidy(path, len(content))
 
 
-def cache_entries() -> list[FileStatus]:
+def cache_entries() -> list[CacheEntry]:
     """Return the files of all cache entries, the most recently used first."""
-    files = [entry for directory in _directories() for entry in files_in(directory, _ENTRY)]
-    return sorted(files, key=lambda entry: entry.last_use_s, reverse=True)
+    entries = [entry for directory in _directories() for entry in _entries_in(directory)]
+    return sorted(entries, key=lambda entry: entry.last_use_s, reverse=True)
 
 
 def clear_cache() -> int:
@@ -120,7 +127,7 @@ def clear_cache() -> int:
     count = 0
     for directory in _directories():
         delete_leftovers(directory)
-        for entry in files_in(directory, _ENTRY):
+        for entry in _entries_in(directory):
             try:
                 entry.path.unlink()
                 count += 1
@@ -168,6 +175,18 @@ def _header(key: str, content: bytes) -> bytes:
     return _FORMAT + seal.digest()
 
 
+def _entries_in(directory: Path) -> list[CacheEntry]:
+    """Return the entries of a directory; an empty list if the directory cannot be read."""
+    entries = []
+    with suppress(OSError), os.scandir(directory) as items:
+        for item in items:
+            if _ENTRY.fullmatch(item.name) and not item.is_dir(follow_symlinks=False):
+                with suppress(FileNotFoundError):  # another process deleted it
+                    status = item.stat(follow_symlinks=False)
+                    entries.append(CacheEntry(Path(item.path), status.st_size, status.st_mtime))
+    return entries
+
+
 def _tidy(stored: Path, size_bytes: int) -> None:
     """Delete leftovers, and the least recently used entries until the rest is within the limit.
 
@@ -182,8 +201,8 @@ def _tidy(stored: Path, size_bytes: int) -> None:
         return
     _bytes_since_tidy[directory] = total = 0
     delete_leftovers(directory)
-    files = files_in(directory, _ENTRY)
-    for entry in sorted(files, key=lambda entry: (entry.path != stored, -entry.last_use_s)):
+    entries = _entries_in(directory)
+    for entry in sorted(entries, key=lambda entry: (entry.path != stored, -entry.last_use_s)):
         total += entry.size_bytes
         if total > limit and entry.path != stored:
             with suppress(OSError):
@@ -245,9 +264,16 @@ def _refusal(directory: Path) -> str:
 def _private_directory() -> Path:
     """Return a directory for this process alone, which is deleted at the end of the process."""
     try:
-        return process_directory()
+        directory = Path(tempfile.mkdtemp(prefix=f"{ROOT}-"))
     except OSError:  # no temporary directory either: a path that no file can have
         return Path(os.devnull, ROOT)
+    atexit.register(_delete_directory, directory, os.getpid())
+    return directory
+
+
+def _delete_directory(directory: Path, process: int) -> None:
+    if os.getpid() == process:  # not in a fork
+        shutil.rmtree(directory, ignore_errors=True)
 
 
 def _warn_replaced(reason: str) -> None:

@@ -3,7 +3,6 @@
 import errno
 import fcntl
 import os
-import re
 import shutil
 import signal
 import stat
@@ -14,7 +13,7 @@ import tempfile
 import pytest
 
 from diagramc import OutputError, lock_file, output_directory, write_files
-from diagramc.files import files_in, require_empty, temporary_folder
+from diagramc.files import require_empty, temporary_folder
 
 NAMES = ("a.csv", "b.csv", "c.csv")
 
@@ -140,6 +139,17 @@ def test_an_interrupt_in_the_middle_comes_after_the_last_file(tmp_path, monkeypa
     assert len(list(tmp_path.iterdir())) == 3
 
 
+def test_only_an_empty_folder_is_empty(tmp_path):
+    require_empty(tmp_path / "none")
+    require_empty(tmp_path)
+    (tmp_path / "a").touch()
+    line = rf"^directory {tmp_path}: has other files and no export; choose another directory$"
+    with pytest.raises(OutputError, match=line):
+        require_empty(tmp_path)
+    with pytest.raises(OutputError, match=r"a: cannot be read \(Not a directory\); choose another"):
+        require_empty(tmp_path / "a")
+
+
 # ------------------------------------------------------------------- temporary directories
 
 
@@ -224,26 +234,3 @@ def test_a_temporary_folder_holds_the_files_and_ends_with_the_body():
     with temporary_folder({"a": "α"}) as folder:
         assert (folder / "a").read_text(encoding="utf-8") == "α"
     assert not folder.exists()
-
-
-# ---------------------------------------------------------------------------- lists of files
-
-
-def test_only_an_empty_folder_is_empty(tmp_path):
-    require_empty(tmp_path / "none")
-    require_empty(tmp_path)
-    (tmp_path / "a").touch()
-    line = rf"^directory {tmp_path}: has other files and no export; choose another directory$"
-    with pytest.raises(OutputError, match=line):
-        require_empty(tmp_path)
-    with pytest.raises(OutputError, match=r"a: cannot be read \(Not a directory\); choose another"):
-        require_empty(tmp_path / "a")
-
-
-def test_files_are_listed_by_their_whole_name(tmp_path):
-    (tmp_path / "ab").write_bytes(b"123")
-    (tmp_path / "abc").touch()
-    (tmp_path / "a").mkdir()
-    (entry,) = files_in(tmp_path, re.compile("ab?"))
-    assert (entry.path, entry.size_bytes) == (tmp_path / "ab", 3)
-    assert files_in(tmp_path / "none", re.compile(".*")) == []

@@ -261,7 +261,7 @@ def test_the_entries_used_longest_ago_go_first(monkeypatch):
 def test_a_store_reads_the_directory_once_for_each_percent_of_the_limit(monkeypatch, directory):
     monkeypatch.setenv("DIAGRAMC_CACHE_SIZE_MB", "1")
     reading = []
-    monkeypatch.setattr(cache, "files_in", lambda *which: reading.append(which[0]) or [])
+    monkeypatch.setattr(cache, "_entries_in", lambda which: reading.append(which) or [])
     counts = []
     for n in range(30):  # 1 % of 1 MiB is 10,486 bytes
         cache.store(str(n), bytes(1_000))
