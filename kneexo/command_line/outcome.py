@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from diagramc import output_directory
+from diagramc import output_directory, write_files
 from kneexo.common.progress import progress_bar
 from kneexo.errors import (
     KneexoError,
@@ -43,9 +43,11 @@ class Outcome:
     advice: str = ""
     """A line that is printed on stderr after the text, unless JSON is printed."""
     files: Mapping[str, str | bytes | Callable[[Path], object]] = field(default_factory=dict)
-    """Files of the command: from file name to content, or to a function that writes it."""
+    """Files for `Request.directory`: from file name to content, or to a function that writes it."""
     figures: Mapping[str, Figure] = field(default_factory=dict)
     """Figures by name. Each figure is written to `Request.directory` as PNG and as PDF."""
+    page: str = ""
+    """HTML text that is written to `Request.file`."""
     open_in_browser: bool = False
     """Whether the browser opens `Request.file` after the text is printed."""
 
@@ -61,7 +63,7 @@ class Request:
     directory: Path | None = None
     """The directory for `Outcome.files` and `Outcome.figures`; None if the command has none."""
     file: Path | None = None
-    """The page of a command that writes this file alone; None for other commands."""
+    """The file for `Outcome.page`; None if the command writes no page."""
     scenario: str | None = None
     """Path of the scenario file, or None without a file. Error messages begin with the path."""
     checkpoint_path: Path | None = None
@@ -81,7 +83,6 @@ class Delivery:
 
     def __init__(self, request: Request) -> None:
         self.request = request
-        self._place = shown(request.directory or request.file)
         self._checkpoint: Checkpoint | None = None
         self._unused_pieces = 0
         self._written = False
@@ -89,19 +90,23 @@ class Delivery:
     def run(self) -> int:
         """Run the command, write its files, print its text; return the exit code."""
         request = self.request
-        target = request.directory if request.file is None else request.file.parent
-        if target is None:
-            return self._print(self._outcome())
-        with output_directory(target, f"--out {self._place}", self._note_written) as directory:
-            try:
-                with request.progress():
-                    outcome = self._outcome()
-                    alone = request.progress is nullcontext
-                    _write(outcome, directory, None if alone else FILES)
-            except BaseException:  # KeyboardInterrupt too: another process may want the file
-                if self._checkpoint is not None:
-                    self._checkpoint.close()
-                raise
+        if request.directory is not None:
+            place = f"--out {shown(request.directory)}"
+            with output_directory(request.directory, place, self._note_written) as directory:
+                try:
+                    with request.progress():
+                        outcome = self._outcome()
+                        alone = request.progress is nullcontext
+                        _write(outcome, directory, None if alone else FILES)
+                except BaseException:  # KeyboardInterrupt too: another process may want the file
+                    if self._checkpoint is not None:
+                        self._checkpoint.close()
+                    raise
+        else:
+            outcome = self._outcome()
+            if (file := request.file) is not None:
+                write_files(file.parent, {file.name: outcome.page}, f"--out {shown(file)}")
+                self._note_written()
         return self._print(outcome)
 
     def interrupt_notice(self) -> str:
@@ -110,7 +115,7 @@ class Delivery:
         Without results and pieces the phrase is "nothing was written".
         """
         if self._written:
-            return f"the results are in {self._place}"
+            return f"the results are in {shown(self.request.directory or self.request.file)}"
         return self.checkpoint_notice() or "nothing was written"
 
     def checkpoint_notice(self) -> str:

@@ -95,6 +95,6 @@ def play(
         f"{shown(out)} ({size_mb:.1f} MB): {', '.join(map(shown, names))}; open it in a browser\n",
         to_json({"kneexo": __version__, "page": str(out), "scenarios": names}),
         shortened_runs,
-        files={out.name: page},
+        page=page,
         open_in_browser=browser,
     )

@@ -90,7 +90,7 @@ def view(
         f"{shown(out)}: {', '.join(map(shown, names))}; open it in a browser\n",
         to_json({"kneexo": __version__, "page": str(out), "runs": names}),
         notices,
-        files={out.name: view_page(legs)},
+        page=view_page(legs),
         open_in_browser=browser,
     )
 

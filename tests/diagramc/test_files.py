@@ -9,6 +9,8 @@ import stat
 import subprocess
 import sys
 import tempfile
+from contextlib import ExitStack
+from io import FileIO
 
 import pytest
 
@@ -180,6 +182,19 @@ def test_leftovers_of_the_dead_are_deleted_and_of_the_living_are_not(tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {mine.name, file.name, *NAMES}
 
 
+def test_an_interrupt_before_the_lock_leaves_nothing(tmp_path, monkeypatch):
+    lock = fcntl.flock
+
+    def interrupted(*arguments):
+        signal.raise_signal(signal.SIGINT)
+        lock(*arguments)
+
+    monkeypatch.setattr(fcntl, "flock", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write(tmp_path / "new")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_the_lock_of_a_workspace_is_deleted_last(tmp_path, monkeypatch):
     deleted, delete = [], shutil.rmtree
 
@@ -203,11 +218,14 @@ def test_a_directory_taken_for_a_leftover_is_made_again(tmp_path, monkeypatch):
         if len(made) == 1:
             with output_directory(tmp_path):  # another process, which deletes what nobody locks
                 assert not os.path.exists(latest)
+        elif len(made) == 3:  # another process has locked it, and is about to delete it
+            lock_file(at_work.enter_context(FileIO(f"{latest}/diagramc.lock", "wb")))
         return latest
 
     monkeypatch.setattr(tempfile, "mkdtemp", taken)
-    write(tmp_path)
-    assert len(made) == 3
+    with ExitStack() as at_work:
+        write(tmp_path)
+    assert len(made) == 4
     assert len(texts(tmp_path)) == 3
 
 
