@@ -2,6 +2,7 @@
 
 import os
 import re
+from pathlib import Path
 
 import pytest
 
@@ -16,15 +17,23 @@ from diagramc.files import (
 )
 
 
-def test_a_file_that_cannot_be_replaced_stays_and_leaves_nothing_beside_it(tmp_path, monkeypatch):
+@pytest.mark.parametrize("interrupted", ["write", "replace"])
+def test_an_interrupt_leaves_the_old_file_and_nothing_beside_it(tmp_path, monkeypatch, interrupted):
     file = tmp_path / "a"
     write_whole(file, b"old")
 
-    def fail(*_):
+    def interrupt(*_):
         raise KeyboardInterrupt
 
+    def write_a_part(path, content):
+        path.write_text("n")
+        interrupt()
+
     with monkeypatch.context() as patch:
-        patch.setattr(os, "replace", fail)
+        if interrupted == "replace":
+            patch.setattr(os, "replace", interrupt)
+        else:
+            patch.setattr(Path, "write_bytes", write_a_part)
         with pytest.raises(KeyboardInterrupt):
             write_whole(file, b"new")
     assert [path.name for path in tmp_path.iterdir()] == ["a"]

@@ -118,35 +118,12 @@ def test_elementary_functions_are_those_of_the_c_library(c_text, interpreted):
     np.testing.assert_allclose(single, expected, rtol=2e-5, atol=1e-6)
 
 
-def test_each_source_is_read_from_its_place(c_text):
-    graph = Graph()
-    kinds = {"time": 1, "parameter": 2, "state": 3, "discrete": 2, "input": 2}
-    roots = [graph.source(kind, i) for kind, size in kinds.items() for i in range(size)]
-    first = np.cumsum([0, *kinds.values()])
-    samples = {
-        kind: np.arange(start, start + size)[:, None] + 0.5
-        for start, (kind, size) in zip(first, kinds.items(), strict=False)
-    }
-    values = values_of(c_text(text_of(graph, roots)), len(roots), samples)
-    np.testing.assert_array_equal(values[:, 0], np.arange(10) + 0.5)
-
-
 def test_what_is_used_twice_is_computed_once():
     graph = Graph()
     x = graph.source("state", 0)
     root = graph.unary("sin", x)
     text = text_of(graph, [graph.add(root, x), graph.multiply(root, x)])
     assert text.count("sin(x[0])") == 1
-
-
-def test_operations_are_counted():
-    graph = Graph()
-    x, y = (graph.source("state", i) for i in range(2))
-    total = graph.add(x, y, graph.multiply(graph.constant(-1.0), x, y))
-    root = graph.divide(graph.unary("sin", total), graph.binary("max", x, y))
-    printer = CPrinter(graph, FLOAT, ())
-    printer.block([("a", root)], lambda kind, index: f"{kind}{index}")
-    assert printer.operations == {"+": 2, "*": 1, "/": 1, "sinf": 1, "max": 1}
 
 
 def test_what_depends_on_parameters_alone_is_fixed():
@@ -224,11 +201,3 @@ def test_literals(value, double, single):
         assert precision.round(float(printed.removesuffix("f"))) == precision.round(value)
         assert "." in printed
         assert printed.endswith(precision.suffix)
-
-
-def test_comments_are_ascii_and_end_once():
-    text = " ".join(comment_lines("α-β filter */ θ₄ \\ " + "word " * 40, "  "))
-    assert text.isascii()
-    assert text.count("*/") == 1
-    assert "\\" not in text
-    assert "alpha-beta filter" in text

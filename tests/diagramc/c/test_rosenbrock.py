@@ -9,8 +9,6 @@ from pydrake.systems.primitives import LinearSystem, SymbolicVectorSystem
 from scipy.integrate import solve_ivp
 
 from diagramc import read_diagram
-from diagramc.c.printer import DOUBLE
-from diagramc.c.rosenbrock import factorization, solution
 from diagramc.c.source import CSource, source_of
 from diagramc.c.vectors import recorded_vectors
 from diagramc.diagram_equations import equations_key
@@ -18,29 +16,10 @@ from diagramc.equations.equations import Equations
 from diagramc.errors import CompilationError
 from diagramc.model import CompiledModel
 from diagramc.native.machine_code import MachineCode
-from diagramc.rosenbrock import MOST_SUBSTEPS, Elimination
+from diagramc.rosenbrock import MOST_SUBSTEPS
 from diagramc.run_data import State
 
 # ---------------------------------------------------------------------------- elimination
-
-
-def executed(statements, **arrays):
-    """Execute C statements, which are Python without types and semicolons."""
-    for statement in statements:
-        exec(statement.strip().removeprefix("real ").removesuffix(";"), arrays)
-
-
-def test_the_statements_of_the_elimination_solve_a_system():
-    random = np.random.default_rng(7)
-    size = 9
-    jacobian = random.normal(size=(size, size)) * (random.random((size, size)) < 0.3)
-    elimination = Elimination([np.flatnonzero(row).tolist() for row in jacobian], 1)
-    values = [jacobian[entry] for entry in elimination.entries]
-    a, b = np.zeros(elimination.size), random.normal(size=size)
-    expected = np.linalg.solve(20.0 * np.eye(size) - jacobian, b)
-    executed(factorization(elimination, DOUBLE), jacobian=values, diagonal=20.0, a=a)
-    executed(solution(elimination, DOUBLE), a=a, b=b)
-    np.testing.assert_allclose(b, expected, rtol=1e-13)
 
 
 # ----------------------------------------------------------------------------------- runs
@@ -113,17 +92,6 @@ def test_the_error_is_that_of_the_tolerance(built):
         outputs = built(source).replay(np.zeros((4, 0)))
         errors = np.abs(outputs[:, 0] - 1.0 / np.arange(2.0, 6.0))
         assert 1e-3 * tolerance < errors.max() < 10.0 * tolerance
-
-
-def valve(g, states):
-    """A pressure that falls at 1 per second, and a valve of 1e5 1/s that keeps it above zero."""
-    opening = g.operation("max", g.negate(states[0]), g.zero)
-    return [g.add(g.constant(-1.0), g.multiply(g.constant(1e5), opening))]
-
-
-def test_a_valve_opens_within_a_tick(built):
-    outputs = built(source_with(valve, [0.25], tolerance=1e-8)).replay(np.zeros((5, 0)))
-    np.testing.assert_allclose(outputs[:, 0], [0.15, 0.05, -1e-5, -1e-5, -1e-5], atol=1e-7)
 
 
 @pytest.mark.parametrize("precision", ["double", "float"])

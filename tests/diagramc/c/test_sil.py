@@ -17,12 +17,6 @@ TICK_S, STEPS = 0.01, 40
 COUNT = 0.25
 
 
-@pytest.fixture
-def no_targets(monkeypatch):
-    """Flash and stack are not measured."""
-    monkeypatch.setattr(c_build, "TARGETS", {})
-
-
 START = 0.4
 """Angle of the motor before the first step."""
 

@@ -13,7 +13,7 @@ import pytest
 from pydrake.examples import PendulumPlant
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import DiscreteTimeDelay, Gain, Integrator
+from pydrake.systems.primitives import Gain, Integrator
 
 from diagramc import FmuParameter, Interface, export_fmu, write_fmu
 from diagramc.c import build, cross
@@ -34,17 +34,6 @@ def no_compiler(monkeypatch):
 def _pendulum(directory, **options):
     options = {"name": "pendulum", "inputs": ["tau"], "tick_s": TICK_S} | options
     return export_fmu(PendulumPlant(), directory, **options)
-
-
-def test_ports_named_by_greek_letters_have_the_names_of_the_letters(tmp_path, no_compiler):
-    builder = DiagramBuilder()
-    delay = builder.AddNamedSystem("delay", DiscreteTimeDelay(0.01, 1, 1))
-    builder.ExportInput(delay.get_input_port(), "θ")
-    builder.ExportOutput(delay.get_output_port(), "ω")
-    file = export_fmu(builder.Build(), tmp_path, name="m", inputs=["θ"])
-    assert (file.inputs, file.outputs) == (("theta",), ("omega",))
-    description = zipfile.ZipFile(file.path).read("modelDescription.xml").decode()
-    assert description.count('name="theta"') == description.count('name="omega"') == 1
 
 
 @pytest.mark.parametrize("version", [2, 3])
@@ -122,7 +111,7 @@ def _one_line(error):
     ("options", "message"),
     [
         ({"name": "a\nb"}, r"name = 'a\nb': must be a C identifier"),
-        ({"name": "fmi3"}, "name = 'fmi3': is a prefix of FMI; choose another name"),
+        ({"name": "FMI3"}, "name = 'FMI3': is a prefix of FMI; choose another name"),
         ({"version": 1}, "version = 1: must be one of 2, 3"),
         ({"version": "3"}, "version = '3': must be one of 2, 3"),
         ({"inputs": ["torque"]}, "has no input port 'torque'; it has tau"),
@@ -170,13 +159,6 @@ def test_wrong_arguments_are_one_line(options, message, tmp_path, no_compiler):
         _pendulum(tmp_path / "new", **options)
     assert message in str(error.value)
     assert _one_line(error)
-    assert not (tmp_path / "new").exists()
-
-
-def test_without_zig_nothing_is_written(tmp_path, monkeypatch):
-    monkeypatch.setattr(cross, "find_spec", lambda name: None)
-    with pytest.raises(CompilationError, match="pip install ziglang"):
-        _pendulum(tmp_path / "new", platforms="all")
     assert not (tmp_path / "new").exists()
 
 
