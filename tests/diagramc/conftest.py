@@ -394,6 +394,8 @@ def leaf():
     def make(name, construct):
         def template(T):
             class Impl(LeafSystem_[T]):
+                rates = staticmethod(lambda context, derivatives: None)  # without continuous states
+
                 def _construct(self, *, converter=None):
                     LeafSystem_[T].__init__(self, converter)
                     construct(self, T)

@@ -1,10 +1,10 @@
-"""The plan of a model in C: nodes of a step, the need for a clock, compensated sums."""
+"""The plan of a model in C: nodes of a step, compensated sums."""
 
 import pytest
 
-from diagramc.c.plan import compensated_sums
+from diagramc.c.plan import compensated_sums, step_nodes
 from diagramc.c.printer import DOUBLE, FLOAT
-from diagramc.equations.equations import Equations, Update
+from diagramc.equations.equations import Equations, Limit, Update
 
 
 def discrete_equations(next_value):
@@ -37,3 +37,12 @@ def test_a_sum_of_the_state_and_others_is_compensated_in_single_precision():
 def test_other_updates_are_not_compensated(next_value):
     equations, *_ = discrete_equations(next_value)
     assert compensated_sums(equations, FLOAT) == {}
+
+
+def test_a_step_computes_updates_limits_derivatives_and_outputs():
+    equations = Equations()
+    g = equations.graph
+    a, b, c, d, e = (g.constant(float(i)) for i in range(10, 15))
+    equations.updates = [Update(0.1, 0.0, ((0, a), (1, b)))]
+    equations.limits, equations.derivatives = [Limit("law", c)], [d]
+    assert sorted(step_nodes(equations, (e,))) == sorted([a, b, c, d, e])

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings, strategies as st
+from hypothesis import given, settings, strategies as st
 
 from diagramc.c.printer import DOUBLE, FLOAT, WIDTH, CPrinter, comment_lines, literal
 from diagramc.equations.equations import Section
@@ -68,39 +68,22 @@ def assert_same(values, expected):
     assert (bits | both).all()
 
 
-ANY_GRAPH = given(st.data(), st.integers(0, 2**32 - 1))
-
-
-def examples(count):
-    """Settings of a test with a number of random graphs, the same ones in each run."""
-    unscoped = [HealthCheck.function_scoped_fixture]
-    return settings(max_examples=count, derandomize=True, suppress_health_check=unscoped)
-
-
-@examples(3)
-@ANY_GRAPH
+@pytest.mark.parametrize("examples", [3, pytest.param(15, marks=pytest.mark.slow)])
 def test_exact_operations_have_the_bits_of_the_interpreter(
-    interpreted, random_graphs, c_text, data, seed
+    interpreted, random_graphs, c_text, examples
 ):
-    require_bits_of_the_interpreter(interpreted, random_graphs, c_text, data, seed)
+    @settings(max_examples=examples, derandomize=True)  # the same graphs in each run
+    @given(st.data(), st.integers(0, 2**32 - 1))
+    def check(data, seed):
+        graph, roots = data.draw(random_graphs.graphs(constants=ORDINARY))
+        samples = random_graphs.samples(seed, 16)
+        with np.errstate(all="ignore"):
+            values = interpreted(graph, roots, **samples)
+        expected = np.array([np.broadcast_to(v, 16) for v in values])
+        values = values_of(c_text(text_of(graph, roots)), len(roots), samples)
+        assert_same(values, expected.astype(float))
 
-
-@pytest.mark.slow
-@examples(15)
-@ANY_GRAPH
-def test_exact_operations_of_many_graphs_have_the_bits_of_the_interpreter(
-    interpreted, random_graphs, c_text, data, seed
-):
-    require_bits_of_the_interpreter(interpreted, random_graphs, c_text, data, seed)
-
-
-def require_bits_of_the_interpreter(interpreted, random_graphs, c_text, data, seed):
-    graph, roots = data.draw(random_graphs.graphs(constants=ORDINARY))
-    samples = random_graphs.samples(seed, 16)
-    with np.errstate(all="ignore"):
-        expected = np.array([np.broadcast_to(v, 16) for v in interpreted(graph, roots, **samples)])
-    values = values_of(c_text(text_of(graph, roots)), len(roots), samples)
-    assert_same(values, expected.astype(float))
+    check()
 
 
 def test_elementary_functions_are_those_of_the_c_library(c_text, interpreted):

@@ -9,6 +9,8 @@ from pydrake.systems.primitives import LinearSystem, SymbolicVectorSystem
 from scipy.integrate import solve_ivp
 
 from diagramc import read_diagram
+from diagramc.c.printer import DOUBLE
+from diagramc.c.rosenbrock import factorization, solution
 from diagramc.c.source import CSource, source_of
 from diagramc.c.vectors import recorded_vectors
 from diagramc.diagram_equations import equations_key
@@ -16,10 +18,29 @@ from diagramc.equations.equations import Equations
 from diagramc.errors import CompilationError
 from diagramc.model import CompiledModel
 from diagramc.native.machine_code import MachineCode
-from diagramc.rosenbrock import MOST_SUBSTEPS
+from diagramc.rosenbrock import MOST_SUBSTEPS, Elimination
 from diagramc.run_data import State
 
 # ---------------------------------------------------------------------------- elimination
+
+
+def executed(statements, **arrays):
+    """Execute C statements, which are Python without types and semicolons."""
+    for statement in statements:
+        exec(statement.strip().removeprefix("real ").removesuffix(";"), arrays)
+
+
+def test_the_statements_of_the_elimination_solve_a_system():
+    random = np.random.default_rng(7)
+    size = 9
+    jacobian = random.normal(size=(size, size)) * (random.random((size, size)) < 0.3)
+    elimination = Elimination([np.flatnonzero(row).tolist() for row in jacobian], 1)
+    values = [jacobian[entry] for entry in elimination.entries]
+    a, b = np.zeros(elimination.size), random.normal(size=size)
+    expected = np.linalg.solve(20.0 * np.eye(size) - jacobian, b)
+    executed(factorization(elimination, DOUBLE), jacobian=values, diagonal=20.0, a=a)
+    executed(solution(elimination, DOUBLE), a=a, b=b)
+    np.testing.assert_allclose(b, expected, rtol=1e-13)
 
 
 # ----------------------------------------------------------------------------------- runs

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pydrake.math as drake
 import pytest
-from pydrake.symbolic import Variable, cos, sin, tanh
+from pydrake.symbolic import Variable, sin, tanh
 from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import (
@@ -53,6 +53,21 @@ def nonlinear_map(period, offset, b):
             discrete.get_mutable_vector(0).SetFromVector([first, 0.4 * x + 0.2 * y])
 
         self.DeclarePeriodicDiscreteUpdateEvent(period, offset, update)
+
+    return construct
+
+
+def product(b):
+    """Y = u cos u + 0.2 b u²."""
+
+    def construct(self, T):
+        port = self.DeclareVectorInputPort("u", 1)
+
+        def output(context, y):
+            (u,) = port.Eval(context)
+            y.SetAtIndex(0, u * drake.cos(u) + 0.2 * b * u * u)
+
+        self.DeclareVectorOutputPort("y", 1, output, {port.ticket()})
 
     return construct
 
@@ -109,7 +124,7 @@ def _block(leaf, rng, kind, period, offset):
         case "gain":
             return MatrixGain([[b]])
         case "product":
-            return SymbolicVectorSystem(input=[u], output=[u * cos(u) + 0.2 * b * u * u])
+            return leaf("Product", product(b))
     return Saturation([-50.0], [50.0])
 
 
