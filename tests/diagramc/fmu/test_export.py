@@ -36,6 +36,15 @@ def _pendulum(directory, **options):
     return export_fmu(PendulumPlant(), directory, **options)
 
 
+def _drakes_pendulum():
+    """A pendulum in Drake's Simulator with a small error, and its Context."""
+    simulator = Simulator(PendulumPlant())
+    simulator.get_mutable_integrator().set_target_accuracy(1e-10)
+    context = simulator.get_mutable_context()
+    context.SetContinuousState(START)
+    return simulator, context
+
+
 @pytest.mark.parametrize("version", [2, 3])
 def test_a_diagram_follows_drake(version, tmp_path, fmu_instance):
     """Drake's RK3 with the tolerance 1e-10 against RK4 with 0.2 ms: both to 1e-9 here."""
@@ -53,10 +62,7 @@ def test_a_diagram_follows_drake(version, tmp_path, fmu_instance):
     fmu = fmu_instance(file.path)
     fmu.start(**{"initial.pendulum.theta": START[0], "pendulum.mass": 2.0, "torque_n_m": 0.5})
 
-    simulator = Simulator(PendulumPlant())
-    simulator.get_mutable_integrator().set_target_accuracy(1e-10)
-    context = simulator.get_mutable_context()
-    context.SetContinuousState(START)
+    simulator, context = _drakes_pendulum()
     context.get_mutable_numeric_parameter(0).set_mass(2.0)
     simulator.get_system().get_input_port().FixValue(context, [0.5])
     for n in range(STEPS):
@@ -305,10 +311,7 @@ def test_the_archive_of_all_platforms_is_valid_and_the_same_each_time(everywhere
 def test_each_platform_follows_drake(platform, everywhere, run_elsewhere):
     """Tolerance: 1e-8 as in `test_a_diagram_follows_drake`. The platforms agree to 1e-12."""
     rows = run_elsewhere(everywhere[0].path, platform, STEPS, TICK_S)
-    simulator = Simulator(PendulumPlant())
-    simulator.get_mutable_integrator().set_target_accuracy(1e-10)
-    context = simulator.get_mutable_context()
-    context.SetContinuousState(START)
+    simulator, context = _drakes_pendulum()
     port = simulator.get_system().get_input_port()
     expected = []
     for n in range(STEPS):
