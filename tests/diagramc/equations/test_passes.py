@@ -48,7 +48,7 @@ RESIDUES = {
 }
 
 
-@short_property_test
+@property_test
 @given(data=st.data(), seed=seeds)
 def test_regrouped_formulas_are_equal(interpreted, random_graphs, data, seed):
     kinds = ("add", "multiply", "divide", "add", "multiply", "divide", "sin", "where", "floor")

@@ -58,7 +58,7 @@ def nonlinear_map(period, offset, b):
 
 
 def product(b):
-    """Y = u cos u + 0.2 b u²."""
+    """Construct a leaf y = u cos u + 0.2 b u²."""
 
     def construct(self, T):
         port = self.DeclareVectorInputPort("u", 1)
