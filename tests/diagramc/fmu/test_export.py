@@ -118,6 +118,7 @@ def _one_line(error):
     [
         ({"name": "a\nb"}, r"name = 'a\nb': must be a C identifier"),
         ({"name": "FMI3"}, "name = 'FMI3': is a prefix of FMI; choose another name"),
+        ({"name": "fmi2", "version": 2}, "name = 'fmi2': is a prefix of FMI; choose another name"),
         ({"version": 1}, "version = 1: must be one of 2, 3"),
         ({"version": "3"}, "version = '3': must be one of 2, 3"),
         ({"inputs": ["torque"]}, "has no input port 'torque'; it has tau"),
