@@ -12,7 +12,7 @@ import pytest
 from pydrake.examples import PendulumPlant
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import DiscreteTimeDelay, Gain, Integrator
+from pydrake.systems.primitives import Gain, Integrator
 
 from diagramc import FmuParameter, Interface, export_fmu, write_fmu
 from diagramc.c import build, cross
@@ -35,15 +35,13 @@ def _pendulum(directory, **options):
     return export_fmu(PendulumPlant(), directory, **options)
 
 
-def test_ports_named_by_greek_letters_have_the_names_of_the_letters(tmp_path, no_compiler):
-    builder = DiagramBuilder()
-    delay = builder.AddNamedSystem("delay", DiscreteTimeDelay(0.01, 1, 1))
-    builder.ExportInput(delay.get_input_port(), "θ")
-    builder.ExportOutput(delay.get_output_port(), "ω")
-    file = export_fmu(builder.Build(), tmp_path, name="m", inputs=["θ"])
-    assert (file.inputs, file.outputs) == (("theta",), ("omega",))
-    description = zipfile.ZipFile(file.path).read("modelDescription.xml").decode()
-    assert description.count('name="theta"') == description.count('name="omega"') == 1
+def _drakes_pendulum():
+    """A pendulum in Drake's Simulator with a small error, and its Context."""
+    simulator = Simulator(PendulumPlant())
+    simulator.get_mutable_integrator().set_target_accuracy(1e-10)
+    context = simulator.get_mutable_context()
+    context.SetContinuousState(START)
+    return simulator, context
 
 
 @pytest.mark.parametrize("version", [2, 3])
@@ -63,10 +61,7 @@ def test_a_diagram_follows_drake(version, tmp_path, fmu_instance):
     fmu = fmu_instance(file.path)
     fmu.start(**{"initial.pendulum.theta": START[0], "pendulum.mass": 2.0, "torque_n_m": 0.5})
 
-    simulator = Simulator(PendulumPlant())
-    simulator.get_mutable_integrator().set_target_accuracy(1e-10)
-    context = simulator.get_mutable_context()
-    context.SetContinuousState(START)
+    simulator, context = _drakes_pendulum()
     context.get_mutable_numeric_parameter(0).set_mass(2.0)
     simulator.get_system().get_input_port().FixValue(context, [0.5])
     for n in range(STEPS):
@@ -121,7 +116,8 @@ def _one_line(error):
     ("options", "message"),
     [
         ({"name": "a\nb"}, r"name = 'a\nb': must be a C identifier"),
-        ({"name": "fmi3"}, "name = 'fmi3': is a prefix of FMI; choose another name"),
+        ({"name": "FMI3"}, "name = 'FMI3': is a prefix of FMI; choose another name"),
+        ({"name": "fmi2", "version": 2}, "name = 'fmi2': is a prefix of FMI; choose another name"),
         ({"version": 1}, "version = 1: must be one of 2, 3"),
         ({"version": "3"}, "version = '3': must be one of 2, 3"),
         ({"inputs": ["torque"]}, "has no input port 'torque'; it has tau"),
@@ -169,13 +165,6 @@ def test_wrong_arguments_are_one_line(options, message, tmp_path, no_compiler):
         _pendulum(tmp_path / "new", **options)
     assert message in str(error.value)
     assert _one_line(error)
-    assert not (tmp_path / "new").exists()
-
-
-def test_without_zig_nothing_is_written(tmp_path, monkeypatch):
-    monkeypatch.setattr(cross, "find_spec", lambda name: None)
-    with pytest.raises(CompilationError, match="pip install ziglang"):
-        _pendulum(tmp_path / "new", platforms="all")
     assert not (tmp_path / "new").exists()
 
 
@@ -301,10 +290,7 @@ def test_the_archive_of_all_platforms_is_valid_and_the_same_each_time(everywhere
 def test_each_platform_follows_drake(platform, everywhere, run_elsewhere):
     """Tolerance: 1e-8 as in `test_a_diagram_follows_drake`. The platforms agree to 1e-12."""
     rows = run_elsewhere(everywhere[0].path, platform, STEPS, TICK_S)
-    simulator = Simulator(PendulumPlant())
-    simulator.get_mutable_integrator().set_target_accuracy(1e-10)
-    context = simulator.get_mutable_context()
-    context.SetContinuousState(START)
+    simulator, context = _drakes_pendulum()
     port = simulator.get_system().get_input_port()
     expected = []
     for n in range(STEPS):
