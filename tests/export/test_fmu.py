@@ -728,15 +728,6 @@ def test_equal_scenarios_give_equal_files(tmp_path, path):
     assert [file.name for file in sorted(tmp_path.iterdir())] == ["b"]
 
 
-def test_an_fmu_of_ours_is_replaced(tmp_path, no_compiler):
-    file = tmp_path / "knee.fmu"
-    for fmi in (3, 2):
-        assert export_fmu(PAPER, file, "controller", fmi=fmi).path == str(file)
-    with zipfile.ZipFile(file) as archive:
-        assert "sources/knee_controller_fmi2.c" in archive.namelist()
-    assert list(tmp_path.iterdir()) == [file]
-
-
 def test_a_file_of_another_kind_stays(tmp_path, no_compiler, capsys):
     file = tmp_path / "my.yaml"
     file.write_text("{}")
