@@ -365,10 +365,6 @@ def test_encoder_phase_means_nothing_without_the_quantizer():
             r"signal 'sliding_variable' is not in this scenario; needs another controller",
         ),
         (
-            lambda: Scenario(controller=SlidingModeParameters(continuous=True)),
-            r"controller\.continuous = true needs estimator\.kind = exact, not observer",
-        ),
-        (
             lambda: Scenario(
                 controller=SlidingModeParameters(continuous=True),
                 estimator=ExactParameters(),
@@ -377,7 +373,7 @@ def test_encoder_phase_means_nothing_without_the_quantizer():
             r"bus.kind = none with latency_samples = 1 needs a discrete controller",
         ),
     ],
-    ids=["sine", "step", "unknown", "not of the pid", "continuous", "continuous can"],
+    ids=["sine", "step", "unknown", "not of the pid", "continuous can"],
 )
 def test_wrong_scenario_is_one_line(make, message):
     with pytest.raises(ParameterError, match=message) as error:

@@ -3,6 +3,7 @@ import math
 import numpy as np
 import pytest
 from hydraulics import cylinder_at as at
+from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 
 from diagramc import InputTable, compile_diagram
@@ -252,6 +253,21 @@ def test_conversions_with_a_bypass_agree_and_keep_arguments_and_changes(leaf):
     system = FullCylinder(CYLINDER, FULL, 0.06, (0.4e6, 0.7e6), PUMP_LEAKAGE, BYPASS)
     probe = leaf.Probe(system, INPUTS | {"bypass_opening": [(0.1, 0.9)]}, STATE)
     probe.check_contract(bypass_conductance_m3_per_s_pa=2e-10)
+
+
+def test_an_open_bypass_empties_both_chambers_into_the_reservoir():
+    """The heavy rod stands, so P − P_r decays with the time constant V/(β K)."""
+    system, context = bypassed(1.0)
+    simulator = Simulator(system, context)
+    simulator.get_mutable_integrator().set_target_accuracy(1e-8)
+    elapsed = 4e-5
+    simulator.AdvanceTo(elapsed)
+    pressures = system.GetOutputPort("chamber_pressures").Eval(simulator.get_context())
+    volumes = np.array([5e-6 + AREA_1 * 0.06, 5e-6 + AREA_2 * 0.09])
+    decay = np.exp(-elapsed / (volumes / (1.72e9 * 5e-10)))
+    # The rod, at 0.5 m/s² for 40 µs, displaces 1e-5 of the flow of the valve.
+    np.testing.assert_allclose(pressures - 0.2e6, [1.8e6, 0.7e6] * decay, rtol=1e-3)
+    assert decay.max() < 0.4
 
 
 def test_a_rod_that_moves_feels_a_damper_through_an_open_bypass():

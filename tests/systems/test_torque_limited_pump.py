@@ -2,7 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hydraulics import LIMIT, PUMP, PUMP_INPUTS, acceleration, output, response
+from hydraulics import LIMIT, PUMP, PUMP_INPUTS, RPM, acceleration, output, response
 
 from kneexo.parameters import MotorParameters
 from kneexo.systems import TorqueLimitedPump
@@ -11,6 +11,8 @@ LIMITED_INPUTS = PUMP_INPUTS | {"torque_off": [(0.0, 1.0)], "dynamic_brake": [(0
 
 
 DRY = {"viscous_torque_n_m_s_per_rad": 0.0}
+
+
 GEARED = 0.8e-6 / (2.0 * math.pi) / 6.0  # torque at the motor per pressure of the oil, in m³/rad
 
 
@@ -57,6 +59,16 @@ def test_random_points_meet_the_written_out_torque_current_and_voltage(leaf):
     assert limits == {"none", "supply", "current", "torque off", "brake"}
 
 
+@pytest.mark.parametrize("supply", [12.0, 18.0])
+def test_a_sagging_supply_sets_the_speed_without_load(supply):
+    """U = k_t ω + R (T_c + b ω)/k_t."""
+    (speed,) = response(limited(supply_voltage_v=supply), LIMIT, [0.5])
+    per_ohm = 0.04 / 0.15
+    expected = (supply * per_ohm - 0.01) / (0.04 * per_ohm + 1e-5)
+    assert speed == pytest.approx(expected, rel=1e-6)
+    assert speed < 0.9 * LIMIT
+
+
 def test_a_dead_motor_coasts_down_by_its_friction():
     """J dω/dt = −T_c tanh(ω/ω_0) makes sinh(ω/ω_0) decay with the rate T_c/(J ω_0)."""
     dead = MotorParameters(current_limit_a=0.0, **DRY)
@@ -81,3 +93,24 @@ def test_the_dynamic_brake_is_a_viscous_damper_that_no_limit_or_command_weakens(
     assert acceleration(pump, **values) == pytest.approx(300.0 * rate, rel=1e-12)
     released = values | {"dynamic_brake": 0.0}
     assert acceleration(pump, **released) == pytest.approx(-300.0 * 1e-5 / 2e-5)
+
+
+def test_the_oil_turns_a_braked_motor_at_the_speed_of_its_damping():
+    """Without friction ω = −D_m P_L R/(gear k_t²), 67 rpm at the relief pressure."""
+    torque = GEARED * 3.5e6
+    values = {"pressure": 3.5e6, "dynamic_brake": 1.0, "speed": -torque * 0.15 / 0.04**2}
+    assert values["speed"] == pytest.approx(-67.0 * RPM, rel=0.01)
+    rate = acceleration(limited(coulomb_torque_n_m=0.0, **DRY), **values)
+    assert rate == pytest.approx(0.0, abs=1e-12 * torque / 2e-5)
+
+
+def test_a_locked_shaft_takes_the_current_limit_and_hardly_turns():
+    """The friction of 10 N·m balances 0.6 N·m at ω_0 artanh(0.06), which is 6 rpm."""
+    (speed,) = response(limited(coulomb_torque_n_m=10.0, **DRY), LIMIT, [0.02])
+    assert speed == pytest.approx(10.0 * math.atanh(0.06), rel=1e-4)
+    assert speed < 0.002 * LIMIT
+
+
+def test_at_5000_rpm_the_brake_takes_140_a():
+    current = output(limited(), "motor_current", speed=LIMIT, dynamic_brake=1.0)
+    assert current == pytest.approx(-140.0, rel=0.01)
