@@ -261,6 +261,3 @@ def test_commands_from_exact_states_agree_with_a_second_program(four_bar, fixed_
     # The acceleration feeds the 447 Hz mode to the command: its error is 4e-6 of the peak at
     # 200 µs and 1e-7 here.
     np.testing.assert_allclose(ours[:, 1], other[:, 1], rtol=0.0, atol=3e-7 * peak)
-
-
-# ---------------------------------------------------------------------------- CAN latency
