@@ -70,11 +70,6 @@ def test_energy_is_the_integral_of_power_and_delivered_energy_leaves_out_returns
     assert m.peak_shaft_power_w == pytest.approx(1.0, abs=1e-4)
 
 
-def test_a_run_of_less_than_two_periods_is_judged_whole():
-    m = track(BRISK.changed({"simulation.duration_s": 0.7})).metrics
-    assert (m.max_error_deg, m.rms_error_deg) == (m.max_error_overall_deg, m.rms_error_overall_deg)
-
-
 def test_a_run_of_one_sample_is_refused():
     with pytest.raises(ParameterError, match="1 samples are too few"):
         track(Scenario(simulation=SimulationParameters(duration_s=1e-3)))
