@@ -21,7 +21,7 @@ from kneexo.diagrams.law import (
 )
 from kneexo.diagrams.part import Part, add_parts, leaf_part
 from kneexo.diagrams.protection import connect_protection, guarded_ports, protection_parts
-from kneexo.diagrams.signals import CONTROLLER_SIGNALS, SIGNALS
+from kneexo.diagrams.signals import CONTROLLER_SIGNALS, PROTECTION_OUTPUTS, SIGNALS
 from kneexo.errors import ParameterError
 from kneexo.geometry.rod_polynomial import controller_polynomial
 from kneexo.parameters import (
@@ -263,10 +263,24 @@ def encoder_offset_rad(scenario: Scenario) -> float:
     return phase + 0.5 * encoder.resolution_rad - encoder.mounting_error_rad
 
 
-def controller_outputs(scenario: Scenario) -> dict[str, int]:
-    """Return the size of each output port of a controller with a law of the user, by its name."""
-    return remembered(
-        users_law(scenario),
-        ("outputs", known_text(scenario)),
-        lambda: port_sizes(make_controller(scenario, held_command(scenario))),
-    )
+def controller_signals(scenario: Scenario) -> list[str]:
+    """Return the names of the further output ports of a controller: `SIGNALS`, and ``release``."""
+    if scenario.controller.kind == "law":
+        outputs = remembered(
+            users_law(scenario),
+            ("outputs", known_text(scenario)),
+            lambda: port_sizes(make_controller(scenario, held_command(scenario))),
+        )
+        names = [name for name in SIGNALS if name in CONTROLLER_SIGNALS]
+        names = [name for name in names if outputs.get(name) == len(SIGNALS[name])]
+    else:
+        names = ["measured_knee_angle", "measured_rod_extension", "rod_reference"]
+        names += _LAW_SIGNALS[scenario.controller.kind]
+        if scenario.controller.kind != "pid" and scenario.estimator.kind != "exact":
+            names.append("estimated_state")
+        names += PROTECTION_OUTPUTS if scenario.protection is not None else ()
+    return [*names, "release"] if scenario.protection is not None else names
+
+
+_LAW_SIGNALS = {"smc": ("sliding_variable",), "pid": (), "torque": ("desired_torque",)}
+"""Names of the further output ports of each control law of kneexo."""
