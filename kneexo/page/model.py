@@ -370,21 +370,8 @@ def _quantity(
     """Return a quantity that a user varies, as data. Its name is its path behind ``prefix``."""
     parent, _, name = path.rpartition(".")
     holder = value_at(parameters, parent) if parent else parameters
-    field = type(holder).model_fields[name]
-    unit, factor = slider.shown or (unit_of(field), 1.0)
-    return {
-        "name": f"{prefix}{path}",
-        "label": slider.label,
-        "unit": unit_of(field),
-        "shown_unit": unit,
-        "shown_factor": factor,
-        "low": slider.low,
-        "high": slider.high,
-        "value": getattr(holder, name),
-        "scale": slider.scale,
-        "source": provenance_of(field),
-        "help": f"range: {slider.why}",
-    }
+    field, value = type(holder).model_fields[name], getattr(holder, name)
+    return slider.quantity(f"{prefix}{path}", value, unit_of(field), provenance_of(field))
 
 
 # ----------------------------------------------------------------------------- references

@@ -58,7 +58,6 @@ def omissions(scenario: Scenario) -> tuple[str, ...]:
     controller, bus = scenario.controller, scenario.bus
     knee = load if load.kind == "knee" else None
     friction = full is not None and full.coulomb_friction_n + full.stribeck_friction_n > 0.0
-    leakage = plant.pump.leakage_m3_per_s_pa + plant.cylinder.leakage_m3_per_s_pa
     left_out = {
         "load on the knee": knee is None,
         "weight of the shank": knee is not None and knee.segment_mass_kg * knee.gravity_m_s2 == 0.0,
@@ -68,7 +67,7 @@ def omissions(scenario: Scenario) -> tuple[str, ...]:
         "full order of the cylinder (valves, friction, air)": full is None,
         "friction of the seals": full is not None and not friction,
         "air in the oil": full is not None and full.entrained_air == 0.0,
-        "leakage": leakage == 0.0,
+        "leakage": plant.leakage_m3_per_s_pa == 0.0,
         "lag and limits of the motor": plant.ideal_motor,
         "torque of the motor": plant.motor is None,
         "heat of the motor": plant.motor is not None and plant.thermal is None,

@@ -10,11 +10,17 @@ from numpy.typing import ArrayLike
 
 from kneexo.analysis.frequency.frequency_response import crossing
 from kneexo.analysis.linear.plant_linearization import MID_RANGE_DEG, Complex, frequency_array
-from kneexo.analysis.wearer.impedance import ROD_STATES, posed, wearer_model, with_prescribed_leg
+from kneexo.analysis.wearer.impedance import (
+    ROD_STATES,
+    posed,
+    torque_controller,
+    wearer_model,
+    with_prescribed_leg,
+)
 from kneexo.common.plotting import BLUE, TEAL, axes_or_new, label_bode
 from kneexo.common.result import Array, Result
 from kneexo.errors import ParameterError
-from kneexo.parameters import Scenario, TorqueParameters
+from kneexo.parameters import Scenario
 from kneexo.parameters.criteria import MINUS_3_DB
 
 Held = Literal["rod", "leg", "nothing"]
@@ -97,11 +103,7 @@ def torque_response(
         scenario = posed(scenario, knee_angle_deg)
     else:
         scenario = with_prescribed_leg(scenario, "torque_response")
-    law = scenario.controller
-    if not isinstance(law, TorqueParameters):
-        raise ParameterError(
-            f"controller.kind = {law.kind}: torque_response needs controller.kind = torque"
-        )
+    law = torque_controller(scenario, "torque_response")
     if frequency_hz is None:
         frequency_hz = np.geomspace(0.01, 0.49 / law.sample_time_s, 400)
     f = frequency_array(frequency_hz)

@@ -16,6 +16,7 @@ from itertools import product
 from typing import Any, Literal, Unpack
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from kneexo.analysis.faults.survival import fault_case, fault_name
 from kneexo.analysis.signals import period_s
@@ -197,6 +198,9 @@ class EmergencyStop:
     rest: Rest
 
 
+_ROW, _STOP = TypeAdapter(FaultRow), TypeAdapter(EmergencyStop)  # from the data of a worker
+
+
 @dataclass(frozen=True, repr=False)
 class FaultsResult(Result):
     """Rows of all faults, stops, false alarms of healthy runs, and the worst case as curves."""
@@ -339,17 +343,21 @@ def faults_study(
             assessed = sweep.map(assess, items, "faults", group=_structure)
             for safe_state in safe_states:
                 for (cause, fault), values in zip(items, assessed, strict=True):
-                    row = _row(loop, settings, safe_state, cause, fault, values)
+                    row = _ROW.validate_python(
+                        {
+                            "controller": loop.controller.kind,
+                            "safe_state": safe_state,
+                            "cause": cause,
+                            "bound_deg": settings.bound_deg,
+                            "observed_s": settings.observed_s,
+                            **values[safe_state],
+                        }
+                    )
                     until = _observed(loop, settings, fault.start_s)
                     cases.append((row, _ending(until, safe_state), fault))
             presses = list(product(safe_states, starts_s))
             stopped = sweep.map(partial(_stop, loop, settings), presses, "emergency stops")
-            stops += [
-                EmergencyStop(
-                    loop.controller.kind, *press, **values | {"rest": Rest(**values["rest"])}
-                )
-                for press, values in zip(presses, stopped, strict=True)
-            ]
+            stops += [_STOP.validate_python(values) for values in stopped]
         points = draw(kept, settings.samples, settings.seed)
         alarm = partial(_alarm, scenario, kept)
         alarms = sweep.map(alarm, points, "healthy runs", group=options_of)
@@ -453,9 +461,9 @@ def _assess(
     safe_states: Sequence[str],
     item: tuple[str, FaultParameters],
 ) -> dict[str, Any]:
-    """Return the effect of a fault as plain data; runs in a worker process.
+    """Return the effect of a fault by safe state; runs in a worker process.
 
-    The data have a dictionary for each safe state.
+    The effects are plain data with the fields of `FaultRow` that the study does not add.
     """
     _, fault = item
     scenario = _observed(scenario, settings, fault.start_s)
@@ -466,13 +474,15 @@ def _assess(
     run, complete = _run(alone, fault)
     deviation = _deviation_deg(run, healthy)
     found: dict[str, Any] = {
+        "fault": fault_name(fault),
+        "start_s": fault.start_s,
         "critical_duration_s": case.critical_duration_s,
         "censored": case.censored,
         "flexes": bool(deviation[np.argmax(np.abs(deviation))] > 0.0),
         "alone": _peaks(run, healthy, slice(start, None)) | {"complete": complete},
     }
-    return found | {
-        safe_state: _protected(_ending(scenario, safe_state), settings, healthy, fault)
+    return {
+        safe_state: found | _protected(_ending(scenario, safe_state), settings, healthy, fault)
         for safe_state in safe_states
     }
 
@@ -497,7 +507,7 @@ def _protected(
 
 @needs_runs
 def _stop(scenario: Scenario, settings: FaultsSettings, item: tuple[str, float]) -> dict[str, Any]:
-    """Return the effect of an emergency stop as plain data; runs in a worker process."""
+    """Return the fields of an `EmergencyStop` as plain data; runs in a worker process."""
     safe_state, start_s = item
     protected = _ending(_observed(scenario, settings, start_s), safe_state)
     press = FaultParameters(place="emergency_stop", kind="value", size=1.0, start_s=start_s)
@@ -505,6 +515,9 @@ def _stop(scenario: Scenario, settings: FaultsSettings, item: tuple[str, float])
     safe_after_s, end = _safe_after(run, protected, start_s)
     start = _index(run, start_s)
     return {
+        "controller": scenario.controller.kind,
+        "safe_state": safe_state,
+        "start_s": start_s,
         "knee_deg": math.degrees(run["knee_angle_rad"][start]),
         "safe_after_s": safe_after_s,
         **turn_and_torque(run, slice(start, end)),
@@ -524,33 +537,6 @@ def _rest(run: Run, end: int | None, end_s: float) -> dict[str, Any]:
 def _index(run: Run, time_s: float) -> int:
     """Return the index of the sample at a time, which rounding may have changed a little."""
     return int(np.searchsorted(run.time_s, time_s - 1e-9))
-
-
-def _row(
-    scenario: Scenario,
-    settings: FaultsSettings,
-    safe_state: str,
-    cause: str,
-    fault: FaultParameters,
-    found: dict[str, Any],
-) -> FaultRow:
-    """Return the row of a fault whose effect is ``found`` by `_assess`."""
-    values = found[safe_state]
-    values = values | {"protected": Peaks(**values["protected"]), "rest": Rest(**values["rest"])}
-    return FaultRow(
-        controller=scenario.controller.kind,
-        safe_state=safe_state,
-        cause=cause,
-        fault=fault_name(fault),
-        start_s=fault.start_s,
-        bound_deg=settings.bound_deg,
-        observed_s=settings.observed_s,
-        critical_duration_s=found["critical_duration_s"],
-        censored=found["censored"],
-        flexes=found["flexes"],
-        alone=Peaks(**found["alone"]),
-        **values,
-    )
 
 
 def _without(scenario: Scenario) -> Scenario:
