@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
-from typing import Any
 
 from pydrake.systems.framework import Diagram, DiagramBuilder, System
 from pydrake.systems.primitives import (
@@ -17,6 +16,7 @@ from pydrake.systems.primitives import (
 )
 
 from kneexo import systems
+from kneexo.common.ports import output_ports, sizes
 from kneexo.diagrams.controller import (
     controller_parts,
     controller_signals,
@@ -51,6 +51,7 @@ from kneexo.diagrams.plant import (
 from kneexo.diagrams.signals import NEEDED_SETTINGS, SIGNALS
 from kneexo.diagrams.wearer import MOMENT_INPUT, moment_parts, wearer_parts
 from kneexo.errors import ParameterError, close_names, question
+from kneexo.law.leaves import LAW_COMMAND
 from kneexo.parameters import (
     Cia402Parameters,
     SampledReference,
@@ -60,7 +61,6 @@ from kneexo.parameters.device.safety_states import RELEASES
 from kneexo.parameters.scenario import require_scenario
 from kneexo.parameters.task.fault import OPERATOR_INPUTS
 from kneexo.systems import StateVariable, drive, knee_reference, push as push_system
-from kneexo.systems.function_law import LAW_COMMAND
 from kneexo.systems.knee_reference import require_reference_in_range
 
 
@@ -128,7 +128,7 @@ def make_closed_loop(
     """
     require_scenario(scenario)
     require_reference_in_range(scenario.reference, scenario.plant.knee)
-    if reference is not None and [p.size() for p in _outputs(reference)] != [4]:
+    if reference is not None and [*sizes(output_ports(reference)).values()] != [4]:
         raise ParameterError("reference: must have one output port of size 4")
     if reference is not None and external_reference:
         raise ParameterError("reference: external_reference = True replaces it; leave one out")
@@ -261,18 +261,14 @@ def _reference_part(scenario: Scenario, reference: System | None, external: bool
             "knee_reference", lambda: PassThrough(4), reads={"u": _REFERENCE_INPUT}, offers=offers
         )
     if reference is not None:
-        (port,) = _outputs(reference)
-        return Part("reference", lambda: reference, offers={"knee_reference": port.get_name()})
+        (name,) = output_ports(reference)
+        return Part("reference", lambda: reference, offers={"knee_reference": name})
     chosen = scenario.reference
     make = partial(systems.make_knee_reference, chosen)
     if isinstance(chosen, SampledReference):
         return Part("reference", make, offers={"knee_reference": "y0"})  # Drake's block
     values = partial(knee_reference.context_values, chosen)
     return Part("reference", make, values, offers=by_name("knee_reference"))
-
-
-def _outputs(system: System) -> list[Any]:
-    return [system.get_output_port(index) for index in range(system.num_output_ports())]
 
 
 def available_signals(scenario: Scenario) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from kneexo.common.ports import input_ports, output_ports
 from kneexo.errors import ParameterError
 from kneexo.systems import StateVariable
 
@@ -49,6 +50,8 @@ class Part(NamedTuple):
     """Signal of each input port that reads a signal of another name than its own."""
     offers: Mapping[str, str] | None = None
     """Output port of each signal that the part offers. None: all ports, by their names."""
+    may_offer: Mapping[str, str] = MappingProxyType({})
+    """Output port of each signal that the part offers if its system has the port."""
     through: str = ""
     """Signal that passes through the part, which reads it from the parts before, as ``reads``
     says, and offers it to all others."""
@@ -103,11 +106,6 @@ def state_names(part: Part, path: str) -> list[str]:
     return [f"{system}.x[{index}]" for index in range(len(part.states))]
 
 
-def add_parts(builder: Any, parts: Iterable[Part]) -> dict[str, Any]:
-    """Add the systems of ``parts`` to a DiagramBuilder; return a dictionary from name to system."""
-    return {part.name: builder.AddNamedSystem(part.name, part.make()) for part in parts}
-
-
 def wire(builder: Any, parts: Iterable[Part]) -> tuple[dict[str, Any], dict[str, list[Any]]]:
     """Add the systems of ``parts`` to a DiagramBuilder and connect them by names of signals.
 
@@ -131,27 +129,27 @@ def wire(builder: Any, parts: Iterable[Part]) -> tuple[dict[str, Any], dict[str,
     ParameterError
         A part offers an output port that its system does not have.
     """
-    parts = tuple(parts)
-    systems = add_parts(builder, parts)
-    ports: dict[str, Any] = {}
+    systems, ports = [], dict[str, Any]()
     for part in parts:
-        system = systems[part.name]
-        for port in _inputs(system) if part.through else ():
-            if part.reads.get(port.get_name(), port.get_name()) == part.through:
+        system = builder.AddNamedSystem(part.name, part.make())
+        systems.append((part, system))
+        for name, port in input_ports(system).items() if part.through else ():
+            if part.reads.get(name, name) == part.through:
                 builder.Connect(ports[part.through], port)
-        outputs = [system.get_output_port(i) for i in range(system.num_output_ports())]
-        own = {port.get_name(): port for port in outputs}
-        for signal, name in (by_name(*own) if part.offers is None else part.offers).items():
+        own = output_ports(system)
+        offered = by_name(*own) if part.offers is None else part.offers
+        for signal, name in offered.items():
             if name not in own:
                 raise ParameterError(
                     f"part {part.name}: offers {signal!r} by the output port {name!r}, which is "
                     f"none of its ports {', '.join(own)}"
                 )
-            ports[signal] = own[name]
+        offers = {**offered, **part.may_offer}
+        ports |= {signal: own[name] for signal, name in offers.items() if name in own}
     inputs: dict[str, list[Any]] = {}
-    for part in parts:
-        for port in _inputs(systems[part.name]):
-            signal = part.reads.get(port.get_name(), port.get_name())
+    for part, system in systems:
+        for name, port in input_ports(system).items():
+            signal = part.reads.get(name, name)
             if signal in (NO_SIGNAL, part.through):
                 continue
             if signal in ports:
@@ -159,10 +157,6 @@ def wire(builder: Any, parts: Iterable[Part]) -> tuple[dict[str, Any], dict[str,
             else:
                 inputs.setdefault(signal, []).append(port)
     return ports, inputs
-
-
-def _inputs(system: Any) -> list[Any]:
-    return [system.get_input_port(index) for index in range(system.num_input_ports())]
 
 
 def export_inputs(
@@ -178,8 +172,3 @@ def export_inputs(
             index = builder.ExportInput(port, name)
             for other in inputs[signal][1:]:
                 builder.ConnectInput(index, other)
-
-
-def connect(builder: Any, source: Any, output: str, target: Any, input_: str) -> None:
-    """Connect the port ``output`` of ``source`` to the port ``input_`` of ``target``."""
-    builder.Connect(source.GetOutputPort(output), target.GetInputPort(input_))

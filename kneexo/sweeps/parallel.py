@@ -25,8 +25,8 @@ from typing import Any, TypeVar
 from diagramc import available_cores
 from kneexo.common.interruption import interrupt_later
 from kneexo.common.progress import progress_bar
-from kneexo.diagrams.law import makers_called_once
 from kneexo.errors import ParameterError, WorkerError
+from kneexo.law.decision import makers_called_once
 from kneexo.simulation.lockstep import is_in_lockstep, map_in_lockstep
 from kneexo.sweeps.checkpoint import Checkpoint, UnknownLawError, piece_keys
 from kneexo.version import __version__

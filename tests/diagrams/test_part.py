@@ -6,7 +6,7 @@ from pydrake.systems.primitives import Gain
 
 from kneexo.diagrams import SIGNALS
 from kneexo.diagrams.closed_loop import plant_of, plant_start, plant_states
-from kneexo.diagrams.part import NO_SIGNAL, Part, add_parts, export_inputs, state_names, wire
+from kneexo.diagrams.part import NO_SIGNAL, Part, export_inputs, state_names, wire
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
@@ -37,15 +37,6 @@ def test_each_state_needs_a_start():
 
 def test_states_are_numbered_in_their_part():
     assert state_names(two_states(None), "plant") == ["plant/tank.x[0]", "plant/tank.x[1]"]
-
-
-def test_parts_are_added_by_their_names():
-    class Builder:
-        def AddNamedSystem(self, name, system):
-            return name, system
-
-    parts = [Part("a", lambda: 1, dict), Part("b", lambda: 2, dict)]
-    assert add_parts(Builder(), parts) == {"a": ("a", 1), "b": ("b", 2)}
 
 
 @pytest.mark.parametrize("name", SCENARIOS)

@@ -25,8 +25,8 @@ from kneexo.analysis.linear.plant_linearization import MID_RANGE_DEG, Complex, f
 from kneexo.analysis.signals import unwrapped_deg
 from kneexo.common.plotting import BLUE, GOLD, RED, TEAL, axes_or_new, label_bode
 from kneexo.common.result import Array, Result
-from kneexo.diagrams.law import makers_called_once
 from kneexo.errors import LinearizationError
+from kneexo.law.decision import makers_called_once
 from kneexo.parameters import Scenario
 from kneexo.parameters.criteria import MINUS_3_DB
 

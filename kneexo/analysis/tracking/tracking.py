@@ -25,8 +25,8 @@ from kneexo.analysis.tracking.verdict import Verdict, verdict_of
 from kneexo.common.plotting import BLUE, BROWN, GOLD, PURPLE, RED, TEAL, axes_or_new
 from kneexo.common.result import Array, Result, data_frame
 from kneexo.diagrams import available_signals
-from kneexo.diagrams.law import makers_called_once
 from kneexo.diagrams.signals import PROTECTION_OUTPUTS
+from kneexo.law.decision import makers_called_once
 from kneexo.parameters import Scenario
 from kneexo.parameters.criteria import RECOVERY_BAND_DEG
 from kneexo.parameters.device.safety_states import STATES

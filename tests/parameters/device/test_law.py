@@ -13,6 +13,7 @@ from pydrake.systems.framework import LeafSystem
 from pydrake.systems.primitives import Gain
 
 from kneexo.errors import ParameterError, ScenarioError
+from kneexo.law import FunctionLaw_
 from kneexo.parameters import Law, LawParameters, Scenario
 from kneexo.parameters.paths import changed
 from kneexo.parameters.scenario_file import (
@@ -21,7 +22,6 @@ from kneexo.parameters.scenario_file import (
     load_uncertainty,
     scenario_files,
 )
-from kneexo.systems import FunctionLaw_
 
 OWN_LAW = Path(__file__).parents[3] / "examples" / "own_law.py"
 
@@ -43,8 +43,7 @@ def test_arguments_choose_inputs_and_gains() -> None:
 
     arguments = Law(stateful).arguments
     assert arguments.inputs == ("knee_angle", "knee_reference")
-    assert arguments.time
-    assert arguments.state
+    assert arguments.names == ("knee_angle", "time_s", "knee_reference", "state", "k", "tau")
     assert arguments.initial_state == (1.0, 2.0)
     assert arguments.gains == {"k": 3.0, "tau": 0.5}
 
