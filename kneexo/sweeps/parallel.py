@@ -234,7 +234,7 @@ def parallel_map(
         A worker process died.
     """
     if workers is not None and workers < 1:
-        raise ParameterError(f"workers = {workers}: must be >= 1")
+        raise ParameterError(f"workers = {workers}: must be >= 1, or None for one for each core")
     try:
         keys = [] if checkpoint is None else piece_keys(function, items)
     except UnknownLawError as error:

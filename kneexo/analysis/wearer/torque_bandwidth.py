@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from kneexo.analysis.frequency.frequency_response import crossing
 from kneexo.analysis.linear.plant_linearization import MID_RANGE_DEG, Complex, frequency_array
+from kneexo.analysis.signals import unwrapped_deg
 from kneexo.analysis.wearer.impedance import (
     ROD_STATES,
     posed,
@@ -52,7 +53,7 @@ class TorqueResponse(Result):
         f = self.frequency_hz
         ax[0].semilogx(f, 20.0 * np.log10(np.abs(self.response)), BLUE)
         ax[0].axhline(20.0 * np.log10(MINUS_3_DB), color="0.5", ls="--", lw=1)
-        ax[1].semilogx(f, np.degrees(np.unwrap(np.angle(self.response))), BLUE)
+        ax[1].semilogx(f, unwrapped_deg(self.response), BLUE)
         if np.isfinite(self.bandwidth_hz):
             label = f"−3 dB at {self.bandwidth_hz:.3g} Hz"
             for axis in ax:

@@ -583,6 +583,12 @@ class PlantParameters(Parameters):
         return self.pump.leakage_m3_per_s_pa + self.cylinder.leakage_m3_per_s_pa
 
     @property
+    def speed_gain_rad_per_m(self) -> float:
+        """Motor speed per rod speed, G = gear·Ā/D_m, in rad/m."""
+        area_m2 = self.pump.gear_ratio * self.cylinder.mean_area_m2
+        return area_m2 / self.pump.displacement_m3_per_rad
+
+    @property
     def knee_inertia_kg_m2(self) -> float | None:
         """Inertia of the load about the knee in kg·m², or None for a constant mass at the rod."""
         return None if isinstance(self.load, NoLoad) else self.load.inertia_kg_m2
