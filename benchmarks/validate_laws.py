@@ -43,14 +43,14 @@ from pydrake.systems.primitives import SymbolicVectorSystem
 
 from diagramc import InputTable, compile_diagram
 from kneexo.diagrams import make_closed_loop
-from kneexo.diagrams.law import runs_as_python
 from kneexo.diagrams.signals import SIGNALS, columns
 from kneexo.errors import KneexoError
+from kneexo.law import FunctionLaw
+from kneexo.law.decision import why_python
+from kneexo.law.python_law import SIGNAL_OF, PythonLaw
 from kneexo.parameters import Scenario
 from kneexo.simulation import simulate
-from kneexo.simulation.python_law import SIGNAL_OF, PythonLaw
 from kneexo.simulation.run import Run
-from kneexo.systems import FunctionLaw
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "shared"))
 
@@ -185,7 +185,7 @@ def alone(scenario: Scenario, run: Run) -> Any:
     law = scenario.controller
     inputs = law.function.arguments.inputs
     values = {name: signal_values(run, SIGNAL_OF[name]) for name in inputs}
-    if runs_as_python(scenario):
+    if why_python(scenario):
         function = PythonLaw(scenario, announce=False)
         return np.array(
             [
@@ -275,7 +275,7 @@ def check_alone(seed: int, plants: Path) -> Findings:
         plain_folder.mkdir()
         try:
             scenario = scenario_of(law, folder)
-            found.python = runs_as_python(scenario)
+            found.python = bool(why_python(scenario))
             os.environ["DIAGRAMC_CACHE_DIR"] = str(plants if found.python else Path(name, "cache"))
             run = run_of(scenario)
             found.digest = digest(run)

@@ -88,7 +88,8 @@ def cause_of(error: BaseException) -> str:
         reason, place = error.msg, (error.filename, error.lineno)
     else:
         reason = text_of(error)
-        place = place_in_user_code(error) or _innermost(error)
+        places = _places(error)
+        place = place_in_user_code(error) or (places[-1] if places else None)
     message = ": ".join(part for part in (type(error).__name__, reason.partition("\n")[0]) if part)
     where = f" ({shown(place[0])}, line {place[1]})" if place and place[0] else ""
     return f"{shortened(message, 300)}{where}"
@@ -105,12 +106,6 @@ def place_in_user_code(error: BaseException) -> tuple[str, int] | None:
     Returns None if there is no such frame.
     """
     places = [place for place in _places(error) if not place[0].startswith(_LIBRARIES)]
-    return places[-1] if places else None
-
-
-def _innermost(error: BaseException) -> tuple[str, int] | None:
-    """Return file and line of the innermost frame outside kneexo, or None without such a frame."""
-    places = _places(error)
     return places[-1] if places else None
 
 

@@ -2,28 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Iterator
 
 from pydrake.systems.framework import DiagramBuilder, System
 from pydrake.systems.primitives import Saturation, ZeroOrderHold
 
 from kneexo import systems
-from kneexo.diagrams.law import (
-    connect_inputs,
+from kneexo.common.ports import output_ports, sizes
+from kneexo.diagrams.part import Part, by_name, export_inputs, leaf_part, wire
+from kneexo.diagrams.protection import protection_parts, raw
+from kneexo.diagrams.signals import CONTROLLER_SIGNALS, PROTECTION_OUTPUTS, SIGNALS
+from kneexo.errors import ParameterError
+from kneexo.geometry.rod_polynomial import controller_polynomial
+from kneexo.law import FunctionLaw, leaves
+from kneexo.law.decision import (
     held_command,
     known_text,
     law_inputs,
-    maker_arguments,
-    port_sizes,
     remembered,
     users_law,
+    users_system,
 )
-from kneexo.diagrams.part import Part, add_parts, leaf_part
-from kneexo.diagrams.protection import connect_protection, guarded_ports, protection_parts
-from kneexo.diagrams.signals import CONTROLLER_SIGNALS, SIGNALS
-from kneexo.errors import ParameterError
-from kneexo.geometry.rod_polynomial import controller_polynomial
+from kneexo.law.leaves import LAW_COMMAND
 from kneexo.parameters import (
     LawParameters,
     ObserverParameters,
@@ -32,8 +32,8 @@ from kneexo.parameters import (
     SlidingModeParameters,
     TorqueParameters,
 )
+from kneexo.parameters.task.fault import OPERATOR_INPUTS
 from kneexo.systems import (
-    function_law,
     knee_coordinates,
     pid_controller,
     sliding_mode_controller,
@@ -47,12 +47,12 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
     ===================  ====  ====================  ==============================================
     input port           size  unit
     ===================  ====  ====================  ==============================================
-    encoder_reading      1     rad                   θ_4 as read by the encoder
     knee_reference       4     rad, rad/s, …         θ_d and its derivatives to the third
-    rod_state            3     m, m/s, m/s²          only with the estimator ``exact``
+    encoder_reading      1     rad                   θ_4 as read by the encoder
     measured_force       2     N, s                  reading of the load cell, age; torque only
     biological_moment    1     N·m                   only with torque in the mode ``assist``
     motor_speed          1     rad/s                 as the drive reports it; only with protection
+    rod_state            3     m, m/s, m/s²          only with the estimator ``exact``
     emergency_stop       1     1                     0, or the motor stops; only with protection
     reset                1     1                     its rise resets a stop; only with protection
     **output port**
@@ -89,69 +89,45 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
         scenario whose controller is not the user's.
     """
     builder = DiagramBuilder()
-    is_users_system = law is None and has_unknown_parts(scenario)
-    subsystems = add_parts(builder, _parts(scenario, law))
-    law = subsystems["law"]
-    command = law.GetOutputPort("motor_speed_command")
-    if is_users_system:
-        command = _limited_and_held(builder, scenario, law, command)
-    # Ports by the name that the controller, or the law, gives them.
-    outputs = {"motor_speed_command": command}
-    sources: dict[str, Any] = {}  # ports inside the controller that the law can read
-    inputs: dict[str, Any] = {}
-    if "coordinates" in subsystems:  # absent for a law that reads nothing computed from a reading
-        coordinates, rod_reference = subsystems["coordinates"], subsystems["rod_reference"]
-        sources = {
-            "rod_extension": coordinates.GetOutputPort("rod_extension"),
-            "knee_angle": coordinates.GetOutputPort("knee_angle"),
-            "rod_reference": rod_reference.get_output_port(),
-        }
-        reference = subsystems.get("guard", rod_reference).GetInputPort("knee_reference")
-        reading = coordinates.get_input_port()
-        inputs["knee_reference"] = builder.ExportInput(reference, "knee_reference")
-        inputs["encoder_reading"] = builder.ExportInput(reading, "encoder_reading")
-        if "guard" in subsystems:
-            sources |= guarded_ports(builder, subsystems, sources, inputs)
-        outputs |= {
-            "measured_knee_angle": sources["knee_angle"],
-            "measured_rod_extension": sources["rod_extension"],
-            "rod_reference": sources["rod_reference"],
-        }
-    if "estimator" in subsystems:
-        builder.Connect(sources["rod_extension"], subsystems["estimator"].get_input_port())
-        sources["estimated_state"] = subsystems["estimator"].get_output_port()
-        outputs["estimated_state"] = sources["estimated_state"]
-    connect_inputs(builder, law, sources, inputs)
-    if "supervisor" in subsystems:
-        outputs |= connect_protection(builder, subsystems, sources, inputs, command)
-    for name in SIGNALS:
-        if name in CONTROLLER_SIGNALS and name not in outputs and law.HasOutputPort(name):
-            outputs[name] = law.GetOutputPort(name)
-    for name, output in outputs.items():
-        builder.ExportOutput(output, name)
+    signals, inputs = wire(builder, _parts(scenario, law))
+    export_inputs(builder, inputs, _INPUTS)
+    for name, signal in _OUTPUTS.items():
+        # A signal comes from kneexo if kneexo computes it, and else from the law.
+        port = signals.get(signal, signals.get(_of_law(name)))
+        if port is not None:
+            builder.ExportOutput(port, name)
     controller = builder.Build()
     controller.set_name("controller")
     return controller
 
 
-def _limited_and_held(builder: Any, scenario: Scenario, law: System, command: Any) -> Any:
-    """Limit the output port ``command`` of a user's system; return the port of the result.
+_INPUTS = {
+    signal: name
+    for name in (
+        *("knee_reference", "encoder_reading", "measured_force", "biological_moment"),
+        *("motor_speed", "rod_state", LAW_COMMAND, *OPERATOR_INPUTS),
+    )
+    for signal in (name, *raw(name).values())
+}
+"""By the signals that no part of the controller offers, its inputs in their order."""
 
-    The command of a system without discrete state is held for a sample too.
-    """
-    limit = scenario.command_limit_rad_s
-    saturation = builder.AddNamedSystem("limit", Saturation([-limit], [limit]))
-    builder.Connect(command, saturation.get_input_port())
-    if holds_its_command(law):
-        return saturation.get_output_port()
-    hold = builder.AddNamedSystem("hold", ZeroOrderHold(scenario.controller.sample_time_s, 1))
-    builder.Connect(saturation.get_output_port(), hold.get_input_port())
-    return hold.get_output_port()
+_OUTPUTS = {
+    "motor_speed_command": "motor_speed_command",
+    "measured_knee_angle": "knee_angle",
+    "measured_rod_extension": "rod_extension",
+    **{name: name for name in ("rod_reference", "estimated_state", *PROTECTION_OUTPUTS)},
+    "release": "release",
+    **by_name("sliding_variable", "desired_torque"),
+}
+"""The outputs of the controller in their order, and the signals that they show."""
 
 
-def holds_its_command(law: System) -> bool:
-    """Return True if a system has discrete states, which then hold its command."""
-    return law.CreateDefaultContext().num_discrete_state_groups() > 0
+def _of_law(name: str) -> str:
+    """Return the signal that the control law itself offers for an output of the controller."""
+    return f"{name} of the law"
+
+
+_OFFERS_OF_LAW = {_of_law(name): name for name in CONTROLLER_SIGNALS}
 
 
 def controller_parts(scenario: Scenario, law: System | None = None) -> list[Part]:
@@ -175,7 +151,6 @@ def _parts(scenario: Scenario, replacement: System | None = None) -> list[Part]:
     """Return the leaf systems of a controller; ``replacement`` replaces the scenario's law."""
     believed, polynomial = scenario.believed_plant, controller_polynomial(scenario)
     law = scenario.with_loaded_law().controller
-    measurement = believed.linkage, polynomial, encoder_offset_rad(scenario)
     # The scenario's limit is a whole number of the drive's units, so that a rounded command at the
     # limit still counts as saturated.
     if law.command_limit_rad_s != scenario.command_limit_rad_s:
@@ -185,36 +160,31 @@ def _parts(scenario: Scenario, replacement: System | None = None) -> list[Part]:
             f"law: replaces a law of the user, but controller.kind is {law.kind}; to use a law of "
             f"yours, write make_controller(scenario.with_law(law))"
         )
+    behind_law: list[Part] = []
+    measures, estimates = True, law.kind != "pid"
     if isinstance(law, LawParameters):
         inputs = {*law_inputs(scenario)}
-        raw = "encoder_reading" in inputs and inputs <= _RAW_INPUTS
         # With protection the coordinates stay, because the detectors read them.
-        if raw and scenario.protection is None:
-            return [_law_part(scenario, law, replacement)]
-    parts = [
-        leaf_part("coordinates", systems.KneeCoordinates, knee_coordinates, *measurement),
-        Part(
-            "rod_reference",
-            lambda: systems.RodReference(polynomial),
-            lambda: knee_coordinates.rod_polynomial_values(polynomial),
-        ),
-    ]
-    estimates = True
-    if isinstance(law, LawParameters):
-        parts.append(_law_part(scenario, law, replacement))
+        is_raw = "encoder_reading" in inputs and inputs <= _RAW_INPUTS
+        measures = not is_raw or scenario.protection is not None
         estimates = "estimated_state" in inputs
+        law_part, *behind_law = _users_law(scenario, law, inputs, replacement)
     elif isinstance(law, SlidingModeParameters):
-        parts.append(
-            leaf_part("law", systems.SlidingModeController, sliding_mode_controller, law, believed)
-        )
+        component = systems.SlidingModeController
+        law_part = leaf_part("law", component, sliding_mode_controller, law, believed)
     elif isinstance(law, PidParameters):
-        parts.append(leaf_part("law", systems.PidController, pid_controller, law, believed))
-        estimates = False
+        law_part = leaf_part("law", systems.PidController, pid_controller, law, believed)
     elif isinstance(law, TorqueParameters):
         arguments = law, believed, polynomial
-        parts.append(leaf_part("law", systems.TorqueController, torque_controller, *arguments))
+        law_part = leaf_part("law", systems.TorqueController, torque_controller, *arguments)
+    # Without an estimator the true state of the rod takes the place of the estimated state.
+    reads = {"estimated_state": "rod_state"} if scenario.estimator.kind == "exact" else {}
+    parts = [*_coordinates(scenario)] if measures else []
+    command = by_name("motor_speed_command")
+    parts.append(law_part._replace(reads=reads, offers=command, may_offer=_OFFERS_OF_LAW))
     if estimates:
         parts += _estimator_parts(scenario)
+    parts += behind_law
     if scenario.protection is not None:
         parts += protection_parts(scenario, scenario.protection)
     return parts
@@ -224,49 +194,96 @@ _RAW_INPUTS = {"encoder_reading", "knee_reference", "rod_state"}
 """Inputs of a law that kneexo does not compute from the reading of the encoder."""
 
 
-def _law_part(scenario: Scenario, law: LawParameters, replacement: System | None) -> Part:
-    """Return the control law of the user, or ``replacement`` if it is not None."""
-    if "rod_state" in law_inputs(scenario) and scenario.estimator.kind != "exact":
+def _coordinates(scenario: Scenario) -> Iterator[Part]:
+    """Yield the parts that turn the reading of the encoder and the reference into coordinates."""
+    polynomial = controller_polynomial(scenario)
+    measurement = scenario.believed_plant.linkage, polynomial, scenario.encoder.offset_rad
+    coordinates = leaf_part("coordinates", systems.KneeCoordinates, knee_coordinates, *measurement)
+    if scenario.protection is not None:
+        measured = raw("knee_angle", "rod_extension")
+        coordinates = coordinates._replace(
+            reads=raw("encoder_reading"), offers={signal: name for name, signal in measured.items()}
+        )
+    yield coordinates
+    yield Part(
+        "rod_reference",
+        lambda: systems.RodReference(polynomial),
+        lambda: knee_coordinates.rod_polynomial_values(polynomial),
+    )
+
+
+def _users_law(
+    scenario: Scenario, law: LawParameters, inputs: set[str], replacement: System | None
+) -> Iterator[Part]:
+    """Yield the control law of the user, or ``replacement`` if it is not None.
+
+    The command of a Drake system of the user is limited. The command of a system without discrete
+    state is held for a sample too.
+    """
+    if "rod_state" in inputs and scenario.estimator.kind != "exact":
         raise ParameterError(
             f"law {law.function.short_name}: reads rod_state, the true state of the rod: needs "
             f"estimator.kind = exact, not {scenario.estimator.kind}"
         )
     if replacement is not None:
-        return Part("law", lambda: replacement, dict)
-    if not law.function.is_system:
-        return leaf_part("law", systems.FunctionLaw, function_law, law)
-    system = law.function.make_system(maker_arguments(scenario))
-    return Part("law", lambda: system, dict)
+        yield Part("law", lambda: replacement)
+    elif not law.function.is_system:
+        yield leaf_part("law", FunctionLaw, leaves, law)
+    else:
+        system = users_system(scenario, copied=True)
+        yield Part("law", lambda: system)
+        limit, sample_time_s = scenario.command_limit_rad_s, scenario.controller.sample_time_s
+        yield Part(
+            "limit",
+            lambda: Saturation([-limit], [limit]),
+            reads={"u0": "motor_speed_command"},
+            offers={"motor_speed_command": "y0"},
+            through="motor_speed_command",
+        )
+        # A system with discrete states holds its command by them.
+        if system.CreateDefaultContext().num_discrete_state_groups() == 0:
+            yield Part(
+                "hold",
+                lambda: ZeroOrderHold(sample_time_s, 1),
+                reads={"u": "motor_speed_command"},
+                offers={"motor_speed_command": "y"},
+                through="motor_speed_command",
+            )
 
 
-def _estimator_parts(scenario: Scenario) -> Iterable[Part]:
+def _estimator_parts(scenario: Scenario) -> Iterator[Part]:
     """Yield the estimator of a scenario; yield nothing if the estimator is ``exact``."""
     estimator, sample_time = scenario.estimator, scenario.controller.sample_time_s
+    position = {"measured_position": "rod_extension"}
     if isinstance(estimator, ObserverParameters):
         yield Part(
             "estimator",
             lambda: systems.TrackingObserver(estimator, sample_time),
             lambda: {"time_constant_s": estimator.time_constant_s},
+            reads=position,
         )
     elif estimator.kind == "difference":
-        yield Part("estimator", lambda: systems.BackwardDifference(sample_time), dict)
+        yield Part("estimator", lambda: systems.BackwardDifference(sample_time), reads=position)
 
 
-def encoder_offset_rad(scenario: Scenario) -> float:
-    """Return the offset in rad that the controller adds to an encoder reading.
+def controller_signals(scenario: Scenario) -> list[str]:
+    """Return the names of the further output ports of a controller: `SIGNALS`, and ``release``."""
+    if scenario.controller.kind == "law":
+        outputs = remembered(
+            users_law(scenario),
+            ("outputs", known_text(scenario)),
+            lambda: sizes(output_ports(make_controller(scenario, held_command(scenario)))),
+        )
+        names = [name for name in SIGNALS if name in CONTROLLER_SIGNALS]
+        names = [name for name in names if outputs.get(name) == len(SIGNALS[name])]
+    else:
+        names = ["measured_knee_angle", "measured_rod_extension", "rod_reference"]
+        names += _LAW_SIGNALS[scenario.controller.kind]
+        if scenario.controller.kind != "pid" and scenario.estimator.kind != "exact":
+            names.append("estimated_state")
+        names += PROTECTION_OUTPUTS if scenario.protection is not None else ()
+    return [*names, "release"] if scenario.protection is not None else names
 
-    The offset is the encoder's phase, plus half a count, minus the mounting error. Half a count,
-    because an encoder rounds down: the error of a reading is then zero on average.
-    """
-    encoder = scenario.encoder
-    phase = encoder.phase_rad if encoder.quantized else 0.0
-    return phase + 0.5 * encoder.resolution_rad - encoder.mounting_error_rad
 
-
-def controller_outputs(scenario: Scenario) -> dict[str, int]:
-    """Return the size of each output port of a controller with a law of the user, by its name."""
-    return remembered(
-        users_law(scenario),
-        ("outputs", known_text(scenario)),
-        lambda: port_sizes(make_controller(scenario, held_command(scenario))),
-    )
+_LAW_SIGNALS = {"smc": ("sliding_variable",), "pid": (), "torque": ("desired_torque",)}
+"""Names of the further output ports of each control law of kneexo."""

@@ -10,6 +10,8 @@ from functools import partial
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from kneexo.common.ports import input_ports, output_ports
+from kneexo.errors import ParameterError
 from kneexo.systems import StateVariable
 
 NO_FAULTS: Mapping[str, tuple[str, ...]] = MappingProxyType({})
@@ -47,7 +49,9 @@ class Part(NamedTuple):
     reads: Mapping[str, str] = MappingProxyType({})
     """Signal of each input port that reads a signal of another name than its own."""
     offers: Mapping[str, str] | None = None
-    """Output port of each signal that the part offers, if it exists. None: all, by their names."""
+    """Output port of each signal that the part offers. None: all ports, by their names."""
+    may_offer: Mapping[str, str] = MappingProxyType({})
+    """Output port of each signal that the part offers if its system has the port."""
     through: str = ""
     """Signal that passes through the part, which reads it from the parts before, as ``reads``
     says, and offers it to all others."""
@@ -75,6 +79,24 @@ def leaf_part(name: str, component: Any, module: Any, *arguments: Any) -> Part:
     return Part(name, partial(component, *arguments), partial(module.context_values, *arguments))
 
 
+def by_name(*signals: str) -> dict[str, str]:
+    """Return the ``offers`` of a part whose output ports have the names of ``signals``."""
+    return dict(zip(signals, signals, strict=True))
+
+
+def with_faults(parts: Iterable[Part], fault_names: Mapping[str, tuple[str, ...]]) -> list[Part]:
+    """Return ``parts``, of which those in ``fault_names`` are made with inputs of faults.
+
+    ``fault_names`` has the Context parameters that faults change, by the name of the part.
+    """
+    return [
+        part._replace(make=partial(part.make, fault_names=fault_names[part.name]))
+        if part.name in fault_names
+        else part
+        for part in parts
+    ]
+
+
 def state_names(part: Part, path: str) -> list[str]:
     """Return the names that a compiled model gives the continuous states of a part.
 
@@ -84,26 +106,7 @@ def state_names(part: Part, path: str) -> list[str]:
     return [f"{system}.x[{index}]" for index in range(len(part.states))]
 
 
-def add_parts(
-    builder: Any, parts: Iterable[Part], fault_names: Mapping[str, tuple[str, ...]] = NO_FAULTS
-) -> dict[str, Any]:
-    """Add the systems of ``parts`` to a DiagramBuilder; return a dictionary from name to system.
-
-    ``fault_names`` has the Context parameters that faults change, by the name of the part.
-    """
-    systems = {}
-    for part in parts:
-        names = fault_names.get(part.name)
-        system = part.make(fault_names=names) if names else part.make()
-        systems[part.name] = builder.AddNamedSystem(part.name, system)
-    return systems
-
-
-def wire(
-    builder: Any,
-    parts: Iterable[Part],
-    fault_names: Mapping[str, tuple[str, ...]] = NO_FAULTS,
-) -> tuple[dict[str, Any], dict[str, list[Any]]]:
+def wire(builder: Any, parts: Iterable[Part]) -> tuple[dict[str, Any], dict[str, list[Any]]]:
     """Add the systems of ``parts`` to a DiagramBuilder and connect them by names of signals.
 
     Of parts that offer one signal, the last one has it. A part with ``through`` reads its signal
@@ -115,30 +118,38 @@ def wire(
         The DiagramBuilder.
     parts
         The systems, in their order in the diagram.
-    fault_names
-        As in `add_parts`.
 
     Returns
     -------
     signals, inputs
         The output port of each signal, and the input ports of each signal that no part offers.
+
+    Raises
+    ------
+    ParameterError
+        A part offers an output port that its system does not have.
     """
-    parts = tuple(parts)
-    systems = add_parts(builder, parts, fault_names)
-    ports: dict[str, Any] = {}
+    systems, ports = [], dict[str, Any]()
     for part in parts:
-        system = systems[part.name]
-        for port in _inputs(system) if part.through else ():
-            if part.reads.get(port.get_name(), port.get_name()) == part.through:
+        system = builder.AddNamedSystem(part.name, part.make())
+        systems.append((part, system))
+        for name, port in input_ports(system).items() if part.through else ():
+            if part.reads.get(name, name) == part.through:
                 builder.Connect(ports[part.through], port)
-        outputs = [system.get_output_port(i) for i in range(system.num_output_ports())]
-        own = {port.get_name(): port for port in outputs}
-        offered = part.offers if part.offers is not None else {name: name for name in own}
-        ports |= {signal: own[name] for signal, name in offered.items() if name in own}
+        own = output_ports(system)
+        offered = by_name(*own) if part.offers is None else part.offers
+        for signal, name in offered.items():
+            if name not in own:
+                raise ParameterError(
+                    f"part {part.name}: offers {signal!r} by the output port {name!r}, which is "
+                    f"none of its ports {', '.join(own)}"
+                )
+        offers = {**offered, **part.may_offer}
+        ports |= {signal: own[name] for signal, name in offers.items() if name in own}
     inputs: dict[str, list[Any]] = {}
-    for part in parts:
-        for port in _inputs(systems[part.name]):
-            signal = part.reads.get(port.get_name(), port.get_name())
+    for part, system in systems:
+        for name, port in input_ports(system).items():
+            signal = part.reads.get(name, name)
             if signal in (NO_SIGNAL, part.through):
                 continue
             if signal in ports:
@@ -146,10 +157,6 @@ def wire(
             else:
                 inputs.setdefault(signal, []).append(port)
     return ports, inputs
-
-
-def _inputs(system: Any) -> list[Any]:
-    return [system.get_input_port(index) for index in range(system.num_input_ports())]
 
 
 def export_inputs(
@@ -165,8 +172,3 @@ def export_inputs(
             index = builder.ExportInput(port, name)
             for other in inputs[signal][1:]:
                 builder.ConnectInput(index, other)
-
-
-def connect(builder: Any, source: Any, output: str, target: Any, input_: str) -> None:
-    """Connect the port ``output`` of ``source`` to the port ``input_`` of ``target``."""
-    builder.Connect(source.GetOutputPort(output), target.GetInputPort(input_))

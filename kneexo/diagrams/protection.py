@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
 from kneexo import systems
-from kneexo.diagrams.law import connect_inputs, port_sizes
 from kneexo.diagrams.part import Part
 from kneexo.geometry import linkage
 from kneexo.parameters import LinkageParameters, ProtectionParameters, Scenario
@@ -18,7 +16,12 @@ from kneexo.systems import fault_detectors, input_guard, safety_supervisor
 
 
 def protection_parts(scenario: Scenario, protection: ProtectionParameters) -> Iterator[Part]:
-    """Yield input guard, fault detectors and safety supervisor."""
+    """Yield input guard, fault detectors and safety supervisor.
+
+    The guard and the detectors offer good values of the signals that they read as `raw`. The guard
+    refuses nothing. A controller that refused a bad input did not step: while the encoder was dead,
+    no detector counted and no emergency stop acted.
+    """
     believed, sample_time_s = scenario.believed_plant, scenario.controller.sample_time_s
     span = reading_range_rad(scenario)
     follows, has_load_cell = scenario.controller.kind != "torque", scenario.has_load_cell
@@ -26,10 +29,12 @@ def protection_parts(scenario: Scenario, protection: ProtectionParameters) -> It
     names = ("knee_reference", *["measured_force"] * has_load_cell)
     if law.kind == "torque" and law.mode == "assist":
         names += ("biological_moment",)
+    names += ("motor_speed",)
     yield Part(
         "guard",
-        lambda: systems.InputGuard(reference_range, sample_time_s, (*names, "motor_speed")),
+        lambda: systems.InputGuard(reference_range, sample_time_s, names),
         lambda: input_guard.context_values(reference_range),
+        reads=raw(*names),
     )
     yield Part(
         "detectors",
@@ -37,64 +42,20 @@ def protection_parts(scenario: Scenario, protection: ProtectionParameters) -> It
             protection, believed, span, sample_time_s, follows, has_load_cell
         ),
         lambda: fault_detectors.context_values(protection, believed, span, sample_time_s),
+        reads=raw(*fault_detectors.PLAUSIBLE),
     )
     yield Part(
         "supervisor",
         lambda: systems.SafetySupervisor(protection, sample_time_s),
         lambda: safety_supervisor.context_values(protection),
+        reads=raw("motor_speed"),  # a bad speed as it is: that is no standstill
+        through="motor_speed_command",
     )
 
 
-def guarded_ports(
-    builder: Any, subsystems: Mapping[str, Any], sources: Mapping[str, Any], inputs: dict[str, Any]
-) -> dict[str, Any]:
-    """Connect guard and detectors to the coordinates; return the ports of good values by name.
-
-    ``sources`` has the ports of the coordinates. ``inputs`` are the exported inputs so far; those
-    of the guard are added to them.
-    """
-    # The guard refuses nothing. A controller that refused a bad input did not step: while the
-    # encoder was dead, no detector counted and no emergency stop acted.
-    guard, detectors = subsystems["guard"], subsystems["detectors"]
-    builder.ConnectInput(inputs["encoder_reading"], detectors.GetInputPort("encoder_reading"))
-    for name in ("knee_angle", "rod_extension"):
-        builder.Connect(sources[name], detectors.GetInputPort(name))
-    good = {name: detectors.GetOutputPort(name) for name in fault_detectors.PLAUSIBLE}
-    connect_inputs(builder, guard, good, inputs, ("knee_reference",))
-    good |= {name: guard.GetOutputPort(name) for name in port_sizes(guard)}
-    builder.Connect(good["knee_reference"], subsystems["rod_reference"].get_input_port())
-    return good
-
-
-def connect_protection(
-    builder: Any,
-    subsystems: Mapping[str, Any],
-    sources: Mapping[str, Any],
-    inputs: dict[str, Any],
-    command: Any,
-) -> dict[str, Any]:
-    """Connect detectors and supervisor; return their output ports by name.
-
-    ``sources`` are ports inside the controller. ``inputs`` are the exported inputs so far; the
-    inputs of an operator are added to them. ``command`` is the port of the law's command.
-    """
-    detectors, supervisor = subsystems["detectors"], subsystems["supervisor"]
-    sources = {
-        **sources,
-        "motor_speed_command": supervisor.GetOutputPort("motor_speed_command"),
-        "detected": detectors.GetOutputPort("detected"),
-    }
-    builder.Connect(command, supervisor.GetInputPort("motor_speed_command"))
-    connect_inputs(builder, detectors, sources, inputs, fault_detectors.PLAUSIBLE)
-    del sources["motor_speed"]  # the supervisor gets a bad speed as it is: that is no standstill
-    connect_inputs(builder, supervisor, sources, inputs, ("motor_speed_command",))
-    return {
-        "motor_speed_command": sources["motor_speed_command"],
-        "residuals": detectors.GetOutputPort("residuals"),
-        "safety_state": supervisor.GetOutputPort("safety_state"),
-        "safety_reason": supervisor.GetOutputPort("safety_reason"),
-        "release": supervisor.GetOutputPort("release"),
-    }
+def raw(*names: str) -> dict[str, str]:
+    """Return a dictionary from names of signals to the names of their values before the guard."""
+    return {name: f"raw_{name}" for name in names}
 
 
 def reference_range_rad(scenario: Scenario) -> tuple[float, float]:

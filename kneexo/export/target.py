@@ -16,6 +16,7 @@ from diagramc import (
     read_diagram,
     rk4_step_s,
 )
+from kneexo.common.ports import input_ports
 from kneexo.diagrams.closed_loop import (
     available_signals,
     encoder_parts,
@@ -154,7 +155,7 @@ def _controller(scenario: Scenario, counts: bool) -> Target:
             "controller.continuous = true: has no sample time; must be false to be exported"
         )
     controller = make_controller(scenario)
-    inputs = [controller.get_input_port(i).get_name() for i in range(controller.num_input_ports())]
+    inputs = [*input_ports(controller)]
     outputs = ["motor_speed_command"]
     failed, protection = {_FIELDS["motor_speed_command"][0]: 0.0}, scenario.protection
     if protection is not None:
@@ -235,7 +236,7 @@ def _loop(scenario: Scenario) -> Target:
     diagram = make_closed_loop(
         scenario, signals=(), external_reference=sampled, external_moment=True
     )
-    inputs = tuple(diagram.get_input_port(i).get_name() for i in range(diagram.num_input_ports()))
+    inputs = tuple(input_ports(diagram))
     outputs = available_signals(scenario)
     tick = scenario.controller.sample_time_s
     return Target("loop", diagram, inputs, outputs, Interface(_fields_of(diagram)), tick)

@@ -33,6 +33,7 @@ from diagramc import (
     simulate_with_feedback,
     stack_tables,
 )
+from kneexo.common.ports import input_ports
 from kneexo.common.result import Array
 from kneexo.diagrams.closed_loop import (
     chosen_signals,
@@ -45,21 +46,25 @@ from kneexo.diagrams.controller import (
     make_controller,
 )
 from kneexo.diagrams.faults import fault_structure
-from kneexo.diagrams.law import (
-    function_trace,
+from kneexo.diagrams.signals import SIGNALS, columns
+from kneexo.diagrams.wearer import moment_of, moment_spline
+from kneexo.errors import KneexoError
+from kneexo.law.call import argument_sizes
+from kneexo.law.decision import (
+    decide,
     held_command,
     known_text,
     law_inputs,
     makers_called_once,
-    port_sizes,
     remembered,
-    runs_as_python,
     users_law,
     why_python,
 )
-from kneexo.diagrams.signals import SIGNALS, columns
-from kneexo.diagrams.wearer import moment_of, moment_spline
-from kneexo.errors import KneexoError
+from kneexo.law.leaves import COMMAND_AND_STATE, LAW_COMMAND
+from kneexo.law.python_law import SIGNAL_OF, PythonLaw, commands_at_points
+from kneexo.law.trace import (
+    replay,
+)
 from kneexo.parameters import (
     LawParameters,
     MomentTable,
@@ -68,16 +73,9 @@ from kneexo.parameters import (
 )
 from kneexo.parameters.fields.fields import models_of
 from kneexo.parameters.fields.quantity import Parameters
-from kneexo.simulation.python_law import SIGNAL_OF, PythonLaw, commands_at_points
 from kneexo.simulation.run import Run
 from kneexo.simulation.sources import fingerprint
 from kneexo.systems import knee_reference
-from kneexo.systems.function_law import (
-    COMMAND_AND_STATE,
-    LAW_COMMAND,
-    argument_sizes,
-    replay,
-)
 
 _MADE_CONSTANT = ("sample_time_s",)  # numbers that the leaf systems turn into constants
 _SEED = "seed"  # decides by its presence, not by its number
@@ -140,11 +138,12 @@ def structure_key(scenario: Scenario) -> str:
         fields["reference"] = scenario.reference.kind  # the samples enter by an open input
     law = scenario.controller
     if isinstance(law, LawParameters):
-        traced = function_trace(scenario)
-        if runs_as_python(scenario) if traced is None else traced.why_not_compiled:
-            fields["controller"] = "python", law.sample_time_s, law_inputs(scenario)
+        decision = decide(scenario)
+        if decision.why_python:
+            fields["controller"] = "python", law.sample_time_s, decision.inputs
         else:
             # Numbers of a system may be constants of its equations, so the key contains these.
+            traced = decision.trace
             key = _unknown_parts(scenario).key if traced is None else traced.key
             fields["controller"] = law.sample_time_s, key
     return _key(tuple(fields.items()))
@@ -187,11 +186,11 @@ def _model(key: str, scenario: Scenario) -> CompiledModel:
         _require_reference_in_range(scenario)
         scenario_values(scenario)
         scenario_start(scenario)
-        inputs = [LAW_COMMAND] if runs_as_python(scenario) else []
+        decision = decide(scenario)
+        inputs = [LAW_COMMAND] if decision.why_python else []
         inputs += ["knee_reference"] if scenario.reference.kind == "samples" else []
         inputs += [] if moment_of(scenario) is None else ["biological_moment"]
-        traced = function_trace(scenario)
-        outputs = [_COMMAND_AND_STATE] if traced and not traced.why_not_compiled else []
+        outputs = [_COMMAND_AND_STATE] if decision.trace and not decision.why_python else []
         return compile_by_key(key, partial(_diagram, key, scenario), inputs=inputs, outputs=outputs)
 
     return _models.of(key, make)
@@ -251,7 +250,7 @@ def _unknown_parts(scenario: Scenario) -> _UnknownParts:
 
 def _read_controller(scenario: Scenario) -> _UnknownParts:
     controller = make_controller(scenario, held_command(scenario))
-    read = read_diagram(controller, inputs=list(port_sizes(controller, inputs=True)))
+    read = read_diagram(controller, inputs=input_ports(controller))
 
     def named(names: Sequence[str], values: Array) -> dict[str, float]:
         return dict(zip((f"controller/{name}" for name in names), values.tolist(), strict=True))
@@ -328,7 +327,7 @@ def scenario_inputs(scenario: Scenario) -> InputTable:
     The inputs are the command of a law in Python (zero), the samples of the reference, and the
     biological moment of the wearer. Inputs that the model does not have are left out.
     """
-    return _joint_table(runs_as_python(scenario), scenario.reference, moment_of(scenario))
+    return _joint_table(bool(why_python(scenario)), scenario.reference, moment_of(scenario))
 
 
 @lru_cache(maxsize=64)
@@ -373,13 +372,13 @@ def why_python_in_run(scenario: Scenario) -> str:
 
     Raises `ParameterError` for a law that cannot be run at all.
     """
-    traced = function_trace(scenario)
-    if traced is None:
-        return why_python(scenario)
-    if not traced.why_not_compiled and not traced.replayed and (run := _first_run(scenario)):
+    reason, inputs, traced = decide(scenario)
+    if traced is None or reason or traced.replayed:
+        return reason
+    if run := _first_run(scenario):
         law, state = scenario.controller, run[_COMMAND_AND_STATE][:, 1:]
         assert isinstance(law, LawParameters)
-        record = {name: run[SIGNAL_OF[name]] for name in law_inputs(scenario)}
+        record = {name: run[SIGNAL_OF[name]] for name in inputs}
         record |= {"time_s": run.time_s, "state": state}
         for name, gain in law.loaded().values.items():
             record[name] = np.full_like(run.time_s, gain)

@@ -10,7 +10,6 @@ from diagramc import ROUGH_STEP_S, Reduction
 from kneexo.common.result import Array
 from kneexo.diagrams import SIGNALS, available_signals, columns, make_closed_loop
 from kneexo.diagrams.closed_loop import chosen_signals
-from kneexo.diagrams.law import makers_called_once
 from kneexo.errors import (
     KneexoError,
     ParameterError,
@@ -19,11 +18,12 @@ from kneexo.errors import (
     UnstableStepError,
     shortened,
 )
+from kneexo.law.decision import makers_called_once
+from kneexo.law.python_law import sign_hint
 from kneexo.parameters import Scenario
 from kneexo.parameters.scenario import require_scenario
 from kneexo.simulation.drake import simulate_diagram
 from kneexo.simulation.lockstep import ask, needs_runs
-from kneexo.simulation.python_law import sign_hint
 from kneexo.simulation.run import Run
 
 

@@ -24,8 +24,8 @@ from typing import Any, TypeVar
 
 from diagramc import available_cores, interrupt_later
 from kneexo.common.progress import progress_bar
-from kneexo.diagrams.law import makers_called_once
 from kneexo.errors import ParameterError, WorkerError
+from kneexo.law.decision import makers_called_once
 from kneexo.simulation.lockstep import is_in_lockstep, map_in_lockstep
 from kneexo.sweeps.checkpoint import Checkpoint, UnknownLawError, piece_keys
 from kneexo.version import __version__
@@ -233,7 +233,7 @@ def parallel_map(
         A worker process died.
     """
     if workers is not None and workers < 1:
-        raise ParameterError(f"workers = {workers}: must be >= 1")
+        raise ParameterError(f"workers = {workers}: must be >= 1, or None for one for each core")
     try:
         keys = [] if checkpoint is None else piece_keys(function, items)
     except UnknownLawError as error:

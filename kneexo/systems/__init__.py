@@ -17,14 +17,6 @@ from kneexo.systems.fault import FaultySignal, FaultySignal_, ParameterFault, Pa
 from kneexo.systems.fault_detectors import FaultDetectors, FaultDetectors_
 from kneexo.systems.four_bar_knee import FourBarKnee, FourBarKnee_
 from kneexo.systems.full_cylinder import FullCylinder, FullCylinder_
-from kneexo.systems.function_law import (
-    FunctionLaw,
-    FunctionLaw_,
-    HeldCommand,
-    HeldCommand_,
-    LinearLaw,
-    LinearLaw_,
-)
 from kneexo.systems.input_guard import InputGuard, InputGuard_
 from kneexo.systems.knee_coordinates import (
     KneeCoordinates,
@@ -87,10 +79,6 @@ __all__ = [
     "FourBarKnee_",
     "FullCylinder",
     "FullCylinder_",
-    "FunctionLaw",
-    "FunctionLaw_",
-    "HeldCommand",
-    "HeldCommand_",
     "InputGuard",
     "InputGuard_",
     "IntervalReference",
@@ -99,8 +87,6 @@ __all__ = [
     "KneeCoordinates_",
     "KneeLoad",
     "KneeLoad_",
-    "LinearLaw",
-    "LinearLaw_",
     "LoadCell",
     "LoadCell_",
     "MotorTemperature",

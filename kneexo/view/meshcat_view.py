@@ -7,8 +7,7 @@ from collections.abc import Mapping
 from pydrake.geometry import Meshcat, MeshcatVisualizer, MeshcatVisualizerParams, SceneGraph
 from pydrake.systems.framework import DiagramBuilder, System
 
-from kneexo.diagrams.law import port_sizes
-from kneexo.diagrams.part import connect
+from kneexo.common.ports import output_ports, sizes
 from kneexo.errors import ParameterError
 from kneexo.parameters import CylinderParameters, LinkageParameters
 from kneexo.view.knee_frames import KneeFrames
@@ -69,9 +68,9 @@ def add_meshcat_view(
     """
     if not legs:
         raise ParameterError("legs: there is none; must be at least one system with its linkage")
-    sizes = {leg: port_sizes(leg) for leg in legs}
+    ports_of = {leg: sizes(output_ports(leg)) for leg in legs}
     names = [leg.get_name() for leg in legs]
-    for leg, ports in sizes.items():
+    for leg, ports in ports_of.items():
         if leg not in builder.GetSystems():
             raise ParameterError(f"{leg.get_name()}: must be a system of the builder")
         if names.count(leg.get_name()) > 1:
@@ -88,7 +87,7 @@ def add_meshcat_view(
     for (leg, linkage), depth_m in zip(legs.items(), depths_m(len(legs)), strict=True):
         name = leg.get_name()
         frames[leg] = KneeFrames(scene_graph, linkage, name=name, depth_m=depth_m)
-        if "load_pressure" in sizes[leg]:
+        if "load_pressure" in ports_of[leg]:
             cylinder = f"{parameters.prefix}/{name}/cylinder/cylinder"
             colours[leg] = PressureColour(meshcat, cylinder, largest_pressure_pa, PERIOD_S)
         paths[name] = icr_path(linkage, depth_m)
@@ -100,15 +99,15 @@ def add_meshcat_view(
     for leg, system in frames.items():
         builder.AddNamedSystem(f"{leg.get_name()}_frames", system)
         for port in ("knee_angle", "knee_reference", "wearer_motion"):
-            if port in sizes[leg]:
-                connect(builder, leg, port, system, port)
+            if port in ports_of[leg]:
+                builder.Connect(leg.GetOutputPort(port), system.GetInputPort(port))
         builder.Connect(
             system.GetOutputPort("frame_poses"), scene_graph.get_source_pose_port(system.source)
         )
     visualizer = MeshcatVisualizer.AddToBuilder(builder, scene_graph, meshcat, parameters)
     for leg, colour in colours.items():  # after the visualizer, which creates the cylinders
         builder.AddNamedSystem(f"{leg.get_name()}_pressure_colour", colour)
-        connect(builder, leg, "load_pressure", colour, "load_pressure")
+        builder.Connect(leg.GetOutputPort("load_pressure"), colour.GetInputPort("load_pressure"))
     for name, path in paths.items():
         # Outside the path of the visualizer, which deletes it when a simulation starts.
         meshcat.SetLine(f"icr_paths/{name}", path, 2.0, ICR_COLOUR)

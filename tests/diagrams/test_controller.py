@@ -15,8 +15,8 @@ import kneexo
 from diagramc import InputTable
 from kneexo.analysis import linearize_loop, simulate, track
 from kneexo.diagrams import SIGNALS, make_closed_loop, make_controller
-from kneexo.diagrams.law import known_to_controller
 from kneexo.errors import ParameterError, SimulationError
+from kneexo.law.decision import known_to_controller
 from kneexo.parameters import ExactParameters, PidParameters, PlantParameters, Scenario
 from kneexo.parameters.paths import changed
 from kneexo.studies.assessment import assess

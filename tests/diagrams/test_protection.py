@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from kneexo.analysis import track
+from kneexo.common.ports import input_ports
 from kneexo.diagrams import make_closed_loop, make_controller
-from kneexo.diagrams.law import port_sizes
 from kneexo.diagrams.protection import reading_range_rad
 from kneexo.errors import ParameterError
 from kneexo.export.firmware import export_firmware, export_sil
@@ -45,7 +45,7 @@ def test_protection_leaves_a_healthy_run_as_it_is():
 def test_without_protection_the_controller_is_as_before():
     controller = make_controller(BASE.changed({"protection": None}))
     assert not controller.HasSubsystemNamed("supervisor")
-    assert list(port_sizes(controller, inputs=True)) == ["knee_reference", "encoder_reading"]
+    assert [*input_ports(controller)] == ["knee_reference", "encoder_reading"]
     names = scenario_values(BASE.changed({"protection": None}))
     assert not [name for name in names if "detectors" in name or "supervisor" in name]
 
@@ -270,7 +270,7 @@ def test_the_supervisor_drives_the_bypass_of_the_plant():
     plant = {"plant.full_order": {}, "plant.bypass": {}}
     for protection, inputs in ((None, {"bypass"}), ({}, set())):
         loop = make_closed_loop(Scenario().changed(plant | {"protection": protection}))
-        assert {"bypass"} & set(port_sizes(loop, inputs=True)) == inputs
+        assert {"bypass"} & set(input_ports(loop)) == inputs
 
 
 @pytest.mark.slow

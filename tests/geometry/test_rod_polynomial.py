@@ -5,7 +5,6 @@ import pytest
 
 from kneexo.analysis import fit_polynomials, track
 from kneexo.analysis.frequency.bandwidth import rod_of
-from kneexo.diagrams.law import known_to_controller
 from kneexo.errors import LinkageError
 from kneexo.geometry.linkage import rod_extension
 from kneexo.geometry.rod_polynomial import (
@@ -14,6 +13,7 @@ from kneexo.geometry.rod_polynomial import (
     fitted_polynomial,
     largest_error_mm,
 )
+from kneexo.law.decision import known_to_controller
 from kneexo.parameters import TABLE_1_LINKAGES, LinkageParameters, RodPolynomialParameters, Scenario
 from kneexo.parameters.paths import changed
 from kneexo.simulation.compiled import scenario_values, structure_key

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given, strategies as st
 
 from kneexo.errors import OutputError
+from kneexo.law import FunctionLaw
 from kneexo.parameters import CylinderParameters, LawParameters, Scenario
 from kneexo.sweeps import parallel_map
 from kneexo.sweeps.checkpoint import Checkpoint, piece_keys
-from kneexo.systems import FunctionLaw
 
 
 def square(value):

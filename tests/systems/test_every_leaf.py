@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from kneexo import systems
+from kneexo import law as users_law, systems
 from kneexo.parameters import (
     BypassParameters,
     CuffParameters,
@@ -56,8 +56,9 @@ REQUIRED = {
 
 CLASSES = {
     name: value
-    for name in systems.__all__
-    if inspect.isclass(value := getattr(systems, name)) and issubclass(value, NamedLeaf)
+    for folder in (systems, users_law)
+    for name in folder.__all__
+    if inspect.isclass(value := getattr(folder, name)) and issubclass(value, NamedLeaf)
 }
 VARIANTS = {
     "BldcPump, ideal": lambda: BldcPump(ideal=True),

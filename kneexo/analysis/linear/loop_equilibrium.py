@@ -11,20 +11,21 @@ from pydrake.systems.analysis import Simulator
 
 import diagramc
 from diagramc import DiagramEquations, read_diagram
-from kneexo.analysis.linear.law_tangent import LawTangent
 from kneexo.analysis.linear.plant_linearization import MID_RANGE_DEG
 from kneexo.analysis.linear.shared_equations import context_with, recent_equations, set_parameters
 from kneexo.common.result import Array
 from kneexo.diagrams import make_closed_loop
 from kneexo.diagrams.closed_loop import loop_values, plant_start
 from kneexo.diagrams.controller import has_unknown_parts
-from kneexo.diagrams.law import (
-    known_text,
-    makers_called_once,
-    runs_as_python,
-)
 from kneexo.diagrams.wearer import moment_of, moment_spline
 from kneexo.errors import LinearizationError, NoEquilibriumError
+from kneexo.law.decision import (
+    known_text,
+    makers_called_once,
+    why_python,
+)
+from kneexo.law.tangent import LawTangent
+from kneexo.law.trace import HIDES_STATE
 from kneexo.parameters import (
     LawParameters,
     LegParameters,
@@ -34,7 +35,6 @@ from kneexo.parameters import (
 )
 from kneexo.parameters.scenario import require_scenario
 from kneexo.simulation.compiled import law_key, structure_key
-from kneexo.systems.function_law import hides_state
 
 _NO_LIMIT = 1e12
 """A speed or an acceleration that no motor reaches, in rad/s or rad/s²."""
@@ -144,13 +144,6 @@ def find_equilibrium(scenario: Scenario, *, knee_angle_deg: float = MID_RANGE_DE
     if controller.kind == "smc" and (controller.continuous or controller.switching == "signum"):
         what = "continuous = true" if controller.continuous else "switching = signum"
         raise LinearizationError(f"controller.{what}: there is no linear sampled-data loop")
-    if isinstance(controller, LawParameters) and not controller.function.is_system:
-        function = controller.function
-        if hides_state(function, len(controller.loaded().initial_state)):
-            raise LinearizationError(
-                f"law {function.short_name}: the object hides state, which no linear loop would "
-                f"have; write the law as a function with the argument state"
-            )
     scenario.plant.knee.require_posture(knee_angle_deg)
     fixed = scenario.without_quantizers().model_copy(
         update={
@@ -158,8 +151,14 @@ def find_equilibrium(scenario: Scenario, *, knee_angle_deg: float = MID_RANGE_DE
             "initial_offset_m": 0.0,
         }
     )
+    reason = why_python(fixed)
+    if isinstance(controller, LawParameters) and reason == HIDES_STATE:
+        raise LinearizationError(
+            f"law {controller.function.short_name}: the object hides state, which no linear loop "
+            f"would have; write the law as a function with the argument state"
+        )
     unlimited = _without_motor_limits(fixed)
-    law = LawTangent(unlimited) if runs_as_python(fixed) else None
+    law = LawTangent(unlimited) if reason else None
     equations = _shared_equations(fixed, law)
     loop = equations.diagram
     _require_one_sample_time(loop)

@@ -15,6 +15,7 @@ from pydrake.systems.framework import Diagram
 from diagramc import DiagramEquations, Transfer, find_equilibrium, linearize, read_diagram
 from kneexo.analysis.linear.shared_equations import context_with, recent_equations
 from kneexo.analysis.signals import to_rpm
+from kneexo.common.ports import input_ports
 from kneexo.common.result import Array, Result
 from kneexo.diagrams import SIGNALS, make_plant
 from kneexo.diagrams.plant import plant_parts
@@ -159,7 +160,7 @@ def _operating_point(diagram: Any, context: Any) -> OperatingPoint:
 
 def _read(diagram: Any, outputs: Sequence[str]) -> DiagramEquations:
     """Return the equations of a plant with open inputs, first the motor speed command."""
-    inputs = [diagram.get_input_port(i).get_name() for i in range(diagram.num_input_ports())]
+    inputs = [*input_ports(diagram)]
     return read_diagram(diagram, inputs=dict.fromkeys([_COMMAND, *inputs]), outputs=outputs)
 
 

@@ -10,9 +10,10 @@ import numpy as np
 from pydrake.systems.framework import DiagramBuilder
 
 from diagramc import Simulation, compile_diagram
+from kneexo.common.ports import input_ports
 from kneexo.common.result import Array, Result, data_frame
-from kneexo.diagrams.law import runs_as_python
 from kneexo.errors import ParameterError
+from kneexo.law.decision import why_python
 from kneexo.parameters import FullCylinderParameters, Scenario
 from kneexo.simulation.compiled import scenario_diagram, scenario_inputs
 from kneexo.systems.energy_meter import ENERGIES, EnergyMeter
@@ -140,7 +141,7 @@ def _metered_cylinder(scenario: Scenario) -> FullCylinderParameters:
             f"simulation.integrator = {settings.integrator}: must be exact_hold, rk4 or rosenbrock "
             f"for an energy balance"
         )
-    if runs_as_python(scenario):
+    if why_python(scenario):
         raise ParameterError("controller: runs as Python; must compile for an energy balance")
     return full
 
@@ -153,10 +154,9 @@ def _metered_run(scenario: Scenario, full: FullCylinderParameters) -> Simulation
     meter = builder.AddNamedSystem(
         "energy_meter", EnergyMeter(plant.pump, plant.cylinder, full, plant.load)
     )
-    for index in range(meter.num_input_ports()):
-        name = meter.get_input_port(index).get_name()
+    for name, port in input_ports(meter).items():
         if loop.HasOutputPort(name):
-            builder.Connect(loop.GetOutputPort(name), meter.get_input_port(index))
+            builder.Connect(loop.GetOutputPort(name), port)
     inputs = [name for name in ("knee_reference", "biological_moment") if loop.HasInputPort(name)]
     for name in inputs:
         builder.ExportInput(loop.GetInputPort(name), name)

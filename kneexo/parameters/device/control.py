@@ -44,6 +44,16 @@ class EncoderParameters(Parameters):
         """Angle of one count in rad, or zero if the quantizer is bypassed."""
         return 2.0 * math.pi / self.counts_per_revolution if self.quantized else 0.0
 
+    @property
+    def offset_rad(self) -> float:
+        """Offset in rad that the controller adds to a reading.
+
+        The offset is the phase, plus half a count, minus the mounting error. Half a count, because
+        an encoder rounds down: the error of a reading is then zero on average.
+        """
+        phase = self.phase_rad if self.quantized else 0.0
+        return phase + 0.5 * self.resolution_rad - self.mounting_error_rad
+
 
 class ObserverParameters(Parameters):
     """Third-order tracking observer of rod position, velocity and acceleration."""
@@ -87,6 +97,27 @@ def command_limit() -> Any:
         ge=1e-3,
         le=1e12,
     )
+
+
+def anti_windup() -> Any:
+    """Return the field for the time constant of the anti-windup of an integral."""
+    return quantity(
+        0.1, "s", "assumption: tracking time constant of back-calculation", ge=1e-5, le=1e3
+    )
+
+
+def stable_anti_windup() -> Any:
+    """Make a validator: the time constant of the anti-windup is at least the sample time."""
+
+    def check(parameters: Any) -> Any:
+        if parameters.anti_windup_s < parameters.sample_time_s:
+            raise ValueError(
+                f"anti_windup_s = {parameters.anti_windup_s:g} s must be at least sample_time_s = "
+                f"{parameters.sample_time_s:g} s"
+            )
+        return parameters
+
+    return model_validator(mode="after")(check)
 
 
 class SlidingModeParameters(Parameters):
@@ -171,9 +202,7 @@ class PidParameters(Parameters):
         ge=1e-4,
         le=10,
     )
-    anti_windup_s: float = quantity(
-        0.1, "s", "assumption: tracking time constant of back-calculation", ge=1e-5, le=1e3
-    )
+    anti_windup_s: float = anti_windup()
     velocity_feedforward: float = quantity(
         0.0, "1", "assumption: share of the reference's rate that is fed forward", ge=0, le=2
     )
@@ -186,14 +215,7 @@ class PidParameters(Parameters):
     )
     command_limit_rad_s: float = command_limit()
 
-    @model_validator(mode="after")
-    def _anti_windup_is_stable(self) -> PidParameters:
-        if self.anti_windup_s < self.sample_time_s:
-            raise ValueError(
-                f"anti_windup_s = {self.anti_windup_s:g} s must be at least sample_time_s = "
-                f"{self.sample_time_s:g} s"
-            )
-        return self
+    _stable = stable_anti_windup()
 
 
 class LawParameters(Parameters):
@@ -253,7 +275,7 @@ class LawParameters(Parameters):
         law = self.function
         if law.takes_scenario or not law.is_system:
             present = self.values.keys(), bool(self.initial_state)
-            if present == (law.arguments.gains.keys(), law.arguments.state):
+            if present == (law.arguments.gains.keys(), "state" in law.arguments.names):
                 return self
         copy = self.model_copy()
         try:
@@ -280,12 +302,13 @@ class LawParameters(Parameters):
         arguments = law.arguments
         if not self.initial_state:
             object.__setattr__(self, "initial_state", arguments.initial_state)
-        if arguments.state and not self.initial_state:
+        has_state = "state" in arguments.names
+        if has_state and not self.initial_state:
             raise ValueError(
                 f"law {law.short_name} has the argument state: initial_state is missing, such as "
                 f"[0.0]; or give the argument a default, state=(0.0,)"
             )
-        if self.initial_state and not arguments.state:
+        if self.initial_state and not has_state:
             raise ValueError(
                 f"initial_state = {list(self.initial_state)}: law {law.short_name} has no argument "
                 f"state; add the argument, or leave out initial_state"

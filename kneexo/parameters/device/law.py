@@ -23,12 +23,14 @@ from numbers import Real
 from pathlib import Path
 from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
 from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
 
 import cloudpickle
 import numpy as np
 from pydantic import GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
+from kneexo.common.ports import input_ports
 from kneexo.common.user_code import NOT_OF_USERS, function_at, text_of, user_code
 from kneexo.errors import ParameterError, close_names, question, shortened
 from kneexo.parameters.fields.messages import shown_value
@@ -60,10 +62,8 @@ class LawArguments(NamedTuple):
 
     inputs: tuple[str, ...]
     """Names in `LAW_INPUTS`."""
-    time: bool
-    """Whether the law has the argument ``time_s``."""
-    state: bool
-    """Whether the law has the argument ``state``."""
+    names: tuple[str, ...]
+    """All names, but for ``scenario``: inputs, ``time_s``, ``state`` and gains."""
     initial_state: tuple[float, ...]
     """Default of the argument ``state``; empty without default."""
     gains: dict[str, float]
@@ -77,15 +77,13 @@ class Law:
     without arguments, or a function with the argument ``scenario``, that returns a Drake system.
     ``name`` is ``FILE.py:NAME`` or ``MODULE:NAME``, and ``written`` is the name that a scenario
     file gets. Two laws are equal if their targets are the same object, or if they have the same
-    name in files of equal names and contents. ``memo`` holds results that other modules have
-    computed about this law.
+    name in files of equal names and contents.
     """
 
     def __init__(self, target: Any, name: str | None = None) -> None:
         """Wrap a law. Raises `ParameterError` if ``target`` is neither callable nor a system."""
         self.target = _checked(target)
         self.name = self.written = name or _name_of(self.target)
-        self.memo: dict[Any, Any] = {}
 
     @classmethod
     def from_text(cls, text: str, directory: str | Path = ".", *, is_data: bool = False) -> Law:
@@ -112,7 +110,7 @@ class Law:
         if not place or not path or ".py:" in place:
             raise ParameterError(f"{subject}: must be FILE.py:NAME, such as my.py:law")
         law = cls.__new__(cls)
-        law.name, law.memo = text, {}
+        law.name = text
         with user_code(f"{subject}: the file cannot be read"):
             file = Path(directory, place).resolve() if place.endswith(".py") else None
             if is_data and not (file and file.is_relative_to(Path(directory).resolve())):
@@ -147,6 +145,12 @@ class Law:
             hint = question(close_names(path, known) or known[:4])
             raise ParameterError(f"{subject}: the file has no {shortened(path)!r}{hint}")
         return _checked(getattr(module, path))
+
+    @cached_property
+    def memo(self) -> dict[Any, Any]:
+        """What a process has found out about the law. All laws of one function share it."""
+        is_function = isinstance(self.target, FunctionType)
+        return _memos.setdefault(self.target, {}) if is_function else {}
 
     @property
     def is_loaded(self) -> bool:
@@ -237,10 +241,7 @@ class Law:
             except RuntimeError:  # Drake's error for a system that does not support cloning
                 clone = None
             # Drake wraps the clone of a system that is written in Python, and renames its ports.
-            if clone is None or (
-                clone.num_input_ports()
-                and (clone.get_input_port(0).get_name() != self.target.get_input_port(0).get_name())
-            ):
+            if clone is None or [*input_ports(clone)] != [*input_ports(self.target)]:
                 raise ParameterError(
                     f"law {self.short_name}: Drake cannot clone this system; give its class, or a "
                     f"function without arguments that makes the system"
@@ -272,13 +273,6 @@ class Law:
             )
         return system
 
-    def any_system(self, arguments: Mapping[str, Any] = {}) -> Any:
-        """Return the Drake system of the law itself, or a new one if the law makes systems.
-
-        `make_system` describes ``arguments``.
-        """
-        return self.target if _is_system(self.target) else self.make_system(arguments)
-
     @cached_property
     def short_name(self) -> str:
         """The name without the directory of the file."""
@@ -296,54 +290,49 @@ class Law:
         Raises `ParameterError` for an unknown argument without a number as default, and for an
         argument beside ``scenario`` that is no gain.
         """
-        with user_code(f"law {self.short_name}: has no readable arguments"):
-            return self._read_arguments()
-
-    def _read_arguments(self) -> LawArguments:
-        inputs, gains = [], {}
-        flags = {"time_s": False, "state": False}
+        names, gains = [], {}
+        known = (*LAW_INPUTS, "time_s", "state")
         initial_state: tuple[float, ...] = ()
         for name, parameter in self._parameters.items():
             default = parameter.default
             if name == "scenario":
                 continue
-            if self.takes_scenario and (name in LAW_INPUTS or name in flags):
+            if self.takes_scenario and name in known:
                 raise ParameterError(
                     f"law {self.short_name}: has the arguments scenario and {name}; a function of "
                     f"a scenario must return a Drake system, whose ports have names such as {name}"
                 )
-            if name in LAW_INPUTS:
-                inputs.append(name)
-            elif name in flags:
-                flags[name] = True
+            if name in known:
+                names.append(name)
                 if name == "state" and default is not parameter.empty:
-                    with user_code(f"law {self.short_name}: the default of state must be numbers"):
-                        initial_state = tuple(map(float, np.atleast_1d(default)))
-                    self._require_finite("state", *initial_state)
+                    initial_state = self._numbers(name, default)
             elif name.startswith(_RESERVED):
                 raise ParameterError(
                     f"law {self.short_name}: the argument {name!r} has a name that kneexo uses; "
                     f"rename the argument"
                 )
             elif isinstance(default, Real) and not isinstance(default, bool):
-                gains[name] = float(default)
-                self._require_finite(name, gains[name])
+                (gains[name],) = self._numbers(name, default)
             else:
-                known = [*LAW_INPUTS, *flags]
                 hint = question(close_names(name, known))
                 raise ParameterError(
                     f"law {self.short_name}: unknown argument {name!r}; must have a number as "
                     f"default, or a name of {', '.join(known)}{hint}"
                 )
-        return LawArguments(tuple(inputs), flags["time_s"], flags["state"], initial_state, gains)
+        inputs = tuple(name for name in names if name in LAW_INPUTS)
+        return LawArguments(inputs, (*names, *gains), initial_state, gains)
 
-    def _require_finite(self, name: str, *defaults: float) -> None:
-        for default in defaults:
-            if not math.isfinite(default):
+    def _numbers(self, name: str, default: Any) -> tuple[float, ...]:
+        """Return the default of an argument as finite numbers."""
+        with user_code(f"law {self.short_name}: the default of {name} must be numbers"):
+            numbers = tuple(map(float, np.atleast_1d(default)))
+        for number in numbers:
+            if not math.isfinite(number):
                 raise ParameterError(
-                    f"law {self.short_name}: the default {name} = {default} must be finite; give "
+                    f"law {self.short_name}: the default {name} = {number} must be finite; give "
                     f"the argument a number"
                 )
+        return numbers
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Law):
@@ -448,6 +437,8 @@ def _is_system(value: Any) -> bool:
 
 _making: ContextVar[frozenset[int]] = ContextVar("making", default=frozenset())
 """The id of each function that is making its system, by which recursion is detected."""
+
+_memos: WeakKeyDictionary[FunctionType, dict[Any, Any]] = WeakKeyDictionary()
 
 _importing: set[Path] = set()
 """Files of laws that are being imported, by which recursion is detected."""

@@ -11,7 +11,7 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 
 from kneexo.analysis.linear.loop_equilibrium import find_equilibrium
 from kneexo.analysis.linear.sampled_loop import linearize_loop
-from kneexo.diagrams.law import runs_as_python
+from kneexo.law.decision import why_python
 from kneexo.parameters import Scenario
 
 ANGLE_RAD = math.radians(40.0)
@@ -93,7 +93,7 @@ def continuous_pi(scalars):
 
 def test_a_system_with_a_continuous_state_has_the_loop_of_its_equations():
     compiled, called = continuous_pi([float, AutoDiffXd, Expression]), continuous_pi([float])
-    runs = [runs_as_python(Scenario().with_law(law)) for law in (compiled, called)]
+    runs = [bool(why_python(Scenario().with_law(law))) for law in (compiled, called)]
     assert runs == [False, True]
     expected, loop = linearize_loop(law=compiled), linearize_loop(law=called)
     frequency_hz = [0.05, 0.3, 5.0, 240.0]

@@ -4,10 +4,11 @@ import pytest
 from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from pydrake.systems.primitives import Adder
 
-from kneexo.diagrams.law import held_command, law_inputs, port_sizes, runs_as_python, why_python
+from kneexo.common.ports import input_ports, sizes
 from kneexo.errors import ParameterError
+from kneexo.law import FunctionLaw
+from kneexo.law.decision import held_command, law_inputs, why_python
 from kneexo.parameters import LawParameters, Scenario
-from kneexo.systems import FunctionLaw
 
 
 def law(knee_angle, knee_reference, gain=1e3):
@@ -44,9 +45,9 @@ def test_a_law_that_converts_is_compiled(form) -> None:
 def test_another_law_is_replaced_by_its_held_command(form, reason: str) -> None:
     scenario = Scenario().with_law(form, sample_time_s=0.004)
     assert reason in why_python(scenario)
-    assert runs_as_python(scenario)
+    assert why_python(scenario)
     held = held_command(scenario)
-    assert port_sizes(held, inputs=True) == {"estimated_state": 3, "law_command": 1}
+    assert sizes(input_ports(held)) == {"estimated_state": 3, "law_command": 1}
     assert held.GetUniquePeriodicDiscreteUpdateAttribute().period_sec() == 0.004
 
 
@@ -65,7 +66,7 @@ def test_what_is_known_of_a_system_belongs_to_the_scenario_that_it_is_made_for()
 
 
 def test_kneexos_controllers_are_compiled() -> None:
-    assert not runs_as_python(Scenario())
+    assert not why_python(Scenario())
 
 
 def test_a_law_that_cannot_begin_anew_is_refused() -> None:

@@ -9,11 +9,11 @@ from pydrake.systems.analysis import Simulator
 
 from kneexo.common.result import Array
 from kneexo.common.user_code import user_code
-from kneexo.diagrams.law import law_inputs, maker_arguments
 from kneexo.errors import LinearizationError, SimulationError
+from kneexo.law.decision import law_inputs, users_system
+from kneexo.law.leaves import FunctionLaw, LinearLaw
+from kneexo.law.python_law import SIGNAL_OF
 from kneexo.parameters import LawParameters, Scenario
-from kneexo.simulation.python_law import SIGNAL_OF
-from kneexo.systems import FunctionLaw, LinearLaw
 
 _RELATIVE_STEP = 6e-6  # cube root of the rounding error: the best step of a central difference
 _SMALLEST_SCALE = 1e-2  # m, rad, rad/s, …: values below it are differentiated with its step
@@ -29,13 +29,10 @@ class LawTangent:
         law = scenario.with_loaded_law().controller
         assert isinstance(law, LawParameters)
         self._name, self._sample_time_s = law.function.short_name, law.sample_time_s
-        self._inputs = law_inputs(scenario)
-        self._held: list[float] = []
+        self._inputs, is_system = law_inputs(scenario), law.function.is_system
+        self._system = users_system(scenario) if is_system else FunctionLaw(law)
+        self._held = [] if is_system else [0.0]
         """Discrete states before those of the law: the command of a `FunctionLaw`, or none."""
-        if law.function.is_system:
-            self._system = law.function.any_system(maker_arguments(scenario))
-        else:
-            self._system, self._held = FunctionLaw(law), [0.0]
         self._context = self._system.CreateDefaultContext()
         continuous, discrete = self._states()
         self.sizes = continuous.size, discrete.size

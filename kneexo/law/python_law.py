@@ -13,22 +13,17 @@ from pydrake.systems.analysis import Simulator
 
 from kneexo.common.result import Array
 from kneexo.common.user_code import user_code
-from kneexo.diagrams.controller import encoder_offset_rad
-from kneexo.diagrams.law import law_inputs, maker_arguments, why_python
 from kneexo.errors import KneexoError
 from kneexo.geometry.linkage import encoder_angle, polynomial
 from kneexo.geometry.rod_polynomial import controller_polynomial
-from kneexo.parameters import Law, LawParameters, Scenario
-from kneexo.systems.function_law import call_law, require_finite_result
+from kneexo.law.call import call_law, require_finite_result
+from kneexo.law.decision import law_inputs, users_system, why_python
+from kneexo.parameters import LAW_INPUTS, Law, LawParameters, Scenario
 from kneexo.systems.knee_reference import start_angle_rad
 
-SIGNAL_OF = {
+SIGNAL_OF = {name: name for name in LAW_INPUTS} | {
     "rod_extension": "measured_rod_extension",
     "knee_angle": "measured_knee_angle",
-    "rod_reference": "rod_reference",
-    "knee_reference": "knee_reference",
-    "estimated_state": "estimated_state",
-    "encoder_reading": "encoder_reading",
     "rod_state": "estimated_state",  # with the estimator exact, the only one with rod_state
 }
 """For each input of a law the output port of the closed loop with the same value."""
@@ -52,20 +47,17 @@ class PythonLaw:
         """Names of the output ports of the closed loop that the law reads."""
         self._reason = why_python(scenario) if announce else ""
         if law.function.is_system:
-            self._simulator = Simulator(law.function.any_system(maker_arguments(scenario)))
-            self._started = False
+            self._simulator = Simulator(users_system(scenario))
+            self._command = self._system_command
             return
+        self._command = self._function_command
         self._function = law.function.copy_of_target()
         self._state = np.array(law.initial_state)
         self._gains = {name: np.array([value]) for name, value in law.values.items()}
 
     def __call__(self, time_s: float, signals: Mapping[str, Array]) -> float:
         """Return the limited command in rad/s at a sample."""
-        values = {name: signals[SIGNAL_OF[name]] for name in self._inputs}
-        if self._law.function.is_system:
-            command = self._system_command(time_s, values)
-        else:
-            command = self._function_command(time_s, values)
+        command = self._command(time_s, {n: signals[SIGNAL_OF[n]] for n in self._inputs})
         if self._reason:  # after the first call, because an error says more
             _announce(self._law.function, self._reason)
             self._reason = ""
@@ -73,12 +65,8 @@ class PythonLaw:
 
     def _function_command(self, time_s: float, values: dict[str, Array]) -> float:
         law = self._law.function
-        arguments = values | self._gains
-        if law.arguments.time:
-            arguments["time_s"] = np.array([time_s])
-        if law.arguments.state:
-            arguments["state"] = self._state
-        command, *state = call_law(law, self._function, arguments)
+        values |= self._gains | {"time_s": np.array([time_s]), "state": self._state}
+        command, *state = call_law(law, self._function, values)
         require_finite_result(law, time_s, [command, *state])
         self._state = np.array(state)
         return float(command)
@@ -90,13 +78,13 @@ class PythonLaw:
         """
         system, context = self._simulator.get_system(), self._simulator.get_mutable_context()
         with user_code(f"law {self._law.function.short_name}: the system fails"):
-            if self._started:
+            is_first = time_s == context.get_time()
+            if not is_first:
                 self._simulator.AdvanceTo(time_s)
             for name, value in values.items():
                 system.GetInputPort(name).FixValue(context, value)
-            if not self._started:
+            if is_first:
                 self._simulator.Initialize()
-                self._started = True
             self._simulator.AdvancePendingEvents()
             command = float(system.GetOutputPort("motor_speed_command").Eval(context)[0])
         require_finite_result(self._law.function, time_s, [command])
@@ -151,7 +139,7 @@ def _commands(scenario: Scenario, knees: Array, references: Array, rates: Array)
             "rod_reference": [extension_at(reference), *rate],
             "knee_reference": [reference, *rate],
             "estimated_state": [extension_at(knee), 0.0, 0.0],
-            "encoder_reading": [float(encoder_at(knee)) - encoder_offset_rad(scenario)],
+            "encoder_reading": [float(encoder_at(knee)) - scenario.encoder.offset_rad],
         }
         signals = {SIGNAL_OF[name]: np.array(value) for name, value in values.items()}
         commands.append(call(sample * scenario.controller.sample_time_s, signals))
