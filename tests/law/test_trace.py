@@ -95,7 +95,7 @@ class Integrator:
         self.integral = 0.0
 
     def __call__(self, rod_extension):
-        self.integral += rod_extension
+        self.integral += max(rod_extension, 0.0)
         return self.integral
 
 
