@@ -41,7 +41,7 @@ import numpy as np
 from pydrake.symbolic import Expression, Variable
 from pydrake.systems.primitives import SymbolicVectorSystem
 
-from diagramc import InputTable, compile_diagram
+from diagramc import InputTable, compile_diagram, truth_of_scalars
 from kneexo.diagrams import make_closed_loop
 from kneexo.diagrams.signals import SIGNALS, columns
 from kneexo.errors import KneexoError
@@ -157,7 +157,10 @@ def replayed(law: GeneratedLaw, folder: Path, run: Run) -> Any:
 
 
 def called(function: Any, arguments: dict[str, Any]) -> Any:
-    """Call a law with numbers. For Drake 1.58's if_then_else they are constant Expressions."""
+    """Call a law with numbers. For Drake 1.58's if_then_else they are constant Expressions.
+
+    A branch on a constant Expression then follows its value, as a branch on a number does.
+    """
     try:
         return function(**arguments)
     except TypeError as error:
@@ -167,7 +170,8 @@ def called(function: Any, arguments: dict[str, Any]) -> Any:
         name: Expression(value) if np.ndim(value) == 0 else np.array(list(map(Expression, value)))
         for name, value in arguments.items()
     }
-    return function(**constants)
+    with truth_of_scalars():
+        return function(**constants)
 
 
 def number(value: Any) -> float:

@@ -75,6 +75,11 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
         shown as shown,
     )
     from .feedback import simulate_with_feedback as simulate_with_feedback
+    from .files import (
+        lock_file as lock_file,
+        output_directory as output_directory,
+        write_files as write_files,
+    )
     from .fmu.export import (
         FmuFile as FmuFile,
         export_fmu as export_fmu,
@@ -86,6 +91,7 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
         initial_states as initial_states,
     )
     from .fmu.variables import FmuParameter as FmuParameter
+    from .interruption import interrupt_later as interrupt_later
     from .linear.advice import Obstacle as Obstacle, advice as advice
     from .linear.equilibrium import find_equilibrium as find_equilibrium
     from .linear.linearize import linearize as linearize, linearize_at as linearize_at
@@ -148,10 +154,12 @@ else:
             *("StiffnessError", "UnstableStepError", "escaped", "shortened", "shown"),
         ),
         "feedback": ("simulate_with_feedback",),
+        "files": ("lock_file", "output_directory", "write_files"),
         "fmu.export": ("FmuFile", "export_fmu", "write_fmu"),
         "fmu.fmu": ("FMI_VERSIONS", "Fmu"),
         "fmu.parameters": ("context_parameters", "initial_states"),
         "fmu.variables": ("FmuParameter",),
+        "interruption": ("interrupt_later",),
         "linear.advice": ("Obstacle", "advice"),
         "linear.equilibrium": ("find_equilibrium",),
         "linear.linearize": ("linearize", "linearize_at"),

@@ -25,7 +25,6 @@ HOMES = {
     "track": analysis,
 }
 FUNCTIONS = sorted(set(HOMES) - {"Scenario"})
-OF_SCENARIOS = sorted({*FUNCTIONS} - {"design_linkage"})
 SLOW = ("design_linkage", "play")  # 3 s, 5 s
 EXAMPLES = [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in HOMES]
 
@@ -64,20 +63,6 @@ def test_help_shows_the_types_of_arguments_and_result(name):
     text = pydoc.render_doc(function, renderer=pydoc.plaintext)
     assert f"\n{name}(" in text
     assert f"-> '{result.__name__}'" in text
-
-
-@pytest.mark.parametrize("name", sorted({*OF_SCENARIOS} - {"compile", "play"}))
-def test_a_law_may_be_given(name):
-    parameters = inspect.signature(getattr(kneexo, name)).parameters
-    for argument, default in {"law": None, "initial_state": ()}.items():
-        assert parameters[argument].default == default
-        assert parameters[argument].kind is inspect.Parameter.KEYWORD_ONLY
-
-
-@pytest.mark.parametrize("name", OF_SCENARIOS)
-def test_a_scenario_may_be_the_path_of_its_file(name):
-    first = next(iter(inspect.signature(getattr(kneexo, name)).parameters.values()))
-    assert first.annotation.startswith("Scenario | str | PathLike[str]")
 
 
 @pytest.mark.parametrize("name", EXAMPLES)

@@ -12,9 +12,9 @@ import sys
 from dataclasses import is_dataclass
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from elsewhere import module_of
 
 from kneexo import systems
 from kneexo.analysis import fit_polynomials, linearize_loop
@@ -139,11 +139,7 @@ def test_the_gallery_has_every_figure_with_its_page_and_the_command_that_draws_i
 
 @pytest.fixture(scope="module")
 def public():
-    sys.path.insert(0, str(DOCS))
-    try:
-        yield importlib.import_module("public_names").public_names()
-    finally:
-        sys.path.remove(str(DOCS))
+    return module_of("public_names", DOCS / "public_names.py").public_names()
 
 
 def test_the_reference_lists_what_users_import(public):
@@ -332,11 +328,7 @@ def test_a_number_that_no_cell_has_is_seen():
 
 @pytest.fixture(scope="module")
 def drawings():
-    sys.path.insert(0, str(DOCS))
-    try:
-        yield importlib.import_module("drawings")
-    finally:
-        sys.path.remove(str(DOCS))
+    return module_of("drawings", DOCS / "drawings.py")
 
 
 @pytest.mark.parametrize(
@@ -362,7 +354,6 @@ def test_nothing_of_a_drawing_is_cut_off(drawings, name):
             assert ax.bbox.x0 <= box.x0 <= box.x1 <= ax.bbox.x1
             assert ax.bbox.y0 <= box.y0 <= box.y1 <= ax.bbox.y1
         assert not ax.axison or (ax.get_xlabel() + ax.get_ylabel()).endswith(")")
-    plt.close(figure)
 
 
 def test_the_drawings_follow_the_parameters(drawings):
@@ -377,7 +368,6 @@ def test_the_drawings_follow_the_parameters(drawings):
     assert "±5000 rpm" in texts
     assert "314 mm²" in texts
     assert "236 mm²" in texts
-    plt.close(figure)
 
 
 def test_the_mechanism_closes_where_it_is_drawn(drawings):
@@ -390,7 +380,6 @@ def test_the_mechanism_closes_where_it_is_drawn(drawings):
     theta_3 = np.angle(np.diff(ends["a_3"])[0])
     knee = np.degrees(np.angle(np.exp(1j * (theta_3 + G1.phi_rad))))
     assert knee == pytest.approx(50.0, abs=1e-9)
-    plt.close(figure)
 
 
 def test_the_timing_is_that_of_a_run(drawings):
@@ -407,7 +396,6 @@ def test_the_timing_is_that_of_a_run(drawings):
         assert np.interp(middle, *command.get_data()) == pytest.approx(held, rel=1e-6)
         ends = run["motor_speed_rad_s"][row : row + 2] * 30.0 / np.pi
         assert ends.min() - 0.1 <= np.interp(middle, *speed.get_data()) <= ends.max() + 0.1
-    plt.close(figure)
 
 
 # ------------------------------------------- numbers that take too long for a build of the pages

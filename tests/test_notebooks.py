@@ -1,13 +1,12 @@
 """The tutorials as notebooks: plain Markdown for Jupyter, and run from an installed wheel."""
 
-import importlib
 import os
 import re
 import resource
-import sys
 from pathlib import Path
 
 import pytest
+from elsewhere import module_of
 
 ROOT = Path(__file__).parents[1]
 TUTORIALS = [p for p in sorted((ROOT / "docs/tutorials").glob("*.md")) if p.stem != "index"]
@@ -15,11 +14,7 @@ TUTORIALS = [p for p in sorted((ROOT / "docs/tutorials").glob("*.md")) if p.stem
 
 @pytest.fixture(scope="module")
 def notebooks():
-    sys.path.insert(0, str(ROOT / "docs"))
-    try:
-        yield importlib.import_module("notebooks")
-    finally:
-        sys.path.remove(str(ROOT / "docs"))
+    return module_of("notebooks", ROOT / "docs/notebooks.py")
 
 
 def junk(text):

@@ -1,16 +1,13 @@
 """The compiler of the tests that remembers, around a compiler that counts its calls."""
 
-import importlib.util
 import os
 from pathlib import Path
 
 import pytest
+from elsewhere import module_of
 
-SPEC = importlib.util.spec_from_file_location(
-    "remembering_compiler", Path(__file__).with_name("remembering_compiler.py")
-)
-remembering_compiler = importlib.util.module_from_spec(SPEC)
-SPEC.loader.exec_module(remembering_compiler)
+PATH = Path(__file__).with_name("remembering_compiler.py")
+remembering_compiler = module_of("remembering_compiler", PATH)
 
 COMPILER = """#!/bin/sh
 echo >> "{calls}"

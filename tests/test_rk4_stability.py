@@ -1,14 +1,12 @@
 """RK4 on random full-order plants, in small; `benchmarks/rk4_stability.py` has 200 plants."""
 
-import importlib.util
 from pathlib import Path
 
 import pytest
+from elsewhere import module_of
 
 PATH = Path(__file__).parents[1] / "benchmarks" / "rk4_stability.py"
-spec = importlib.util.spec_from_file_location("rk4_stability", PATH)
-campaign = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(campaign)
+campaign = module_of("rk4_stability", PATH)
 
 
 def test_right_with_short_steps_refused_with_long_ones():

@@ -1,12 +1,11 @@
 """The theory page and the drawings: each equation of the paper in its order; the arm."""
 
-import importlib
 import re
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from elsewhere import module_of
 
 from kneexo.geometry.linkage import pose
 from kneexo.parameters import LINKAGES
@@ -37,12 +36,10 @@ def test_each_section_names_its_code_and_its_test():
     "geometry",
     [name if name == "G1" else pytest.param(name, marks=pytest.mark.slow) for name in LINKAGES],
 )
-def test_the_drawn_arm_is_the_moment_arm(geometry, monkeypatch):
-    monkeypatch.syspath_prepend(str(DOCS))
-    drawings = importlib.import_module("drawings")
+def test_the_drawn_arm_is_the_moment_arm(geometry):
+    drawings = module_of("drawings", DOCS / "drawings.py")
     figure = drawings.mechanism(LINKAGES[geometry], 50.0)
     (arm,) = (line for line in figure.axes[0].lines if line.get_gid() == "r")
     length_m = 1e-3 * np.hypot(*np.diff(arm.get_xydata(), axis=0)[0])
     r = pose(LINKAGES[geometry], np.radians(50.0)).moment_arm
     assert length_m == pytest.approx(float(r), rel=1e-9)
-    plt.close(figure)

@@ -14,7 +14,7 @@ from pydrake.systems.framework import System
 
 from ..diagram_equations import read_diagram
 from ..errors import CompilationError, OutputError, shown
-from ..files import require_empty, write_folder
+from ..files import require_empty, write_files
 from ..rosenbrock import MOST_SUBSTEPS
 from ..run_data import Array
 from .build import (
@@ -207,7 +207,7 @@ def write_c(directory: str | os.PathLike[str], source: CSource, vectors: Vectors
     """
     files, measurement = exported(source, vectors)
     require_export_folder(directory, source.name)
-    write_folder(Path(directory), files)
+    write_files(directory, files)
     return measurement
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import CompilationError
-from ..files import write_folder
+from ..files import write_files
 from .build import REQUIRED_FLAGS, USUAL_FLAGS, BuildError, Replay, replay
 from .export import REPLAY_TOLERANCES, Measurement, exported, require_export_folder
 from .manifest import FILE as MANIFEST, manifest
@@ -147,8 +147,8 @@ def write_sil(directory: str | os.PathLike[str], sil: Sil) -> SilMeasurement:
         comparison = None
     require_sil_folder(folder, *(source.name for source in sources))
     # The manifest of the loop is written first. With it a call that was killed can be repeated.
-    write_folder(folder, loop_files)
+    write_files(folder, loop_files)
     for source, (files, _) in zip(sources, exports, strict=True):
-        write_folder(folder / source.name, files)
+        write_files(folder / source.name, files)
     controller, plant = (measurement for _, measurement in exports)
     return SilMeasurement(controller, plant, comparison)

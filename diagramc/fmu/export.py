@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import NoneType
@@ -17,8 +16,8 @@ from ..c.cross import require_platforms, shared_libraries
 from ..c.interface import require_model_name
 from ..c.source import source_of
 from ..diagram_equations import read_diagram
-from ..errors import OutputError, shown
-from ..files import write_whole
+from ..errors import shown
+from ..files import write_files
 from .fmu import Fmu, require_fmi
 from .parameters import chosen_parameters
 from .variables import FmuParameter
@@ -137,22 +136,7 @@ def write_fmu(
     """
     path = Path(file)
     libraries = shared_libraries(fmu.name, fmu.sources, platforms)
-    archive = fmu.archive(libraries)
-    created: list[Path] = []
-    try:
-        if path.exists() and not path.is_file():
-            raise OSError("is no regular file")
-        created = [folder for folder in path.parents if not folder.exists()]
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(path, archive)
-    except OSError as error:
-        for folder in created:
-            with suppress(OSError):  # not empty, or never created
-                folder.rmdir()
-        reason = error.strerror or error
-        raise OutputError(
-            f"file {shown(path)}: cannot be written ({reason}); choose another file"
-        ) from None
+    write_files(path.parent, {path.name: fmu.archive(libraries)}, f"file {shown(path)}")
     plan = fmu.source.plan
     return FmuFile(
         str(path),

@@ -13,23 +13,21 @@ another user could write is never used.
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import os
 import re
+import shutil
 import stat
+import tempfile
 import warnings
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 from ..errors import OutputError, shortened
-from ..files import (
-    FileStatus,
-    delete_stale,
-    files_in,
-    process_directory,
-    write_whole,
-)
+from ..files import delete_leftovers, temporary_in
 from ..root import ROOT, variable
 
 _FORMAT = f"{ROOT} code 1\n".encode()  # raise the number when the layout of the files changes
@@ -43,8 +41,7 @@ _LARGEST_LIMIT_MB = 10**9
 _TIDY_SHARE = 0.01
 _LONGEST_WARNING = 400  # characters
 # 128 bits of the hash of a key. The seal covers the whole key, so two keys of one name do no harm.
-_NAME = rf"[0-9a-f]{{32}}\.{ROOT}"
-_ENTRY = re.compile(_NAME)
+_ENTRY = re.compile(rf"[0-9a-f]{{32}}\.{ROOT}")
 
 _unwritable: set[Path] = set()
 _bytes_since_tidy: dict[Path, int] = {}  # by directory
@@ -52,6 +49,15 @@ _warnings_given: set[str] = set()
 
 
 # ----------------------------------------------------------------------------- entries
+
+
+class CacheEntry(NamedTuple):
+    """The path of the file of a cache entry, its size, and the time of its last use."""
+
+    path: Path
+    size_bytes: int
+    last_use_s: float
+    """Unix time of the last use in s. The modification time of the file records the last use."""
 
 
 def load(key: str) -> bytes | None:
@@ -90,7 +96,9 @@ def store(key: str, content: bytes) -> None:
     path = directory / _name(key)
     try:
         directory.mkdir(mode=0o700, parents=True, exist_ok=True)
-        write_whole(path, _header(key, content) + content)
+        with temporary_in(directory) as new:
+            (new / path.name).write_bytes(_header(key, content) + content)
+            os.replace(new / path.name, path)
     except OSError as error:
         reason = f"cannot be written ({error.strerror or error})"
         if directory == _private_directory():
@@ -103,14 +111,14 @@ def store(key: str, content: bytes) -> None:
         _tidy(path, len(content))
 
 
-def cache_entries() -> list[FileStatus]:
+def cache_entries() -> list[CacheEntry]:
     """Return the files of all cache entries, the most recently used first."""
-    files = [entry for directory in _directories() for entry in files_in(directory, _ENTRY)]
-    return sorted(files, key=lambda entry: entry.last_use_s, reverse=True)
+    entries = [entry for directory in _directories() for entry in _entries_in(directory)]
+    return sorted(entries, key=lambda entry: entry.last_use_s, reverse=True)
 
 
 def clear_cache() -> int:
-    """Delete all cache entries and the temporary files of killed processes.
+    """Delete all cache entries and the temporary directories of killed processes.
 
     Returns the number of deleted entries.
 
@@ -118,8 +126,8 @@ def clear_cache() -> int:
     """
     count = 0
     for directory in _directories():
-        delete_stale(directory, _NAME)
-        for entry in files_in(directory, _ENTRY):
+        delete_leftovers(directory)
+        for entry in _entries_in(directory):
             try:
                 entry.path.unlink()
                 count += 1
@@ -167,8 +175,20 @@ def _header(key: str, content: bytes) -> bytes:
     return _FORMAT + seal.digest()
 
 
+def _entries_in(directory: Path) -> list[CacheEntry]:
+    """Return the entries of a directory; an empty list if the directory cannot be read."""
+    entries = []
+    with suppress(OSError), os.scandir(directory) as items:
+        for item in items:
+            if _ENTRY.fullmatch(item.name) and not item.is_dir(follow_symlinks=False):
+                with suppress(FileNotFoundError):  # another process deleted it
+                    status = item.stat(follow_symlinks=False)
+                    entries.append(CacheEntry(Path(item.path), status.st_size, status.st_mtime))
+    return entries
+
+
 def _tidy(stored: Path, size_bytes: int) -> None:
-    """Delete stale files, and the least recently used entries until the rest is within the limit.
+    """Delete leftovers, and the least recently used entries until the rest is within the limit.
 
     The file ``stored``, which was just written, stays in any case. Reading a directory of thousands
     of files takes long. So a process reads it at its first store, and then once for each 1 % of the
@@ -180,9 +200,9 @@ def _tidy(stored: Path, size_bytes: int) -> None:
     if since < _TIDY_SHARE * limit:
         return
     _bytes_since_tidy[directory] = total = 0
-    delete_stale(directory, _NAME)
-    files = files_in(directory, _ENTRY)
-    for entry in sorted(files, key=lambda entry: (entry.path != stored, -entry.last_use_s)):
+    delete_leftovers(directory)
+    entries = _entries_in(directory)
+    for entry in sorted(entries, key=lambda entry: (entry.path != stored, -entry.last_use_s)):
         total += entry.size_bytes
         if total > limit and entry.path != stored:
             with suppress(OSError):
@@ -244,9 +264,16 @@ def _refusal(directory: Path) -> str:
 def _private_directory() -> Path:
     """Return a directory for this process alone, which is deleted at the end of the process."""
     try:
-        return process_directory()
+        directory = Path(tempfile.mkdtemp(prefix=f"{ROOT}-"))
     except OSError:  # no temporary directory either: a path that no file can have
         return Path(os.devnull, ROOT)
+    atexit.register(_delete_directory, directory, os.getpid())
+    return directory
+
+
+def _delete_directory(directory: Path, process: int) -> None:
+    if os.getpid() == process:  # not in a fork
+        shutil.rmtree(directory, ignore_errors=True)
 
 
 def _warn_replaced(reason: str) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from itertools import product
 from os import PathLike
 from pathlib import Path
@@ -13,12 +13,12 @@ from typing import Any, Literal, overload
 
 import numpy as np
 
+from diagramc import write_files
 from kneexo.analysis.tracking.reduced_tracking import track_metrics
 from kneexo.analysis.tracking.tracking import TrackingMetrics
-from kneexo.common.files.writing import write_file
 from kneexo.common.plotting import PURPLE, RED, axes_or_new
 from kneexo.common.result import Result, data_frame
-from kneexo.errors import ParameterError, close_names, failure_noted, question, shortened
+from kneexo.errors import ParameterError, close_names, failure_noted, question, shortened, shown
 from kneexo.parameters import LawParameters, Scenario
 from kneexo.parameters.paths import has_path
 from kneexo.parameters.scenario_file import as_scenario, scenario_files
@@ -65,8 +65,8 @@ class BatchRow(Result):
         if isinstance(controller := self.scenario.controller, LawParameters):
             controller.function.require_name()
         file = Path(path)
-        others: dict[str, Any] = scenario_files(self.scenario, file.name, file.parent)
-        write_file(file, others.pop(file.name).encode(), others)
+        files = scenario_files(self.scenario, file.name, file.parent)
+        write_files(file.parent, files, f"file {shown(file)}")
 
     def __str__(self) -> str:
         """Return the changed values as text, a line for each."""
@@ -228,30 +228,23 @@ def batch(
     controller.lambda_per_s = 40 -> largest error 0.03 deg
     """
     scenario = as_scenario(scenario, law, initial_state)
-    if workers is not None and workers < 1:
-        raise ParameterError(f"workers = {workers}: must be >= 1, or None for one for each core")
     if not isinstance(values, Mapping):
         raise ParameterError(
             f"values: must map paths to lists, as {_EXAMPLE}, not be a {type(values).__name__}"
         )
     lists = {path: _listed(scenario, path, items) for path, items in values.items()}
-    variants = [_variant(scenario, combination) for combination in _combinations(lists, combine)]
+    rows = [_not_run(scenario, combination) for combination in _combinations(lists, combine)]
     outcomes = iter(
         parallel_map(
             _metrics_or_error,
-            [variant for _, variant, _ in variants if variant is not None],
+            [row.scenario for row in rows if row.scenario is not None],
             workers=workers,
             description="batch" if progress else None,
             weight=lambda variant: variant.duration_s,
         )
     )
     return BatchResult(
-        tuple(
-            BatchRow(combination, None, None, refusal)
-            if variant is None
-            else BatchRow(combination, variant, **next(outcomes))
-            for combination, variant, refusal in variants
-        )
+        tuple(row if row.scenario is None else replace(row, **next(outcomes)) for row in rows)
     )
 
 
@@ -292,14 +285,12 @@ def _combinations(lists: Mapping[str, list[Any]], combine: str) -> Iterator[dict
     return (dict(zip(lists, combination, strict=True)) for combination in combinations)
 
 
-def _variant(
-    scenario: Scenario, values: dict[str, Any]
-) -> tuple[dict[str, Any], Scenario | None, str]:
-    """Return the values, and the scenario with these values or the reason why it refuses them."""
-    made: dict[str, Any] = {}
-    with failure_noted(made):
+def _not_run(scenario: Scenario, values: dict[str, Any]) -> BatchRow:
+    """Return the row of a run before it begins, with the error of values that are refused."""
+    made: dict[str, Any] = {"scenario": None}
+    with failure_noted(made, "error"):
         made["scenario"] = scenario.changed(values)
-    return values, made.get("scenario"), made["failure"]
+    return BatchRow(values, metrics=None, **made)
 
 
 @needs_runs

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from kneexo.analysis.linear.plant_linearization import Complex
 from kneexo.analysis.linear.sampled_loop import SampledLoop, linearize_loop
+from kneexo.analysis.signals import unwrapped_deg
 from kneexo.analysis.tracking.tracking import TrackingResult, track
 from kneexo.common.plotting import BLUE, GOLD, axes_or_new, label_bode
 from kneexo.common.result import Array, Result, data_frame
@@ -83,7 +84,7 @@ class BodeResponse(Result):
     @property
     def phase_deg(self) -> Array:
         """Phase of ``response`` in deg, unwrapped over frequency, (n,)."""
-        return _phase_deg(self.response)
+        return unwrapped_deg(self.response)
 
     @property
     def bandwidth_hz(self) -> float:
@@ -109,7 +110,9 @@ class BodeResponse(Result):
                 "gain": self.gain,
                 "phase_deg": self.phase_deg,
                 "complementary_sensitivity_gain": np.abs(self.complementary_sensitivity),
-                "complementary_sensitivity_phase_deg": _phase_deg(self.complementary_sensitivity),
+                "complementary_sensitivity_phase_deg": unwrapped_deg(
+                    self.complementary_sensitivity
+                ),
             },
             "frequency_hz",
         )
@@ -132,7 +135,7 @@ class BodeResponse(Result):
             ),
         ):
             ax[0].semilogx(f, 20.0 * np.log10(np.abs(values)), label=label, **style)
-            ax[1].semilogx(f, _phase_deg(values), label=label, **style)
+            ax[1].semilogx(f, unwrapped_deg(values), label=label, **style)
         ax[0].axhline(20.0 * math.log10(MINUS_3_DB), color="0.6", lw=0.8, label="−3 dB")
         if math.isfinite(bandwidth := self.bandwidth_hz):
             for axis in ax:
@@ -141,10 +144,6 @@ class BodeResponse(Result):
         label_bode(ax, "magnitude (dB)")
         ax[0].legend(loc="lower left")
         return ax
-
-
-def _phase_deg(response: Complex) -> Array:
-    return np.asarray(np.degrees(np.unwrap(np.angle(response))))
 
 
 def bode(

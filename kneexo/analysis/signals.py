@@ -1,4 +1,4 @@
-"""Period, root mean square, shares and unit of signals."""
+"""Period, root mean square, shares and unit of signals, and the phase of a response."""
 
 from __future__ import annotations
 
@@ -37,6 +37,15 @@ def periods_in(span_s: float, period_s: float) -> int:
 def rms(values: Array) -> float:
     """Return the root mean square of ``values`` (n,)."""
     return float(np.sqrt(np.mean(np.square(values))))
+
+
+def unwrapped_deg(response: Any) -> Array:
+    """Return the phase in deg of ``response`` (…, n), unwrapped along n over its finite values."""
+    phase = np.angle(response)
+    for row in np.atleast_2d(phase):
+        finite = np.isfinite(row)
+        row[finite] = np.unwrap(row[finite])
+    return np.degrees(phase)
 
 
 def to_rpm(speed: Any) -> Any:

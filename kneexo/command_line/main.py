@@ -12,10 +12,11 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
+from diagramc import interrupt_later
 from kneexo import system
 from kneexo.command_line.outcome import Delivery, named_in_errors
 from kneexo.command_line.parser import LONGEST_LINE, parsed
-from kneexo.common.interruption import Terminated, interrupt_later, sigterm_raises
+from kneexo.common.interruption import Terminated, sigterm_raises
 from kneexo.common.user_code import cause_of, place_in_user_code
 from kneexo.errors import KneexoError, WorkerError, escaped, shortened, shown
 

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
+from diagramc import write_files
 from kneexo.command_line import arguments
 from kneexo.command_line.outcome import Outcome
-from kneexo.common.files.writing import create_files
-from kneexo.errors import ParameterError, shown
+from kneexo.errors import OutputError, ParameterError, shown
 from kneexo.version import __version__
 
 if TYPE_CHECKING:
@@ -76,7 +77,10 @@ def new(path: Path) -> Outcome:
     if path.suffix not in (".yaml", ".yml"):
         raise ParameterError(f"{shown(path)}: the name must end in .yaml")
     csv = path.with_suffix(".csv")
-    create_files({path: scenario_text(csv.name), csv: reference_text()})
+    for file in (path, csv):
+        if os.path.lexists(file):
+            raise OutputError(f"{shown(file)} exists already; choose another name")
+    write_files(path.parent, {path.name: scenario_text(csv.name), csv.name: reference_text()})
     text = (
         f"{shown(path)} is a knee to change, {shown(csv)} its reference. Next:\n"
         f"  kneexo simulate {shown(path)} --out run\n"

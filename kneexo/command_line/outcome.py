@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from kneexo.common.files.writing import output_directory, write_file
+from diagramc import output_directory, write_files
 from kneexo.common.progress import progress_bar
 from kneexo.errors import (
     KneexoError,
@@ -91,7 +91,8 @@ class Delivery:
         """Run the command, write its files, print its text; return the exit code."""
         request = self.request
         if request.directory is not None:
-            with output_directory(request.directory, self._note_written) as directory:
+            place = f"--out {shown(request.directory)}"
+            with output_directory(request.directory, place, self._note_written) as directory:
                 try:
                     with request.progress():
                         outcome = self._outcome()
@@ -103,8 +104,8 @@ class Delivery:
                     raise
         else:
             outcome = self._outcome()
-            if request.file is not None:
-                write_file(request.file, outcome.page.encode())
+            if (file := request.file) is not None:
+                write_files(file.parent, {file.name: outcome.page}, f"--out {shown(file)}")
                 self._note_written()
         return self._print(outcome)
 

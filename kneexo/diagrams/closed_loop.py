@@ -18,14 +18,16 @@ from pydrake.systems.primitives import (
 from kneexo import systems
 from kneexo.common.ports import output_ports, sizes
 from kneexo.diagrams.controller import (
-    controller_outputs,
     controller_parts,
+    controller_signals,
     make_controller,
 )
 from kneexo.diagrams.faults import (
+    Changes,
     active_faults,
     changed_inside,
     command_faults,
+    parameter_changes,
     parameter_faults,
     reading_faults,
     require_triggers,
@@ -34,22 +36,20 @@ from kneexo.diagrams.part import (
     NO_FAULTS,
     NO_SIGNAL,
     Part,
+    by_name,
     export_inputs,
     state_names,
     wire,
+    with_faults,
 )
-from kneexo.diagrams.plant import make_plant, scenario_plant_parts, start_arguments
-from kneexo.diagrams.signals import (
-    CONTROLLER_SIGNALS,
-    LAW_OUTPUTS,
-    NEEDED_SETTINGS,
-    OPTIONAL_OUTPUTS,
-    PLANT_OUTPUTS,
-    PROTECTION_OUTPUTS,
-    SIGNALS,
-    WEARER_OUTPUTS,
+from kneexo.diagrams.plant import (
+    make_plant,
+    plant_outputs,
+    scenario_plant_parts,
+    start_arguments,
 )
-from kneexo.diagrams.wearer import MOMENT_INPUT, moment_of, moment_parts, wearer_parts
+from kneexo.diagrams.signals import NEEDED_SETTINGS, SIGNALS
+from kneexo.diagrams.wearer import MOMENT_INPUT, moment_parts, wearer_parts
 from kneexo.errors import ParameterError, close_names, question
 from kneexo.law.leaves import LAW_COMMAND
 from kneexo.parameters import (
@@ -142,7 +142,7 @@ def make_closed_loop(
         external_reference=external_reference,
         external_moment=external_moment,
     )
-    ports, inputs = wire(builder, parts, fault_names=changed_inside(scenario, ""))
+    ports, inputs = wire(builder, parts)
     export_inputs(builder, inputs, _INPUTS)
     for name in available:
         builder.ExportOutput(ports[name], name)
@@ -187,8 +187,9 @@ def loop_parts(
     drive, bus, faults and watchdog, in this order; the readings pass through their faults.
     """
     bus, push, sample_time_s = scenario.bus, scenario.push, scenario.controller.sample_time_s
+    changes = parameter_changes(scenario)
     parts: list[Part | None] = [
-        _plant_part(scenario),
+        _plant_part(scenario, changes),
         *encoder_parts(scenario),
         _reference_part(scenario, reference, external_reference),
         *wearer_parts(scenario),
@@ -196,13 +197,14 @@ def loop_parts(
         Part(
             "controller",
             lambda: make_controller(scenario, law),
-            offers={name: name for name in (*CONTROLLER_SIGNALS, "motor_speed_command", "release")},
+            offers=by_name("motor_speed_command", *controller_signals(scenario)),
         ),
         *reading_faults(scenario),
         Part(
             "drive",
             lambda: systems.Cia402Drive(bus),
             lambda: drive.context_values(bus),
+            offers=by_name("motor_speed_command", "target_velocity"),
             through="motor_speed_command",
         )
         if isinstance(bus, Cia402Parameters)
@@ -231,29 +233,24 @@ def loop_parts(
         )
         if push is not None
         else None,
-        *parameter_faults(scenario),
+        *parameter_faults(scenario, changes),
         *active_faults(scenario),
     ]
-    return [part for part in parts if part is not None]
+    return with_faults([part for part in parts if part is not None], changed_inside(changes, ""))
 
 
-def _plant_part(scenario: Scenario) -> Part:
+def _plant_part(scenario: Scenario, changes: dict[int, Changes]) -> Part:
     """Return the plant. Its inputs for a stop are driven if the scenario has protection."""
-    fault_names = changed_inside(scenario, "plant")
+    fault_names = changed_inside(changes, "plant")
     reads = {f"{name}_fault": f"faults_of_{name}" for name in fault_names}
     if scenario.protection is not None:
         # With another safe state the valve stays closed, and the windings are not shorted.
         safe_state = scenario.protection.safe_state
         reads |= {name: "release" if name == safe_state else NO_SIGNAL for name in RELEASES}
-    names = [name for names in PLANT_OUTPUTS.values() for name in names]
-    names += [name for _, optional in OPTIONAL_OUTPUTS.values() for name in optional]
-    return Part(
-        "plant",
-        lambda: plant_of(scenario, fault_names),
-        reads=reads,
-        # Without estimator, the state of the plant is the estimate.
-        offers={name: name for name in names} | {"estimated_state": "rod_state"},
-    )
+    offers = by_name(*plant_outputs(scenario.plant))
+    if scenario.estimator.kind == "exact" and scenario.controller.kind != "pid":
+        offers["estimated_state"] = "rod_state"  # the state of the plant is the estimate
+    return Part("plant", lambda: plant_of(scenario, fault_names), reads=reads, offers=offers)
 
 
 def _reference_part(scenario: Scenario, reference: System | None, external: bool) -> Part:
@@ -270,37 +267,14 @@ def _reference_part(scenario: Scenario, reference: System | None, external: bool
     make = partial(systems.make_knee_reference, chosen)
     if isinstance(chosen, SampledReference):
         return Part("reference", make, offers={"knee_reference": "y0"})  # Drake's block
-    return Part("reference", make, lambda: knee_reference.context_values(chosen))
+    values = partial(knee_reference.context_values, chosen)
+    return Part("reference", make, values, offers=by_name("knee_reference"))
 
 
 def available_signals(scenario: Scenario) -> tuple[str, ...]:
     """Return the names of the `SIGNALS` that the closed loop of a scenario has."""
-    missing = set()
-    if scenario.controller.kind == "law":
-        outputs = controller_outputs(scenario)
-        missing |= {name for name in CONTROLLER_SIGNALS if outputs.get(name) != len(SIGNALS[name])}
-        if scenario.estimator.kind == "exact":
-            missing.discard("estimated_state")  # the law reads the state of the plant
-    elif scenario.controller.kind == "pid":
-        missing |= {"estimated_state", *LAW_OUTPUTS}
-    else:
-        missing.add("desired_torque" if scenario.controller.kind == "smc" else "sliding_variable")
-    if scenario.bus.kind != "cia402":
-        missing.add("target_velocity")
-    for option, (_, outputs_of_option) in OPTIONAL_OUTPUTS.items():
-        if getattr(scenario.plant, option) is None:
-            missing |= set(outputs_of_option)
-    if scenario.wearer.kind == "none":
-        missing |= set(WEARER_OUTPUTS)
-    if scenario.has_load_cell:
-        missing.discard("measured_force")
-    if moment_of(scenario) is None:
-        missing.add("biological_moment")
-    if not scenario.faults:
-        missing.add("active_faults")
-    if scenario.protection is None:
-        missing |= set(PROTECTION_OUTPUTS)
-    return tuple(name for name in SIGNALS if name not in missing)
+    offered = {signal for part in loop_parts(scenario) for signal in part.offers or ()}
+    return tuple(name for name in SIGNALS if name in offered)
 
 
 def chosen_signals(scenario: Scenario, signals: Sequence[str] | None) -> tuple[str, ...]:

@@ -9,9 +9,9 @@ from pydrake.systems.primitives import Saturation, ZeroOrderHold
 
 from kneexo import systems
 from kneexo.common.ports import output_ports, sizes
-from kneexo.diagrams.part import Part, export_inputs, leaf_part, wire
+from kneexo.diagrams.part import Part, by_name, export_inputs, leaf_part, wire
 from kneexo.diagrams.protection import protection_parts, raw
-from kneexo.diagrams.signals import CONTROLLER_SIGNALS, LAW_OUTPUTS, PROTECTION_OUTPUTS
+from kneexo.diagrams.signals import CONTROLLER_SIGNALS, PROTECTION_OUTPUTS, SIGNALS
 from kneexo.diagrams.users_part import users_part
 from kneexo.errors import ParameterError
 from kneexo.geometry.rod_polynomial import controller_polynomial
@@ -119,7 +119,7 @@ _OUTPUTS = {
     "measured_rod_extension": "rod_extension",
     **{name: name for name in ("rod_reference", "estimated_state", *PROTECTION_OUTPUTS)},
     "release": "release",
-    **{name: name for name in LAW_OUTPUTS},
+    **by_name("sliding_variable", "desired_torque"),
 }
 """The outputs of the controller in their order, and the signals that they show."""
 
@@ -129,9 +129,7 @@ def _of_law(name: str) -> str:
     return f"{name} of the law"
 
 
-_OFFERS_OF_LAW = {"motor_speed_command": "motor_speed_command"} | {
-    _of_law(name): name for name in CONTROLLER_SIGNALS
-}
+_OFFERS_OF_LAW = {_of_law(name): name for name in CONTROLLER_SIGNALS}
 
 
 def controller_parts(scenario: Scenario, law: System | None = None) -> list[Part]:
@@ -184,7 +182,8 @@ def _parts(scenario: Scenario, replacement: System | None = None) -> list[Part]:
     # Without an estimator the true state of the rod takes the place of the estimated state.
     reads = {"estimated_state": "rod_state"} if scenario.estimator.kind == "exact" else {}
     parts = [*_coordinates(scenario)] if measures else []
-    parts.append(law_part._replace(reads=reads, offers=_OFFERS_OF_LAW))
+    command = by_name("motor_speed_command")
+    parts.append(law_part._replace(reads=reads, offers=command, may_offer=_OFFERS_OF_LAW))
     if estimates:
         parts += _estimator_parts(scenario)
     parts += behind_law
@@ -273,10 +272,24 @@ def _estimator_parts(scenario: Scenario) -> Iterator[Part]:
         yield Part("estimator", lambda: systems.BackwardDifference(sample_time), reads=position)
 
 
-def controller_outputs(scenario: Scenario) -> dict[str, int]:
-    """Return the size of each output port of a controller with a law of the user, by its name."""
-    return remembered(
-        users_law(scenario),
-        ("outputs", known_text(scenario)),
-        lambda: sizes(output_ports(make_controller(scenario, held_command(scenario)))),
-    )
+def controller_signals(scenario: Scenario) -> list[str]:
+    """Return the names of the further output ports of a controller: `SIGNALS`, and ``release``."""
+    if scenario.controller.kind == "law":
+        outputs = remembered(
+            users_law(scenario),
+            ("outputs", known_text(scenario)),
+            lambda: sizes(output_ports(make_controller(scenario, held_command(scenario)))),
+        )
+        names = [name for name in SIGNALS if name in CONTROLLER_SIGNALS]
+        names = [name for name in names if outputs.get(name) == len(SIGNALS[name])]
+    else:
+        names = ["measured_knee_angle", "measured_rod_extension", "rod_reference"]
+        names += _LAW_SIGNALS[scenario.controller.kind]
+        if scenario.controller.kind != "pid" and scenario.estimator.kind != "exact":
+            names.append("estimated_state")
+        names += PROTECTION_OUTPUTS if scenario.protection is not None else ()
+    return [*names, "release"] if scenario.protection is not None else names
+
+
+_LAW_SIGNALS = {"smc": ("sliding_variable",), "pid": (), "torque": ("desired_torque",)}
+"""Names of the further output ports of each control law of kneexo."""

@@ -9,7 +9,7 @@ from typing import Any
 from pydrake.systems.primitives import Adder, ConstantVectorSource
 
 from kneexo import systems
-from kneexo.diagrams.part import Part, leaf_part
+from kneexo.diagrams.part import Part, by_name, leaf_part
 from kneexo.diagrams.plant import scenario_plant_parts
 from kneexo.diagrams.signals import NEEDED_SETTINGS, SIGNALS
 from kneexo.diagrams.wearer import wearer_parts
@@ -36,7 +36,7 @@ def fault_structure(scenario: Scenario) -> tuple[Any, ...]:
     kinds = (
         (fault.place, fault.kind, fault.signal and _signal_of(fault)) for fault in scenario.faults
     )
-    return (*kinds, *_names(_changes(scenario)).items())
+    return (*kinds, *_names(parameter_changes(scenario)).items())
 
 
 def pressed_buttons(scenario: Scenario) -> set[str]:
@@ -73,15 +73,19 @@ def command_faults(scenario: Scenario) -> Iterator[Part]:
         return
     arguments = protection, scenario.controller.sample_time_s
     yield leaf_part("watchdog", systems.DriveWatchdog, drive_watchdog, *arguments)._replace(
-        reads={"lost": "lost_commands"}, through="motor_speed_command"
+        reads={"lost": "lost_commands"},
+        offers=by_name("motor_speed_command"),
+        through="motor_speed_command",
     )
     yield _sum("lost_commands", [f"lost_{number}" for number in losing], 1)
 
 
-def parameter_faults(scenario: Scenario) -> Iterator[Part]:
-    """Yield the faults of parameters, and for each changed system the sum of its changes."""
+def parameter_faults(scenario: Scenario, all_changes: dict[int, Changes]) -> Iterator[Part]:
+    """Yield the faults of parameters, and for each changed system the sum of its changes.
+
+    ``all_changes`` are the `parameter_changes` of the scenario.
+    """
     sources: dict[str, list[str]] = {}
-    all_changes = _changes(scenario)
     for number, changes in all_changes.items():
         fault = scenario.faults[number]
         for path, offsets in changes.items():
@@ -111,13 +115,13 @@ def active_faults(scenario: Scenario) -> Iterator[Part]:
         yield _sum("active_faults", active, 1)
 
 
-def changed_inside(scenario: Scenario, folder: str) -> dict[str, tuple[str, ...]]:
+def changed_inside(changes: dict[int, Changes], folder: str) -> dict[str, tuple[str, ...]]:
     """Return the Context parameters that faults change, by the name of their system.
 
-    The systems are those inside the subsystem ``folder``, or those of the loop itself for "".
+    ``changes`` are `parameter_changes`. The systems are those inside the subsystem ``folder``, or
+    those of the loop itself for "".
     """
-    changed_names = _names(_changes(scenario)).items()
-    paths = ((path.rpartition("/"), names) for path, names in changed_names)
+    paths = ((path.rpartition("/"), names) for path, names in _names(changes).items())
     return {name: names for (parent, _, name), names in paths if parent == folder}
 
 
@@ -139,7 +143,8 @@ def _signal_faults(scenario: Scenario, place: str, signal: str) -> Iterator[Part
             make,
             partial(fault_system.context_values, fault, **_reading(scenario, fault)),
             reads={"signal": signal} | _trigger_signal(fault),
-            offers={signal: "signal", f"active_{number}": "active", f"lost_{number}": "lost"},
+            offers={signal: "signal", f"active_{number}": "active"}
+            | ({f"lost_{number}": "lost"} if fault.kind in LOSING else {}),
             through=signal,
         )
 
@@ -212,7 +217,7 @@ def _parts(scenario: Scenario) -> Iterator[tuple[str, Part]]:
         yield part.name, part
 
 
-def _changes(scenario: Scenario) -> dict[int, Changes]:
+def parameter_changes(scenario: Scenario) -> dict[int, Changes]:
     """Return the changes that each fault of a parameter makes, by its index in the list.
 
     All faults of one system have the same names, so that their changes can be added. A name that

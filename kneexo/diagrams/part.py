@@ -11,6 +11,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from kneexo.common.ports import input_ports, output_ports
+from kneexo.errors import ParameterError
 from kneexo.systems import StateVariable
 
 NO_FAULTS: Mapping[str, tuple[str, ...]] = MappingProxyType({})
@@ -48,7 +49,9 @@ class Part(NamedTuple):
     reads: Mapping[str, str] = MappingProxyType({})
     """Signal of each input port that reads a signal of another name than its own."""
     offers: Mapping[str, str] | None = None
-    """Output port of each signal that the part offers, if it exists. None: all, by their names."""
+    """Output port of each signal that the part offers. None: all ports, by their names."""
+    may_offer: Mapping[str, str] = MappingProxyType({})
+    """Output port of each signal that the part offers if its system has the port."""
     through: str = ""
     """Signal that passes through the part, which reads it from the parts before, as ``reads``
     says, and offers it to all others."""
@@ -76,6 +79,24 @@ def leaf_part(name: str, component: Any, module: Any, *arguments: Any) -> Part:
     return Part(name, partial(component, *arguments), partial(module.context_values, *arguments))
 
 
+def by_name(*signals: str) -> dict[str, str]:
+    """Return the ``offers`` of a part whose output ports have the names of ``signals``."""
+    return dict(zip(signals, signals, strict=True))
+
+
+def with_faults(parts: Iterable[Part], fault_names: Mapping[str, tuple[str, ...]]) -> list[Part]:
+    """Return ``parts``, of which those in ``fault_names`` are made with inputs of faults.
+
+    ``fault_names`` has the Context parameters that faults change, by the name of the part.
+    """
+    return [
+        part._replace(make=partial(part.make, fault_names=fault_names[part.name]))
+        if part.name in fault_names
+        else part
+        for part in parts
+    ]
+
+
 def state_names(part: Part, path: str) -> list[str]:
     """Return the names that a compiled model gives the continuous states of a part.
 
@@ -85,11 +106,7 @@ def state_names(part: Part, path: str) -> list[str]:
     return [f"{system}.x[{index}]" for index in range(len(part.states))]
 
 
-def wire(
-    builder: Any,
-    parts: Iterable[Part],
-    fault_names: Mapping[str, tuple[str, ...]] = NO_FAULTS,
-) -> tuple[dict[str, Any], dict[str, list[Any]]]:
+def wire(builder: Any, parts: Iterable[Part]) -> tuple[dict[str, Any], dict[str, list[Any]]]:
     """Add the systems of ``parts`` to a DiagramBuilder and connect them by names of signals.
 
     Of parts that offer one signal, the last one has it. A part with ``through`` reads its signal
@@ -101,25 +118,34 @@ def wire(
         The DiagramBuilder.
     parts
         The systems, in their order in the diagram.
-    fault_names
-        The Context parameters that faults change, by the name of the part.
 
     Returns
     -------
     signals, inputs
         The output port of each signal, and the input ports of each signal that no part offers.
+
+    Raises
+    ------
+    ParameterError
+        A part offers an output port that its system does not have.
     """
     systems, ports = [], dict[str, Any]()
     for part in parts:
-        names = fault_names.get(part.name)
-        system = part.make(fault_names=names) if names else part.make()
-        systems.append((part, builder.AddNamedSystem(part.name, system)))
+        system = builder.AddNamedSystem(part.name, part.make())
+        systems.append((part, system))
         for name, port in input_ports(system).items() if part.through else ():
             if part.reads.get(name, name) == part.through:
                 builder.Connect(ports[part.through], port)
         own = output_ports(system)
-        offered = part.offers if part.offers is not None else {name: name for name in own}
-        ports |= {signal: own[name] for signal, name in offered.items() if name in own}
+        offered = by_name(*own) if part.offers is None else part.offers
+        for signal, name in offered.items():
+            if name not in own:
+                raise ParameterError(
+                    f"part {part.name}: offers {signal!r} by the output port {name!r}, which is "
+                    f"none of its ports {', '.join(own)}"
+                )
+        offers = {**offered, **part.may_offer}
+        ports |= {signal: own[name] for signal, name in offers.items() if name in own}
     inputs: dict[str, list[Any]] = {}
     for part, system in systems:
         for name, port in input_ports(system).items():

@@ -12,7 +12,15 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from kneexo import systems
 from kneexo.common.ports import input_ports
-from kneexo.diagrams.part import NO_FAULTS, Part, export_inputs, leaf_part, wire
+from kneexo.diagrams.part import (
+    NO_FAULTS,
+    Part,
+    by_name,
+    export_inputs,
+    leaf_part,
+    wire,
+    with_faults,
+)
 from kneexo.diagrams.signals import OPTIONAL_OUTPUTS, PLANT_OUTPUTS
 from kneexo.diagrams.users_part import users_part
 from kneexo.errors import ParameterError
@@ -127,16 +135,10 @@ def make_plant(
         parts = PartsParameters(**parts)
     start = initial_knee_angle_rad, initial_offset_m, rod_polynomial
     of_plant = plant_parts(parameters, *start, parts, scenario)
-    signals, inputs = wire(builder, of_plant, fault_names=fault_names)
-    export_inputs(
-        builder, inputs, _INPUTS | {f"{name}_fault": f"{name}_fault" for name in fault_names}
-    )
-    for part in ("knee", "cylinder", "motor"):
-        for name in PLANT_OUTPUTS[part]:
-            builder.ExportOutput(signals[name], name)
-    for option, (_, names) in OPTIONAL_OUTPUTS.items():
-        for name in names if getattr(parameters, option) is not None else ():
-            builder.ExportOutput(signals[name], name)
+    signals, inputs = wire(builder, with_faults(of_plant, fault_names))
+    export_inputs(builder, inputs, _INPUTS | by_name(*(f"{name}_fault" for name in fault_names)))
+    for name in plant_outputs(parameters):
+        builder.ExportOutput(signals[name], name)
     plant = builder.Build()
     plant.set_name("plant")
     return plant
@@ -152,6 +154,14 @@ _INPUTS = {
     "bypass": "bypass",
 }
 """By the signals that no part of the plant offers, the inputs of the plant in their order."""
+
+
+def plant_outputs(parameters: PlantParameters) -> list[str]:
+    """Return the names of the output ports of a plant, in their order."""
+    names = [name for names in PLANT_OUTPUTS.values() for name in names]
+    for option, (_, further) in OPTIONAL_OUTPUTS.items():
+        names += further if getattr(parameters, option) is not None else ()
+    return names
 
 
 def scenario_plant_parts(scenario: Scenario) -> list[Part]:
@@ -373,8 +383,9 @@ def _extension_at(
     parameters: PlantParameters, rod_polynomial: RodPolynomialParameters, knee_angle_rad: float
 ) -> float:
     """Return the rod extension in m at a knee angle."""
-    if parameters.rod_map == "polynomial":
-        return float(linkage.polynomial(rod_polynomial.p_si, knee_angle_rad))
+    rod_map = _rod_map(parameters, rod_polynomial)
+    if rod_map is not None:
+        return float(linkage.polynomial(rod_map.p_si, knee_angle_rad))
     return _rod_extension(parameters.linkage, knee_angle_rad)
 
 

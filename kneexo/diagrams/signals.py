@@ -96,17 +96,11 @@ The plant exports these output ports too if it has the part.
 PROTECTION_OUTPUTS = ("residuals", "safety_state", "safety_reason")
 """Names of the output ports that a controller with protection has."""
 
-WEARER_OUTPUTS = {
-    "measured_force": "load_cell",
-    "wearer_motion": "wearer",
-    "interaction_torque": "cuff",
-    "interaction_power": "cuff",
-    "cuff_slip": "cuff",
-}
-"""For each signal of wearer and load cell, the name of the subsystem that has its output port."""
-
 NEEDED_SETTINGS = {
-    **dict.fromkeys(WEARER_OUTPUTS, "wearer.kind = leg"),
+    **dict.fromkeys(
+        ("wearer_motion", "interaction_torque", "interaction_power", "cuff_slip"),
+        "wearer.kind = leg",
+    ),
     "measured_force": "wearer.kind = leg or controller.kind = torque",
     "biological_moment": "wearer.moment",
     "desired_torque": "controller.kind = torque",
@@ -121,12 +115,9 @@ NEEDED_SETTINGS = {
 }
 """The setting of a scenario that a signal needs, by the name of the signal."""
 
-LAW_OUTPUTS = ("sliding_variable", "desired_torque")
-"""Names of output ports of a control law that the controller exports if they exist."""
-
 CONTROLLER_SIGNALS = frozenset(
     ("measured_knee_angle", "measured_rod_extension", "rod_reference", "estimated_state")
-).union(LAW_OUTPUTS, PROTECTION_OUTPUTS)
+).union(("sliding_variable", "desired_torque"), PROTECTION_OUTPUTS)
 """Names of the `SIGNALS` that are output ports of the controller."""
 
 

@@ -11,13 +11,11 @@ from pydrake.systems.primitives import PassThrough, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from kneexo import systems
-from kneexo.diagrams.part import Part
+from kneexo.diagrams.part import Part, by_name
 from kneexo.diagrams.plant import start_rod_force
 from kneexo.geometry.rod_polynomial import controller_polynomial
 from kneexo.parameters import LegParameters, MomentTable, NoLoad, Scenario
 from kneexo.systems import cuff, knee_reference, load_cell, wearer_knee
-
-_OF_CUFF = ("interaction_torque", "interaction_power", "cuff_slip")
 
 MOMENT_INPUT = "biological_moment_input"
 """Signal of the biological moment that comes from outside the loop."""
@@ -39,13 +37,15 @@ def wearer_parts(scenario: Scenario) -> list[Part]:
                 lambda: wearer_knee.context_values(leg, load),
                 wearer_knee.state_variables(leg.motion),
                 lambda: wearer_knee.start_state(leg, *start),
+                offers=by_name("wearer_motion"),
             ),
             Part(
                 "cuff",
                 lambda **fault: systems.Cuff(leg.cuff, **fault),
                 lambda: cuff.context_values(leg.cuff),
                 cuff.state_variables(leg.cuff),
-                offers={name: name for name in _OF_CUFF} | {"knee_torque": "interaction_torque"},
+                offers=by_name("interaction_torque", "interaction_power", "cuff_slip")
+                | {"knee_torque": "interaction_torque"},
             ),
         ]
     if scenario.has_load_cell:
@@ -59,6 +59,7 @@ def wearer_parts(scenario: Scenario) -> list[Part]:
                 lambda: load_cell.context_values(cell),
                 load_cell.STATE_VARIABLES,
                 lambda: [_start_force(scenario)],
+                offers=by_name("measured_force"),
             )
         )
     return [part._replace(reads={"fault": f"faults_of_{part.name}"}) for part in parts]

@@ -61,6 +61,7 @@ def make_firmware(
     look_up: bool = False,
     name: str | None = None,
     outputs: Sequence[str] | None = None,
+    run_options: Mapping[str, Any] = MappingProxyType({}),
 ) -> tuple[CSource, Vectors]:
     """Return controller, plant or loop of a scenario as C99, with test vectors.
 
@@ -95,6 +96,9 @@ def make_firmware(
     outputs
         Names of the output ports to export, by default all. The code computes nothing that only
         other outputs need.
+    run_options
+        Options ``integrator`` and ``step_s`` of `CompiledModel.simulate` for the run that gives
+        the inputs of the test vectors. Software in the loop needs those of the plant in C.
 
     Raises
     ------
@@ -106,39 +110,6 @@ def make_firmware(
         The diagram cannot be exported: see `CSource`.
     SimulationError
         The run of the closed loop or of the exported diagram fails.
-    """
-    return _firmware(
-        scenario,
-        what,
-        precision=precision,
-        vectors_s=vectors_s,
-        integrator=integrator,
-        tolerance=tolerance,
-        step_s=step_s,
-        look_up=look_up,
-        name=name,
-        outputs=outputs,
-    )
-
-
-def _firmware(
-    scenario: Scenario,
-    what: str,
-    *,
-    integrator_options: Mapping[str, Any] = MappingProxyType({}),
-    precision: str,
-    vectors_s: float | None,
-    step_s: float | None,
-    integrator: str = "rk4",
-    tolerance: float | None = None,
-    look_up: bool = False,
-    name: str | None = None,
-    outputs: Sequence[str] | None = None,
-) -> tuple[CSource, Vectors]:
-    """Return C and test vectors as `make_firmware` does.
-
-    ``integrator_options`` choose the integrator of the run that gives the test vectors, as in
-    `loop_inputs`. Software in the loop needs the integrator of the plant in C.
     """
     require_step(step_s)
     if what == "loop" and moment_of(scenario) is not None:
@@ -192,7 +163,7 @@ def _firmware(
         tool=TOOL,
     )
     steps = round(vectors_s / source.plan.schedule.tick_s)
-    inputs = loop_inputs(scenario, target, source, steps, **integrator_options)
+    inputs = loop_inputs(scenario, target, source, steps, **run_options)
     return source, recorded_vectors(target.diagram, source, inputs)
 
 
@@ -278,10 +249,12 @@ def make_sil(
         "step_s": step_s,
         # The method and the steps of the plant in C, so that a loop without counts of the encoder
         # agrees too.
-        "integrator_options": {"integrator": "rk4", "step_s": step_s},
+        "run_options": {"integrator": "rk4", "step_s": step_s},
     }
-    controller = _firmware(scenario, "controller", precision=precision, look_up=look_up, **shared)
-    plant = _firmware(scenario, "plant", precision="double", **shared)
+    controller = make_firmware(
+        scenario, "controller", precision=precision, look_up=look_up, **shared
+    )
+    plant = make_firmware(scenario, "plant", **shared)
     encoder = {ENCODER_COUNT: ("encoder_reading_rad", scenario.encoder.resolution_rad)}
     return Sil(controller, plant, encoder)
 
@@ -314,12 +287,12 @@ def export_sil(
 
 
 def loop_inputs(
-    scenario: Scenario, target: Target, source: CSource, steps: int, **integrator_options: Any
+    scenario: Scenario, target: Target, source: CSource, steps: int, **run_options: Any
 ) -> Array:
     """Run the compiled closed loop; return the inputs that ``target`` receives at each step.
 
     The result has the shape (steps, input elements). Inputs in `OUTSIDE` are zero.
-    ``integrator_options`` has the options ``integrator`` and ``step_s`` of
+    ``run_options`` has the options ``integrator`` and ``step_s`` of
     `CompiledModel.simulate`.
     """
     sample_time_s = source.plan.schedule.tick_s
@@ -337,7 +310,7 @@ def loop_inputs(
         outputs=tuple(dict.fromkeys(signal_of.values())),
         record_period_s=sample_time_s,
         inputs=input_table,
-        **integrator_options,
+        **run_options,
     )
     columns = []
     for name, size in source.equations.inputs.items():

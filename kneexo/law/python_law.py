@@ -48,18 +48,16 @@ class PythonLaw:
         self._reason = why_python(scenario) if announce else ""
         if law.function.is_system:
             self._simulator = Simulator(users_system(scenario))
+            self._command = self._system_command
             return
+        self._command = self._function_command
         self._function = law.function.copy_of_target()
         self._state = np.array(law.initial_state)
         self._gains = {name: np.array([value]) for name, value in law.values.items()}
 
     def __call__(self, time_s: float, signals: Mapping[str, Array]) -> float:
         """Return the limited command in rad/s at a sample."""
-        values = {name: signals[SIGNAL_OF[name]] for name in self._inputs}
-        if self._law.function.is_system:
-            command = self._system_command(time_s, values)
-        else:
-            command = self._function_command(time_s, values)
+        command = self._command(time_s, {n: signals[SIGNAL_OF[n]] for n in self._inputs})
         if self._reason:  # after the first call, because an error says more
             _announce(self._law.function, self._reason)
             self._reason = ""

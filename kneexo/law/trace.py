@@ -46,8 +46,9 @@ States can be flags, counters or integrals. Small inputs leave a command within 
 _SAMPLES = 300  # a difference in 1 % of the samples is missed by 5 % of such random choices
 _MOST_TIME_S = 0.012  # processor time of a pass through the points, for a slow function
 _ZERO = Expression(0.0)
-HIDES_STATE = "the object changes when it is called"
 _DIFFER = "the equations that were read off differ from calls with numbers"
+HIDES_STATE = "the object changes when it is called"
+"""The reason for which an object is called as Python, although it may have equations."""
 
 
 @dataclass

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
 from typing import Any
 
 from kneexo.errors import ParameterError
@@ -174,18 +175,6 @@ _RESET_TIME = Slider("reset pressed at, 0 for never", 0.0, 60.0, "within a run")
 
 
 def _quantity(name: str, slider: Slider, value: float, unit: str = "s") -> dict[str, Any]:
-    """Return a number of a fault as a quantity of the page."""
-    shown, factor = slider.shown or (unit, 1.0)
-    return {
-        "name": f"{_PREFIX}{name}",
-        "label": slider.label,
-        "unit": unit,
-        "shown_unit": shown,
-        "shown_factor": factor,
-        "low": min(slider.low, value),
-        "high": max(slider.high, value),
-        "value": value,
-        "scale": slider.scale,
-        "source": "assumption",
-        "help": f"range: {slider.why}",
-    }
+    """Return a number of a fault as a quantity of the page, which shows it at once."""
+    shown_at_once = replace(slider, main=True)
+    return shown_at_once.quantity(f"{_PREFIX}{name}", value, unit, "assumption")

@@ -160,13 +160,12 @@ class _Probe:
         self._evaluate = evaluate
         self._known: dict[tuple[float, ...], Array] = {}
         self._points: dict[tuple[str, ...], list[dict[str, float]]] = {}
-        random = np.random.default_rng(0)
-        share = random.uniform(0.2, 0.8, len(ranges)).tolist()
+        self._random = np.random.default_rng(0)
+        share = self._random.uniform(0.2, 0.8, len(ranges)).tolist()
         self.centre = {
             name: low + part * (high - low)
             for part, (name, (low, high)) in zip(share, ranges.items(), strict=True)
         }
-        self._random = random
 
     def __call__(self, point: Mapping[str, float]) -> Array:
         """Return the parameters at a point. Numbers that ``point`` lacks are at their centre."""

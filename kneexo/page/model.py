@@ -9,11 +9,13 @@ from __future__ import annotations
 import base64
 import math
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
 from diagramc import CSource, InputTable, input_table
+from kneexo.analysis.frequency.sine_estimate import motor_limits
 from kneexo.analysis.tracking.limit_cycle import REST_RAD, SMALLEST_CYCLE_DEG, SUSTAINED
 from kneexo.analysis.tracking.tracking import SETTLING_BAND
 from kneexo.analysis.tracking.verdict import ERROR_SHARE, LARGEST_COUNT_DEG
@@ -156,6 +158,7 @@ def web_model(scenario: Scenario) -> dict[str, Any]:
         required.append(START_RATE)
         ranges[START_RATE], values[START_RATE] = _RATES_RAD_S, rate
     loops = _LOOPS if leg.kind == "none" else _LOOPS[:1]
+    can_push = scenario.plant.load.kind == "knee" and leg.kind == "none"  # as `Scenario` requires
     sources = {name: _loop_source(structure_key(scenario), scenario, name) for name in loops}
     numbers = _Numbers(scenario, sources)
     maps, names = fit_maps(numbers, ranges, values, required, scenario.bus.velocity_unit_rad_s)
@@ -180,7 +183,7 @@ def web_model(scenario: Scenario) -> dict[str, Any]:
         "moment": (moment := moment_of(scenario)) and _table(input_table(moment_spline(moment))),
         "quantities": [
             *(_quantity(scenario, p, sliders[p]) for p in (*names, *direct) if p not in required),
-            *(_quantity(push, p, s, "push.") for p, s in sliders_of(push) if _can_push(scenario)),
+            *(_quantity(push, p, s, "push.") for p, s in sliders_of(push) if can_push),
         ],
         "references": _references(scenario),
         "faults": faults,
@@ -199,11 +202,6 @@ CRITERIA = {
     "samePushTimeS": SAME_S,
 }
 """Constants of the metrics, so that a run on the page is judged as `track` judges it."""
-
-
-def _can_push(scenario: Scenario) -> bool:
-    """Return whether a push can act on the knee, as `Scenario` requires."""
-    return scenario.plant.load.kind == "knee" and scenario.wearer.kind == "none"
 
 
 def controller_of(scenario: Scenario) -> str:
@@ -349,11 +347,10 @@ def _start_range(scenario: Scenario) -> tuple[float, float]:
     angles = np.radians(np.linspace(knee.flexion_min_deg, knee.flexion_max_deg, 181))
 
     def starts(angle: float) -> bool:
-        try:
+        with suppress(KneexoError):
             plant_start(_started_at(scenario, angle))
-        except KneexoError:
-            return False
-        return True
+            return True
+        return False
 
     start = int(np.argmin(np.abs(angles - start_angle_rad(scenario.reference))))
     low = high = start
@@ -370,21 +367,8 @@ def _quantity(
     """Return a quantity that a user varies, as data. Its name is its path behind ``prefix``."""
     parent, _, name = path.rpartition(".")
     holder = value_at(parameters, parent) if parent else parameters
-    field = type(holder).model_fields[name]
-    unit, factor = slider.shown or (unit_of(field), 1.0)
-    return {
-        "name": f"{prefix}{path}",
-        "label": slider.label,
-        "unit": unit_of(field),
-        "shown_unit": unit,
-        "shown_factor": factor,
-        "low": slider.low,
-        "high": slider.high,
-        "value": getattr(holder, name),
-        "scale": slider.scale,
-        "source": provenance_of(field),
-        "help": f"range: {slider.why}",
-    }
+    field, value = type(holder).model_fields[name], getattr(holder, name)
+    return slider.quantity(f"{prefix}{path}", value, unit_of(field), provenance_of(field))
 
 
 # ----------------------------------------------------------------------------- references
@@ -434,17 +418,6 @@ def _reference(kind: str, scenario: Scenario) -> dict[str, Any]:
 # --------------------------------------------------------------------------------- limits
 
 
-def _motor_limit(scenario: Scenario) -> float:
-    limit = scenario.command_limit_rad_s
-    pump = scenario.plant.pump
-    return limit if scenario.plant.ideal_motor else min(limit, pump.speed_limit_rad_s)
-
-
-def _acceleration_limit(scenario: Scenario) -> float:
-    pump = scenario.plant.pump
-    return math.inf if scenario.plant.ideal_motor else pump.acceleration_limit_rad_s2
-
-
 def _relief_pressure(scenario: Scenario) -> float:
     full = scenario.plant.full_order
     return math.inf if full is None else full.relief_pressure_pa
@@ -452,8 +425,8 @@ def _relief_pressure(scenario: Scenario) -> float:
 
 _LIMITS: Mapping[str, Callable[[Scenario], float]] = {
     "command_limit_rad_s": lambda scenario: scenario.command_limit_rad_s,
-    "motor_speed_limit_rad_s": _motor_limit,
-    "motor_acceleration_limit_rad_s2": _acceleration_limit,
+    "motor_speed_limit_rad_s": lambda scenario: motor_limits(scenario)[0],
+    "motor_acceleration_limit_rad_s2": lambda scenario: motor_limits(scenario)[1],
     "pressure_rating_pa": lambda scenario: scenario.plant.cylinder.pressure_rating_pa,
     "power_rating_w": lambda scenario: scenario.plant.pump.rated_power_w,
     "relief_pressure_pa": _relief_pressure,

@@ -28,6 +28,7 @@ from diagramc import (
     wasm_files,
     wasm_module,
     wasm_table,
+    write_files,
 )
 from kneexo.common import PACKAGE
 from kneexo.diagrams.closed_loop import available_signals, make_closed_loop
@@ -309,14 +310,12 @@ def write_shipped(folder: Path) -> None:
     description by key. Other modules in the folder are deleted.
     """
     shipped = {module_key(source): (name, source) for name, source in shipped_sources()}
-    folder.mkdir(parents=True, exist_ok=True)
-    for key, (_, source) in shipped.items():
-        (folder / f"{key}.wasm").write_bytes(wasm_module(source).code)
-    for file in folder.glob("*.wasm"):
-        if file.stem not in shipped:
-            file.unlink()
+    compiled = {f"{key}.wasm": wasm_module(source).code for key, (_, source) in shipped.items()}
     listed = {"zig": version("ziglang"), "modules": {k: name for k, (name, _) in shipped.items()}}
-    (folder / "modules.json").write_text(json.dumps(listed, indent=1) + "\n", encoding="utf-8")
+    write_files(folder, compiled | {"modules.json": json.dumps(listed, indent=1) + "\n"})
+    for file in folder.glob("*.wasm"):
+        if file.name not in compiled:
+            file.unlink()
 
 
 if __name__ == "__main__":

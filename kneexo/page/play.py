@@ -11,7 +11,7 @@ from html import escape
 from os import PathLike
 from pathlib import Path
 
-from kneexo.common.files.writing import write_file
+from diagramc import write_files
 from kneexo.errors import OutputError, ParameterError, shown
 from kneexo.page.playground import playground_page
 from kneexo.parameters import Scenario
@@ -46,7 +46,7 @@ class Playground:
         """
         path = Path(path)
         require_page_name(path)
-        write_file(path, self.html.encode())
+        write_files(path.parent, {path.name: self.html}, f"file {shown(path)}")
         return path
 
     def open(self) -> Path:
@@ -56,8 +56,7 @@ class Playground:
         """
         handle, name = tempfile.mkstemp(prefix="kneexo-", suffix=".html")
         os.close(handle)
-        path = Path(name)
-        write_file(path, self.html.encode())
+        path = self.write(name)
         if not webbrowser.open(path.as_uri()):
             raise OutputError(f"no browser here; {shown(path)} has the page, open it elsewhere")
         return path

@@ -11,6 +11,7 @@ from kneexo.diagrams.wearer import moment_of
 from kneexo.errors import KneexoError, ParameterError
 from kneexo.page.model import web_model, web_modules, with_structure
 from kneexo.page.modules import TORQUE_MODES
+from kneexo.page.sliders import Slider
 from kneexo.parameters import Scenario
 from kneexo.parameters.criteria import MARGINS, RECOVERY_BAND_DEG
 from kneexo.parameters.device.law import Law
@@ -51,71 +52,18 @@ _WORKER = (
 _CONTROLLERS, _LOADS = ("smc", "pid"), ("none", "knee")
 """Kinds of controller and load between which switches of the page choose."""
 
-_GROUPS = (
-    ("Fault", ("fault.",), ("size", "start_s", "duration_s", "reset_s")),
-    (
-        "Task",
-        ("reference.", "simulation."),
-        (
-            "amplitude_deg",
-            "reference.frequency_hz",
-            "mean_deg",
-            "start_deg",
-            "end_deg",
-            "rate_deg_s",
-        ),
-    ),
-    ("Push", ("push.",), ("torque_n_m", "start_s", "duration_s")),
-    (
-        "Controller",
-        ("controller.", "estimator.", "encoder.", "nominal.", "polynomial.", "bus."),
-        (
-            "controller.lambda_per_s",
-            "controller.phi_m_s2",
-            "controller.stiffness_n_m_per_rad",
-            "controller.damping_n_m_s_per_rad",
-            "controller.assistance",
-            "controller.band_rad",
-            "controller.proportional_rad_s_per_n",
-            "controller.speed_feedforward",
-            "proportional_per_s",
-            "integral_per_s2",
-            "controller.derivative",
-        ),
-    ),
-    ("Protection", ("protection.",), ("following_deg", "speed_rpm", "flow_mm")),
-    (
-        "Wearer",
-        ("wearer.", "load_cell."),
-        (
-            "wearer.cuff.stiffness_n_m_per_rad",
-            "wearer.cuff.damping_n_m_s_per_rad",
-            "wearer.inertia_kg_m2",
-            "wearer.stiffness_n_m_per_rad",
-        ),
-    ),
-    (
-        "Motor and pump",
-        ("plant.pump.",),
-        ("plant.pump.gear_ratio", "plant.pump.speed_limit_rad_s", "plant.pump.lag_s"),
-    ),
-    (
-        "Oil and cylinder",
-        ("plant.cylinder.", "plant.full_order."),
-        (
-            "plant.cylinder.mass_kg",
-            "cylinder.bulk_modulus_pa",
-            "cylinder.leakage_m3_per_s_pa",
-            "coulomb_friction_n",
-        ),
-    ),
-    (
-        "Leg",
-        ("plant.load.", "plant.knee.", "plant.linkage."),
-        ("segment_mass_kg", "centre_of_mass_m"),
-    ),
-)
-"""Groups of sliders: title, prefixes of names, and ends of the names that stand first."""
+_GROUPS = {
+    "Fault": ("fault.",),
+    "Task": ("reference.", "simulation."),
+    "Push": ("push.",),
+    "Controller": ("controller.", "estimator.", "encoder.", "nominal.", "polynomial.", "bus."),
+    "Protection": ("protection.",),
+    "Wearer": ("wearer.", "load_cell."),
+    "Motor and pump": ("plant.pump.",),
+    "Oil and cylinder": ("plant.cylinder.", "plant.full_order."),
+    "Leg": ("plant.load.", "plant.knee.", "plant.linkage."),
+}
+"""Groups of sliders: prefixes of their names, by the title of the group."""
 
 
 def playground_page(scenarios: Sequence[Scenario], names: Sequence[str]) -> str:
@@ -158,6 +106,7 @@ def playground_data(scenarios: Sequence[Scenario], names: Sequence[str]) -> dict
         second = {"scenario": 1, **entries[1]["start"], "values": {}}
     else:
         second = first | _other_controller(entries[0]["models"], first)
+    longest_s = min(map(_longest_s, scenarios))
     return {
         "kneexo": __version__,
         "modules": web_modules(models),
@@ -166,21 +115,11 @@ def playground_data(scenarios: Sequence[Scenario], names: Sequence[str]) -> dict
         "compare": len(entries) > 1,
         "margins": MARGINS,
         "recovery_band_deg": RECOVERY_BAND_DEG,
-        "groups": [
-            {"title": title, "prefixes": list(prefixes), "main": list(main)}
-            for title, prefixes, main in _GROUPS
-        ],
-        "duration": {
-            "name": "simulation.duration_s",
-            "label": "duration of the run",
-            "shown_unit": "s",
-            "shown_factor": 1.0,
-            "low": _SHORTEST_RUN_S,
-            "high": min(map(_longest_s, scenarios)),
-            "scale": "linear",
-            "source": "",
-            "help": "",
-        },
+        "groups": [{"title": title, "prefixes": prefixes} for title, prefixes in _GROUPS.items()],
+        # Its default is the duration of each scenario.
+        "duration": Slider("duration of the run", _SHORTEST_RUN_S, longest_s, "").quantity(
+            "simulation.duration_s", longest_s, "s", ""
+        ),
     }
 
 

@@ -6,9 +6,9 @@ A slider covers the values that show an effect. The range that a field allows is
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 from kneexo.parameters.device.control import (
     EncoderParameters,
@@ -46,6 +46,29 @@ class Slider:
     """Unit on the page, and the factor from the unit of the field; None: the unit of the field."""
     choices: tuple[str, ...] = ()
     """Values of ``mode`` or ``motion`` with which the number has an effect; empty for all."""
+    main: bool = False
+    """Whether the page shows the slider at once; `sliders_of` takes it from `MAIN`."""
+
+    def quantity(self, name: str, value: float, unit: str, source: str) -> dict[str, Any]:
+        """Return the number ``name`` as data of the page, within a range that includes ``value``.
+
+        ``unit`` is that of ``value``. ``source`` is the origin of the value in words.
+        """
+        shown_unit, factor = self.shown or (unit, 1.0)
+        return {
+            "name": name,
+            "label": self.label,
+            "unit": unit,
+            "shown_unit": shown_unit,
+            "shown_factor": factor,
+            "low": min(self.low, value),
+            "high": max(self.high, value),
+            "value": value,
+            "scale": self.scale,
+            "source": source,
+            "help": self.why and f"range: {self.why}",
+            "main": self.main,
+        }
 
 
 _FREE = ("active", "passive")
@@ -239,6 +262,32 @@ SLIDERS: Mapping[type[Parameters], Mapping[str, Slider]] = {
 """For each class of parameters, its fields that have a slider, the most important first."""
 
 
+MAIN: Mapping[type[Parameters], Collection[str]] = {
+    BldcPumpParameters: ("gear_ratio", "speed_limit_rad_s", "lag_s"),
+    CylinderParameters: ("mass_kg", "bulk_modulus_pa", "leakage_m3_per_s_pa"),
+    KneeLoadParameters: ("segment_mass_kg", "centre_of_mass_m"),
+    FullCylinderParameters: ("coulomb_friction_n",),
+    SlidingModeParameters: ("lambda_per_s", "phi_m_s2"),
+    PidParameters: ("proportional_per_s", "integral_per_s2", "derivative"),
+    TorqueParameters: (
+        "stiffness_n_m_per_rad",
+        "damping_n_m_s_per_rad",
+        "band_rad",
+        "assistance",
+        "proportional_rad_s_per_n",
+        "speed_feedforward",
+    ),
+    LegParameters: ("inertia_kg_m2", "stiffness_n_m_per_rad"),
+    CuffParameters: ("stiffness_n_m_per_rad", "damping_n_m_s_per_rad"),
+    PushParameters: ("torque_n_m", "start_s", "duration_s"),
+    ProtectionParameters: ("following_deg", "speed_rpm", "flow_mm"),
+    SineReference: ("amplitude_deg", "frequency_hz", "mean_deg"),
+    StepReference: ("start_deg", "end_deg"),
+    RampReference: ("start_deg", "end_deg", "rate_deg_s"),
+}
+"""The fields whose sliders the page shows at once. The others are below "more values"."""
+
+
 def sliders_of(parameters: Parameters, path: str = "") -> Iterator[tuple[str, Slider]]:
     """Yield the dotted path and the slider of each number in ``parameters`` that has a slider.
 
@@ -256,10 +305,8 @@ def sliders_of(parameters: Parameters, path: str = "") -> Iterator[tuple[str, Sl
         low, high = limits_of(fields[name])
         low, high = max(low, min(slider.low, value)), min(high, max(slider.high, value))
         scale = "linear" if low <= 0.0 else slider.scale
-        yield (
-            f"{path}{name}",
-            replace(slider, low=low, high=high, scale=scale),
-        )
+        main = name in MAIN.get(type(parameters), ())
+        yield f"{path}{name}", replace(slider, low=low, high=high, scale=scale, main=main)
     for name in fields:
         part = getattr(parameters, name)
         if isinstance(part, Parameters) and name not in ("nominal", "reference"):

@@ -80,7 +80,6 @@ from kneexo.parameters.uncertainty import (
 )
 from kneexo.parameters.wearer.anatomical_knee import GAIT2392, AnatomicalKneeParameters
 from kneexo.parameters.wearer.design_limits import DesignLimits
-from kneexo.parameters.wearer.strap import StrapParameters
 from kneexo.parameters.wearer.walking_leg import WalkingLegParameters
 from kneexo.parameters.wearer.wearer import (
     BODIES,
@@ -92,6 +91,7 @@ from kneexo.parameters.wearer.wearer import (
     LegParameters,
     MomentTable,
     NoWearer,
+    StrapParameters,
     Wearer,
     gait_moment,
     leg_of_body,

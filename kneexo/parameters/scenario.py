@@ -31,7 +31,13 @@ from kneexo.parameters.device.protection import ProtectionParameters
 from kneexo.parameters.device.torque import LoadCellParameters, TorqueParameters
 from kneexo.parameters.fields.fields import Words
 from kneexo.parameters.fields.names import searched_for_names
-from kneexo.parameters.fields.quantity import Parameters, choice, quantity, require_object
+from kneexo.parameters.fields.quantity import (
+    Parameters,
+    choice,
+    optional_part,
+    quantity,
+    require_object,
+)
 from kneexo.parameters.fields.replaced import believed, is_replaced, replaced
 from kneexo.parameters.presets import PRESETS, with_preset
 from kneexo.parameters.task.fault import OPERATOR_INPUTS, FaultParameters
@@ -170,10 +176,8 @@ class Scenario(Parameters):
         None, "left out: nobody pushes the leg", words={False: None}
     )
     faults: tuple[FaultParameters, ...] = choice((), "left out: nothing fails")
-    protection: ProtectionParameters | None = choice(
-        None,
-        "left out: no detectors, and nothing stops the motor",
-        words={True: {}, False: None},
+    protection: ProtectionParameters | None = optional_part(
+        "left out: no detectors, and nothing stops the motor"
     )
     initial_offset_m: float = quantity(
         0.0, "m", "rod position minus reference at the start (Fig. 9: 89 mm off)", ge=-0.15, le=0.15

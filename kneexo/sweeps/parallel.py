@@ -22,8 +22,7 @@ from importlib import import_module
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
-from diagramc import available_cores
-from kneexo.common.interruption import interrupt_later
+from diagramc import available_cores, interrupt_later
 from kneexo.common.progress import progress_bar
 from kneexo.errors import ParameterError, WorkerError
 from kneexo.law.decision import makers_called_once
@@ -234,7 +233,7 @@ def parallel_map(
         A worker process died.
     """
     if workers is not None and workers < 1:
-        raise ParameterError(f"workers = {workers}: must be >= 1")
+        raise ParameterError(f"workers = {workers}: must be >= 1, or None for one for each core")
     try:
         keys = [] if checkpoint is None else piece_keys(function, items)
     except UnknownLawError as error:

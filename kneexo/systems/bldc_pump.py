@@ -16,25 +16,6 @@ RAD_S_PER_KRAD_S = 1e3
 """Number of rad/s in a krad/s. The motor speed is a state in krad/s and an output in rad/s."""
 
 
-def motor_acceleration(
-    command: Any, speed: Any, lag: Any, speed_limit: Any, acceleration_limit: Any
-) -> Any:
-    """Return the acceleration of the speed-controlled motor in rad/s².
-
-    dω/dt = clip((clip(ω_cmd, ±ω_max) − ω)/τ, ±α_max). Speeds are in rad/s, ``lag`` τ is in s.
-    """
-    limited = clip(command, -speed_limit, speed_limit)
-    return clip((limited - speed) / lag, -acceleration_limit, acceleration_limit)
-
-
-def load_flow(speed: Any, pressure: Any, displacement: Any, gear_ratio: Any, leakage: Any) -> Any:
-    """Return the load flow Q_L = D_m ω/gear − C P_L in m³/s (Eq. 13).
-
-    ``leakage`` is C = C_im + C_em/2, where C_im is internal and C_em external leakage coefficient.
-    """
-    return displacement * speed / gear_ratio - leakage * pressure
-
-
 def context_values(parameters: BldcPumpParameters) -> dict[str, float]:
     """Return a dictionary {name: value} of the Context parameters of `BldcPump`."""
     return values_of(
@@ -114,14 +95,10 @@ class BldcPump(NamedLeaf):
         return RAD_S_PER_KRAD_S * context.get_continuous_state_vector().GetAtIndex(0)
 
     def _flow(self, context: Any) -> Any:
-        p = self.parameters(context)
-        return load_flow(
-            self._speed(context),
-            self._pressure.Eval(context)[0],
-            p.displacement_m3_per_rad,
-            p.gear_ratio,
-            p.leakage_m3_per_s_pa,
-        )
+        """Return the load flow Q_L in m³/s (Eq. 13)."""
+        p, pressure = self.parameters(context), self._pressure.Eval(context)[0]
+        pumped = p.displacement_m3_per_rad * self._speed(context) / p.gear_ratio
+        return pumped - p.leakage_m3_per_s_pa * pressure
 
     def _torque(self, context: Any) -> Any:
         p = self.parameters(context)
@@ -130,13 +107,9 @@ class BldcPump(NamedLeaf):
     def _acceleration(self, context: Any) -> Any:
         """Return the acceleration in rad/s² that the speed loop of the drive asks for."""
         p = self.parameters(context)
-        return motor_acceleration(
-            self._command.Eval(context)[0],
-            self._speed(context),
-            p.lag_s,
-            p.speed_limit_rad_s,
-            p.acceleration_limit_rad_s2,
-        )
+        command = clip(self._command.Eval(context)[0], -p.speed_limit_rad_s, p.speed_limit_rad_s)
+        wanted, limit = (command - self._speed(context)) / p.lag_s, p.acceleration_limit_rad_s2
+        return clip(wanted, -limit, limit)
 
     def _hydraulic_power(self, context: Any) -> list[Any]:
         return [self._flow(context) * self._pressure.Eval(context)[0]]

@@ -37,7 +37,7 @@ def context_values(
 ) -> dict[str, float]:
     """Return a dictionary {name: value} of the Context parameters of `FaultDetectors`."""
     area = plant.cylinder.mean_area_m2
-    leakage = plant.pump.leakage_m3_per_s_pa + plant.cylinder.leakage_m3_per_s_pa
+    leakage = plant.leakage_m3_per_s_pa
     low, high = reading_range_rad
     return {
         **{

@@ -19,7 +19,6 @@ from kneexo.systems._leaf import (
 
 def context_values(parameters: PidParameters, plant: PlantParameters) -> dict[str, float]:
     """Return a dictionary {name: value} of the Context parameters of `PidController`."""
-    speed_gain = plant.pump.gear_ratio * plant.cylinder.mean_area_m2
     return {
         **values_of(
             parameters,
@@ -32,7 +31,7 @@ def context_values(parameters: PidParameters, plant: PlantParameters) -> dict[st
             "moment_arm_m",
             "command_limit_rad_s",
         ),
-        "speed_gain_rad_per_m": speed_gain / plant.pump.displacement_m3_per_rad,
+        "speed_gain_rad_per_m": plant.speed_gain_rad_per_m,
     }
 
 

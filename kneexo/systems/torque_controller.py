@@ -21,7 +21,6 @@ def context_values(
     parameters: TorqueParameters, plant: PlantParameters, rod_polynomial: RodPolynomialParameters
 ) -> dict[str, float]:
     """Return a dictionary {name: value} of the Context parameters of `TorqueController`."""
-    speed_gain = plant.pump.gear_ratio * plant.cylinder.mean_area_m2
     return {
         **values_of(
             parameters,
@@ -38,7 +37,7 @@ def context_values(
             "band_rad",
             "command_limit_rad_s",
         ),
-        "speed_gain_rad_per_m": speed_gain / plant.pump.displacement_m3_per_rad,
+        "speed_gain_rad_per_m": plant.speed_gain_rad_per_m,
         **rod_polynomial_values(rod_polynomial),
     }
 

@@ -89,8 +89,8 @@ def block_diagram(scenario: Scenario = Scenario()) -> Figure:
     if isinstance(law, LawParameters) and not law.function.is_loaded:
         drawn = scenario.with_law(_any_law)  # a drawing runs nothing of a file
     diagram = make_closed_loop(drawn, signals=())
-    systems = dict(_blocks(diagram))
-    slots = dict(_slots(systems))
+    blocks = dict(_blocks(diagram))
+    slots = dict(_slots(blocks))
     rows = 1 + max(row for _, row in slots.values())
     size = (3 * _PITCH[0] + 2, rows * _PITCH[1] + 1)
     boxes = {
@@ -105,16 +105,10 @@ def block_diagram(scenario: Scenario = Scenario()) -> Figure:
     ax = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     ax.set(xlim=(0, size[0]), ylim=(-_KEY_HEIGHT, size[1]))
     ax.axis("off")
-    controller = {name for name, system in systems.items() if system.part_of_controller}
+    words = _words(scenario)
     for name, box in boxes.items():
-        if name in controller:
-            colour = _CONTROLLER_COLOUR
-        elif name in _OUTSIDE_BLOCKS:
-            colour = _OUTSIDE_COLOUR
-        else:
-            colour = _MACHINE_COLOUR
-        words = _words(scenario).get(name) or systems[name].kind
-        _draw_block(ax, box, colour, name, words)
+        kind, colour = blocks[name]
+        _draw_block(ax, box, colour, name, words.get(name) or kind)
     _draw_wires(ax, boxes, size, _wires(diagram))
     period = f"microcontroller, every {1e3 * scenario.controller.sample_time_s:g} ms"
     for x, colour, text in ((3, _MACHINE_COLOUR, "machine"), (17, _CONTROLLER_COLOUR, period)):
@@ -127,14 +121,6 @@ def _any_law(rod_extension: Any, rod_reference: Any, estimated_state: Any) -> fl
     return 0.0
 
 
-class _Block:
-    """A block of the diagram: its system's class, and whether the microcontroller runs it."""
-
-    def __init__(self, system: System, part_of_controller: bool) -> None:
-        self.kind = type(system).__name__.partition("_")[0]
-        self.part_of_controller = part_of_controller
-
-
 def _is_opened(system: System) -> bool:
     """Return whether the drawing shows the subsystems of a system in place of the system.
 
@@ -145,13 +131,17 @@ def _is_opened(system: System) -> bool:
     return isinstance(system, Diagram) and name in names and system.HasSubsystemNamed(names[name])
 
 
-def _blocks(diagram: Diagram) -> Iterator[tuple[str, _Block]]:
-    """Yield name and description of each block of the closed loop."""
+def _blocks(diagram: Diagram) -> Iterator[tuple[str, tuple[str, str]]]:
+    """Yield the name of each block of the closed loop, with its system's class and its colour."""
     for system in diagram.GetSystems():
-        inside = system.get_name() == "controller"
         for leaf in system.GetSystems() if _is_opened(system) else (system,):
-            if leaf.get_name() not in _PARTS_OF:
-                yield leaf.get_name(), _Block(leaf, inside)
+            name, colour = leaf.get_name(), _MACHINE_COLOUR
+            if system.get_name() == "controller":
+                colour = _CONTROLLER_COLOUR
+            elif name in _OUTSIDE_BLOCKS:
+                colour = _OUTSIDE_COLOUR
+            if name not in _PARTS_OF:
+                yield name, (type(leaf).__name__.partition("_")[0], colour)
 
 
 def _wires(diagram: Diagram) -> dict[tuple[str, str], list[str]]:

@@ -15,7 +15,7 @@ from kneexo.common.result import Array
 from kneexo.errors import ScenarioError, SimulationError, shown
 from kneexo.parameters import CylinderParameters, LinkageParameters, PlantParameters, Scenario
 from kneexo.parameters.task.reference import LONGEST_TIME_S
-from kneexo.simulation import Run, simulate
+from kneexo.simulation import simulate
 
 Motion = tuple[PlantParameters, Mapping[str, Array]]
 """A plant, and a run of this plant: columns (n,) by name. ``time_s`` starts at 0."""
@@ -56,25 +56,16 @@ class Leg:
     """Torque of the wearer on the exoskeleton (n,), positive flexes. None without a wearer."""
 
     @classmethod
-    def of_signals(
-        cls,
-        name: str,
-        linkage: LinkageParameters,
-        signals: Mapping[str, ArrayLike],
-        pressure_rating_pa: float = CylinderParameters().pressure_rating_pa,
-    ) -> Leg:
-        """Return a leg. ``signals`` maps each name in `COLUMNS` to its values (n,).
+    def of_plant(cls, name: str, plant: PlantParameters, signals: Mapping[str, ArrayLike]) -> Leg:
+        """Return a leg with the linkage and the pressure rating of a plant.
 
-        The names in `WEARER_COLUMNS` are optional.
+        ``signals`` maps each name in `COLUMNS` to its values (n,). The names in `WEARER_COLUMNS`
+        are optional.
         """
         time, angle, reference, pressure = (np.asarray(signals[column]) for column in COLUMNS)
         wearer = (np.asarray(signals[c]) if c in signals else None for c in WEARER_COLUMNS)
-        return cls(name, linkage, time, angle, reference, pressure, pressure_rating_pa, *wearer)
-
-    @classmethod
-    def of_plant(cls, name: str, plant: PlantParameters, signals: Mapping[str, ArrayLike]) -> Leg:
-        """Return a leg with the linkage and the pressure rating of a plant."""
-        return cls.of_signals(name, plant.linkage, signals, plant.cylinder.pressure_rating_pa)
+        rating_pa = plant.cylinder.pressure_rating_pa
+        return cls(name, plant.linkage, time, angle, reference, pressure, rating_pa, *wearer)
 
 
 def leg_of_scenario(name: str, scenario: Scenario) -> tuple[Leg, str]:
@@ -85,7 +76,7 @@ def leg_of_scenario(name: str, scenario: Scenario) -> tuple[Leg, str]:
     """
     signals = SIGNALS + WEARER_SIGNALS * (scenario.wearer.kind != "none")
     try:
-        return _leg(name, scenario, simulate(scenario, signals=signals)), ""
+        return Leg.of_plant(name, scenario.plant, simulate(scenario, signals=signals).columns), ""
     except SimulationError as error:
         failure = error
     sample = scenario.controller.sample_time_s
@@ -102,11 +93,7 @@ def leg_of_scenario(name: str, scenario: Scenario) -> tuple[Leg, str]:
             failing = middle
     if run is None:
         raise failure
-    return _leg(name, scenario, run), str(failure)
-
-
-def _leg(name: str, scenario: Scenario, run: Run) -> Leg:
-    return Leg.of_plant(name, scenario.plant, run.columns)
+    return Leg.of_plant(name, scenario.plant, run.columns), str(failure)
 
 
 def leg_of_results(name: str, directory: Path, scenario: Scenario) -> Leg:

@@ -169,11 +169,8 @@ def _brace(at: dict[str, complex]) -> dict[str, Part]:
     bottom = min(-0.27, at["shank_axis"].imag)
     result = {}
     for frame, low, high in (("thigh", 0.0, top), ("shank", bottom, 0.0)):
-        shape, pose = (
-            Box(0.020, 0.006, high - low),
-            _at(0.0, 0.5 * (low + high), _UPRIGHT_LAYER_M),
-        )
-        result[f"{frame}_upright"] = Part(frame, shape, pose, _BRACE)
+        pose = _at(0.0, 0.5 * (low + high), _UPRIGHT_LAYER_M)
+        result[f"{frame}_upright"] = Part(frame, Box(0.020, 0.006, high - low), pose, _BRACE)
     for name, frame, radius, x, z in (
         ("upper_thigh_cuff", "thigh", 0.075, 0.004, 0.265),
         ("lower_thigh_cuff", "thigh", 0.067, 0.004, 0.115),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import math
+from collections.abc import Iterable
 from itertools import product
 from typing import Any
 
@@ -70,6 +71,7 @@ def stage_leg(
     low_rad, high_rad = min(low_rad, 0.0), max(high_rad, 0.5 * math.pi)
     angles = np.linspace(low_rad, high_rad, math.ceil((high_rad - low_rad) / _STEP_RAD) + 1)
     leg_parts = parts(linkage)
+    joint = [part for part in leg_parts.values() if part.frame in ("link_2", "link_4", "icr")]
     tables = {}
     for frame, placement in placements(linkage, angles, angles).items():
         x_m, y_m = placement.origin.real, placement.origin.imag
@@ -85,8 +87,8 @@ def stage_leg(
         "parts": [_part(part_name, part) for part_name, part in leg_parts.items()],
         "centre_paths": _centre_paths(linkage),
         "pressure_colours": np.array([BLUE, GREY, RED]).tolist(),
-        "hull": _hull(linkage, leg_parts, angles),
-        "joint_hull": _hull(linkage, _joint(leg_parts), angles),
+        "hull": _hull(linkage, leg_parts.values(), angles),
+        "joint_hull": _hull(linkage, joint, angles),
     }
 
 
@@ -154,20 +156,14 @@ def _half_sides(shape: Shape) -> Array:
     return size if isinstance(shape, Ellipsoid) else 0.5 * size
 
 
-def _joint(leg: dict[str, Part]) -> dict[str, Part]:
-    """Return the parts of the four-bar linkage."""
-    frames = ("link_2", "link_4", "icr")
-    return {name: part for name, part in leg.items() if part.frame in frames}
-
-
-def _hull(linkage: LinkageParameters, leg: dict[str, Part], angles: Array) -> list[list[float]]:
+def _hull(linkage: LinkageParameters, drawn: Iterable[Part], angles: Array) -> list[list[float]]:
     """Return points (n, 3) in m whose convex hull contains the parts at all knee angles."""
     every_few = angles[:: max(1, len(angles) // 12)]  # between them the parts hardly move
     frames = placements(linkage, every_few, every_few)
     poses = {name: list(placement.poses()) for name, placement in frames.items()}
     signs = np.array(list(product((-1, 1), repeat=3)))
     corners = []
-    for part in leg.values():
+    for part in drawn:
         corners_of_part = part.pose.multiply((signs * _half_sides(part.shape)).T)
         corners += [pose.multiply(corners_of_part) for pose in poses[part.frame]]
     points = np.hstack(corners).T

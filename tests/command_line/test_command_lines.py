@@ -115,7 +115,7 @@ WRONG = {
     "new walk.yaml": r"^walk.csv exists already; choose another name$",
     "new mine": r"^mine: the name must end in .yaml$",
     "new mine.csv": r"^mine.csv: the name must end in .yaml$",
-    "new notes.txt/below/mine.yaml": r"^notes.txt/below: cannot write there \(Not a directory\)$",
+    "new notes.txt/below/mine.yaml": r"^directory notes.txt/below: cannot write there \(Not a d",
     "params --find mas_kg": r"--find mas_kg: no parameter .*; did you mean mass_kg, ",
     "params my.yaml --find zzz": r"^--find zzz: no parameter has this text in its name, unit or p",
     f"params a 'b\n{LONG}'": r"^b\\nx{147} … x{147}: unknown argument; see kneexo params --he",

@@ -182,7 +182,7 @@ def test_an_interrupt_is_one_line_and_leaves_nothing(tmp_path, number, word, cod
     out = tmp_path / "deep" / "out"
     with started(*SWEEP, "--out", out) as process:
         wait_for(lambda: len(alive(process.pid)) >= 3)  # workers are there, or are starting
-        assert any(out.glob(".kneexo-*"))
+        assert any(out.glob(".diagramc-*"))
         os.killpg(process.pid, number) if number == signal.SIGINT else process.send_signal(number)
         error = process.communicate()[1]
         assert process.returncode == code
@@ -201,7 +201,7 @@ def test_a_killed_sweep_leaves_no_process_and_its_pieces(tmp_path):
         process.wait()
         wait_for(lambda: not alive(process.pid))
     pieces = path.read_bytes()
-    assert [file.name for file in tmp_path.glob(".*")] == [next(tmp_path.glob(".kneexo-*")).name]
+    assert [file.name for file in tmp_path.glob(".*")] == [next(tmp_path.glob(".diagramc-*")).name]
     with started("study", "bandwidth", "--workers", "1", "--out", tmp_path) as process:
         wait_for(lambda: path.stat().st_size > len(pieces))  # it has gone on
         process.terminate()

@@ -13,7 +13,6 @@ from functools import reduce
 from pathlib import Path
 from types import SimpleNamespace
 
-import llvmlite.binding as llvm
 import numpy as np
 import pydrake.math as drake_math
 import pytest
@@ -238,19 +237,33 @@ def random_graphs():
 # ---------------------------------------------------------------------------- machine code
 
 
-def remembered(make, *arguments):
-    """``make(*arguments)``, machine code: that of an earlier test or run where there is one.
+def remembered(text):
+    """Machine code of IR text: that of an earlier test or run where there is one.
 
-    The key holds the files that compile, so that a change of them counts.
+    The key holds the file that compiles, so that a change of it counts.
     """
-    makers = b"".join(Path(file).read_bytes() for file in (__file__, native_code.__file__))
-    parts = (make.__name__, arguments, processor().key, hashlib.sha256(makers).hexdigest())
-    key = repr(parts)
+    maker = hashlib.sha256(Path(native_code.__file__).read_bytes()).hexdigest()
+    key = repr((text, processor().key, maker))
     code = cache.load(key)
     if code is None:
-        code = make(*arguments)
+        code = compile_text(text)
         cache.store(key, code)
     return code
+
+
+@pytest.fixture(scope="session")
+def native():
+    """``native(text)(name, result, *arguments)``: a function of IR text, with ctypes' types."""
+
+    def load(text):
+        library = Library(remembered(text))
+
+        def function(name, result, *arguments):
+            return ctypes.cast(library.function(name, 0), ctypes.CFUNCTYPE(result, *arguments))
+
+        return function
+
+    return load
 
 
 # ---------------------------------------------------------------------------- printed code
@@ -291,7 +304,7 @@ class _Code:
         code = (
             compile_text(self.text, target)  # which may warn
             if target
-            else remembered(compile_text, self.text, processor())
+            else remembered(self.text)
         )
         self.library = Library(code)
 
@@ -340,56 +353,6 @@ def printed():
 # -------------------------------------------------------------------------------- diagrams
 
 
-llvm.initialize_all_targets()
-llvm.initialize_all_asmprinters()
-
-
-def object_code(text, cpu=None, features="", triple=None):
-    """Machine code of IR text, for this processor or another one."""
-    if cpu is None:
-        cpu, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
-    target = llvm.Target.from_triple(triple or llvm.get_process_triple())
-    machine = target.create_target_machine(
-        cpu, features, opt=processor().level, reloc="pic", codemodel="small"
-    )
-    module = llvm.parse_assembly(text)
-    module.triple, module.data_layout = machine.triple, str(machine.target_data)
-    module.verify()
-    options = llvm.create_pipeline_tuning_options(speed_level=processor().level)
-    options.slp_vectorization = False
-    builder = llvm.create_pass_builder(machine, options)
-    builder.getModulePassManager().run(module, builder)
-    return machine.emit_object(module)
-
-
-@pytest.fixture(scope="session")
-def native():
-    """``native(text)(name, result, *arguments)``: a function of IR text, with ctypes' types."""
-
-    def load(text, cpu=None):
-        host = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
-        code = remembered(object_code, text, *((cpu, "") if cpu else host))
-        machine = llvm.Target.from_default_triple().create_target_machine(jit=True)
-        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
-        engine.add_object_file(llvm.ObjectFileRef.from_data(code))
-        engine.finalize_object()
-        engines.append(engine)
-
-        def function(name, result, *arguments):
-            return ctypes.CFUNCTYPE(result, *arguments)(engine.get_function_address(name))
-
-        return function
-
-    engines = []  # the code lives as long as they do
-    return load
-
-
-@pytest.fixture(scope="session")
-def assembled():
-    """``assembled(text, cpu, features, triple)``: machine code, not loaded."""
-    return object_code
-
-
 @pytest.fixture
 def multirate():
     """A sine, held every 4 ms, through a plant, sampled every 10 ms from 5 ms on; nested."""
@@ -421,75 +384,84 @@ def multirate():
     return builder.Build()
 
 
+@pytest.fixture(scope="session")
+def leaf():
+    """``leaf(name, construct)``: a leaf of all scalars that ``construct(self, T)`` declares.
+
+    The function may set ``self.rates(context, derivatives)``, which computes the derivatives.
+    """
+
+    def make(name, construct):
+        def template(T):
+            class Impl(LeafSystem_[T]):
+                rates = staticmethod(lambda context, derivatives: None)  # without continuous states
+
+                def _construct(self, *, converter=None):
+                    LeafSystem_[T].__init__(self, converter)
+                    construct(self, T)
+
+                def _construct_copy(self, other, converter=None):
+                    Impl._construct(self, converter=converter)
+
+                def DoCalcTimeDerivatives(self, context, derivatives):
+                    self.rates(context, derivatives)
+
+            return Impl
+
+        scope = sys.modules[__name__]
+        return TemplateSystem.define(f"{name}_", scope=scope)(template)[float]()
+
+    return make
+
+
 ARM = {"lag_s": 0.01, "mass_kg": 1.6, "stiffness_kn_m": 1.25e4, "limit_m": 0.15}
 """Parameters of the arm of `servo`."""
 
 
-class ServoArm:
-    """Construction of a mass on a stiff drive, behind a motor with lag; limits of its position.
+def _servo_arm(leaf, T):
+    """Construct a mass on a stiff drive, behind a motor with lag; limits of its position.
 
     States: motor speed v in rad/s, position x in m, velocity w in m/s, force f in kN. With the
     command u: v' = (u - v)/lag, x' = w, w' = 1000 f/m - d w, f' = k (c v - w).
     """
+    leaf.DeclareContinuousState(4)
+    leaf.parameter_names = tuple(ARM)
+    leaf.DeclareNumericParameter(BasicVector_[T](list(ARM.values())))
+    command = leaf.DeclareVectorInputPort("command", 1)
+    for index, name in enumerate(("speed", "position", "velocity", "force")):
+        leaf.DeclareVectorOutputPort(
+            name,
+            1,
+            lambda context, out, i=index: out.SetAtIndex(
+                0, context.get_continuous_state_vector()[i]
+            ),
+            {leaf.all_state_ticket()},
+        )
 
-    @staticmethod
-    def construct(leaf, T):
-        leaf.DeclareContinuousState(4)
-        leaf.parameter_names = tuple(ARM)
-        leaf.DeclareNumericParameter(BasicVector_[T](list(ARM.values())))
-        command = leaf.DeclareVectorInputPort("command", 1)
-        for index, name in enumerate(("speed", "position", "velocity", "force")):
-            leaf.DeclareVectorOutputPort(
-                name,
-                1,
-                lambda context, out, i=index: out.SetAtIndex(
-                    0, context.get_continuous_state_vector()[i]
-                ),
-                {leaf.all_state_ticket()},
+    def rates(context, derivatives):
+        v, _, w, f = context.get_continuous_state_vector().CopyToVector()
+        lag, mass, stiffness, _ = context.get_numeric_parameter(0).CopyToVector()
+        (u,) = command.Eval(context)
+        rate = [(u - v) / lag, w, 1e3 * f / mass - 20.0 * w, stiffness * (0.01 * v - w)]
+        derivatives.get_mutable_vector().SetFromVector(rate)
+
+    def margin(context):
+        limit = context.get_numeric_parameter(0)[3]
+        return limit - drake_math.abs(context.get_continuous_state_vector()[1])
+
+    def check(context):
+        if not margin(context) >= 0.0:
+            position = context.get_continuous_state_vector()[1]
+            raise SimulationError(
+                f"t = {context.get_time():.6g} s: arm: position = {position:.6g} m"
             )
 
-        def rates(context, derivatives):
-            v, _, w, f = context.get_continuous_state_vector().CopyToVector()
-            lag, mass, stiffness, _ = context.get_numeric_parameter(0).CopyToVector()
-            (u,) = command.Eval(context)
-            rate = [(u - v) / lag, w, 1e3 * f / mass - 20.0 * w, stiffness * (0.01 * v - w)]
-            derivatives.get_mutable_vector().SetFromVector(rate)
-
-        def margin(context):
-            limit = context.get_numeric_parameter(0)[3]
-            return limit - drake_math.abs(context.get_continuous_state_vector()[1])
-
-        def check(context):
-            if not margin(context) >= 0.0:
-                position = context.get_continuous_state_vector()[1]
-                raise SimulationError(
-                    f"t = {context.get_time():.6g} s: arm: position = {position:.6g} m"
-                )
-
-        leaf.rates = rates
-        leaf.margin, leaf.check = margin, check
-
-
-def _servo_arm():
-    def template(T):
-        class Impl(LeafSystem_[T]):
-            def _construct(self, *, converter=None):
-                LeafSystem_[T].__init__(self, converter)
-                ServoArm.construct(self, T)
-
-            def _construct_copy(self, other, converter=None):
-                Impl._construct(self, converter=converter)
-
-            def DoCalcTimeDerivatives(self, context, derivatives):
-                self.rates(context, derivatives)
-
-        return Impl
-
-    return TemplateSystem.define("Arm_", scope=sys.modules[__name__])(template)[float]()
+    leaf.rates = rates
+    leaf.margin, leaf.check = margin, check
 
 
 @pytest.fixture(scope="session")
-def servo():
+def servo(leaf):
     """A model of a sampled position loop, its parameters and its initialized state."""
     builder = DiagramBuilder()
     reference = builder.AddNamedSystem("reference", Sine(0.05, 6.0, 0.3, 1))
@@ -497,7 +469,7 @@ def servo():
     law = builder.AddNamedSystem("law", Gain(4000.0, 1))
     limit = builder.AddNamedSystem("limit", Saturation([-60.0], [60.0]))
     hold = builder.AddNamedSystem("hold", ZeroOrderHold(0.002, 1))
-    arm = builder.AddNamedSystem("arm", _servo_arm())
+    arm = builder.AddNamedSystem("arm", leaf("Arm", _servo_arm))
     back = builder.AddNamedSystem("back", Gain(-1.0, 1))
     builder.Connect(reference.get_output_port(0), error.get_input_port(0))
     builder.Connect(arm.GetOutputPort("position"), back.get_input_port())

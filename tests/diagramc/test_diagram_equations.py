@@ -3,6 +3,7 @@
 import dataclasses
 
 import pytest
+from pydrake.autodiffutils import AutoDiffXd
 from pydrake.symbolic import Expression, Variable, if_then_else, max as symbolic_max
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import Integrator, LinearSystem
@@ -17,37 +18,37 @@ from diagramc.errors import CompilationError
 from diagramc.native.time_loop import run_text
 
 
-def lag():
-    return LinearSystem([[-1.0]], [[1.0]], [[1.0]], [[0.0]], 0.0)
+def lag(name=""):
+    system = LinearSystem([[-1.0]], [[1.0]], [[1.0]], [[0.0]], 0.0)
+    system.set_name(name)
+    return system
+
+
+def two_of_one_path():
+    """A leaf ``a/b`` beside a diagram ``a`` with a leaf ``b``."""
+    inner = DiagramBuilder()
+    inner.AddNamedSystem("b", Integrator(1))
+    builder = DiagramBuilder()
+    builder.AddNamedSystem("a/b", Integrator(1))
+    builder.AddNamedSystem("a", inner.Build())
+    return builder.Build()
 
 
 @pytest.mark.parametrize(
-    ("system", "line"),
+    ("make", "line"),
     [
-        (42, "int 42: cannot be compiled; must be a Diagram or leaf system of floats"),
-        (None, "NoneType None: cannot be compiled; must be a Diagram"),
+        (lambda: 42, "int 42: cannot be compiled; must be a Diagram or leaf system of floats$"),
+        (lambda: None, "NoneType None: cannot be compiled; must be a Diagram"),
+        (lambda: lag().ToScalarType[AutoDiffXd](), r".*leaf system of floats$"),
+        (lag, "LinearSystem: .*name the diagram's port in inp"),
+        (lambda: lag("lag"), "lag: time derivatives"),
+        (two_of_one_path, "a/b: two systems have this path; rename one$"),
     ],
 )
-def test_what_is_no_system_is_one_line(system, line):
-    with pytest.raises(CompilationError) as caught:
-        compile_diagram(system)
-    assert str(caught.value).startswith(line)
-
-
-def test_a_system_of_another_scalar_type_is_refused():
-    from pydrake.autodiffutils import AutoDiffXd
-
-    with pytest.raises(CompilationError, match=r"leaf system of floats$"):
-        compile_diagram(lag().ToScalarType[AutoDiffXd]())
-
-
-def test_a_single_system_is_named_where_it_cannot_be_compiled():
-    system = lag()
-    with pytest.raises(CompilationError, match=r"^LinearSystem: .*name the diagram's port in inp"):
-        compile_diagram(system)
-    system.set_name("lag")
-    with pytest.raises(CompilationError, match=r"^lag: time derivatives"):
-        compile_diagram(system)
+def test_what_does_not_compile_is_one_line(make, line):
+    with pytest.raises(CompilationError, match=rf"\A{line}") as caught:
+        compile_diagram(make())
+    assert "\n" not in str(caught.value)
 
 
 def test_unknown_inputs_are_named_with_the_known_ones():

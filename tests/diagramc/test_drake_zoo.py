@@ -359,7 +359,7 @@ NOT_SYMBOLIC = "block: {} does not convert to symbolic Expression"
 ABSTRACT = "block: {} has an abstract state or parameter; only vectors compile"
 
 REFUSED = {
-    # RimlessWheel: see test_equations, in a process of its own
+    # RimlessWheel: see test_events, in a process of its own
     "CompassGait": (CompassGait, "block: CompassGait has a witness function"),
     "MultibodyPlant": (lambda: one_joint(0.0), ABSTRACT.format("MultibodyPlant")),
     "MultibodyPlant, sampled": (lambda: one_joint(0.001), ABSTRACT.format("MultibodyPlant")),

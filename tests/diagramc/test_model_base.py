@@ -44,8 +44,9 @@ def test_arrays_of_another_shape_are_refused(servo):
     table = InputTable(np.array([1.0]))  # two segments, but coefficients for one
     with pytest.raises(ValueError, match=r"inputs\.coefficients has the shape"):
         model.initialized(parameters, state, table)
-    with pytest.raises(ValueError, match="parameters has the shape"):
-        model.constants(parameters[1:])
+    for call in (model.constants, lambda rows: model.simulate(rows, state, 0.01)):
+        with pytest.raises(ValueError, match="parameters has the shape"):
+            call(parameters[1:])
 
 
 def test_initialization_runs_no_periodic_update_and_copies(servo):

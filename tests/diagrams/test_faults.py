@@ -183,18 +183,6 @@ def test_a_fault_begins_at_its_time_to_failure_or_after_the_run():
 
 
 @pytest.mark.slow
-def test_a_signal_triggers_a_fault_at_the_next_sample():
-    run = simulate(BASE)
-    threshold = float(run["knee_angle_rad"][60])
-    fault = {"place": "command", "kind": "scale", "size": 0.0, "start_s": 0.0}
-    fault |= {"signal": "knee_angle_rad", "above": threshold}
-    active = simulate(with_faults(fault))["active_faults"]
-    first = int(np.flatnonzero(run["knee_angle_rad"] > threshold)[0])
-    assert np.flatnonzero(active)[0] == first + 1
-    assert active[-1] == 1.0
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("signal", "sign"), [("knee_angle_rad", "above"), ("motor_speed_rad_s", "below")]
 )

@@ -4,14 +4,14 @@ import math
 
 import numpy as np
 import pytest
+from plant_cases import by_name, with_command
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, Linearize, LogVectorOutput
 
 from kneexo.analysis import linearize_loop, sinestream, track
 from kneexo.analysis.frequency.frequency_response import SinestreamSettings
-from kneexo.diagrams import PLANT_OUTPUTS, make_closed_loop, make_plant
-from kneexo.diagrams.signals import OPTIONAL_OUTPUTS
+from kneexo.diagrams import make_closed_loop, make_plant
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
     RPM,
@@ -26,7 +26,6 @@ from kneexo.parameters import (
     SlidingModeParameters,
 )
 from kneexo.parameters.scenario_file import load_scenario
-from kneexo.simulation import simulate
 
 # Lee et al. 2020, Tables 2 and 3: bore 20 mm, rod 10 mm, 0.8 cm³/rev behind a gear of 6:1.
 AREA_1, AREA_2 = math.pi / 4.0 * 0.020**2, math.pi / 4.0 * (0.020**2 - 0.010**2)
@@ -43,17 +42,6 @@ def parameters(force=0.0, *, pump=TIGHT, cylinder=CylinderParameters(), **full_o
         load=KneeLoadParameters(segment_mass_kg=0.0, disturbance_n=force),
         full_order=FullCylinderParameters(**full_order),
     )
-
-
-def by_name(system, name, context):
-    value = system.GetOutputPort(name).Eval(context)
-    return value[0] if value.size == 1 else value
-
-
-def at_rest(plant, rpm=0.0):
-    context = plant.CreateDefaultContext()
-    plant.GetInputPort("motor_speed_command").FixValue(context, [rpm * RPM])
-    return context
 
 
 def run(fixed_step, plant, rpm, duration, step=0.002):
@@ -81,30 +69,10 @@ def logged(fixed_step, plant, rpm, duration, step, *names):
 # ------------------------------------------------------------------------------ structure
 
 
-def test_full_order_drops_into_the_same_plant():
-    plants = [make_plant(), make_plant(PlantParameters(full_order=FullCylinderParameters()))]
-    inputs, outputs = (
-        [
-            {getattr(plant, get)(i).get_name() for i in range(getattr(plant, count)())}
-            for plant in plants
-        ]
-        for get, count in (
-            ("get_input_port", "num_input_ports"),
-            ("get_output_port", "num_output_ports"),
-        )
-    )
-    assert inputs[0] == inputs[1]
-    assert outputs[0] == {name for names in PLANT_OUTPUTS.values() for name in names}
-    assert outputs[1] - outputs[0] == set(OPTIONAL_OUTPUTS["full_order"][1])
-    for plant in plants:
-        assert {s.get_name() for s in plant.GetSystems()} == {"motor", "cylinder", "knee"}
-    assert [p.CreateDefaultContext().num_continuous_states() for p in plants] == [4, 5]
-
-
 def test_pump_s_external_leakage_reaches_both_lines():
     pump = BldcPumpParameters(internal_leakage_m3_per_s_pa=0.0, external_leakage_m3_per_s_pa=5e-12)
     plant = make_plant(parameters(300.0, pump=pump, makeup_conductance_m3_per_s_pa=0.0))
-    context = at_rest(plant)
+    context = with_command(plant)
     cap, rod_side = by_name(plant, "chamber_pressures", context)
     *_, rate_1, rate_2 = plant.EvalTimeDerivatives(context).CopyToVector()
     x = by_name(plant, "rod_extension", context)
@@ -119,7 +87,7 @@ def test_pump_s_external_leakage_reaches_both_lines():
 @pytest.mark.parametrize("force", [-300.0, 0.0, 10.0, 25.0, 300.0])
 def test_plant_starts_in_equilibrium_with_the_lower_line_at_the_reservoir(degrees, force):
     plant = make_plant(parameters(force), initial_knee_angle_rad=math.radians(degrees))
-    context = at_rest(plant)
+    context = with_command(plant)
     pressures = by_name(plant, "chamber_pressures", context)
     assert min(pressures) == pytest.approx(0.2e6, rel=1e-14)
     assert (pressures[0] > pressures[1]) == (force > SWITCHING_N)
@@ -178,7 +146,7 @@ def test_friction_without_load_makes_the_speeds_of_the_directions_differ(
 
 def test_linearized_mode_is_that_of_the_loaded_chamber_damped_by_the_make_up_valve():
     plant = make_plant(parameters(200.0), initial_knee_angle_rad=math.radians(40.0))
-    context = at_rest(plant)
+    context = with_command(plant)
     x = by_name(plant, "rod_extension", context)
     system = Linearize(
         plant,
@@ -389,22 +357,3 @@ def test_the_command_of_a_bypass_is_an_input_of_the_loop():
     assert not make_closed_loop(Scenario(plant={"full_order": True}), signals=()).HasInputPort(
         "bypass"
     )
-
-
-@pytest.mark.slow
-def test_a_wearer_who_walks_on_feels_a_tenth_of_the_torque_through_an_open_bypass():
-    """The motor stops after the first of two strides at 0.2 Hz; the leg walks on."""
-    walking = Scenario.preset("wearer").changed(
-        {"reference": {"kind": "gait", "frequency_hz": 0.2, "cycles": 2}, "plant.bypass": True}
-    )
-    dead = {"place": "command", "kind": "scale", "size": 0.0, "start_s": 5.0}
-    opened = {"place": "plant.bypass.minimum_opening", "kind": "value", "size": 1, "start_s": 5.0}
-    torques = {}
-    for name, faults in (("zero speed", [dead]), ("bypass", [dead, opened])):
-        run = simulate(walking.changed({"faults": faults}))
-        torque = run["interaction_torque_n_m"][run.time_s >= 5.0]
-        torques[name] = -torque.min(), torque.max()
-    # The relief valves hold 82 and 113 N·m on the rod, and friction of the seals and weight add.
-    assert torques["zero speed"] == pytest.approx((87.6, 119.5), rel=0.02)
-    # The seals alone take 40 N, at arms of up to 107 mm 4.3 N·m.
-    assert max(torques["bypass"]) < 0.1 * max(torques["zero speed"])

@@ -7,6 +7,7 @@ from pydrake.systems.primitives import Gain
 from kneexo.diagrams import SIGNALS
 from kneexo.diagrams.closed_loop import plant_of, plant_start, plant_states
 from kneexo.diagrams.part import NO_SIGNAL, Part, export_inputs, state_names, wire
+from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 from kneexo.simulation import simulate
@@ -105,6 +106,13 @@ def test_one_input_serves_all_parts_that_read_a_signal_which_nobody_offers():
     )
     assert [value(diagram, name, push=1.5) for name in ("a", "b")] == [3.0, 4.5]
     assert diagram.num_input_ports() == 1
+
+
+def test_a_part_that_offers_a_port_which_its_system_lacks_is_told():
+    part = Part("first", lambda: Gain(2.0, 1), offers={"speed": "velocity"})
+    message = "part first: offers 'speed' by the output port 'velocity', .* its ports y0"
+    with pytest.raises(ParameterError, match=message):
+        wired(part)
 
 
 def test_a_port_that_reads_no_signal_stays_unconnected():

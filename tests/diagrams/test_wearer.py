@@ -173,17 +173,6 @@ def test_a_virtual_spring_carries_leg_and_exoskeleton(four_bar):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("motion", ["prescribed", "active"])
-@pytest.mark.parametrize("angle_deg", [10.0, 45.0, 80.0])
-def test_default_gains_are_stable_with_a_wearer(motion, angle_deg):
-    from kneexo.analysis.linear.sampled_loop import linearize_loop
-
-    loop = linearize_loop(scenario(wearer={"motion": motion}), knee_angle_deg=angle_deg)
-    assert loop.stable
-    assert loop.margins().gain_margin > 1.8
-
-
-@pytest.mark.slow
 def test_the_inertia_of_a_shank_needs_lower_gains_and_a_slower_load_cell():
     """The figures of the theory page."""
     from kneexo.analysis.linear.sampled_loop import linearize_loop

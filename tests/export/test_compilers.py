@@ -15,7 +15,6 @@ from kneexo.export.firmware import make_firmware
 from kneexo.export.target import count_range, reference_range_rad
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
-from kneexo.parameters.presets import with_preset
 
 pytestmark = pytest.mark.slow  # compilers, analysers and emulators
 
@@ -28,28 +27,22 @@ COMPILERS = {
 SANITIZERS = ("-g", "-O1", "-ffp-contract=off", "-fno-sanitize-recover=all")
 SANITIZERS += ("-fsanitize=address,undefined,float-cast-overflow",)
 TARGETS = ("controller", "plant", "loop")
-SLOW_TARGETS = [pytest.param(what, marks=pytest.mark.slow) for what in TARGETS[1:]]
 PRECISIONS = ("double", "float")
 
 SAMPLED = {"kind": "samples", "times_s": [0.0, 1.0, 2.0], "angles_deg": [10.0, 30.0, 20.0]}
+PID = {"controller": {"kind": "pid", "integral_per_s2": 100.0}}
 STRUCTURES = {
-    "smc": {},
-    "pid": {"controller": {"kind": "pid", "integral_per_s2": 100.0}},
-    "load": {"plant.load": {"kind": "knee", "knee_torque_n_m": 3.0}},
-    "full_order": {"plant.full_order": {"coulomb_friction_n": 40.0}},
-    "difference": {"estimator": {"kind": "difference"}, "controller.switching": "signum"},
-    "samples": {"reference": SAMPLED, "bus": {"latency_samples": 2}},
-    "unquantized": {"encoder.quantized": False, "plant.rod_map": "polynomial"},
+    "pid": (PID, ("controller",)),
+    "load": ({"plant.load": {"kind": "knee", "knee_torque_n_m": 3.0}}, ("plant", "loop")),
+    "full_order": ({"plant.full_order": {"coulomb_friction_n": 40.0}}, ("plant", "loop")),
+    "difference": (
+        {"estimator": {"kind": "difference"}, "controller.switching": "signum"},
+        ("controller",),
+    ),
+    "samples": ({"reference": SAMPLED, "bus": {"latency_samples": 2}}, ("controller", "loop")),
+    "unquantized": ({"encoder.quantized": False, "plant.rod_map": "polynomial"}, TARGETS),
 }
-CHANGED_TARGETS = {
-    "pid": ("controller",),
-    "load": ("plant", "loop"),
-    "full_order": ("plant", "loop"),
-    "difference": ("controller",),
-    "samples": ("controller", "loop"),
-    "unquantized": TARGETS,
-}
-"""Targets that a structure changes."""
+"""Changes of the default scenario, and the targets that they change."""
 
 
 def write(folder, files):
@@ -75,36 +68,34 @@ def compiles(folder, tool, files):
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-@pytest.mark.parametrize("what", ["controller", *SLOW_TARGETS])
+@pytest.mark.parametrize("what", TARGETS)
 def test_compilers_have_nothing_to_say(tmp_path, tool, what, precision):
     compiles(tmp_path, tool, with_harness(Scenario(), what, precision))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", CHANGED_TARGETS)
-def test_compilers_have_nothing_to_say_of_other_structures(tmp_path, tool, exported, name):
-    scenario = changed(Scenario(), STRUCTURES[name])
-    for what in CHANGED_TARGETS[name]:
-        for precision in PRECISIONS:
-            _, source = exported.exported_source(scenario, what, precision)
-            compiles(tmp_path, tool, source.files())
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("precision", PRECISIONS)
-def test_compilers_have_nothing_to_say_of_the_rosenbrock_method(
-    tmp_path, tool, exported, precision
+@pytest.mark.parametrize("name", STRUCTURES)
+def test_compilers_have_nothing_to_say_of_other_structures(
+    tmp_path, tool, exported, name, precision
 ):
-    for preset in ("paper", "leg"):  # the rates of leg depend on the time
-        scenario = Scenario.model_validate(with_preset(preset, {}))
-        _, source = exported.exported_source(scenario, "plant", precision, integrator="rosenbrock")
+    changes, targets = STRUCTURES[name]
+    for what in targets:
+        _, source = exported.exported_source(changed(Scenario(), changes), what, precision)
         compiles(tmp_path, tool, source.files())
 
 
-@pytest.mark.slow
-def test_compilers_have_nothing_to_say_of_a_users_controller(tmp_path, tool, backstepping):
-    for precision in PRECISIONS:
-        compiles(tmp_path, tool, with_harness(backstepping, "controller", precision))
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_compilers_have_nothing_to_say_of_stiff_plants_and_a_users_controller(
+    tmp_path, tool, exported, backstepping, precision
+):
+    stiff = {"what": "plant", "integrator": "rosenbrock"}
+    for scenario, options in (
+        (Scenario(), stiff),
+        (Scenario.preset("leg"), stiff),  # its rates depend on the time
+        (backstepping, {"what": "controller"}),
+    ):
+        _, source = exported.exported_source(scenario, precision=precision, **options)
+        compiles(tmp_path, tool, source.files())
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
@@ -136,11 +127,11 @@ def test_a_warning_would_be_seen(tmp_path, tool):
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-@pytest.mark.parametrize("what", ["controller", *SLOW_TARGETS, "stiff plant"])
+@pytest.mark.parametrize("what", [*TARGETS, "stiff plant"])
 def test_sanitizers_find_nothing_in_the_harness(tmp_path, tool, what, precision):
     scenario, options = Scenario(), {}
     if what == "stiff plant":
-        scenario = Scenario.model_validate(with_preset("leg", {}))
+        scenario = Scenario.preset("leg")
         what, options = "plant", {"integrator": "rosenbrock"}
     names = write(tmp_path, with_harness(scenario, what, precision, **options))
     done = run(tmp_path, tool("gcc"), *SANITIZERS, *names, "-o", "harness", "-lm")
@@ -182,21 +173,20 @@ def fuzz(folder, tool, scenario, precision, steps):
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
-@pytest.mark.parametrize("name", ["smc", "pid"])
-def test_bad_inputs_leave_no_trace(tmp_path, tool, name, precision):
-    scenario = changed(Scenario(), STRUCTURES[name])
-    counts = fuzz(tmp_path, tool, scenario, precision, 100_000)
-    assert sum(counts) == 100_000
+@pytest.mark.parametrize(
+    ("changes", "steps"),
+    [
+        ({}, 100_000),
+        (PID, 100_000),
+        pytest.param({}, 10_000_000, marks=pytest.mark.slow(gate=0)),
+    ],
+    ids=["smc", "pid", "smc, long"],
+)
+def test_bad_inputs_leave_no_trace(tmp_path, tool, changes, steps, precision):
+    counts = fuzz(tmp_path, tool, changed(Scenario(), changes), precision, steps)
+    assert sum(counts) == steps
     assert min(counts[:2]) > 10_000
-    assert (counts[2] > 100) == (name == "smc")  # a PID saturates where the SMC overflows
-
-
-@pytest.mark.slow(gate=0)
-@pytest.mark.parametrize("precision", PRECISIONS)
-def test_ten_million_inputs_leave_no_trace(tmp_path, tool, precision):
-    counts = fuzz(tmp_path, tool, Scenario(), precision, 10_000_000)
-    assert sum(counts) == 10_000_000
-    assert min(counts) > 10_000
+    assert (counts[2] > 1e-3 * steps) == (not changes)  # a PID saturates where the SMC overflows
 
 
 # ---------------------------------------------------------------------- what it may contain
@@ -211,17 +201,13 @@ CPPCHECK += ("-DDBL_MANT_DIG=53",)  # else it stops at the #error of double prec
 
 
 MODELS = [
-    pytest.param(
-        (what, precision, integrator),
-        marks=() if what == "controller" else pytest.mark.slow,
-        id=f"{what}:{precision}:{integrator}",
-    )
+    (what, precision, integrator)
     for what, integrator in (*((what, "rk4") for what in TARGETS), ("plant", "rosenbrock"))
     for precision in PRECISIONS
 ]
 
 
-@pytest.fixture(params=MODELS)
+@pytest.fixture(params=MODELS, ids=":".join)
 def model(request, exported):
     """Files of a target without its harness, which does not run on a microcontroller."""
     what, precision, integrator = request.param
@@ -249,7 +235,7 @@ def test_misra_rules_are_kept_but_for_the_listed_ones(tmp_path, tool, model, tab
     assert misra_rules(tmp_path, tool("cppcheck")) <= listed_rules(tables)
 
 
-@pytest.mark.parametrize("precision", ["double", pytest.param("float", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("precision", PRECISIONS)
 def test_each_listed_deviation_is_there_and_another_would_be_seen(
     tmp_path, tool, exported, tables, precision
 ):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from generated_laws import HOLDERS, TERMS, generated_law
+from generated_laws import TERMS, generated_law
 
 from kneexo.diagrams.signals import SIGNALS
 from kneexo.parameters import SimulationParameters
@@ -43,23 +43,6 @@ def made_up_run(samples=30):
     names = [name for columns in SIGNALS.values() for name in columns]
     data = {name: 3e-4 * random.standard_normal(samples) for name in names}
     return Run(time_s, data, SimulationParameters())
-
-
-def test_a_seed_gives_one_law_and_a_twin_with_another_value():
-    for seed in range(0, 40, 2):
-        law, twin = generated_law(seed), generated_law(seed + 1)
-        assert law == generated_law(seed)
-        assert law.features == twin.features
-        (changed,) = (name for name in law.files if law.files[name] != twin.files[name])
-        pairs = zip(*(one.files[changed].splitlines() for one in (law, twin)), strict=True)
-        ((line, other),) = (pair for pair in pairs if pair[0] != pair[1])
-        assert line.startswith("VALUES = ")
-        assert other.startswith("VALUES = ")
-
-
-def test_the_grammar_reaches_every_holder_and_term():
-    found = {feature for seed in range(0, 1000, 2) for feature in generated_law(seed).features}
-    assert found >= ALL_TERMS | {f"holder: {name}" for name in HOLDERS}
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from kneexo.page.sliders import SLIDERS, sliders_of
+from kneexo.page.sliders import MAIN, SLIDERS, sliders_of
 from kneexo.parameters import PlantParameters, Scenario
 from kneexo.parameters.fields.fields import limits_of
 from kneexo.parameters.paths import value_at
@@ -19,6 +19,7 @@ def test_a_slider_belongs_to_a_field_and_lies_within_its_range(kind):
         assert low <= slider.low < slider.high <= high, name
         assert field.default is None or slider.low <= field.default <= slider.high, name
         assert slider.low > 0.0 or slider.scale == "linear", name
+    assert set(MAIN.get(kind, ())) <= set(SLIDERS[kind])
 
 
 @pytest.mark.parametrize("preset", PRESETS)

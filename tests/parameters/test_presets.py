@@ -4,10 +4,9 @@ import math
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from kneexo.analysis import linearize_loop, linearize_plant, simulate, track
+from kneexo.analysis import track
 from kneexo.analysis.wearer.coupling import coupled_loop
 from kneexo.parameters import Cia402Parameters, KneeLoadParameters, NoBus, NoLoad, Scenario
 from kneexo.parameters.criteria import SOUND_DISK_MARGIN
@@ -92,49 +91,6 @@ def test_the_friction_is_four_percent_of_the_rated_pressure():
     friction_pa = LEG.plant.full_order.coulomb_friction_n / MEAN_AREA_M2
     assert friction_pa == pytest.approx(0.146e6, rel=5e-3)
     assert friction_pa / LEG.plant.cylinder.pressure_rating_pa == pytest.approx(0.04, rel=0.05)
-
-
-def table_1_arm_m(knee_angle_deg):
-    """Moment arm −dx/dθ of Eq. 10 in m, by hand from the coefficients of Table 1."""
-    p = np.polyder([1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0])
-    return -1e-3 * math.degrees(1.0) * np.polyval(p, knee_angle_deg)
-
-
-@pytest.mark.parametrize("knee_angle_deg", [10.0, 60.0])
-def test_bench_holds_the_weight_of_the_shank(knee_angle_deg):
-    # The hanging shank extends the knee, so the pressure pulls: P_L = −m g l sin θ/(r Ā).
-    torque = 1.6 * 9.81 * 0.20 * math.sin(math.radians(knee_angle_deg))
-    expected = -torque / (table_1_arm_m(knee_angle_deg) * MEAN_AREA_M2)
-    point = linearize_plant(BENCH.plant, knee_angle_deg=knee_angle_deg).operating_point
-    assert point.load_pressure_pa == pytest.approx(expected, rel=0.01)  # G1 is not quite Table 1
-    without = linearize_plant(PAPER.plant, knee_angle_deg=knee_angle_deg).operating_point
-    assert without.load_pressure_pa == pytest.approx(0.0, abs=1e-6)
-
-
-def test_the_bus_of_bench_rounds_to_1_rpm_and_takes_one_sample():
-    run = simulate(changed(BENCH, {"simulation.duration_s": 0.5}), signals=("motor_speed_command",))
-    command_rpm = run["motor_speed_command_rad_s"] * 30.0 / math.pi
-    assert np.ptp(command_rpm) > 500.0
-    assert command_rpm == pytest.approx(np.round(command_rpm), abs=1e-9)
-    without = changed(BENCH, {"bus": {"kind": "none"}})
-    delays_s = [linearize_loop(scenario).margins().delay_margin_s for scenario in (without, BENCH)]
-    assert delays_s[0] - delays_s[1] == pytest.approx(0.002, rel=1e-6)
-
-
-def test_the_seals_of_leg_take_40_n():
-    ramp = {"kind": "ramp", "start_deg": 50.0, "end_deg": 20.0, "time_s": 0.0}
-    scenario = changed(LEG, {"reference": ramp, "simulation.duration_s": 1.5})
-    run = simulate(
-        scenario, signals=("chamber_pressures", "rod_velocity", "knee_angle", "moment_arm")
-    )
-    late = run.time_s > 1.0
-    at = {name: values[late] for name, values in run.data.items()}
-    assert np.min(at["rod_velocity_m_s"]) > 0.02  # 20 times the band of the reversal
-    cap, ring = math.pi / 4.0 * 0.020**2, math.pi / 4.0 * (0.020**2 - 0.010**2)
-    force = at["cap_pressure_pa"] * cap - at["rod_side_pressure_pa"] * ring
-    weight = 1.6 * 9.81 * 0.20 * np.sin(at["knee_angle_rad"]) / at["moment_arm_m"]
-    friction = np.mean(force + weight - 0.05 * at["rod_velocity_m_s"])
-    assert friction == pytest.approx(40.0, rel=0.01)
 
 
 def test_the_areas_of_the_chambers_make_the_error_of_leg():

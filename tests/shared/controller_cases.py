@@ -7,7 +7,6 @@ from itertools import product
 import numpy as np
 
 from kneexo.parameters import Scenario, SimulationParameters, SineReference
-from kneexo.studies.controller.controller import LIMIT_CYCLE_VARIANTS
 from kneexo.studies.controller.result import MAP_METRICS, METRICS, ControllerResult, LimitCycleCase
 from kneexo.studies.controller.settings import ControllerSettings
 
@@ -19,6 +18,7 @@ GRID = ControllerSettings(
     map_slopes_per_s=(1e4, 1e5),
 )
 SHAPE = (3, 5, 2)
+VARIANTS = ("as built", "exact encoder", "unlimited acceleration")
 BASE = Scenario(
     reference=SineReference(amplitude_deg=1.0, frequency_hz=4.0),
     simulation=SimulationParameters(duration_s=0.5),
@@ -69,9 +69,7 @@ def made_up():
     mapped["stable"] = np.array([[1.0, 1.0], [1.0, 0.0]])
     limit_cycle = [
         limit_cycle_case(n, lambda_, variant)
-        for n, (lambda_, variant) in enumerate(
-            product(GRID.limit_cycle_lambdas_per_s, LIMIT_CYCLE_VARIANTS)
-        )
+        for n, (lambda_, variant) in enumerate(product(GRID.limit_cycle_lambdas_per_s, VARIANTS))
     ]
     failures = {(10.0, 0.32, 2.8e4): "left the range"}
     return ControllerResult(Scenario(), GRID, values, failures, tuple(limit_cycle), mapped)

@@ -37,23 +37,14 @@ MODULES = ("held", "held_below")
 
 HEADER = """\
 import math
-from array import array
-from collections import ChainMap, OrderedDict, UserDict, deque, namedtuple
 from dataclasses import dataclass
-from datetime import timedelta
-from decimal import Decimal
-from enum import Enum
 from fractions import Fraction
 from functools import lru_cache, partial, wraps
-from operator import itemgetter
 from types import SimpleNamespace
 
 import numpy as np
 from pydrake.math import max as drake_max, min as drake_min
 from pydrake.symbolic import if_then_else
-
-TABLE = tuple(range(10))
-Pair = namedtuple("Pair", "first second")
 
 
 @dataclass(frozen=True)
@@ -62,13 +53,6 @@ class Gains:
 
     def times(self, number):
         return self.gain * number
-
-
-class Slotted:
-    __slots__ = ("gain",)
-
-    def __init__(self, gain):
-        self.gain = gain
 
 
 def multiplied(factor):
@@ -92,30 +76,11 @@ def recursive(number, depth):
 HOLDERS = {
     "float": ("{v}", "{h}"),
     "list": ("[{v}, 1.0]", "{h}[0]"),
-    "tuple": ("(1.0, {v})", "{h}[1]"),
     "dict": ("{'gain': {v}}", "{h}['gain']"),
-    "set": ("{ {v} }", "max({h})"),
-    "deque": ("deque([{v}])", "{h}[0]"),
-    "array": ("array('d', [{v}])", "{h}[0]"),
-    "bytearray": ("bytearray([int({v})])", "float({h}[0])"),
-    "bytes": ("bytes([int({v})])", "float({h}[0])"),
     "Fraction": ("Fraction({v})", "float({h})"),
-    "Decimal": ("Decimal(str({v}))", "float({h})"),
     "complex": ("complex({v}, 1.0)", "{h}.real"),
-    "text": ("str({v})", "float({h})"),
-    "range": ("range(int({v}))", "float(len({h}))"),
-    "slice": ("slice(int({v}))", "float(len(TABLE[{h}]))"),
-    "itemgetter": ("itemgetter(int({v}))", "float({h}(TABLE))"),
-    "timedelta": ("timedelta(seconds={v})", "{h}.total_seconds()"),
-    "namedtuple": ("Pair(1.0, {v})", "{h}.second"),
-    "dataclass": ("Gains({v})", "{h}.gain"),
     "method": ("Gains({v}).times", "{h}(1.0)"),
-    "slots": ("Slotted({v})", "{h}.gain"),
     "namespace": ("SimpleNamespace(gain={v})", "{h}.gain"),
-    "enum": ("Enum('Mode', {'GAIN': {v}})", "{h}.GAIN.value"),
-    "OrderedDict": ("OrderedDict(gain={v})", "{h}['gain']"),
-    "UserDict": ("UserDict(gain={v})", "{h}['gain']"),
-    "ChainMap": ("ChainMap({}, {'gain': {v}})", "{h}['gain']"),
     "partial": ("partial(pow, {v})", "{h}(1)"),
     "lru_cache": ("lru_cache(lambda value={v}: value)", "{h}()"),
     "NumPy array": ("np.array([1.0, {v}])", "{h}[1]"),
@@ -124,14 +89,6 @@ HOLDERS = {
     "np.int16": ("np.int16({v})", "{h}"),
     "polynomial": ("np.poly1d([{v}])", "float({h}(0.0))"),
     "class attribute": ("type('Held', (), {'gain': [{v}]})", "{h}.gain[0]"),
-    "static method": (
-        "type('Held', (), {'gain': staticmethod(lambda value={v}: value)})",
-        "{h}.gain()",
-    ),
-    "class method": (
-        "type('Held', (), {'gain': classmethod(lambda cls, value={v}: value)})",
-        "{h}.gain()",
-    ),
     "property": (
         "type('Held', (), {'gain': property(lambda self, value={v}: value)})()",
         "{h}.gain",
@@ -485,21 +442,6 @@ class _Writer:
         )
         return self._object(arguments, body, change=change)
 
-    def _class_attributes(self, arguments: str, body: list[str]) -> tuple[str, bool]:
-        lines = re.sub(r"\b(HELD\d)\b", r"type(self).\1", "\n".join(body))  # no bound method
-        attributes = "\n".join(f"{name} = {name}" for name in self._names)
-        text = self._function(f"self, {arguments}", [lines], "__call__")
-        base = f"class Base:\n{indent(attributes, '    ')}\n\n"
-        return f"{base}class Law(Base):\n{indent(text, '    ')}\nlaw = Law()\n", False
-
-    def _static_methods(self, arguments: str, body: list[str]) -> tuple[str, bool]:
-        lines = re.sub(r"\b(HELD\d)\b", r"self.read\1()", "\n".join(body))
-        text = "".join(
-            f"@staticmethod\ndef read{name}(held={name}):\n    return held\n\n"
-            for name in self._names
-        ) + self._function(f"self, {arguments}", [lines], "__call__")
-        return f"class Law:\n{indent(text, '    ')}\nlaw = Law()\n", False
-
     def _imported(self, arguments: str, body: list[str]) -> tuple[str, bool]:
         lines = re.sub(r"\bHELD(\d)\b", r"held.held(\1)", "\n".join(body))
         return f"import held\n\n{self._function(arguments, [lines])}", True
@@ -514,7 +456,5 @@ _FORMS = {
     "bound method": _Writer._method,
     "object with hidden state": _Writer._hidden_state,
     "object with late hidden state": _Writer._late_state,
-    "class attributes": _Writer._class_attributes,
-    "static methods": _Writer._static_methods,
     "imported modules": _Writer._imported,
 }

@@ -1,4 +1,4 @@
-"""The solver of a web module, for the tests that compare pages with the compiled engine."""
+"""For tests of pages: the solver of a web module, and the script that types a number."""
 
 
 def solver_of(table):
@@ -8,3 +8,9 @@ def solver_of(table):
         return {"integrator": "rosenbrock", "tolerance": tolerance}
     step_s = table["sample_time_s"] / table["rk4_steps_per_tick"]
     return {"integrator": "rk4", "step_s": step_s}
+
+
+def typed(name, value):
+    """The script that writes a value into the field of a quantity."""
+    return f"""(() => {{ const box = document.getElementById("q-{name}-value");
+      box.value = "{value}"; box.dispatchEvent(new Event("change")); }})()"""

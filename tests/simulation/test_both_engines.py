@@ -7,7 +7,7 @@ other is shut off. `TOLERANCES` says how far apart they may be, and why.
 import csv
 import json
 import re
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ from kneexo.command_line.output import to_json
 from kneexo.errors import KneexoError
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
-from kneexo.simulation import compiled, drake, simulate_compiled
+from kneexo.simulation import drake, simulate_compiled
 from kneexo.simulation.engines import simulate
 from kneexo.studies.catalogue import STUDIES
 from kneexo.studies.reproduce import reproduce
@@ -235,19 +235,3 @@ def test_runge_kutta3_is_drakes_over_two_periods():
     assert by_drake.time_s[-1] == ours.time_s[-1] == 10.0
     for column, values in by_drake.data.items():
         assert np.max(np.abs(ours[column] - values)) <= 1e-9 * np.max(np.abs(values)), column
-
-
-@pytest.mark.slow(gate=0)
-def test_runge_kutta3_with_the_quantizer_has_drakes_metrics(monkeypatch):
-    original = compiled.simulate_together
-
-    def with_runge_kutta3(scenarios, signals, integrator, *options, **named):
-        return original(scenarios, signals, "runge_kutta3", *options, **named)
-
-    monkeypatch.setattr(compiled, "simulate_together", with_runge_kutta3)
-    scenario = changed(Scenario(), {"simulation.duration_s": 15.0})
-    drake = asdict(track(scenario.with_engine("drake").with_steps(4e-4)).metrics)
-    ours, half = (asdict(track(scenario.with_steps(step)).metrics) for step in (4e-4, 2e-4))
-    for name, value in drake.items():
-        halving = abs(ours[name] - half[name])
-        assert abs(ours[name] - value) <= halving + 1e-9 * abs(value), name

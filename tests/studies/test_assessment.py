@@ -2,9 +2,6 @@
 
 import math
 
-import pytest
-
-from kneexo.analysis.frequency.bandwidth import large_signal_bandwidth_hz
 from kneexo.analysis.linear.sampled_loop import linearize_loop
 from kneexo.analysis.tracking.tracking import track
 from kneexo.parameters import Scenario
@@ -49,16 +46,6 @@ def test_the_bandwidth_is_that_of_the_references_own_sine(monkeypatch):
     numbers = assess(SHORT, tracking=False, margins=False, bandwidth=True)
     assert numbers == {"bandwidth_hz": 3.5, "bandwidth_failure": ""}
     assert asked == [SHORT]
-
-
-@pytest.mark.slow
-def test_the_bandwidth_is_the_measured_one():
-    scenario = Scenario()
-    assessment = assess(scenario, tracking=False, margins=False, bandwidth=True)
-    assert assessment == {
-        "bandwidth_hz": large_signal_bandwidth_hz(scenario),
-        "bandwidth_failure": "",
-    }
 
 
 def test_a_gain_that_does_not_fall_is_reported(monkeypatch):

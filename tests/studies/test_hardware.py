@@ -25,7 +25,6 @@ from kneexo.studies.hardware import (
     scaled,
     sliding_mode,
     tuned,
-    value_at,
     with_piston,
 )
 from kneexo.studies.paper import PID_TUNED
@@ -185,22 +184,6 @@ def test_counts_are_whole_and_a_pid_keeps_its_gains():
     assert other.controller == base.controller
     with pytest.raises(ParameterError, match=r"controller.kind = pid: must be smc"):
         tuned(base, {"lambda_per_s": 1.0, "slope_per_s": 1e4, "observer_s": 0.01})
-
-
-def test_hardware_is_shown_in_the_units_of_tables_2_and_3():
-    scenario = Scenario()
-    shown = {
-        name: (value_at(scenario, path) * size, unit)
-        for path, (name, unit, size) in HARDWARE.items()
-    }
-    assert shown == {
-        "motor speed limit": (pytest.approx(5000.0), "rpm"),
-        "pump displacement": (pytest.approx(0.8), "cm³/rev"),
-        "gear ratio": (6.0, ""),
-        "acceleration limit": (1e4, "rad/s²"),
-        "drive lag": (pytest.approx(10.0), "ms"),
-        "encoder": (4096, "counts/rev"),
-    }
 
 
 def test_tuned_sets_the_slope_by_phi():

@@ -29,7 +29,7 @@ def test_borders_enclose_each_value_and_split_the_gaps_by_their_ratio(ratios, fi
 
 def test_cells_show_values_x_by_y_and_mask_what_is_not_finite():
     values = np.array([[1.0, np.inf, 3.0], [4.0, np.nan, 600.0]])
-    figure, ax = plt.subplots()
+    _, ax = plt.subplots()
     norm = LogNorm(1.0, 10.0)
     heat_map(ax, [1.0, 2.0], [10.0, 20.0, 40.0], values, norm=norm, label="e (deg)", worse="high")
     mesh = ax.collections[0]
@@ -46,7 +46,6 @@ def test_cells_show_values_x_by_y_and_mask_what_is_not_finite():
     ticks = zip(mesh.colorbar.ax.get_yticks(), mesh.colorbar.ax.get_yticklabels(), strict=True)
     shown = [text.get_text() for tick, text in ticks if 1.0 <= tick <= 10.0]
     assert shown == ["1", "2", "5", "10"]
-    plt.close(figure)
 
 
 def test_a_map_without_any_value_is_hatched():
@@ -56,7 +55,6 @@ def test_a_map_without_any_value_is_hatched():
     assert ax.patch.get_hatch()
     figure.canvas.draw()
     assert ax.collections[0].colorbar.extend == "neither"
-    plt.close(figure)
 
 
 @pytest.mark.parametrize(("worse", "sign"), [("low", 1.0), ("high", -1.0)])
@@ -89,15 +87,13 @@ def test_ticks_are_plain_numbers_at_the_values_alone():
     figure.canvas.draw()
     assert [label.get_text() for label in ax.get_xticklabels()] == ["5", "20", "80"]
     assert ax.get_xticks(minor=True).size == 0
-    plt.close(figure)
 
 
 def test_ticks_that_would_overlap_are_left_out():
-    figure, ax = plt.subplots()
+    _, ax = plt.subplots()
     ax.set(xscale="log", xlim=(300.0, 1400.0))
     plain_ticks(ax.xaxis, [330.0, 660.0, 690.0, 720.0, 1300.0])
     assert ax.get_xticks().tolist() == [330.0, 660.0, 1300.0]
-    plt.close(figure)
 
 
 def test_a_legend_below_the_figure_has_each_label_once():

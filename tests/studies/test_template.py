@@ -29,16 +29,6 @@ def test_a_block_that_is_left_out_leaves_one_empty_line(write):
     assert filled("report.md", shown=True) == "First.\n\nSecond.\n\nThird.\n"
 
 
-def test_numbers_and_tables_are_those_of_the_reports(write):
-    write(
-        '{{ 0.25 | percent }}, {{ x | number }}, {{ 2 | form(".1f") }}\n\n'
-        '{{ row_table(rows, {"a (m)": ("a", ".2f")}) }}\n'
-    )
-    assert filled("report.md", x=float("nan"), rows=[{"a": 1.0}]) == (
-        "25 %, –, 2.0\n\n| a (m) |\n| --- |\n| 1.00 |\n"
-    )
-
-
 def test_a_name_without_a_value_is_an_error(write):
     write("{{ missing }}\n")
     with pytest.raises(jinja2.UndefinedError, match="missing"):

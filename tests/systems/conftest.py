@@ -183,5 +183,5 @@ class Probe:
 
 @pytest.fixture(scope="session")
 def leaf():
-    """``leaf.Probe(system, inputs, state)`` and the tree counter."""
-    return SimpleNamespace(Probe=Probe, tree_size=tree_size, tree_limit=TREE_LIMIT)
+    """``leaf.Probe(system, inputs, state)`` and the limit of trees."""
+    return SimpleNamespace(Probe=Probe, tree_limit=TREE_LIMIT)

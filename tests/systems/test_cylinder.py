@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from hydraulics import cylinder_at
+from pydrake.systems.analysis import Simulator
 from scipy.integrate import solve_ivp
 
 from kneexo.errors import ParameterError, SimulationError
@@ -59,6 +61,15 @@ def test_a_rod_beyond_its_stroke_is_refused(cylinder, extension_m):
     system.check(at_rest(system, 0.12))
     with pytest.raises(SimulationError, match=r"left the stroke 0 … 0\.12 m; reduce the motion"):
         system.check(at_rest(system, extension_m))
+
+
+@BOTH
+@pytest.mark.parametrize("values", [{"flow": math.nan}, {"force": math.nan}, {"force": math.inf}])
+def test_input_that_is_not_finite_raises_instead_of_hanging(cylinder, values):
+    system = cylinder()
+    system.set_name("cylinder")
+    with pytest.raises(SimulationError, match=r"^t = 0 s: cylinder: .* is not finite; [^\n]*$"):
+        Simulator(system, cylinder_at(system, **values)).AdvanceTo(0.1)
 
 
 @BOTH

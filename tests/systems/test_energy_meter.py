@@ -60,9 +60,7 @@ def powers(meter, **values):
 
 def test_conversions_agree_and_keep_arguments_and_changes(leaf):
     probe = leaf.Probe(EnergyMeter(*PARAMETERS), INPUTS, [(-5.0, 5.0)] * 8)
-    probe.check_conversions()
-    probe.check_conversions_keep_arguments()
-    probe.check_conversions_keep("damping_n_s_per_m", 80.0)
+    probe.check_contract(damping_n_s_per_m=80.0)
 
 
 @pytest.mark.parametrize(

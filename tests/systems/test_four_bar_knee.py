@@ -3,9 +3,6 @@ import math
 import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import TrajectorySource
-from pydrake.trajectories import PiecewisePolynomial
 from table_1 import P_MM_DEG, THETA_4_DEG
 
 from kneexo.errors import LinkageError, SimulationError
@@ -39,21 +36,6 @@ def outputs(system, extension):
 def many_outputs(system, extensions):
     every = [outputs(system, x) for x in extensions]
     return {name: np.array([one[name] for one in every]) for name in OUTPUTS}
-
-
-def travel(start, end, seconds):
-    """A simulator of the knee whose rod moves at constant speed."""
-    builder = DiagramBuilder()
-    rod = PiecewisePolynomial.FirstOrderHold([0.0, seconds], [[start, end]])
-    source = builder.AddNamedSystem("source", TrajectorySource(rod))
-    knee = builder.AddNamedSystem("knee", FourBarKnee())
-    builder.Connect(source.get_output_port(), knee.get_input_port())
-    return Simulator(builder.Build())
-
-
-def advance_by_steps(simulator, times):
-    for time in times:
-        simulator.AdvanceTo(time)
 
 
 # ----------------------------------------------------------------------------- conversion
@@ -146,30 +128,6 @@ def test_linkage_that_does_not_close_is_refused_on_construction():
         FourBarKnee(LinkageParameters(**(G1.model_dump() | {"a_4_m": 0.015})))
 
 
-@pytest.mark.parametrize(("end", "limit"), [(-0.01, 90.0), (0.16, 0.0)])
-def test_leaving_the_range_of_motion_raises_with_time_and_signal(end, limit):
-    start, seconds = 0.075, 1.0
-    simulator = travel(start, end, seconds)
-    # 0.5 deg beyond 90 and 0 deg, where the rod moves 1.72 and 0.65 mm/deg.
-    stop = {90.0: 1.3403e-3, 0.0: 148.3582e-3}[limit]
-    leaves = seconds * (stop - start) / (end - start)
-    steps = np.arange(0.01, 1.0, 0.01)
-    first = steps[steps > leaves][0]
-    with pytest.raises(SimulationError) as error:
-        advance_by_steps(simulator, steps)
-    message = str(error.value)
-    assert message.startswith(f"t = {first:.6g} s: ")
-    assert "knee: knee_angle = " in message
-    assert message.endswith(
-        " deg left the range of motion 0 … 90 deg; reduce the motion, the load, the push, the "
-        "fault or the step"
-    )
-    angle = float(message.split("knee_angle = ")[1].split(" deg")[0])
-    # One step of 10 ms at 85 mm/s is 0.85 mm, at most 1.4 deg.
-    assert 0.5 < abs(angle - limit) < 1.9
-    assert (angle > limit) == (limit > 0.0)
-
-
 @pytest.mark.parametrize(("angle_deg", "rest_deg"), [(15.0, 5.0), (65.0, 5.0), (71.0, -1.0)])
 def test_the_margin_is_the_way_to_the_nearer_end_and_its_overshoot(angle_deg, rest_deg):
     system = FourBarKnee(G1, KneeParameters(flexion_min_deg=10.0, flexion_max_deg=70.0))
@@ -185,7 +143,11 @@ def test_the_margin_is_the_way_to_the_nearer_end_and_its_overshoot(angle_deg, re
     [
         (-0.02, "knee_angle outside -2 … 91 deg left"),
         (0.17, "knee_angle outside -2 … 91"),
-        (0.1483, "= -0.4"),
+        (
+            0.1483,
+            "= -0.4.* deg left the range of motion 0 … 90 deg; reduce the motion, the load, the "
+            "push, the fault or the step",
+        ),
     ],
 )
 def test_no_angle_is_named_where_the_polynomials_give_none(extension, words):

@@ -9,7 +9,6 @@ from kneexo.analysis import linearize_plant
 from kneexo.diagrams import make_plant
 from kneexo.export.firmware import export_firmware
 from kneexo.parameters import MotorParameters, PlantParameters, Scenario, ThermalParameters
-from kneexo.simulation import simulate
 from kneexo.systems import MotorTemperature, TorqueLimitedPump
 
 COLD = ThermalParameters()
@@ -19,14 +18,14 @@ OWN = ThermalParameters(
 )  # fmt: skip
 
 
-def nodes(time_s, loss_w, slope_w_per_k=0.0, n=OWN):
-    """Temperatures after ``time_s`` of loss P_0 + s (T_w − 25 °C), by a matrix exponential."""
+def nodes(time_s, loss_w, n=OWN):
+    """Temperatures after ``time_s`` of a constant loss, by a matrix exponential."""
     to_case, to_air = 1.0 / n.winding_to_case_k_per_w, 1.0 / n.case_to_air_k_per_w
     capacities = np.array([[n.winding_capacity_j_per_k], [n.case_capacity_j_per_k]])
     matrix = np.zeros((3, 3))  # of both temperatures and a one
     matrix[:2] = np.array(
         [
-            [slope_w_per_k - to_case, to_case, loss_w - 25.0 * slope_w_per_k],
+            [-to_case, to_case, loss_w],
             [to_case, -to_case - to_air, to_air * n.air_degc],
         ]
     )
@@ -57,12 +56,6 @@ def test_a_constant_loss_warms_both_nodes_as_their_matrix_exponential_says():
         np.testing.assert_allclose(got, nodes(time_s, 24.0), rtol=1e-4)
     # Long after, the heat flows through both resistances.
     assert nodes(1e5, 24.0) == pytest.approx([18.0 + 24.0 * 3.3, 18.0 + 24.0 * 2.5], rel=1e-9)
-
-
-def test_a_motor_at_the_temperature_of_the_air_stays_there():
-    system, context = at_loss(0.0)
-    context.SetContinuousState([0.18, 0.18])
-    np.testing.assert_allclose(system.EvalTimeDerivatives(context).CopyToVector(), 0.0, atol=1e-15)
 
 
 # ----------------------------------------------------------------------- the motor that is warm
@@ -126,31 +119,6 @@ def test_linear_analyses_take_a_cold_motor():
     gains = [linearize_plant(p).velocity_gain for p in (warm, warm.without_temperatures())]
     assert gains[0] == gains[1] != 0.0
     assert Scenario(plant=warm).without_quantizers().plant == warm.without_temperatures()
-
-
-@pytest.mark.slow
-def test_a_holding_motor_warms_as_the_nodes_with_the_copper_s_slope():
-    """A torque holds a constant pressure, so the current is constant and the loss is linear."""
-    scenario = Scenario(
-        plant={
-            "load": {"kind": "knee", "knee_torque_n_m": 40.0},
-            "motor": {"resistance_ohm": 4.0},
-            "thermal": True,
-        },
-        reference={"kind": "step", "start_deg": 40.0, "end_deg": 40.0},
-        controller="pid",
-        encoder={"quantized": False},
-        simulation={"duration_s": 120.0},
-    )
-    run = simulate(scenario, signals=("motor_temperatures", "motor_current"))
-    current = np.mean(run["motor_current_a"])
-    assert np.std(run["motor_current_a"][500:]) < 1e-3 * abs(current)
-    loss = 4.0 * current**2
-    got = [run[name][-1] for name in ("winding_temperature_degc", "case_temperature_degc")]
-    expected = nodes(120.0, loss, 0.0039 * loss, COLD)
-    assert expected[0] > 27.0
-    # The start, in which the pump begins to turn, has another current.
-    np.testing.assert_allclose(np.array(got) - 25.0, expected - 25.0, rtol=5e-3)
 
 
 @pytest.mark.slow

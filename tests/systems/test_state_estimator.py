@@ -85,32 +85,6 @@ def test_observer_follows_constant_acceleration_without_error():
     np.testing.assert_allclose(estimates[-1], exact, rtol=1e-10)
 
 
-def test_observer_lags_a_constant_jerk_by_the_known_amounts():
-    times, jerk = T * np.arange(900), 3.0
-    error = run(TrackingObserver(), jerk * times**3 / 6.0)[-1] - [
-        jerk * times[-1] ** 3 / 6.0, jerk * times[-1] ** 2 / 2.0, jerk * times[-1],
-    ]  # fmt: skip
-    # The prediction misses jT³/6 each time; the innovation that makes â grow by jT is jT/γ.
-    innovation = jerk * T / GAINS[2]
-    assert error[0] == pytest.approx(-(1.0 - GAINS[0]) * innovation, rel=1e-6)
-    # The velocity gains Tâ + (gain on v)·innovation each time, and must gain Ta + jT²/2.
-    assert error[2] == pytest.approx(-(GAINS[1] * innovation - 0.5 * jerk * T**2) / T, rel=1e-6)
-
-
-def test_one_encoder_count_moves_the_velocity_estimate_far_less_than_differences_do():
-    count = 0.38e-3  # m of rod at 90 deg of flexion
-    positions = np.r_[0.0, np.full(99, count)]
-    plain = run(BackwardDifference(), positions)[:, 1].max()
-    observed = run(TrackingObserver(), positions)[:, 1].max()
-    assert plain == pytest.approx(0.19, rel=1e-12)  # one count per 2 ms
-    # In continuous time (3τ − τ²) e^(−τ) count/T_F with τ = t/T_F, greatest at τ = (5 − √13)/2;
-    # sampling ten times per time constant shifts it by 1 %.
-    tau = 0.5 * (5.0 - math.sqrt(13.0))
-    peak = (3.0 * tau - tau**2) * math.exp(-tau) * count / T_F
-    assert observed == pytest.approx(peak, rel=0.02)
-    assert observed < 0.1 * plain
-
-
 # ---------------------------------------------------------------- numbers: the differences
 
 

@@ -48,12 +48,7 @@ def rates(system, state, reference=(0.0, 0.0, 0.0, 0.0), moment=0.0, torque=0.0)
 @pytest.mark.parametrize("motion", ["prescribed", "active", "passive"])
 def test_conversions_agree_and_keep_arguments_and_changes(leaf, motion):
     probe = leaf.Probe(leg(motion), INPUTS, [] if motion == "prescribed" else STATE)
-    probe.check_conversions()
-    probe.check_outputs_follow_every_source()
-    probe.check_conversions_keep_arguments()
-    if motion != "prescribed":
-        probe.check_conversions_keep("inertia_kg_m2", 0.6)
-    assert probe.largest_tree() < leaf.tree_limit
+    probe.check_contract(**({} if motion == "prescribed" else {"inertia_kg_m2": 0.6}))
 
 
 # -------------------------------------------------------------------------------- numbers

@@ -2,7 +2,6 @@
 
 import re
 
-import matplotlib.pyplot as plt
 import pytest
 
 from kneexo.parameters import EncoderParameters, Scenario, SlidingModeParameters
@@ -48,8 +47,7 @@ def drawn(request):
     scenario, wires = CASES[request.param]
     figure = block_diagram(scenario)
     figure.canvas.draw()
-    yield figure, wires
-    plt.close(figure)
+    return figure, wires
 
 
 def blocks_of(figure):
@@ -108,7 +106,6 @@ def test_signals_have_names_symbols_and_units():
     assert [t for t in texts if t.startswith("encoder_reading")]
     assert not [t for t in texts if re.match(r"[yu]\d*\b", t)]  # ports of Drake's primitives
     assert figure.get_label().endswith(".")
-    plt.close(figure)
 
 
 @pytest.mark.slow
@@ -128,7 +125,6 @@ def test_the_words_in_the_blocks_follow_the_parameters():
         "observer, 20 ms",
     ):
         assert words in texts
-    plt.close(figure)
 
 
 @pytest.mark.slow
@@ -137,5 +133,4 @@ def test_equal_scenarios_give_equal_drawings():
     for _ in range(2):
         figure = block_diagram(Scenario())
         texts.append([(t.get_text(), t.get_position()) for t in figure.axes[0].texts])
-        plt.close(figure)
     assert texts[0] == texts[1]

@@ -20,6 +20,7 @@ def test_bars_do_not_change_their_length(link):
         np.testing.assert_allclose(length, length[0], rtol=0, atol=1e-12, err_msg=name)
         assert (length[0] > 0.0) == (link != HINGE or name != "thigh_plate")
     assert {*PINS, "icr"} <= set(at)
+    assert BARS["link_2"].layer_m == -BARS["link_4"].layer_m != 0.0  # on either side
 
 
 def test_the_thigh_stands_still_and_the_shank_turns_back_by_the_knee_angle(link):

@@ -14,7 +14,7 @@ from kneexo.parameters import G1, LINKAGES, LinkageParameters
 from kneexo.view.mechanism import points
 from kneexo.view.parts import parts, placements
 from kneexo.view.pressure_colour import pressure_colours
-from kneexo.view.stage import pack, stage_leg
+from kneexo.view.stage import stage_leg
 
 RATING_PA = 3.5e6
 
@@ -97,11 +97,6 @@ def test_the_hull_contains_the_ends_of_all_bars():
             for sign in (-0.499, 0.499):
                 end = pose.multiply(np.array([0.0, 0.0, sign * part["size"][1]]))
                 assert hull.find_simplex(end) >= 0, part["name"]
-
-
-def test_numbers_survive_packing():
-    values = np.array([0.1, -3.5e6, 0.0])
-    np.testing.assert_array_equal(unpack(pack(values)), values.astype(np.float32))
 
 
 def test_a_linkage_that_does_not_close_is_refused():

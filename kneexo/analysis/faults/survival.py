@@ -14,7 +14,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import product
+from itertools import cycle, product
 from typing import Any
 
 import numpy as np
@@ -98,7 +98,7 @@ class FaultSurvival(Result):
             "starts the fault."
         )
         ax = axes_or_new(ax, caption=caption)
-        for (name, cases), colour in zip(_by_name(self.cases), _colours(), strict=False):
+        for (name, cases), colour in zip(_by_name(self.cases), cycle(SERIES), strict=False):
             durations = [
                 math.nan if case.censored else 1e3 * case.critical_duration_s for case in cases
             ]
@@ -116,16 +116,7 @@ def _by_name(cases: Sequence[FaultCase]) -> Iterator[tuple[str, list[FaultCase]]
 
 def _worst(cases: Sequence[FaultCase]) -> FaultCase:
     """Return the case with the shortest critical duration; one without a number comes last."""
-
-    def duration(case: FaultCase) -> tuple[bool, float]:
-        return math.isnan(case.critical_duration_s), case.critical_duration_s
-
-    return min(cases, key=duration)
-
-
-def _colours() -> Iterator[str]:
-    while True:
-        yield from SERIES
+    return min(cases, key=lambda c: (math.isnan(c.critical_duration_s), c.critical_duration_s))
 
 
 class SurvivalArguments(Parameters):

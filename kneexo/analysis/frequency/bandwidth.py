@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache
 
 import numpy as np
@@ -195,7 +196,8 @@ def _first_fall_hz(
 def _expected_hz(scenario: Scenario) -> float:
     """Return the smallest of three predictions of the bandwidth in Hz.
 
-    The predictions follow from the speed limit, the acceleration limit and the linear loop.
+    The predictions follow from the speed limit, the acceleration limit and, if there is one, the
+    loop that is linearized at the mean of the reference.
     """
     speed, acceleration = rod_limits(scenario)
     amplitude = rod_amplitude_m(scenario)
@@ -203,18 +205,7 @@ def _expected_hz(scenario: Scenario) -> float:
         rate_limit_bandwidth_hz(speed, amplitude),
         acceleration_bound_hz(acceleration, amplitude),
     ]
-    linear = _linear_bandwidth_hz(scenario)
-    return min(limits if math.isnan(linear) else [*limits, linear])
-
-
-def _linear_bandwidth_hz(scenario: Scenario) -> float:
-    """Return the bandwidth in Hz of the loop, linearized at the mean of the reference.
-
-    The result is nan if the loop cannot be linearized or its gain does not fall below 1/√2.
-    """
-    try:
-        return linearize_loop(
-            scenario, knee_angle_deg=require_sine(scenario).mean_deg
-        ).bandwidth_hz()
-    except LinearizationError:
-        return math.nan
+    with suppress(LinearizationError):
+        loop = linearize_loop(scenario, knee_angle_deg=require_sine(scenario).mean_deg)
+        limits.append(loop.bandwidth_hz())
+    return float(np.nanmin(limits))  # nan: the linear gain does not fall below 1/√2

@@ -18,6 +18,7 @@ import scipy
 from pydantic import model_validator
 from pydrake.trajectories import PiecewisePolynomial
 
+from kneexo.analysis.signals import unwrapped_deg
 from kneexo.common.plotting import BLUE, TEAL, axes_or_new
 from kneexo.common.result import Array, Result, data_frame
 from kneexo.errors import ParameterError
@@ -34,6 +35,11 @@ _ACCELERATION = "plant.pump.acceleration_limit_rad_s2"
 _BULK_MODULUS = "plant.cylinder.bulk_modulus_pa"
 _MASS = "plant.cylinder.mass_kg"
 _TRIALS = "assumption: spread of the five repetitions of Fig. 13, which the paper does not describe"
+
+
+def _end(path: str, end: int, unit: str, ge: float, le: float, source: str = _TRIALS) -> Any:
+    """Return the field for an end of the range of a value that varies by trial."""
+    return quantity(UNCERTAINTY.values[path].levels[end], unit, source, ge=ge, le=le)
 
 
 class SinestreamSettings(Parameters):
@@ -56,34 +62,16 @@ class SinestreamSettings(Parameters):
     measured_cycles: int = quantity(3, "cycles", "Section 5: more than three cycles", ge=1, le=1000)
     trials: int = quantity(5, "1", "Section 5: five times for each frequency", ge=1, le=10_000)
     seed: int = quantity(2020, "1", "assumption: any number", ge=0)
-    internal_leakage_min_m3_per_s_pa: float = quantity(
-        UNCERTAINTY.values[_LEAKAGE].levels[0], "m³/(s·Pa)", _TRIALS, ge=1e-18, le=1e-9
+    internal_leakage_min_m3_per_s_pa: float = _end(_LEAKAGE, 0, "m³/(s·Pa)", 1e-18, 1e-9)
+    internal_leakage_max_m3_per_s_pa: float = _end(_LEAKAGE, 1, "m³/(s·Pa)", 1e-18, 1e-9)
+    acceleration_limit_min_rad_s2: float = _end(_ACCELERATION, 0, "rad/s²", 1, 1e7)
+    acceleration_limit_max_rad_s2: float = _end(_ACCELERATION, 1, "rad/s²", 1, 1e7)
+    bulk_modulus_min_pa: float = _end(
+        _BULK_MODULUS, 0, "Pa", 1e6, 1e11, source=_TRIALS + "; entrained air"
     )
-    internal_leakage_max_m3_per_s_pa: float = quantity(
-        UNCERTAINTY.values[_LEAKAGE].levels[1], "m³/(s·Pa)", _TRIALS, ge=1e-18, le=1e-9
-    )
-    acceleration_limit_min_rad_s2: float = quantity(
-        UNCERTAINTY.values[_ACCELERATION].levels[0], "rad/s²", _TRIALS, ge=1, le=1e7
-    )
-    acceleration_limit_max_rad_s2: float = quantity(
-        UNCERTAINTY.values[_ACCELERATION].levels[1], "rad/s²", _TRIALS, ge=1, le=1e7
-    )
-    bulk_modulus_min_pa: float = quantity(
-        UNCERTAINTY.values[_BULK_MODULUS].levels[0],
-        "Pa",
-        _TRIALS + "; entrained air",
-        ge=1e6,
-        le=1e11,
-    )
-    bulk_modulus_max_pa: float = quantity(
-        UNCERTAINTY.values[_BULK_MODULUS].levels[1], "Pa", _TRIALS, ge=1e6, le=1e11
-    )
-    mass_min_kg: float = quantity(
-        UNCERTAINTY.values[_MASS].levels[0], "kg", "Table 2", ge=0.01, le=1000
-    )
-    mass_max_kg: float = quantity(
-        UNCERTAINTY.values[_MASS].levels[1], "kg", "Table 2", ge=0.01, le=1000
-    )
+    bulk_modulus_max_pa: float = _end(_BULK_MODULUS, 1, "Pa", 1e6, 1e11)
+    mass_min_kg: float = _end(_MASS, 0, "kg", 0.01, 1000, source="Table 2")
+    mass_max_kg: float = _end(_MASS, 1, "kg", 0.01, 1000, source="Table 2")
 
     _ordered = ordered_limits()
 
@@ -160,7 +148,7 @@ class FrequencyResponse(Result):
     @property
     def phase_deg(self) -> Array:
         """Mean phase over the trials in deg, unwrapped over frequency, (n,)."""
-        return np.asarray(np.mean(_phase_deg(self.response), axis=0))
+        return np.asarray(np.mean(unwrapped_deg(self.response), axis=0))
 
     def to_dataframe(self) -> Any:
         """Return means and trials as a `pandas.DataFrame` with the index ``frequency_hz``.
@@ -168,7 +156,7 @@ class FrequencyResponse(Result):
         The columns ``gain`` and ``phase_deg`` are means over the trials. The columns ``gain_1`` and
         ``phase_1_deg`` belong to the first trial, and so on. Raises `PackageError` without pandas.
         """
-        trials = enumerate(zip(self.response, _phase_deg(self.response), strict=True), 1)
+        trials = enumerate(zip(self.response, unwrapped_deg(self.response), strict=True), 1)
         columns = {"frequency_hz": self.frequencies_hz, "gain": self.gain}
         columns["phase_deg"] = self.phase_deg
         for number, (response, phase) in trials:
@@ -187,7 +175,7 @@ class FrequencyResponse(Result):
         ax = axes_or_new(ax, 1, 2, caption=caption, figsize=(8.6, 3.9))
         f = self.frequencies_hz
         fine = np.linspace(f[0], f[-1], 400)
-        gains, phases = np.abs(self.response), _phase_deg(self.response)
+        gains, phases = np.abs(self.response), unwrapped_deg(self.response)
         decibel = 20.0 * np.log10(_pchip(f, self.gain).vector_values(fine)[0])
         phase = _pchip(f, self.phase_deg).vector_values(fine)[0]
         for index, (values, curve, mean, label) in enumerate(
@@ -240,11 +228,6 @@ def fundamental(time_s: Array, signal: Array, frequency_hz: float) -> complex:
     basis = np.column_stack([np.ones_like(phase), np.cos(phase), -np.sin(phase)])
     _, real, imaginary = np.linalg.lstsq(basis, signal, rcond=None)[0]
     return complex(real, imaginary)
-
-
-def _phase_deg(response: Any) -> Array:
-    """Return the phase in deg, unwrapped over frequency, the last axis of the array."""
-    return np.degrees(np.unwrap(np.angle(response), axis=-1))
 
 
 def _pchip(x: Array, y: Array) -> PiecewisePolynomial:
@@ -384,6 +367,6 @@ def sinestream(
     bandwidth = crossing(f, gain)
     phase = math.nan
     if math.isfinite(bandwidth):
-        means = np.mean(_phase_deg(response), axis=0)
+        means = np.mean(unwrapped_deg(response), axis=0)
         phase = float(_pchip(f, means).value(bandwidth)[0, 0])
     return FrequencyResponse(f, response, bandwidth, phase, drawn, scenario, settings)

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -175,6 +176,56 @@ def response_uncertainty(responses: Any) -> float:
     return scatter / math.sqrt(n) + float(drift)
 
 
+@dataclass(frozen=True)
+class SettledRun:
+    """A run of a sine whose response has settled, or that has the largest number of cycles.
+
+    ``responses`` and ``means`` (n,) belong to the n cycles that are averaged.
+    """
+
+    run: Run
+    responses: Any
+    means: Array
+    settled: bool
+    cycles: int
+
+
+def settled_run(
+    frequency_hz: float,
+    settings: SineEstimateSettings,
+    run_of: Callable[[float, float], Run],
+    **columns: str,
+) -> SettledRun:
+    """Repeat a run with twice the number of cycles until `settled_cycles` are enough, or the most.
+
+    Parameters
+    ----------
+    frequency_hz
+        Frequency of the sine in Hz.
+    settings
+        When the response counts as settled, and how long the amplitude grows.
+    run_of
+        Function that returns a run. Its arguments are the time in which the amplitude grows, and
+        the duration, both in s.
+    columns
+        The ``output`` and ``reference`` of `cycle_responses`.
+    """
+    ramp_s = max(settings.ramp_cycles / frequency_hz, settings.ramp_min_s)
+    cycles = min(settings.averaged_cycles + 1, settings.largest_cycles)
+    while True:
+        run = run_of(ramp_s, ramp_s + cycles / frequency_hz)
+        responses, means = cycle_responses(run, frequency_hz, ramp_s, cycles, **columns)
+        count = settled_cycles(responses, settings.tolerance)
+        settled = count >= settings.averaged_cycles
+        if settled or cycles == settings.largest_cycles:
+            break
+        cycles = min(2 * cycles, settings.largest_cycles)
+        del run  # saves memory while other calls in lockstep hold runs too
+    if not settled:
+        count = max(settings.averaged_cycles, cycles // 2)
+    return SettledRun(run, responses[-count:], means[-count:], settled, cycles)
+
+
 @needs_runs
 def estimate_sine(
     scenario: Scenario = Scenario(),
@@ -192,41 +243,26 @@ def estimate_sine(
     reference = require_sine(scenario)
     frequency = reference.frequency_hz
     require_sampled(frequency, scenario)
-    ramp = max(settings.ramp_cycles / frequency, settings.ramp_min_s)
-    cycles = min(settings.averaged_cycles + 1, settings.largest_cycles)
-    while True:
-        run = simulate(
-            changed(
-                scenario.undisturbed(),
-                {
-                    "reference.ramp_s": ramp,
-                    "simulation.duration_s": ramp + cycles / frequency,
-                },
-            ),
-            signals=("knee_reference", "knee_angle", "motor_speed"),
-        )
-        responses, means = cycle_responses(run, frequency, ramp, cycles)
-        count = settled_cycles(responses, settings.tolerance)
-        settled = count >= settings.averaged_cycles
-        if settled or cycles == settings.largest_cycles:
-            break
-        cycles = min(2 * cycles, settings.largest_cycles)
-        del run  # saves memory while other calls in lockstep hold runs too
-    if not settled:
-        count = max(settings.averaged_cycles, cycles // 2)
-    averaged = responses[-count:]
+
+    def run_of(ramp_s: float, duration_s: float) -> Run:
+        values = {"reference.ramp_s": ramp_s, "simulation.duration_s": duration_s}
+        signals = ("knee_reference", "knee_angle", "motor_speed")
+        return simulate(changed(scenario.undisturbed(), values), signals=signals)
+
+    found = settled_run(frequency, settings, run_of)
+    run, count = found.run, len(found.responses)
     speed = run["motor_speed_rad_s"][run.time_s > run.time_s[-1] - count / frequency]
     acceleration = np.diff(speed) / scenario.controller.sample_time_s
     speed_limit, acceleration_limit = motor_limits(scenario)
     return SineEstimate(
         frequency_hz=frequency,
         amplitude_deg=reference.amplitude_deg,
-        response=complex(np.mean(averaged)),
-        uncertainty=response_uncertainty(averaged),
-        mean_deg=math.degrees(np.mean(means[-count:])),
-        settled=settled,
+        response=complex(np.mean(found.responses)),
+        uncertainty=response_uncertainty(found.responses),
+        mean_deg=math.degrees(np.mean(found.means)),
+        settled=found.settled,
         averaged_cycles=count,
-        cycles=cycles,
+        cycles=found.cycles,
         speed_limited_share=float(np.mean(np.abs(speed) >= 0.99 * speed_limit)),
         acceleration_limited_share=float(
             np.mean(np.abs(acceleration) >= 0.99 * acceleration_limit)

@@ -22,6 +22,7 @@ from kneexo.analysis.linear.eigenvalue_plot import plot_eigenvalues
 from kneexo.analysis.linear.loop_equilibrium import find_equilibrium
 from kneexo.analysis.linear.margins import Margins, stability_margins
 from kneexo.analysis.linear.plant_linearization import MID_RANGE_DEG, Complex, frequency_array
+from kneexo.analysis.signals import unwrapped_deg
 from kneexo.common.plotting import BLUE, GOLD, RED, TEAL, axes_or_new, label_bode
 from kneexo.common.result import Array, Result
 from kneexo.errors import LinearizationError
@@ -270,7 +271,7 @@ class SampledLoop(Result):
         loop, margins = self.loop_response(f), self.margins()
         with np.errstate(divide="ignore"):  # a loop without gain gives −inf dB
             decibel = 20.0 * np.log10(np.abs(loop))
-        phase = np.degrees(np.unwrap(np.angle(loop)))
+        phase = unwrapped_deg(loop)
         phase -= 360.0 * math.floor((phase[0] + 270.0) / 360.0)
         for axis, values in zip(ax, (decibel, phase), strict=True):
             axis.semilogx(f, values, BLUE)

@@ -26,7 +26,6 @@ from kneexo.parameters import (
     StepReference,
 )
 from kneexo.parameters.fields.fields import unit_of
-from kneexo.parameters.fields.quantity import Parameters
 from kneexo.parameters.fields.replaced import believed
 from kneexo.parameters.labels import value_text
 from kneexo.systems.knee_reference import run_middle_deg, run_range_deg
@@ -60,7 +59,6 @@ def omissions(scenario: Scenario) -> tuple[str, ...]:
     load, full = plant.load, plant.full_order
     knee = load if load.kind == "knee" else None
     friction = full is not None and full.coulomb_friction_n + full.stribeck_friction_n > 0.0
-    leakage = plant.pump.leakage_m3_per_s_pa + plant.cylinder.leakage_m3_per_s_pa
     left_out = {
         "load on the knee": knee is None,
         "weight of the shank": knee is not None and knee.segment_mass_kg * knee.gravity_m_s2 == 0.0,
@@ -70,7 +68,7 @@ def omissions(scenario: Scenario) -> tuple[str, ...]:
         "full order of the cylinder (valves, friction, air)": full is None,
         "friction of the seals": full is not None and not friction,
         "air in the oil": full is not None and full.entrained_air == 0.0,
-        "leakage": leakage == 0.0,
+        "leakage": plant.leakage_m3_per_s_pa == 0.0,
         "lag and limits of the motor": plant.ideal_motor,
         "torque of the motor": plant.motor is None,
         "heat of the motor": plant.motor is not None and plant.thermal is None,
@@ -307,22 +305,20 @@ def model_notices(scenario: Scenario) -> Iterator[str]:
 
 def _nominal_notice(plant: PlantParameters, nominal: PlantParameters) -> Iterator[str]:
     """Yield a line about the first number in which the plant differs from the nominal plant."""
-    differing = [
-        f"nominal.{part}.{name} is {believed:.4g} {unit}, that of the plant {true:.4g} {unit}"
-        for part in ("cylinder", "pump", "linkage")
-        for name, unit, believed, true in _differences(getattr(nominal, part), getattr(plant, part))
-    ]
+    differing = []
+    for part in ("cylinder", "pump", "linkage"):
+        believed, true = getattr(nominal, part), getattr(plant, part)
+        for name, field in type(true).model_fields.items():
+            values = getattr(believed, name), getattr(true, name)
+            if values[0] != values[1]:
+                unit = unit_of(field)
+                differing.append(
+                    f"nominal.{part}.{name} is {values[0]:.4g} {unit}, that of the plant "
+                    f"{values[1]:.4g} {unit}"
+                )
     if differing:
         others = f"; {len(differing) - 1} more differences" if len(differing) > 1 else ""
         yield f"{differing[0]}{others}"
-
-
-def _differences(nominal: Parameters, plant: Parameters) -> Iterator[tuple[str, str, float, float]]:
-    """Yield name, unit, nominal value and value of the plant for each number that differs."""
-    for name, field in type(plant).model_fields.items():
-        believed, true = getattr(nominal, name), getattr(plant, name)
-        if believed != true:
-            yield name, unit_of(field), believed, true
 
 
 def polynomial_notices(scenario: Scenario) -> Iterator[str]:

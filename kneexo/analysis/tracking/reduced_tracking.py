@@ -12,8 +12,8 @@ from kneexo.analysis.tracking.reductions import (
     basic_metrics,
     basic_reductions,
     reduce_signals,
+    scenario_reductions,
     torque_reductions,
-    tracking_reductions,
 )
 from kneexo.analysis.tracking.tracking import TrackingMetrics
 from kneexo.parameters import Scenario
@@ -43,12 +43,7 @@ def track_metrics(scenario: Scenario) -> TrackingMetrics:
 
     As in `track_basic_metrics`, the compiled engine computes the metrics without a log.
     """
-    reductions = tracking_reductions(
-        settled_s(scenario),
-        scenario.command_limit_rad_s,
-        scenario.pressure_rating_pa,
-        scenario.power_rating_w,
-    )
+    reductions = scenario_reductions(scenario, settled_s(scenario))
     return TrackingMetrics(**all_metrics(_values(scenario, reductions)))
 
 

@@ -17,6 +17,7 @@ from kneexo.analysis.signals import rms, saturation, to_rpm
 from kneexo.common.result import Array
 from kneexo.diagrams import SIGNALS
 from kneexo.errors import ParameterError
+from kneexo.parameters import Scenario
 
 TRACKING_METRICS = (
     "max_error_deg",
@@ -80,6 +81,16 @@ def tracking_reductions(
         power("integral"),
         power("integral", magnitude=True),
         Reduction("integral", "hydraulic_power"),
+    )
+
+
+def scenario_reductions(scenario: Scenario, settled_s: float) -> tuple[Reduction, ...]:
+    """Return the `tracking_reductions` with the limits of a scenario."""
+    return tracking_reductions(
+        settled_s,
+        scenario.command_limit_rad_s,
+        scenario.pressure_rating_pa,
+        scenario.power_rating_w,
     )
 
 

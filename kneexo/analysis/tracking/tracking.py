@@ -14,8 +14,12 @@ import numpy as np
 from kneexo.analysis.signals import settled_s, to_rpm
 from kneexo.analysis.tracking.interaction import INTERACTION_SIGNALS, TORQUE_SIGNALS
 from kneexo.analysis.tracking.limit_cycle import limit_cycle
-from kneexo.analysis.tracking.push_response import PushResponse, push_response
-from kneexo.analysis.tracking.reductions import all_metrics, reduce_signals, tracking_reductions
+from kneexo.analysis.tracking.reductions import (
+    all_metrics,
+    reduce_signals,
+    scenario_reductions,
+    tracking_reductions,
+)
 from kneexo.analysis.tracking.stop import first_stop
 from kneexo.analysis.tracking.verdict import Verdict, verdict_of
 from kneexo.common.plotting import BLUE, BROWN, GOLD, PURPLE, RED, TEAL, axes_or_new
@@ -24,6 +28,7 @@ from kneexo.diagrams import available_signals
 from kneexo.diagrams.signals import PROTECTION_OUTPUTS
 from kneexo.law.decision import makers_called_once
 from kneexo.parameters import Scenario
+from kneexo.parameters.criteria import RECOVERY_BAND_DEG
 from kneexo.parameters.device.safety_states import STATES
 from kneexo.parameters.scenario_file import as_scenario
 from kneexo.simulation import Run, needs_runs, simulate
@@ -140,22 +145,12 @@ def tracking_metrics(
 def run_metrics(
     scenario: Scenario, time_s: Array, signals: Mapping[str, Array], *, settled_s: float
 ) -> TrackingMetrics:
-    """Return `tracking_metrics` for the columns of a run, with the limits of ``scenario``.
+    """Return the `TrackingMetrics` of the columns of a run, with the limits of ``scenario``.
 
     ``signals`` maps the name of each column of `TRACKING_SIGNALS` to its values (n,).
     """
-    return tracking_metrics(
-        time_s,
-        signals["knee_reference_rad"] - signals["knee_angle_rad"],
-        signals["motor_speed_command_rad_s"],
-        signals["load_pressure_pa"],
-        signals["shaft_power_w"],
-        signals["hydraulic_power_w"],
-        settled_s=settled_s,
-        command_limit_rad_s=scenario.command_limit_rad_s,
-        pressure_rating_pa=scenario.pressure_rating_pa,
-        power_rating_w=scenario.power_rating_w,
-    )
+    reductions = scenario_reductions(scenario, settled_s)
+    return TrackingMetrics(**all_metrics(reduce_signals(reductions, time_s, signals)))
 
 
 SETTLING_BAND = 0.02
@@ -231,6 +226,53 @@ def step_metrics(
         settling_time_s=float(time[settled]) if settled < time.size else math.nan,
         final_error_deg=float(end_deg - angle_deg[-1]),
     )
+
+
+@dataclass(frozen=True, repr=False)
+class PushResponse(Result):
+    """How a push moves the knee, measured from the same run without the push."""
+
+    largest_deviation_deg: float
+    """Largest difference of the knee angles with and without the push."""
+    recovery_time_s: float
+    """Time from the start of the push to the first sample after which the knee stays in the band.
+
+    The band is `RECOVERY_BAND_DEG`. The value is nan if the knee is outside at the end of the run.
+    """
+
+    @property
+    def line(self) -> str:
+        """One line with both numbers."""
+        back = "is not back"
+        if self.largest_deviation_deg <= RECOVERY_BAND_DEG:
+            back = "stays"
+        elif math.isfinite(self.recovery_time_s):
+            back = f"is back {self.recovery_time_s:.3g} s after its start,"
+        return (
+            f"The push moves the knee by {self.largest_deviation_deg:.3g}°. The knee {back} within "
+            f"{RECOVERY_BAND_DEG:g}° of the run without it."
+        )
+
+
+def push_response(
+    time_s: Array, angle_deg: Array, free_deg: Array, *, start_s: float
+) -> PushResponse:
+    """Return the `PushResponse` of a run.
+
+    Parameters
+    ----------
+    time_s
+        Times of the samples in s, (n,).
+    angle_deg, free_deg
+        Knee angle in deg with and without the push at these times, (n,) each.
+    start_s
+        Start of the push in s.
+    """
+    deviation = np.abs(angle_deg - free_deg)
+    outside = np.flatnonzero(deviation > RECOVERY_BAND_DEG)
+    back = int(outside[-1]) + 1 if outside.size else 0
+    recovery = max(float(time_s[back]) - start_s, 0.0) if back < time_s.size else math.nan
+    return PushResponse(float(np.max(deviation)), recovery)
 
 
 @dataclass(frozen=True, repr=False)

@@ -7,7 +7,6 @@ and the braking of the leg in late swing.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -80,15 +79,13 @@ class StrideLoad(Result):
         Each line says time and knee angle of the extreme value and its share of the samples. A
         pressure below −0.1 MPa, relative to the atmosphere, is too low.
         """
-        return tuple(self._warnings())
-
-    def _warnings(self) -> Iterator[str]:
+        lines = []
         chambers = {"cap": self.cap_pressure_pa, "rod side": self.rod_side_pressure_pa}
         for chamber, values in chambers.items():
             above = values > self.relief_pressure_pa
             if above.any():
                 extreme = self._extreme(values, int(values.argmax()), above)
-                yield (
+                lines.append(
                     f"pressure of the {chamber} is {extreme}: above the relief pressure of "
                     f"{1e-6 * self.relief_pressure_pa:g} MPa; reduce share, or enlarge the piston"
                 )
@@ -97,11 +94,12 @@ class StrideLoad(Result):
             index = int(self.overrun_pressure_pa.argmin())
             chamber = "cap" if self.rod_speed_m_s[index] > 0.0 else "rod side"
             extreme = self._extreme(self.overrun_pressure_pa, index, below)
-            yield (
+            lines.append(
                 f"pressure of the {chamber} would be {extreme}: below "
                 f"{1e-6 * LOWEST_PRESSURE_PA:g} MPa, where oil evaporates; enlarge the flow of "
                 f"the pump or plant.full_order.makeup_conductance_m3_per_s_pa"
             )
+        return tuple(lines)
 
     def _extreme(self, values: Array, index: int, flagged: Any) -> str:
         return (

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import scipy
 
-from kneexo import systems
 from kneexo.analysis.frequency.bandwidth import rod_of
 from kneexo.analysis.linear.sampled_loop import linearize_loop
 from kneexo.analysis.signals import to_rpm
@@ -27,6 +26,7 @@ from kneexo.parameters import KneeLoadParameters, Scenario, gait_reference
 from kneexo.parameters.paths import changed
 from kneexo.parameters.task.gait import gait_start_percent
 from kneexo.simulation import needs_runs, simulate
+from kneexo.systems.knee_load import load_force
 
 WALKING_METRICS = (
     "max_error_deg",
@@ -204,15 +204,8 @@ def _load_force(scenario: Scenario, time: Array, angle: Array, arm: Array) -> Ar
     """Return the load force F_L in N, (n,), that `KneeLoad` computes; zero without a load."""
     if not isinstance(scenario.plant.load, KneeLoadParameters):
         return np.zeros_like(time)
-    load = systems.KneeLoad(scenario.plant.load)
-    context = load.CreateDefaultContext()
-    force = np.empty_like(time)
-    for index in range(time.size):
-        context.SetTime(time[index])
-        load.GetInputPort("knee_angle").FixValue(context, [angle[index]])
-        load.GetInputPort("moment_arm").FixValue(context, [arm[index]])
-        force[index] = load.GetOutputPort("load_force").Eval(context)[0]
-    return force
+    samples = zip(angle, arm, time, strict=True)
+    return np.array([load_force(scenario.plant.load, *values) for values in samples])
 
 
 # ------------------------------------------------------------------------------ closed loop

@@ -23,11 +23,11 @@ from numpy.typing import ArrayLike
 from kneexo.analysis.linear.margins import soundness
 from kneexo.analysis.linear.plant_linearization import MID_RANGE_DEG
 from kneexo.analysis.linear.sampled_loop import SampledLoop, linearize_loop
-from kneexo.analysis.wearer.impedance import output_impedance, posed
+from kneexo.analysis.wearer.impedance import output_impedance, posed, torque_controller
 from kneexo.common.plotting import BLUE, GOLD, RED, axes_or_new, decimal_ticks
 from kneexo.common.result import Array, Result, data_frame
 from kneexo.errors import ParameterError
-from kneexo.parameters import LegParameters, Scenario, TorqueParameters
+from kneexo.parameters import LegParameters, Scenario
 from kneexo.parameters.criteria import SOUND_DISK_MARGIN
 from kneexo.parameters.labels import labels
 from kneexo.parameters.paths import changed, value_at
@@ -167,11 +167,7 @@ def stiffness_interval(
     Raises `ParameterError` if the controller does not control the torque, and `LinearizationError`
     if the loop does not rest at ``knee_angle_deg``.
     """
-    law = scenario.controller
-    if not isinstance(law, TorqueParameters):
-        raise ParameterError(
-            f"controller.kind = {law.kind}: stiffness_interval needs controller.kind = torque"
-        )
+    law = torque_controller(scenario, "stiffness_interval")
     damping = 0.0 if law.mode == "assist_as_needed" else law.damping_n_m_s_per_rad
     spring = {"controller.mode": "impedance", "controller.damping_n_m_s_per_rad": damping}
     free, stiff = (

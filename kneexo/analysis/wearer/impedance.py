@@ -19,10 +19,9 @@ from diagramc import LinearModel, linearize
 from kneexo.analysis.frequency.frequency_response import require_sampled
 from kneexo.analysis.frequency.sine_estimate import (
     SineEstimateSettings,
-    cycle_responses,
     motor_limits,
     response_uncertainty,
-    settled_cycles,
+    settled_run,
 )
 from kneexo.analysis.linear.loop_equilibrium import find_equilibrium
 from kneexo.analysis.linear.plant_linearization import MID_RANGE_DEG, Complex, frequency_array
@@ -90,7 +89,8 @@ class OutputImpedance(Result):
 
         C_t is the leakage of pump and cylinder. Without leakage the damper is infinite.
         """
-        cylinder, leakage = self.scenario.plant.cylinder, _leakage(self.scenario)
+        plant = self.scenario.plant
+        cylinder, leakage = plant.cylinder, plant.leakage_m3_per_s_pa
         oil = cylinder.mean_area_m2**2 / leakage if leakage > 0.0 else math.inf
         return self.moment_arm_m**2 * (oil + cylinder.damping_n_s_per_m)
 
@@ -174,12 +174,6 @@ class OutputImpedance(Result):
         return ax
 
 
-def _leakage(scenario: Scenario) -> float:
-    """Return C_t, the leakage of pump and cylinder in m³/(s·Pa)."""
-    plant = scenario.plant
-    return plant.pump.leakage_m3_per_s_pa + plant.cylinder.leakage_m3_per_s_pa
-
-
 def output_impedance(
     scenario: Scenario,
     frequency_hz: ArrayLike | None = None,
@@ -257,6 +251,17 @@ def with_prescribed_leg(scenario: Scenario, what: str) -> Scenario:
             f"wearer.kind = {scenario.wearer.kind}: {what} needs wearer.kind = leg, with its cuff"
         )
     return _without_moment(scenario, "prescribed", {})
+
+
+def torque_controller(scenario: Scenario, what: str) -> TorqueParameters:
+    """Return the torque controller of a scenario.
+
+    Raises `ParameterError` for another controller; the message says that ``what`` needs it.
+    """
+    law = scenario.controller
+    if not isinstance(law, TorqueParameters):
+        raise ParameterError(f"controller.kind = {law.kind}: {what} needs controller.kind = torque")
+    return law
 
 
 def posed(scenario: Scenario, knee_angle_deg: float, motion: str = "active") -> Scenario:
@@ -397,25 +402,18 @@ def measure_impedance(
     if not amplitude_deg > 0.0:
         raise ParameterError(f"amplitude_deg = {amplitude_deg:g} deg: must be > 0")
     require_sampled(frequency_hz, scenario)
-    ramp = max(settings.ramp_cycles / frequency_hz, settings.ramp_min_s)
-    cycles = min(settings.averaged_cycles + 1, settings.largest_cycles)
-    reference = SineReference(
-        mean_deg=knee_angle_deg,
-        amplitude_deg=amplitude_deg,
-        frequency_hz=frequency_hz,
-        ramp_s=ramp,
-    )
-    while True:
-        run = _record(scenario, reference, ramp + cycles / frequency_hz)
-        responses, _ = cycle_responses(
-            run, frequency_hz, ramp, cycles, output="torque", reference="angle"
+
+    def run_of(ramp_s: float, duration_s: float) -> Run:
+        reference = SineReference(
+            mean_deg=knee_angle_deg,
+            amplitude_deg=amplitude_deg,
+            frequency_hz=frequency_hz,
+            ramp_s=ramp_s,
         )
-        count = settled_cycles(responses, settings.tolerance)
-        settled = count >= settings.averaged_cycles
-        if settled or cycles == settings.largest_cycles:
-            break
-        cycles = min(2 * cycles, settings.largest_cycles)
-    averaged = responses[-(count if settled else max(settings.averaged_cycles, cycles // 2)) :]
+        return _record(scenario, reference, duration_s)
+
+    found = settled_run(frequency_hz, settings, run_of, output="torque", reference="angle")
+    run, averaged = found.run, found.responses
     rate = 2j * math.pi * frequency_hz
     speed = run["speed"][run.time_s > run.time_s[-1] - len(averaged) / frequency_hz]
     stiffness = complex(np.mean(averaged))
@@ -424,7 +422,7 @@ def measure_impedance(
         amplitude_deg=amplitude_deg,
         impedance=stiffness / rate,
         uncertainty=response_uncertainty(averaged) / abs(rate),
-        settled=settled,
+        settled=found.settled,
         torque_amplitude_n_m=abs(stiffness) * math.radians(amplitude_deg),
         speed_limited_share=float(np.mean(np.abs(speed) >= 0.99 * motor_limits(scenario)[0])),
     )

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from kneexo.analysis.wearer.impedance import torque_controller
 from kneexo.common.result import Result
-from kneexo.errors import ParameterError
-from kneexo.parameters import Scenario, TorqueParameters
+from kneexo.parameters import Scenario
 
 
 @dataclass(frozen=True, repr=False)
@@ -49,18 +49,12 @@ def passivity_limits(scenario: Scenario) -> PassivityLimits:
 
     Raises `ParameterError` if the controller is of another kind.
     """
-    law, plant = scenario.controller, scenario.plant
-    if not isinstance(law, TorqueParameters):
-        raise ParameterError(
-            f"controller.kind = {law.kind}: passivity_limits needs controller.kind = torque"
-        )
+    law, plant = torque_controller(scenario, "passivity_limits"), scenario.plant
     pump, period = plant.pump, law.sample_time_s
     admittance_per_gain = (
         pump.displacement_m3_per_rad / pump.gear_ratio * plant.cylinder.mean_area_m2
     )
-    leakage = (
-        pump.leakage_m3_per_s_pa + plant.cylinder.leakage_m3_per_s_pa
-    ) / admittance_per_gain  # as a gain, (rad/s)/N
+    leakage = plant.leakage_m3_per_s_pa / admittance_per_gain  # as a gain, (rad/s)/N
     motor = 0.0 if plant.ideal_motor else pump.lag_s
     delay, cell = scenario.bus.latency_samples * period, scenario.load_cell.filter_s
     share = law.speed_feedforward

@@ -10,11 +10,18 @@ from numpy.typing import ArrayLike
 
 from kneexo.analysis.frequency.frequency_response import crossing
 from kneexo.analysis.linear.plant_linearization import MID_RANGE_DEG, Complex, frequency_array
-from kneexo.analysis.wearer.impedance import ROD_STATES, posed, wearer_model, with_prescribed_leg
+from kneexo.analysis.signals import unwrapped_deg
+from kneexo.analysis.wearer.impedance import (
+    ROD_STATES,
+    posed,
+    torque_controller,
+    wearer_model,
+    with_prescribed_leg,
+)
 from kneexo.common.plotting import BLUE, TEAL, axes_or_new, label_bode
 from kneexo.common.result import Array, Result
 from kneexo.errors import ParameterError
-from kneexo.parameters import Scenario, TorqueParameters
+from kneexo.parameters import Scenario
 from kneexo.parameters.criteria import MINUS_3_DB
 
 Held = Literal["rod", "leg", "nothing"]
@@ -46,7 +53,7 @@ class TorqueResponse(Result):
         f = self.frequency_hz
         ax[0].semilogx(f, 20.0 * np.log10(np.abs(self.response)), BLUE)
         ax[0].axhline(20.0 * np.log10(MINUS_3_DB), color="0.5", ls="--", lw=1)
-        ax[1].semilogx(f, np.degrees(np.unwrap(np.angle(self.response))), BLUE)
+        ax[1].semilogx(f, unwrapped_deg(self.response), BLUE)
         if np.isfinite(self.bandwidth_hz):
             label = f"−3 dB at {self.bandwidth_hz:.3g} Hz"
             for axis in ax:
@@ -97,11 +104,7 @@ def torque_response(
         scenario = posed(scenario, knee_angle_deg)
     else:
         scenario = with_prescribed_leg(scenario, "torque_response")
-    law = scenario.controller
-    if not isinstance(law, TorqueParameters):
-        raise ParameterError(
-            f"controller.kind = {law.kind}: torque_response needs controller.kind = torque"
-        )
+    law = torque_controller(scenario, "torque_response")
     if frequency_hz is None:
         frequency_hz = np.geomspace(0.01, 0.49 / law.sample_time_s, 400)
     f = frequency_array(frequency_hz)

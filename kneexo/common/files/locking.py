@@ -1,8 +1,7 @@
-"""Locks files against other processes. The kernel releases a lock when its process ends."""
+"""A file that one process at a time reads and extends."""
 
 from __future__ import annotations
 
-import fcntl
 import os
 import stat
 from contextlib import suppress
@@ -10,22 +9,8 @@ from io import FileIO
 from pathlib import Path
 from weakref import WeakValueDictionary, finalize
 
+from diagramc import lock_file
 from kneexo.common.files.reading import read_bytes
-
-
-def lock(file: int | FileIO) -> None:
-    """Lock an open file for this process.
-
-    Raises `BlockingIOError` if the file is locked already.
-    """
-    try:
-        # A lock of the kernel and not a file with a process number, which would outlive a killed
-        # process.
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        raise
-    except OSError:  # a file system without locks, where the file stays unlocked
-        pass
 
 
 class LockedFile:
@@ -91,7 +76,7 @@ class LockedFile:
             inode = (status.st_dev, status.st_ino)
             if (former := _LOCKED.pop(inode, None)) is not None:
                 former._release()
-            lock(stream)
+            lock_file(stream)
             # Another process can delete the file between opening and locking. Then the lock is
             # worth nothing, because the path names no file or a new one: open the path again.
             with suppress(FileNotFoundError):

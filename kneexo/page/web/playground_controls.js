@@ -143,9 +143,7 @@ const Controls = (() => {
       const quantities = Setups.quantitiesOf(this.data, this.setup);
       return this.data.groups.map((group) => {
         const inside = quantities.filter((q) => group.prefixes.some((prefix) => q.name.startsWith(prefix)));
-        const main = inside.filter((q) => group.main.some((end) => q.name.endsWith(end)));
-        const rest = inside.filter((q) => !main.includes(q));
-        return inside.length ? this.group(group, main, rest) : null;
+        return inside.length ? this.group(group, inside.filter((q) => q.main), inside.filter((q) => !q.main)) : null;
       }).filter(Boolean);
     }
 

@@ -99,6 +99,27 @@ def command_limit() -> Any:
     )
 
 
+def anti_windup() -> Any:
+    """Return the field for the time constant of the anti-windup of an integral."""
+    return quantity(
+        0.1, "s", "assumption: tracking time constant of back-calculation", ge=1e-5, le=1e3
+    )
+
+
+def stable_anti_windup() -> Any:
+    """Make a validator: the time constant of the anti-windup is at least the sample time."""
+
+    def check(parameters: Any) -> Any:
+        if parameters.anti_windup_s < parameters.sample_time_s:
+            raise ValueError(
+                f"anti_windup_s = {parameters.anti_windup_s:g} s must be at least sample_time_s = "
+                f"{parameters.sample_time_s:g} s"
+            )
+        return parameters
+
+    return model_validator(mode="after")(check)
+
+
 class SlidingModeParameters(Parameters):
     """Sliding-mode controller (Eq. 20–27)."""
 
@@ -181,9 +202,7 @@ class PidParameters(Parameters):
         ge=1e-4,
         le=10,
     )
-    anti_windup_s: float = quantity(
-        0.1, "s", "assumption: tracking time constant of back-calculation", ge=1e-5, le=1e3
-    )
+    anti_windup_s: float = anti_windup()
     velocity_feedforward: float = quantity(
         0.0, "1", "assumption: share of the reference's rate that is fed forward", ge=0, le=2
     )
@@ -196,14 +215,7 @@ class PidParameters(Parameters):
     )
     command_limit_rad_s: float = command_limit()
 
-    @model_validator(mode="after")
-    def _anti_windup_is_stable(self) -> PidParameters:
-        if self.anti_windup_s < self.sample_time_s:
-            raise ValueError(
-                f"anti_windup_s = {self.anti_windup_s:g} s must be at least sample_time_s = "
-                f"{self.sample_time_s:g} s"
-            )
-        return self
+    _stable = stable_anti_windup()
 
 
 class LawParameters(Parameters):

@@ -30,6 +30,7 @@ import numpy as np
 from pydantic import GetCoreSchemaHandler
 from pydantic_core import CoreSchema, core_schema
 
+from kneexo.common.ports import input_ports
 from kneexo.common.user_code import NOT_OF_USERS, function_at, text_of, user_code
 from kneexo.errors import ParameterError, close_names, question, shortened
 from kneexo.parameters.fields.messages import shown_value
@@ -243,10 +244,7 @@ class Law:
             except RuntimeError:  # Drake's error for a system that does not support cloning
                 clone = None
             # Drake wraps the clone of a system that is written in Python, and renames its ports.
-            if clone is None or (
-                clone.num_input_ports()
-                and (clone.get_input_port(0).get_name() != self.target.get_input_port(0).get_name())
-            ):
+            if clone is None or [*input_ports(clone)] != [*input_ports(self.target)]:
                 raise ParameterError(
                     f"{self.subject}: Drake cannot clone this system; give its class, or a "
                     f"function without arguments that makes the system"
@@ -315,18 +313,14 @@ class Law:
             if name in known:
                 names.append(name)
                 if name == "state" and default is not parameter.empty:
-                    with user_code(f"{self.subject}: the default of state must be numbers"):
-                        initial_state = tuple(map(float, np.atleast_1d(default)))
-                    self._require_finite("state", *initial_state)
+                    initial_state = self._numbers(name, default)
             elif name.startswith(_RESERVED):
                 raise ParameterError(
                     f"{self.subject}: the argument {name!r} has a name that kneexo uses; "
                     f"rename the argument"
                 )
             elif isinstance(default, Real) and not isinstance(default, bool):
-                with user_code(f"{self.subject}: the default of {name} must be a number"):
-                    gains[name] = float(default)
-                self._require_finite(name, gains[name])
+                (gains[name],) = self._numbers(name, default)
             else:
                 hint = question(close_names(name, known))
                 raise ParameterError(
@@ -336,13 +330,17 @@ class Law:
         inputs = tuple(name for name in names if name in LAW_INPUTS)
         return LawArguments(inputs, (*names, *gains), initial_state, gains)
 
-    def _require_finite(self, name: str, *defaults: float) -> None:
-        for default in defaults:
-            if not math.isfinite(default):
+    def _numbers(self, name: str, default: Any) -> tuple[float, ...]:
+        """Return the default of an argument as finite numbers."""
+        with user_code(f"{self.subject}: the default of {name} must be numbers"):
+            numbers = tuple(map(float, np.atleast_1d(default)))
+        for number in numbers:
+            if not math.isfinite(number):
                 raise ParameterError(
-                    f"{self.subject}: the default {name} = {default} must be finite; give "
+                    f"{self.subject}: the default {name} = {number} must be finite; give "
                     f"the argument a number"
                 )
+        return numbers
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Law):

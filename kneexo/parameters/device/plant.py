@@ -15,6 +15,7 @@ from kneexo.parameters.fields.quantity import (
     Parameters,
     choice,
     named,
+    optional_part,
     ordered_limits,
     quantities,
     quantity,
@@ -532,35 +533,25 @@ class PlantParameters(Parameters):
     ideal_motor: bool = choice(
         False, "Eq. 17: pump speed equals the command, without lag, acceleration or speed limit"
     )
-    motor: MotorParameters | None = choice(
-        None,
+    motor: MotorParameters | None = optional_part(
         "assumption: torque, current and supply of the motor; left out, the torque of the motor is "
-        "not limited",
-        words={True: {}, False: None},
+        "not limited"
     )
-    thermal: ThermalParameters | None = choice(
-        None,
+    thermal: ThermalParameters | None = optional_part(
         "assumption: temperatures of the motor, with a lower current limit when hot; needs "
-        "plant.motor; left out, the motor stays cold",
-        words={True: {}, False: None},
+        "plant.motor; left out, the motor stays cold"
     )
-    full_order: FullCylinderParameters | None = choice(
-        None,
-        "Eq. 14 with its valves; left out, the cylinder is the reduced order of Eq. 15",
-        words={True: {}, False: None},
+    full_order: FullCylinderParameters | None = optional_part(
+        "Eq. 14 with its valves; left out, the cylinder is the reduced order of Eq. 15"
     )
-    bypass: BypassParameters | None = choice(
-        None,
+    bypass: BypassParameters | None = optional_part(
         "assumption: valve that opens both chambers to the reservoir; needs plant.full_order; left "
-        "out, there is no such valve",
-        words={True: {}, False: None},
+        "out, there is no such valve"
     )
 
-    end_stops: EndStopParameters | None = choice(
-        None,
+    end_stops: EndStopParameters | None = optional_part(
         "assumption: stops at both ends of the knee's range of motion; left out, nothing stops the "
-        "rod",
-        words={True: {}, False: None},
+        "rod"
     )
 
     @model_validator(mode="after")
@@ -585,6 +576,17 @@ class PlantParameters(Parameters):
     def without_temperatures(self) -> PlantParameters:
         """Return the plant for linear analysis, whose motor stays cold."""
         return self.model_copy(update={"thermal": None})
+
+    @property
+    def leakage_m3_per_s_pa(self) -> float:
+        """Leakage coefficient C_t of pump and cylinder in m³/(s·Pa)."""
+        return self.pump.leakage_m3_per_s_pa + self.cylinder.leakage_m3_per_s_pa
+
+    @property
+    def speed_gain_rad_per_m(self) -> float:
+        """Motor speed per rod speed, G = gear·Ā/D_m, in rad/m."""
+        area_m2 = self.pump.gear_ratio * self.cylinder.mean_area_m2
+        return area_m2 / self.pump.displacement_m3_per_rad
 
     @property
     def knee_inertia_kg_m2(self) -> float | None:

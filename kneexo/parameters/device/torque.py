@@ -8,7 +8,12 @@ from typing import Literal
 import numpy as np
 from pydantic import model_validator
 
-from kneexo.parameters.device.control import command_limit, sample_time
+from kneexo.parameters.device.control import (
+    anti_windup,
+    command_limit,
+    sample_time,
+    stable_anti_windup,
+)
 from kneexo.parameters.fields.quantity import Parameters, choice, quantity
 
 AS_183 = ((30269, 171), (30307, 172), (30323, 170))
@@ -111,9 +116,7 @@ class TorqueParameters(Parameters):
         ge=0,
         le=1,
     )
-    anti_windup_s: float = quantity(
-        0.1, "s", "assumption: tracking time constant of back-calculation", ge=1e-5, le=1e3
-    )
+    anti_windup_s: float = anti_windup()
     timeout_s: float = quantity(
         0.010,
         "s",
@@ -146,11 +149,4 @@ class TorqueParameters(Parameters):
     )
     command_limit_rad_s: float = command_limit()
 
-    @model_validator(mode="after")
-    def _anti_windup_is_stable(self) -> TorqueParameters:
-        if self.anti_windup_s < self.sample_time_s:
-            raise ValueError(
-                f"anti_windup_s = {self.anti_windup_s:g} s must be at least sample_time_s = "
-                f"{self.sample_time_s:g} s"
-            )
-        return self
+    _stable = stable_anti_windup()

@@ -92,6 +92,15 @@ def choice(default: Any, source: str, *, words: Mapping[Any, Any] | None = None)
     return named(field, words) if words else field
 
 
+def optional_part(source: str) -> Any:
+    """Make a pydantic field for parameters that are left out, unless given or switched on.
+
+    The words true and false stand for the default parameters and for none. ``source`` is the
+    provenance.
+    """
+    return choice(None, source, words={True: {}, False: None})
+
+
 def named(field: Any, words: Mapping[Any, Any]) -> Any:
     """Return a pydantic field that accepts ``words`` for the values for which they stand."""
     field.metadata.append(Words(words))

@@ -27,6 +27,7 @@ from kneexo.analysis.frequency.rate_limit import rate_limit_bandwidth_hz
 from kneexo.analysis.frequency.sine_estimate import SineEstimateSettings, estimate_sine
 from kneexo.analysis.linear.plant_linearization import Complex
 from kneexo.analysis.linear.sampled_loop import linearize_loop
+from kneexo.analysis.signals import unwrapped_deg
 from kneexo.common.result import Array, Result, data_frame
 from kneexo.errors import LinearizationError, SimulationError, failure_noted
 from kneexo.parameters import Scenario
@@ -124,7 +125,7 @@ class BandwidthResult(Result):
     @property
     def phase_deg(self) -> Array:
         """Phase of θ_p/θ_d in deg, an array (m, n), unwrapped along the frequency."""
-        return np.array([unwrapped_deg(row) for row in self.response])
+        return unwrapped_deg(self.response)
 
     @property
     def relative_uncertainty(self) -> Array:
@@ -192,14 +193,6 @@ class BandwidthResult(Result):
             ],
             "failures": list(self.failures),
         }
-
-
-def unwrapped_deg(response: Any) -> Array:
-    """Return the phase in deg of ``response`` (n,), unwrapped over its finite values."""
-    phase = np.angle(response)
-    finite = np.isfinite(phase)
-    phase[finite] = np.unwrap(phase[finite])
-    return np.degrees(phase)
 
 
 def decibel(response: Any) -> Any:

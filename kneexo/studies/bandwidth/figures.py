@@ -16,10 +16,11 @@ from kneexo.analysis.frequency.rate_limit import (
     rate_limited_follower,
     rate_limited_gain,
 )
+from kneexo.analysis.signals import unwrapped_deg
 from kneexo.common.plotting import BLUE, RED, SERIES, decimal_ticks, phase_ticks
 from kneexo.common.result import Array
 from kneexo.parameters.criteria import MINUS_3_DB
-from kneexo.studies.bandwidth.bandwidth import BandwidthResult, decibel, unwrapped_deg
+from kneexo.studies.bandwidth.bandwidth import BandwidthResult, decibel
 from kneexo.studies.plots import (
     OUTLINE,
     Worse,

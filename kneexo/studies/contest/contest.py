@@ -71,9 +71,7 @@ CONTESTANTS = {
             "controller.lambda_per_s": _search_range(2.0, 200.0),
             "controller.phi_m_s2": _search_range(0.1, 100.0),
             "controller.eta_m_s3": _search_range(1e4, 1e7),
-            "estimator.time_constant_s": _search_range(
-                0.002, 0.1, _WIDE + "; not below one sample"
-            ),
+            "estimator.time_constant_s": _search_range(*_TIMES_S),
         },
     ),
     "PID": Contestant(controller=PidParameters(), gains=_PID_GAINS),

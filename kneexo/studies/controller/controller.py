@@ -37,10 +37,6 @@ from kneexo.studies.hardware import tuned
 from kneexo.sweeps import SweepOptions, open_sweep
 from kneexo.systems.knee_reference import run_middle_deg, run_range_deg
 
-LIMIT_CYCLE_VARIANTS = ("as built", "exact encoder", "unlimited acceleration")
-"""Names of the variants of a loop with a limit cycle, whose comparison shows the cycle's cause."""
-
-
 # ------------------------------------------------------------------------------------- runs
 
 
@@ -78,17 +74,17 @@ def controller_study(
     axes = (settings.lambdas_per_s, settings.phis_m_s2, settings.etas_m_s3)
     points = list(product(*axes))
     grid = [_with_law(scenario, *point) for point in points]
-    cases = list(product(settings.limit_cycle_lambdas_per_s, LIMIT_CYCLE_VARIANTS))
-    limit_cycle_slope, limit_cycle_time_constant = (
-        settings.limit_cycle_slope_per_s,
-        settings.limit_cycle_time_constant_s,
-    )
+    unlimited = settings.unlimited_acceleration_rad_s2
+    # The loop with a limit cycle, and variants whose comparison shows the cause of the cycle.
+    variants: dict[str, dict[str, Any]] = {
+        "as built": {},
+        "exact encoder": {"encoder.quantized": False},
+        "unlimited acceleration": {"plant.pump.acceleration_limit_rad_s2": unlimited},
+    }
+    cases = list(product(settings.limit_cycle_lambdas_per_s, variants))
+    slope, time_s = settings.limit_cycle_slope_per_s, settings.limit_cycle_time_constant_s
     limit_cycles = [
-        changed(
-            with_slope(limit_cycle_slope, limit_cycle_time_constant, lambda_),
-            _variant(variant, settings),
-        )
-        for lambda_, variant in cases
+        changed(with_slope(slope, time_s, lambda_), variants[name]) for lambda_, name in cases
     ]
     map_axes = (settings.map_time_constants_s, settings.map_slopes_per_s)
     loops = [with_slope(slope, time, law.lambda_per_s) for time, slope in product(*map_axes)]
@@ -191,16 +187,6 @@ def _limit_cycle(settings: ControllerSettings, scenario: Scenario) -> dict[str, 
             "error_deg": tracked.error_deg.tolist(),
         }
     return row
-
-
-def _variant(name: str, settings: ControllerSettings) -> dict[str, Any]:
-    unlimited = settings.unlimited_acceleration_rad_s2
-    changes: dict[str, dict[str, Any]] = {
-        "as built": {},
-        "exact encoder": {"encoder.quantized": False},
-        "unlimited acceleration": {"plant.pump.acceleration_limit_rad_s2": unlimited},
-    }
-    return changes[name]
 
 
 def _with_law(scenario: Scenario, lambda_: float, phi: float, eta: float) -> Scenario:

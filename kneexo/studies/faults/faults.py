@@ -10,12 +10,14 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import product
 from typing import Any, Literal, Unpack
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from kneexo.analysis.faults.survival import fault_case, fault_name
 from kneexo.analysis.signals import period_s
@@ -197,6 +199,9 @@ class EmergencyStop:
     rest: Rest
 
 
+_ROW, _STOP = TypeAdapter(FaultRow), TypeAdapter(EmergencyStop)  # from the data of a worker
+
+
 @dataclass(frozen=True, repr=False)
 class FaultsResult(Result):
     """Rows of all faults, stops, false alarms of healthy runs, and the worst case as curves."""
@@ -321,39 +326,30 @@ def faults_study(
     if settings.faults:
         faults = {fault_name(fault): (fault,) for fault in settings.faults}
     given = [(cause, fault) for cause, sizes in faults.items() for fault in sizes]
-    kinds = (
-        tuple(dict.fromkeys(settings.controllers))
-        if scenario.controller.kind in ("smc", "pid")
-        else ()
-    )
+    items = [
+        (cause, fault.permanent(start_s)) for (cause, fault), start_s in product(given, starts_s)
+    ]
+    own = scenario.controller.kind
+    kinds = settings.controllers if own in ("smc", "pid") else ()
     cases: list[tuple[FaultRow, Scenario, FaultParameters]] = []
     stops: list[EmergencyStop] = []
     with open_sweep(**options) as sweep:
-        for loop in [_controlled(scenario, kind) for kind in kinds] or [scenario]:
-            items = [
-                (cause, fault.permanent(start_s))
-                for (cause, fault), start_s in product(given, starts_s)
-            ]
+        for kind in dict.fromkeys(kinds or [own]):
+            loop = _controlled(scenario, kind)
             _require_quiet(loop)
             assess = partial(_assess, loop, settings, safe_states)
             assessed = sweep.map(assess, items, "faults", group=_structure)
-            for safe_state in safe_states:
-                for (cause, fault), values in zip(items, assessed, strict=True):
-                    row = _row(loop, settings, safe_state, cause, fault, values)
-                    until = _observed(loop, settings, fault.start_s)
-                    cases.append((row, _ending(until, safe_state), fault))
+            for rows in zip(*assessed, strict=True):  # with one safe state
+                of_faults = zip(map(_ROW.validate_python, rows), items, strict=True)
+                cases += [(row, loop, fault) for row, (_, fault) in of_faults]
             presses = list(product(safe_states, starts_s))
             stopped = sweep.map(partial(_stop, loop, settings), presses, "emergency stops")
-            stops += [
-                EmergencyStop(
-                    loop.controller.kind, *press, **values | {"rest": Rest(**values["rest"])}
-                )
-                for press, values in zip(presses, stopped, strict=True)
-            ]
+            stops += [_STOP.validate_python(values) for values in stopped]
         points = draw(kept, settings.samples, settings.seed)
         alarm = partial(_alarm, scenario, kept)
         alarms = sweep.map(alarm, points, "healthy runs", group=options_of)
-    own = [case for case in cases if case[0].safe_state == safe_states[0]]
+    with_first = [case for case in cases if case[0].safe_state == safe_states[0]]
+    worst, loop, fault = min(with_first, key=lambda case: urgency(case[0]))
     return FaultsResult(
         scenario=scenario,
         settings=settings,
@@ -363,7 +359,7 @@ def faults_study(
         alarms=dict(Counter(filter(None, alarms))),
         healthy_runs=settings.samples,
         healthy_hours=settings.samples * scenario.duration_s / 3600.0,
-        traces=_traces(*min(own, key=lambda case: urgency(case[0]))[1:]),
+        traces=_traces(_ending(_observed(loop, settings, worst.start_s), worst.safe_state), fault),
     )
 
 
@@ -389,11 +385,9 @@ def _safe_states(scenario: Scenario, settings: FaultsSettings) -> tuple[SafeStat
     assert scenario.protection is not None
     found = [scenario.protection.safe_state]
     for safe_state in SAFE_STATES:
-        try:
+        with suppress(ParameterError):
             _ending(scenario, safe_state)
-        except ParameterError:
-            continue
-        found.append(safe_state)
+            found.append(safe_state)
     return tuple(dict.fromkeys(found))
 
 
@@ -452,12 +446,9 @@ def _assess(
     settings: FaultsSettings,
     safe_states: Sequence[str],
     item: tuple[str, FaultParameters],
-) -> dict[str, Any]:
-    """Return the effect of a fault as plain data; runs in a worker process.
-
-    The data have a dictionary for each safe state.
-    """
-    _, fault = item
+) -> list[dict[str, Any]]:
+    """Return a `FaultRow` for each safe state as plain data; runs in a worker process."""
+    cause, fault = item
     scenario = _observed(scenario, settings, fault.start_s)
     alone = _without(scenario)
     healthy = simulate(alone, signals=_signals(alone))
@@ -465,24 +456,32 @@ def _assess(
     start = _index(healthy, fault.start_s)
     run, complete = _run(alone, fault)
     deviation = _deviation_deg(run, healthy)
-    found: dict[str, Any] = {
+    shared = {
+        "controller": scenario.controller.kind,
+        "cause": cause,
+        "bound_deg": settings.bound_deg,
+        "observed_s": settings.observed_s,
+        "fault": fault_name(fault),
+        "start_s": fault.start_s,
         "critical_duration_s": case.critical_duration_s,
         "censored": case.censored,
         "flexes": bool(deviation[np.argmax(np.abs(deviation))] > 0.0),
         "alone": _peaks(run, healthy, slice(start, None)) | {"complete": complete},
     }
-    return found | {
-        safe_state: _protected(_ending(scenario, safe_state), settings, healthy, fault)
+    return [
+        shared | _protected(_ending(scenario, safe_state), settings, healthy, fault)
         for safe_state in safe_states
-    }
+    ]
 
 
 def _protected(
     scenario: Scenario, settings: FaultsSettings, healthy: Run, fault: FaultParameters
 ) -> dict[str, Any]:
     """Return the effect of a fault with protection as plain data."""
+    assert scenario.protection is not None
     run, complete = _run(scenario, fault)
-    found: dict[str, Any] = {"detector": "", "detected_after_s": math.inf}
+    found: dict[str, Any] = {"safe_state": scenario.protection.safe_state}
+    found |= {"detector": "", "detected_after_s": math.inf}
     after = run.time_s - fault.start_s
     detected = np.flatnonzero((after >= 0.0) & (run["safety_reason"] > 0.0))
     if detected.size:
@@ -497,7 +496,7 @@ def _protected(
 
 @needs_runs
 def _stop(scenario: Scenario, settings: FaultsSettings, item: tuple[str, float]) -> dict[str, Any]:
-    """Return the effect of an emergency stop as plain data; runs in a worker process."""
+    """Return the fields of an `EmergencyStop` as plain data; runs in a worker process."""
     safe_state, start_s = item
     protected = _ending(_observed(scenario, settings, start_s), safe_state)
     press = FaultParameters(place="emergency_stop", kind="value", size=1.0, start_s=start_s)
@@ -505,6 +504,9 @@ def _stop(scenario: Scenario, settings: FaultsSettings, item: tuple[str, float])
     safe_after_s, end = _safe_after(run, protected, start_s)
     start = _index(run, start_s)
     return {
+        "controller": scenario.controller.kind,
+        "safe_state": safe_state,
+        "start_s": start_s,
         "knee_deg": math.degrees(run["knee_angle_rad"][start]),
         "safe_after_s": safe_after_s,
         **turn_and_torque(run, slice(start, end)),
@@ -524,33 +526,6 @@ def _rest(run: Run, end: int | None, end_s: float) -> dict[str, Any]:
 def _index(run: Run, time_s: float) -> int:
     """Return the index of the sample at a time, which rounding may have changed a little."""
     return int(np.searchsorted(run.time_s, time_s - 1e-9))
-
-
-def _row(
-    scenario: Scenario,
-    settings: FaultsSettings,
-    safe_state: str,
-    cause: str,
-    fault: FaultParameters,
-    found: dict[str, Any],
-) -> FaultRow:
-    """Return the row of a fault whose effect is ``found`` by `_assess`."""
-    values = found[safe_state]
-    values = values | {"protected": Peaks(**values["protected"]), "rest": Rest(**values["rest"])}
-    return FaultRow(
-        controller=scenario.controller.kind,
-        safe_state=safe_state,
-        cause=cause,
-        fault=fault_name(fault),
-        start_s=fault.start_s,
-        bound_deg=settings.bound_deg,
-        observed_s=settings.observed_s,
-        critical_duration_s=found["critical_duration_s"],
-        censored=found["censored"],
-        flexes=found["flexes"],
-        alone=Peaks(**found["alone"]),
-        **values,
-    )
 
 
 def _without(scenario: Scenario) -> Scenario:

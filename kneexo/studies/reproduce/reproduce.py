@@ -68,7 +68,7 @@ class ReproduceResult(Result):
             "fig12_start": start_errors(self.fig12["smc"]),
             "fig13": _fig_13(self.fig13),
             "scaling": _scaling(self.scaling),
-            "speed_limit": _speed_limit(),
+            "speed_limit": speed_demand(),
             "eq27_exact_states": {name: _eq_27_exact(run) for name, run in self.eq27_exact.items()},
             "eq27_differences": {
                 name: _eq_27_differences(tracked) for name, tracked in self.eq27_differences.items()
@@ -245,15 +245,6 @@ def _scaling(responses: Mapping[str, FrequencyResponse]) -> dict[str, dict[str, 
     }
 
 
-def _speed_limit() -> dict[str, float]:
-    """Return the two numbers of `speed_demand` with the names of the results."""
-    peak_rpm, saturation_hz = speed_demand()
-    return {
-        "peak_speed_demand_at_0.1hz_rpm": peak_rpm,
-        "saturation_from_hz": saturation_hz,
-    }
-
-
 def _eq_27_exact(run: Run) -> dict[str, float]:
     """Return how Eq. 27 with exact states behaves at 2 ms."""
     change_rad_s = mean_change(run["motor_speed_command_rad_s"])
@@ -288,18 +279,21 @@ def start_errors(tracked: TrackingResult) -> dict[str, float]:
     }
 
 
-def speed_demand() -> tuple[float, float]:
-    """Return what the paper's sine asks of the motor: a peak speed, and a highest frequency.
+def speed_demand() -> dict[str, float]:
+    """Return what the paper's sine asks of the motor, by Eq. 10 between knee and rod.
 
     The first number is the peak motor speed in rpm at the frequency of the paper. The second number
     is the frequency in Hz at which the peak motor speed of the same sine equals the speed limit of
-    the motor. Eq. 10 relates knee and rod.
+    the motor.
     """
     scenario = changed(Scenario(), {"plant.rod_map": "polynomial"})
     reached_hz = speed_limit_reached_hz(scenario)
     limit_rpm = to_rpm(scenario.plant.pump.speed_limit_rad_s)
     # The peak speed of a sine is proportional to its frequency.
-    return SineReference().frequency_hz / reached_hz * limit_rpm, reached_hz
+    return {
+        "peak_speed_demand_at_0.1hz_rpm": SineReference().frequency_hz / reached_hz * limit_rpm,
+        "saturation_from_hz": reached_hz,
+    }
 
 
 def growth_rate(run: Run) -> float:

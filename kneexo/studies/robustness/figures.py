@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from contextlib import suppress
+from itertools import cycle, islice
 from typing import Any
 
 import matplotlib.pyplot as plt
@@ -22,6 +23,7 @@ from kneexo.parameters.labels import labels, value_text
 from kneexo.parameters.uncertainty import realize
 from kneexo.studies.plots import CENTRED, ecdf, legend_below
 from kneexo.studies.robustness.robustness import (
+    COMPARED,
     MERITS,
     Assessment,
     RobustnessResult,
@@ -31,8 +33,6 @@ from kneexo.studies.robustness.robustness import (
     worst_value,
 )
 from kneexo.systems.knee_reference import run_middle_deg
-
-_SHOWN = ("max_error_deg", "peak_torque_n_m", "bandwidth_hz", "disk_margin")
 
 
 def distribution(result: RobustnessResult) -> Figure:
@@ -91,7 +91,7 @@ def tornado(result: RobustnessResult) -> Figure:
     effect of all values on this metric. The value with the largest effect on any metric is on top.
     The label of a row names the ends of the interval, or the options, with their marks.
     """
-    merits = [merit for merit in _SHOWN if merit in result.merits]
+    merits = [merit for merit in COMPARED if merit in result.merits]
     order = _by_effect(result, merits)
     figure, axes = plt.subplots(
         1,
@@ -137,12 +137,10 @@ def _by_effect(result: RobustnessResult, merits: list[str]) -> list[str]:
 
 def _marks(span: Uncertainty) -> list[tuple[str, str, str]]:
     """Return marker, letter of the same shape, and colour of each level of an uncertain value."""
-    if span.options:
-        colours = [SERIES[index % len(SERIES)] for index in range(len(span.options))]
-        marks = [("os^Dv"[index % 5], "●■▲◆▼"[index % 5]) for index in range(len(span.options))]
-    else:
-        marks, colours = [("<", "◀"), (">", "▶")], [BLUE, GOLD]
-    return [(*mark, colour) for mark, colour in zip(marks, colours, strict=True)]
+    if not span.options:
+        return [("<", "◀", BLUE), (">", "▶", GOLD)]
+    marks = zip(cycle("os^Dv"), cycle("●■▲◆▼"), cycle(SERIES), strict=False)
+    return list(islice(marks, len(span.options)))
 
 
 def _levels_text(result: RobustnessResult, path: str) -> str:

@@ -15,6 +15,7 @@ from kneexo.parameters.labels import labels, value_text
 from kneexo.parameters.uncertainty import realize
 from kneexo.studies.markdown import number, repeating_commands
 from kneexo.studies.robustness.robustness import (
+    COMPARED,
     CONFIDENCE,
     MERITS,
     Assessment,
@@ -29,8 +30,6 @@ from kneexo.studies.robustness.robustness import (
 )
 from kneexo.studies.template import filled
 
-_COMPARED = ("max_error_deg", "peak_torque_n_m", "bandwidth_hz", "disk_margin")
-"""Figures of merit whose worst corner the report shows."""
 _MEANS = {"max_error_deg": "rms_error_deg", "peak_torque_n_m": "rms_torque_n_m"}
 """For each peak value, the root mean square that the table of importance has in its place."""
 _DISTRIBUTION_HEAD = ("metric", "nominal", "median", "5 %", "95 %", "worst sample", "worst corner")
@@ -41,7 +40,7 @@ _STRONGEST = 2
 def report(result: RobustnessResult) -> str:
     """Return the report on a robustness study in Markdown."""
     names = labels(result.uncertainty.values)
-    merits = [merit for merit in _COMPARED if merit in result.merits]
+    merits = [merit for merit in COMPARED if merit in result.merits]
     distribution = {merit: _distribution(result, merit) for merit in result.merits}
     return filled(
         "robustness/report.md",

@@ -91,6 +91,8 @@ MERITS = {
     "disk_margin": Merit("disk margin", -1.0),
 }
 """The figures of merit, which are the metrics of `assess` whose worst cases are sought."""
+COMPARED = ("max_error_deg", "peak_torque_n_m", "bandwidth_hz", "disk_margin")
+"""Figures of merit whose worst corner the report shows, and the effect of each value alone."""
 
 
 def merits_of(scenario: Scenario, metrics: Mapping[str, Any]) -> tuple[str, ...]:

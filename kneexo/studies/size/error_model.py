@@ -147,14 +147,13 @@ def error_model(
     delay_s = 0.0 if plant.ideal_motor else pump.lag_s
     if not law.continuous:
         delay_s = (0.5 + scenario.bus.latency_samples) * law.sample_time_s + delay_s
-    leakage_m3_per_s_pa = pump.leakage_m3_per_s_pa + plant.cylinder.leakage_m3_per_s_pa
     return ErrorModel(
         lambda_per_s=law.lambda_per_s,
         slope_per_s=k / law.phi_m_s2,
         stiffness_per_s2=stiffness_per_s2,
         speed_ratio=speed_ratio,
         delay_s=delay_s,
-        leakage_m_per_s_pa=leakage_m3_per_s_pa / believed.mean_area_m2,
+        leakage_m_per_s_pa=plant.leakage_m3_per_s_pa / believed.mean_area_m2,
     )
 
 

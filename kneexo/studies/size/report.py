@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from kneexo.analysis.frequency.frequency_response import require_sine
@@ -41,10 +41,6 @@ def report(result: SizeResult) -> str:
     steps, bound = numbers["steps"], settings.error_bound_deg
     as_it_is = next(iter(steps.values()))  # the first step changes nothing; one run per frequency
     strides = {"Eq. 16": numbers["demand"], "shank": numbers["demand_with_segment_inertia"]}
-
-    def searched(name: str) -> Callable[[Mapping[str, Any]], str]:
-        """Return a function from the row of a design to the cell of a searched value."""
-        return lambda design: _searched(design[name], bound)
 
     return filled(
         "size/report.md",
@@ -94,7 +90,7 @@ def report(result: SizeResult) -> str:
         * (result.scenario.plant.full_order or FullCylinderParameters()).relief_pressure_pa,
         vacuum_mpa=1e-6 * LOWEST_PRESSURE_PA,
         design_heads=[f"{design['frequency_hz']:.4g} Hz" for design in numbers["designs"]],
-        searched=searched,
+        searched=lambda name: lambda design: _searched(design[name], bound),
         walking={label: (_path(name), form) for name, (label, form) in _WALKING.items()},
         step_agreement=lambda design: number(100.0 * max(design["step_agreement"].values()), ".2f"),
         variation_heads=[_WALKING[name][0] for name in _VARIED],

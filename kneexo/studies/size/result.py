@@ -105,7 +105,55 @@ class SizeResult(Result):
 
     def results(self) -> dict[str, Any]:
         """Return the sizing as plain data, with units in the names."""
-        return _results(self)
+        settings, scenario = self.settings, self.scenario
+
+        def demands(values: Iterable[WalkingDemand]) -> list[dict[str, float]]:
+            return [_demand(demand, scenario) for demand in values]
+
+        torques = (f"{torque:g}" for torque in self.torque_demands)
+        return {
+            "limits": _limits(scenario),
+            "nominal": self.nominal,
+            "sweeps": {
+                path: [
+                    {"factor": factor, "value": _shown(scenario, path, factor), **metrics}
+                    for factor, metrics in zip(settings.factors, sweep, strict=True)
+                ]
+                for path, sweep in self.sweeps.items()
+            },
+            "bandwidth_map": {
+                "factors": list(settings.factors),
+                "bandwidth_hz": self.bandwidth_map_hz.tolist(),
+            },
+            "demand": demands(self.demands),
+            "demand_with_segment_inertia": demands(self.segment_demands),
+            "demand_by_wearer_torque_n_m": dict(
+                zip(torques, demands(self.torque_demands.values()), strict=True)
+            ),
+            "stride": [
+                _stride(hardware, share, load)
+                for hardware, loads in self.strides().items()
+                for share, load in loads.items()
+            ],
+            "controller": _controller(self),
+            "gains": self.gains,
+            "best_gains": self.best_gains,
+            "steps": self.steps,
+            "designs": [_design(design, scenario) for design in self.designs],
+            "design_at_reference": self.design_at_reference,
+            "variations": self.variations,
+            "walking_sweeps": {
+                path: [
+                    {"factor": factor, **metrics}
+                    for factor, metrics in zip(settings.walking_factors, sweep, strict=True)
+                ]
+                for path, sweep in self.walking_sweeps.items()
+            },
+            "walking_map": {
+                "factors": list(settings.walking_factors),
+                "max_error_deg": self.walking_map_deg.tolist(),
+            },
+        }
 
     def strides(self) -> dict[str, dict[float, StrideLoad]]:
         """Return the loads in a measured stride, by hardware and by share of the knee moment."""
@@ -122,59 +170,6 @@ class SizeResult(Result):
 
 CHECKED = ("max_error_deg", "peak_pressure_mpa", "peak_shaft_power_w", "delivered_energy_j")
 """Metrics of walking that are compared between the check step and half the check step."""
-
-
-def _results(result: SizeResult) -> dict[str, Any]:
-    """Return a sizing as plain data, with units in the names."""
-    settings, scenario = result.settings, result.scenario
-
-    def demands(values: Iterable[WalkingDemand]) -> list[dict[str, float]]:
-        return [_demand(demand, scenario) for demand in values]
-
-    torques = (f"{torque:g}" for torque in result.torque_demands)
-    return {
-        "limits": _limits(scenario),
-        "nominal": result.nominal,
-        "sweeps": {
-            path: [
-                {"factor": factor, "value": _shown(scenario, path, factor), **metrics}
-                for factor, metrics in zip(settings.factors, sweep, strict=True)
-            ]
-            for path, sweep in result.sweeps.items()
-        },
-        "bandwidth_map": {
-            "factors": list(settings.factors),
-            "bandwidth_hz": result.bandwidth_map_hz.tolist(),
-        },
-        "demand": demands(result.demands),
-        "demand_with_segment_inertia": demands(result.segment_demands),
-        "demand_by_wearer_torque_n_m": dict(
-            zip(torques, demands(result.torque_demands.values()), strict=True)
-        ),
-        "stride": [
-            _stride(hardware, share, load)
-            for hardware, loads in result.strides().items()
-            for share, load in loads.items()
-        ],
-        "controller": _controller(result),
-        "gains": result.gains,
-        "best_gains": result.best_gains,
-        "steps": result.steps,
-        "designs": [_design(design, scenario) for design in result.designs],
-        "design_at_reference": result.design_at_reference,
-        "variations": result.variations,
-        "walking_sweeps": {
-            path: [
-                {"factor": factor, **metrics}
-                for factor, metrics in zip(settings.walking_factors, sweep, strict=True)
-            ]
-            for path, sweep in result.walking_sweeps.items()
-        },
-        "walking_map": {
-            "factors": list(settings.walking_factors),
-            "max_error_deg": result.walking_map_deg.tolist(),
-        },
-    }
 
 
 def _limits(scenario: Scenario) -> dict[str, float]:

@@ -125,15 +125,6 @@ def test_runs_on_both_sides_confirm_the_critical_duration(survival):
 
 
 @pytest.mark.slow
-def test_lines_and_plot_have_the_shortest_duration_of_each_fault(survival):
-    assert str(survival).splitlines()[1].startswith("command scale 0: at most ")
-    (line,) = survival.plot().lines
-    np.testing.assert_allclose(line.get_xdata(), [0.6, 0.9])
-    expected = [1e3 * case.critical_duration_s for case in survival.cases]
-    np.testing.assert_allclose(line.get_ydata(), expected)
-
-
-@pytest.mark.slow
 def test_a_fault_that_moves_the_knee_little_is_censored_at_the_time_that_it_was_active():
     small = FaultParameters(place="command", kind="offset", size=1.0)
     never = DEAD.changed({"signal": "knee_angle_rad", "above": 10.0})
@@ -167,26 +158,20 @@ def test_faults_that_differ_by_seed_or_trigger_have_lines_of_their_own():
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("faults", "starts_s", "options", "message"),
     [
-        (([], [1.0]), "must have at least one fault and one start"),
-        (([DEAD], []), "must have at least one fault and one start"),
-        (([DEAD], [-1.0]), r"starts_s\.0 = -1 s is out of range: must be finite and >= 0"),
+        ([], [1.0], {}, "must have at least one fault and one start"),
+        ([DEAD], [], {}, "must have at least one fault and one start"),
+        ([DEAD], [-1.0], {}, r"starts_s\.0 = -1 s is out of range: must be finite and >= 0"),
+        ([DEAD], ["a"], {}, r"starts_s.0 = 'a': must be a number, >= 0 and"),
+        (DEAD, [1.0], {}, r"faults = FaultParameters.*: must be a list$"),
+        *(
+            ([DEAD], [1.0], {name: value}, f"{name} = {value:g} {unit}: must be > 0 and")
+            for name, unit in (("observed_s", "s"), ("bound_deg", "deg"))
+            for value in (0.0, math.inf, math.nan)
+        ),
     ],
 )
-def test_wrong_arguments_are_one_line(arguments, message):
+def test_wrong_arguments_are_one_line(faults, starts_s, options, message):
     with pytest.raises(ParameterError, match=message):
-        fault_survival(RAMP, *arguments)
-    for observed_s in (0.0, math.inf, math.nan):
-        with pytest.raises(ParameterError, match=f"observed_s = {observed_s:g} s: must be > 0 and"):
-            fault_survival(RAMP, [DEAD], [1.0], observed_s=observed_s)
-    for bound_deg in (0.0, math.inf):
-        with pytest.raises(ParameterError, match=f"bound_deg = {bound_deg:g} deg: must be > 0 and"):
-            fault_survival(RAMP, [DEAD], [1.0], bound_deg=bound_deg)
-
-
-def test_one_fault_and_a_start_as_text_are_one_line():
-    with pytest.raises(ParameterError, match=r"faults = FaultParameters.*: must be a list$"):
-        fault_survival(RAMP, DEAD, [1.0])
-    with pytest.raises(ParameterError, match=r"starts_s.0 = 'a': must be a number, >= 0 and"):
-        fault_survival(RAMP, [DEAD], ["a"])
+        fault_survival(RAMP, faults, starts_s, **options)

@@ -41,11 +41,6 @@ def test_the_level_is_the_largest_threshold_that_trips(values, samples):
     assert level_of(residual, samples) == max(tripping, default=0.0)
 
 
-def test_levels_of_a_series_by_hand():
-    series = np.array([0.0, 5.0, 4.0, 0.0, 3.0, 9.0, 1.0, 1.0])
-    assert [level_of(series, n) for n in (1, 2, 3, 8)] == [9.0, 4.0, 3.0, 0.0]
-
-
 def test_the_text_and_the_figure_have_the_levels():
     levels = {name: np.array([[1.0, 2.0, 4.0], [3.0, 3.0, 5.0]]) for name in DETECTORS}
     result = DetectorThresholds(
@@ -80,16 +75,6 @@ def test_the_levels_of_a_run_are_those_of_its_residuals():
 
 
 @pytest.mark.slow
-def test_healthy_runs_have_levels_below_the_thresholds_and_no_alarm():
-    result = detector_thresholds(SHORT, MASSES, 3, trips_s=[0.002])
-    assert (result.runs, result.failed, dict(result.alarms)) == (3, 0, {})
-    assert result.hours == pytest.approx(3 * 0.3 / 3600)
-    assert result.levels["flow"].shape == (2, 3)
-    assert 0.0 < result.largest("flow") < 2.5
-    assert np.all(result.levels["rate"][1] >= result.levels["rate"][0])
-
-
-@pytest.mark.slow
 def test_a_false_alarm_is_counted_and_its_level_is_that_of_the_whole_run():
     free = detector_thresholds(SHORT, MASSES, 2)
     less = 0.9 * np.min(free.levels["speed"])
@@ -110,11 +95,6 @@ def test_a_false_alarm_is_counted_and_its_level_is_that_of_the_whole_run():
 def test_a_run_too_short_for_a_level_is_refused(values, trips_s, message):
     with pytest.raises(ParameterError, match=message):
         detector_thresholds(SHORT.changed(values), MASSES, 1, trips_s=trips_s)
-
-
-def test_a_start_that_cannot_end_is_refused():
-    with pytest.raises(ParameterError, match="healthy_s = 2 s: must be at most overdue_s = 1 s"):
-        ProtectionParameters(healthy_s=2.0)
 
 
 @pytest.mark.slow

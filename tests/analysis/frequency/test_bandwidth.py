@@ -18,14 +18,13 @@ from kneexo.analysis.frequency.bandwidth import (
     speed_limit_reached_hz,
 )
 from kneexo.analysis.frequency.rate_limit import rate_limit_bandwidth_hz
-from kneexo.analysis.frequency.sine_estimate import SineEstimate, SineEstimateSettings
+from kneexo.analysis.frequency.sine_estimate import SineEstimate
 from kneexo.errors import ParameterError
 from kneexo.parameters import RampReference, Scenario, SineReference
 from kneexo.parameters.criteria import MINUS_3_DB
 from kneexo.parameters.paths import changed
 from kneexo.studies.paper import IDEAL_SMC
 
-QUICK = SineEstimateSettings(averaged_cycles=2, largest_cycles=3)
 BENCHMARK = Path(__file__).parents[3] / "benchmarks" / "validate_bandwidth.py"
 
 

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from kneexo.analysis import fundamental
-from kneexo.analysis.frequency.frequency_response import crossing
 from kneexo.analysis.frequency.rate_limit import (
     TRIANGLE_RATIO,
     rate_limit_bandwidth_hz,
@@ -12,8 +11,6 @@ from kneexo.analysis.frequency.rate_limit import (
     rate_limited_gain,
 )
 from kneexo.errors import ParameterError
-from kneexo.geometry import linkage
-from kneexo.parameters import G1, BldcPumpParameters, CylinderParameters
 from kneexo.parameters.criteria import MINUS_3_DB
 
 
@@ -40,30 +37,6 @@ def test_the_branches_join(ratio):
 def test_minus_3_db_lies_at_a_ratio_of_0_55539():
     assert abs(rate_limited_gain(0.55539)) == pytest.approx(MINUS_3_DB, abs=1e-5)
     assert rate_limit_bandwidth_hz(1.0, 1.0) == pytest.approx(0.28656, abs=5e-6)
-
-
-def test_the_papers_actuator_follows_a_sine_of_the_rod_to_0_2313_hz():
-    pump = BldcPumpParameters()
-    speed = pump.speed_limit_rad_s / pump.gear_ratio * pump.displacement_m3_per_rad
-    speed /= CylinderParameters().mean_area_m2
-    assert 1e3 * speed == pytest.approx(40.4, abs=0.05)
-    assert rate_limit_bandwidth_hz(speed, 0.05007) == pytest.approx(0.2313, abs=2e-4)
-
-
-def test_a_sine_of_the_knee_is_followed_to_0_2247_hz():
-    gains, frequencies = [], np.array([0.20, 0.21, 0.22, 0.23, 0.24])
-    for frequency in frequencies:
-        time = np.linspace(0.0, 3.0 / frequency, 6001)
-        knee = np.radians(40.0 - 30.0 * np.cos(2 * np.pi * frequency * time))
-        rod = rate_limited_follower(time, linkage.rod_extension(G1, knee), 0.0404)
-        angle = linkage.knee_angle_from_rod(G1, rod)
-        last = time >= 2.0 / frequency
-        last[-1] = False
-        ratio = fundamental(time[last], angle[last], frequency) / fundamental(
-            time[last], knee[last], frequency
-        )
-        gains.append(abs(ratio))
-    assert crossing(frequencies, np.array(gains)) == pytest.approx(0.2247, abs=5e-4)
 
 
 def test_gain_rises_with_the_speed_limit_and_never_leads():

@@ -19,9 +19,7 @@ from linear_cases import (
     slope_of_table_1,
     total_leakage,
 )
-from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 
-from diagramc import linearize
 from kneexo.analysis.linear import loop_equilibrium
 from kneexo.analysis.linear.loop_equilibrium import find_equilibrium
 from kneexo.analysis.linear.sampled_loop import linearize_loop
@@ -221,52 +219,3 @@ def test_a_rest_outside_the_boundary_layer_is_refused():
     controller = SlidingModeParameters(eta_m_s3=0.0, phi_m_s2=1e-6)
     with raises_one_line(LinearizationError, "outside the boundary layer"):
         linearize_loop(Scenario(estimator=ExactParameters(), controller=controller))
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "weight",
-        *(pytest.param(n, marks=pytest.mark.slow) for n in ("smc", "pid", "can_2", "exact")),
-    ],
-)
-def test_the_derivatives_equal_those_of_drakes_autodiff(name):
-    rest = find_equilibrium(SCENARIOS[name])
-    context = rest.beside(1e-6, np.zeros(4))
-    model = linearize(
-        rest.equations,
-        context,
-        inputs=[rest.reference],
-        outputs=["knee_angle"],
-        equilibrium_tolerance=math.inf,
-    )
-    state = rest.equations.state(context)
-    point = np.concatenate([state.continuous, state.discrete, [math.radians(40.0), 0.0, 0.0, 0.0]])
-    seeded = InitializeAutoDiff(point).reshape(-1)
-    diagram = rest.equations.diagram.ToAutoDiffXd()
-    theirs = diagram.CreateDefaultContext()
-    theirs.SetTimeStateAndParametersFrom(context)
-    n = state.continuous.size
-    theirs.SetContinuousState(seeded[:n])
-    first = n
-    for group in range(theirs.num_discrete_state_groups()):
-        size = theirs.get_discrete_state(group).size()
-        theirs.SetDiscreteState(group, seeded[first : first + size])
-        first += size
-    diagram.GetInputPort("knee_reference").FixValue(theirs, seeded[first:])
-    updated = diagram.EvalUniquePeriodicDiscreteUpdate(theirs)
-    values = [
-        diagram.EvalTimeDerivatives(theirs).CopyToVector(),
-        *(updated.get_vector(i).CopyToVector() for i in range(updated.num_groups())),
-        diagram.GetOutputPort("knee_angle").Eval(theirs),
-    ]
-    gradient = ExtractGradient(np.concatenate(values).reshape(-1, 1))
-    (tick,) = model.ticks
-    compiled = np.block(
-        [
-            [tick.rate_state[:n], tick.rate_input[:n]],
-            [tick.jump_state[n:], tick.jump_input[n:]],
-            [model.c, model.d],
-        ]
-    )
-    np.testing.assert_allclose(compiled, gradient, rtol=1e-12, atol=0.0)

@@ -19,28 +19,6 @@ from kneexo.parameters import PidParameters, Scenario
 from kneexo.studies.size.error_model import error_model
 
 
-def test_states_and_sizes(loops):
-    sizes = {name: Matrices(loop).g_z.shape[0] for name, loop in loops.items()}
-    # Command and estimator; the PID's filter, and its integral where it has integral action.
-    assert sizes == {
-        "smc": 4,
-        "pid": 2,
-        "pid_tuned": 3,
-        "can_1": 5,
-        "can_2": 6,
-        "difference": 3,
-        "exact": 1,
-        "weight": 4,
-        "other_plant": 4,
-    }
-    for name, loop in loops.items():
-        m = sizes[name]
-        assert loop.monodromy.shape == (4 + m, 4 + m)
-        assert loop.sample_time_s == T
-        assert loop.stable
-        assert loop.to_control().dt == T
-
-
 def test_the_plant_of_a_loop_is_the_linearized_plant(loops):
     plant = linearize_plant()
     for name in ("smc", "pid", "can_2", "exact"):
@@ -248,7 +226,7 @@ def test_a_loop_prints_its_margins_and_plots(loops):
 
 def test_the_phase_of_a_bode_plot_is_unwrapped_also_through_a_resonance(loops):
     loop = loops["exact"]  # its 447 Hz mode, folded to 53 Hz, turns the phase within 2 Hz
-    magnitude, phase = loop.plot()
+    _, phase = loop.plot()
     f, values = phase.lines[0].get_data()
     assert np.abs(np.diff(values)).max() < 30.0
     assert -270.0 <= values[0] < 90.0
@@ -256,11 +234,6 @@ def test_the_phase_of_a_bode_plot_is_unwrapped_also_through_a_resonance(loops):
     (mode,) = mode[np.abs(mode - 53.0) < 3.0][:1]
     turned = np.degrees(np.angle(loop.loop_response(f))) - values
     assert turned == pytest.approx(360.0 * np.round(turned / 360.0), abs=1e-6)
-    assert magnitude.get_legend().get_texts()[0].get_text() == "Nyquist, 250 Hz"
-    shown = [text.get_text() for ax in (magnitude, phase) for text in ax.get_legend().get_texts()]
-    margins = loop.margins()
-    assert f"phase margin {margins.phase_margin_deg:.3g}°" in shown
-    assert any(text.startswith(f"gain margin {margins.gain_margin:.3g} (") for text in shown)
     plt.close(phase.figure)
 
 
@@ -295,14 +268,6 @@ def test_the_pole_plot_tells_unstable_eigenvalues(loops, unstable):
         assert bool(outside) is not loop.stable
         plt.close(axes.figure)
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("real part of z", "imaginary part of z")
-    assert [line.get_label() for line in axes.lines[-2:]] == ["stable", "unstable"]
-    for text, damping in zip(axes.texts, (0.1, 0.3, 0.5, 0.7, 0.9), strict=True):
-        z = np.log(complex(*text.get_position()))
-        assert -z.real / abs(z) == pytest.approx(damping, rel=1e-9)
-        assert text.get_text() == f"ζ = {damping:g}"
-    for line in axes.lines[:12]:
-        assert line.get_xdata()[0] == 1.0
-        assert line.get_ydata()[[0, -1]] == pytest.approx([0.0, 0.0], abs=1e-12)
     # A line of damping ζ: z = e^{(−ζ + j√(1 − ζ²))ωT}.
     line = axes.lines[2]
     z = np.log(line.get_xdata()[1:] + 1j * line.get_ydata()[1:])

@@ -7,15 +7,9 @@ import pytest
 
 from diagramc import Reduction
 from kneexo.analysis.tracking.reductions import (
-    TRACKING_METRICS,
-    all_metrics,
     basic_metrics,
-    basic_reductions,
     reduce_signals,
-    torque_reductions,
-    tracking_reductions,
 )
-from kneexo.analysis.tracking.tracking import TrackingMetrics
 from kneexo.errors import ParameterError
 
 TIME_S = np.array([0.0, 0.5, 1.0, 1.5])
@@ -50,15 +44,6 @@ def test_a_reduction_of_a_log_is_as_defined(kind, magnitude, value, without_samp
 def test_a_reduction_that_no_metric_has_is_refused():
     with pytest.raises(NotImplementedError, match="kind minimum"):
         reduce_signals([Reduction("minimum", "knee_angle")], TIME_S, SIGNALS)
-
-
-def test_the_metrics_have_a_value_for_each_reduction():
-    basic = basic_reductions(1.0, 10.0)
-    assert set(basic_metrics(range(2, 2 + len(basic)))) == set(TRACKING_METRICS)
-    every = tracking_reductions(1.0, 10.0, 1e6, math.inf)
-    assert every[: len(basic)] == basic
-    assert set(all_metrics(range(2, 2 + len(every)))) == set(TrackingMetrics.__dataclass_fields__)
-    assert [r.kind for r in torque_reductions(1.0)] == ["maximum", "rms"]
 
 
 def test_two_samples_are_the_fewest():

@@ -4,7 +4,13 @@ import math
 import numpy as np
 import pytest
 
-from kneexo.analysis.tracking.tracking import mean_change, step_metrics, track, tracking_metrics
+from kneexo.analysis.tracking.tracking import (
+    mean_change,
+    push_response,
+    step_metrics,
+    track,
+    tracking_metrics,
+)
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import (
     BldcPumpParameters,
@@ -16,6 +22,7 @@ from kneexo.parameters import (
     SineReference,
     StepReference,
 )
+from kneexo.parameters.criteria import RECOVERY_BAND_DEG
 from kneexo.parameters.paths import changed
 
 TIME = np.arange(0.0, 4.0, 0.002)
@@ -68,11 +75,6 @@ def test_energy_is_the_integral_of_power_and_delivered_energy_leaves_out_returns
     assert m.shaft_energy_j == pytest.approx(0.0, abs=1e-4)
     assert m.shaft_energy_delivered_j == pytest.approx(4.0 / math.pi, abs=1e-4)
     assert m.peak_shaft_power_w == pytest.approx(1.0, abs=1e-4)
-
-
-def test_a_run_of_less_than_two_periods_is_judged_whole():
-    m = track(BRISK.changed({"simulation.duration_s": 0.7})).metrics
-    assert (m.max_error_deg, m.rms_error_deg) == (m.max_error_overall_deg, m.rms_error_overall_deg)
 
 
 def test_a_run_of_one_sample_is_refused():
@@ -277,3 +279,36 @@ def test_leaving_the_range_of_motion_says_time_and_signal():
     )
     with pytest.raises(SimulationError, match=r"t = .* knee_angle = -.* deg left the range"):
         track(scenario)
+
+
+PUSHED_S = np.arange(8) * 0.5
+
+
+@pytest.mark.parametrize(
+    ("deviation", "largest", "recovery_s"),
+    [
+        ([0, 0, 2, 3, 0, -4, 0.05, 0], 4.0, 2.0),
+        ([0, 0, 0.05, 0, 0, 0, 0, 0], 0.05, 0.0),
+        ([0, 0, 1, 0, 0, 0, 0, -0.2], 1.0, math.nan),
+    ],
+)
+def test_recovery_counts_from_the_start_to_the_last_sample_outside(deviation, largest, recovery_s):
+    free = np.sin(PUSHED_S)
+    response = push_response(PUSHED_S, free + deviation, free, start_s=1.0)
+    assert response.largest_deviation_deg == pytest.approx(largest)
+    assert response.recovery_time_s == pytest.approx(recovery_s, nan_ok=True)
+    assert ("is not back" in response.line) == math.isnan(recovery_s)
+    assert ("The knee stays within 0.1°" in response.line) == (recovery_s == 0.0)
+
+
+@pytest.mark.slow
+def test_the_response_of_a_run_is_measured_from_the_run_without_the_push():
+    push = {"torque_n_m": 100.0, "start_s": 2.0}
+    scenario = Scenario.preset("leg").changed({"push": push, "simulation.duration_s": 4.0})
+    result, free = track(scenario), track(scenario.changed({"push": None}))
+    deviation = np.degrees(np.abs(result["knee_angle_rad"] - free["knee_angle_rad"]))
+    assert result.push.largest_deviation_deg == pytest.approx(deviation.max(), rel=1e-12)
+    after = result.run.time_s >= 2.0 + result.push.recovery_time_s - 1e-9
+    assert deviation[after].max() <= RECOVERY_BAND_DEG < deviation[np.argmax(after) - 1]
+    assert free.push is None
+    assert result.verdict.stability == free.verdict.stability

@@ -62,16 +62,6 @@ def test_rod_speed_and_motor_speed_are_those_of_the_data(frequency):
     )
 
 
-def test_rates_scale_with_the_frequency_and_its_square():
-    slow, fast = (walking_demand(Scenario(), f).peaks() for f in (0.5, 1.5))
-    assert fast["peak_rod_speed_m_s"] == pytest.approx(3.0 * slow["peak_rod_speed_m_s"])
-    assert fast["peak_rod_acceleration_m_s2"] == pytest.approx(
-        9.0 * slow["peak_rod_acceleration_m_s2"]
-    )
-    # Without load, F = m a and a little damping.
-    assert fast["peak_rod_force_n"] == pytest.approx(1.6 * fast["peak_rod_acceleration_m_s2"])
-
-
 @pytest.mark.parametrize("inertia_kg_m2", [None, 0.064])
 def test_shaft_energy_is_what_leaks_and_rubs(inertia_kg_m2):
     lossy = changed(

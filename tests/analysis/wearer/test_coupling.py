@@ -187,19 +187,6 @@ def test_runs_confirm_the_border_at_60_random_cells():
     assert ends >= 60
 
 
-@pytest.mark.slow
-def test_runs_confirm_the_ends_of_a_stiffness_interval():
-    case = scenario("swing", **NO_DAMPING)
-    interval = stiffness_interval(case, knee_angle_deg=45.0)
-    for value, outside in (
-        (0.95 * interval.low_n_m_per_rad, True),
-        (1.05 * interval.low_n_m_per_rad, False),
-        (0.95 * interval.high_n_m_per_rad, False),
-        (1.05 * interval.high_n_m_per_rad, True),
-    ):
-        assert grows(case, 45.0, STIFFNESS, value) is outside
-
-
 # ------------------------------------------------------------------------------ intervals
 
 

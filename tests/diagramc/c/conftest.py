@@ -5,6 +5,8 @@ import ctypes
 import numpy as np
 import pytest
 
+from diagramc.c import build
+
 FAKE_ZIG = """
 import sys
 
@@ -32,6 +34,23 @@ def zig(tmp_path, monkeypatch):
         )  # it makes no real modules
 
     return install
+
+
+@pytest.fixture
+def no_targets(monkeypatch):
+    """Flash and stack are not measured."""
+    monkeypatch.setattr(build, "TARGETS", {})
+
+
+@pytest.fixture
+def script():
+    """``script(path, text)``: a program of the shell."""
+
+    def write(path, text):
+        path.write_text(f"#!/bin/sh\n{text}\n")
+        path.chmod(0o755)
+
+    return write
 
 
 class WebRun:

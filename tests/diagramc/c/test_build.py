@@ -10,7 +10,7 @@ from diagramc.errors import CompilationError
 needs_compiler = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs the C compiler gcc")
 
 
-def test_sizes_are_those_of_the_tools(tmp_path, monkeypatch):
+def test_sizes_are_those_of_the_tools(tmp_path, monkeypatch, script):
     """A compiler and a ``size`` in the place of those for ARM: 100 + 20 bytes, frames 40, 8, 9."""
     frames = {"m_step": 40, "update_at": 8, "m_init": 9}
     usage = "\\n".join(f"m.c:1:2:{name}\\t{size}\\tstatic" for name, size in frames.items())
@@ -18,10 +18,8 @@ def test_sizes_are_those_of_the_tools(tmp_path, monkeypatch):
         "gcc": f'for f; do case $f in *.c) printf "{usage}" > "${{f%.c}}.su";; esac; done',
         "size": 'echo "text data bss"; echo "100 0 0 x.o"; echo "20 0 0 y.o"',
     }
-    for name, script in tools.items():
-        path = tmp_path / f"arm-none-eabi-{name}"
-        path.write_text(f"#!/bin/sh\n{script}\n")
-        path.chmod(0o755)
+    for name, text in tools.items():
+        script(tmp_path / f"arm-none-eabi-{name}", text)
     monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
     sizes = code_sizes("m", {"m.c": "", "m_params.c": ""})
     assert sizes == {target: CodeSize(120, 48) for target in ("Cortex-M4F", "Cortex-M7")}
@@ -36,12 +34,7 @@ def test_code_that_does_not_build_is_one_line():
         replay("m", {"m.c": "int main(void) { return 0; }\n"})
 
 
-def script(path, text):
-    path.write_text(f"#!/bin/sh\n{text}\n")
-    path.chmod(0o755)
-
-
-def test_the_error_of_a_compiler_is_the_line_that_says_so(tmp_path, monkeypatch):
+def test_the_error_of_a_compiler_is_the_line_that_says_so(tmp_path, monkeypatch, script):
     script(tmp_path / "cc", "echo 'm.c: In function f:' >&2; echo 'm.c:1: error: odd' >&2; exit 1")
     monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
     with pytest.raises(BuildError, match=r"^cc: m.c:1: error: odd$"):

@@ -36,8 +36,7 @@ def scaled(values=(2.0, 1e-3), constant=3.0):
     return equations, "m", np.array(values), State(np.array([0.7]), np.array([0.1]))
 
 
-def test_the_manifest_has_the_checksum_of_each_file(tmp_path, monkeypatch):
-    monkeypatch.setattr(c_build, "TARGETS", {})
+def test_the_manifest_has_the_checksum_of_each_file(tmp_path, no_targets):
     origin = ("lag.yaml", "gain: 2.0\n")
     options = {"name": "lag", "inputs": ["u0"], "tick_s": 0.1, "step_s": 0.05, "steps": 4}
     for folder in ("a", "b"):

@@ -1,13 +1,10 @@
-"""The plan of a model in C: nodes of a step, the need for a clock, compensated sums."""
+"""The plan of a model in C: nodes of a step, compensated sums."""
 
-import numpy as np
 import pytest
 
 from diagramc.c.plan import compensated_sums, step_nodes
 from diagramc.c.printer import DOUBLE, FLOAT
-from diagramc.c.source import CSource
 from diagramc.equations.equations import Equations, Limit, Update
-from diagramc.run_data import State
 
 
 def discrete_equations(next_value):
@@ -49,19 +46,3 @@ def test_a_step_computes_updates_limits_derivatives_and_outputs():
     equations.updates = [Update(0.1, 0.0, ((0, a), (1, b)))]
     equations.limits, equations.derivatives = [Limit("law", c)], [d]
     assert sorted(step_nodes(equations, (e,))) == sorted([a, b, c, d, e])
-
-
-@pytest.mark.parametrize("reads_time", [False, True])
-def test_only_a_model_that_reads_the_time_counts_steps(reads_time):
-    kind = "time" if reads_time else "input"
-    equations, *_ = discrete_equations(lambda g, x, u: g.unary("sin", g.source(kind, 0)))
-    plan = CSource(equations, "m", np.zeros(0), State(np.zeros(0), np.zeros(1))).plan
-    assert plan.needs_time is reads_time
-    assert plan.counts_steps is reads_time
-
-
-def test_a_second_sample_time_counts_steps():
-    equations, x, _ = discrete_equations(lambda g, x, u: u)
-    equations.updates.append(Update(0.2, 0.0, ((0, x),)))
-    plan = CSource(equations, "m", np.zeros(0), State(np.zeros(0), np.zeros(1))).plan
-    assert (plan.needs_time, plan.counts_steps) == (False, True)

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings, strategies as st
+from hypothesis import given, settings, strategies as st
 
 from diagramc.c.printer import DOUBLE, FLOAT, WIDTH, CPrinter, comment_lines, literal
 from diagramc.equations.equations import Section
@@ -68,39 +68,22 @@ def assert_same(values, expected):
     assert (bits | both).all()
 
 
-ANY_GRAPH = given(st.data(), st.integers(0, 2**32 - 1))
-
-
-def examples(count):
-    """Settings of a test with a number of random graphs, the same ones in each run."""
-    unscoped = [HealthCheck.function_scoped_fixture]
-    return settings(max_examples=count, derandomize=True, suppress_health_check=unscoped)
-
-
-@examples(3)
-@ANY_GRAPH
+@pytest.mark.parametrize("examples", [3, pytest.param(15, marks=pytest.mark.slow)])
 def test_exact_operations_have_the_bits_of_the_interpreter(
-    interpreted, random_graphs, c_text, data, seed
+    interpreted, random_graphs, c_text, examples
 ):
-    require_bits_of_the_interpreter(interpreted, random_graphs, c_text, data, seed)
+    @settings(max_examples=examples, derandomize=True)  # the same graphs in each run
+    @given(st.data(), st.integers(0, 2**32 - 1))
+    def check(data, seed):
+        graph, roots = data.draw(random_graphs.graphs(constants=ORDINARY))
+        samples = random_graphs.samples(seed, 16)
+        with np.errstate(all="ignore"):
+            values = interpreted(graph, roots, **samples)
+        expected = np.array([np.broadcast_to(v, 16) for v in values])
+        values = values_of(c_text(text_of(graph, roots)), len(roots), samples)
+        assert_same(values, expected.astype(float))
 
-
-@pytest.mark.slow
-@examples(15)
-@ANY_GRAPH
-def test_exact_operations_of_many_graphs_have_the_bits_of_the_interpreter(
-    interpreted, random_graphs, c_text, data, seed
-):
-    require_bits_of_the_interpreter(interpreted, random_graphs, c_text, data, seed)
-
-
-def require_bits_of_the_interpreter(interpreted, random_graphs, c_text, data, seed):
-    graph, roots = data.draw(random_graphs.graphs(constants=ORDINARY))
-    samples = random_graphs.samples(seed, 16)
-    with np.errstate(all="ignore"):
-        expected = np.array([np.broadcast_to(v, 16) for v in interpreted(graph, roots, **samples)])
-    values = values_of(c_text(text_of(graph, roots)), len(roots), samples)
-    assert_same(values, expected.astype(float))
+    check()
 
 
 def test_elementary_functions_are_those_of_the_c_library(c_text, interpreted):
@@ -118,35 +101,12 @@ def test_elementary_functions_are_those_of_the_c_library(c_text, interpreted):
     np.testing.assert_allclose(single, expected, rtol=2e-5, atol=1e-6)
 
 
-def test_each_source_is_read_from_its_place(c_text):
-    graph = Graph()
-    kinds = {"time": 1, "parameter": 2, "state": 3, "discrete": 2, "input": 2}
-    roots = [graph.source(kind, i) for kind, size in kinds.items() for i in range(size)]
-    first = np.cumsum([0, *kinds.values()])
-    samples = {
-        kind: np.arange(start, start + size)[:, None] + 0.5
-        for start, (kind, size) in zip(first, kinds.items(), strict=False)
-    }
-    values = values_of(c_text(text_of(graph, roots)), len(roots), samples)
-    np.testing.assert_array_equal(values[:, 0], np.arange(10) + 0.5)
-
-
 def test_what_is_used_twice_is_computed_once():
     graph = Graph()
     x = graph.source("state", 0)
     root = graph.unary("sin", x)
     text = text_of(graph, [graph.add(root, x), graph.multiply(root, x)])
     assert text.count("sin(x[0])") == 1
-
-
-def test_operations_are_counted():
-    graph = Graph()
-    x, y = (graph.source("state", i) for i in range(2))
-    total = graph.add(x, y, graph.multiply(graph.constant(-1.0), x, y))
-    root = graph.divide(graph.unary("sin", total), graph.binary("max", x, y))
-    printer = CPrinter(graph, FLOAT, ())
-    printer.block([("a", root)], lambda kind, index: f"{kind}{index}")
-    assert printer.operations == {"+": 2, "*": 1, "/": 1, "sinf": 1, "max": 1}
 
 
 def test_what_depends_on_parameters_alone_is_fixed():
@@ -224,11 +184,3 @@ def test_literals(value, double, single):
         assert precision.round(float(printed.removesuffix("f"))) == precision.round(value)
         assert "." in printed
         assert printed.endswith(precision.suffix)
-
-
-def test_comments_are_ascii_and_end_once():
-    text = " ".join(comment_lines("α-β filter */ θ₄ \\ " + "word " * 40, "  "))
-    assert text.isascii()
-    assert text.count("*/") == 1
-    assert "\\" not in text
-    assert "alpha-beta filter" in text

@@ -115,17 +115,6 @@ def test_the_error_is_that_of_the_tolerance(built):
         assert 1e-3 * tolerance < errors.max() < 10.0 * tolerance
 
 
-def valve(g, states):
-    """A pressure that falls at 1 per second, and a valve of 1e5 1/s that keeps it above zero."""
-    opening = g.operation("max", g.negate(states[0]), g.zero)
-    return [g.add(g.constant(-1.0), g.multiply(g.constant(1e5), opening))]
-
-
-def test_a_valve_opens_within_a_tick(built):
-    outputs = built(source_with(valve, [0.25], tolerance=1e-8)).replay(np.zeros((5, 0)))
-    np.testing.assert_allclose(outputs[:, 0], [0.15, 0.05, -1e-5, -1e-5, -1e-5], atol=1e-7)
-
-
 @pytest.mark.parametrize("precision", ["double", "float"])
 def test_a_copied_state_continues_with_the_same_bits(built, precision):
     """The state has the length of the next substep."""

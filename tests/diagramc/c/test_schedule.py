@@ -45,11 +45,6 @@ def test_steps_fit_their_counter():
         exported(oscillator(), step_s=1e-7, **options)
 
 
-def test_a_diagram_without_sample_time_needs_a_tick():
-    with pytest.raises(CompilationError, match="model: tick_s is needed"):
-        exported(oscillator())
-
-
 def test_steps_divide_a_tick_and_are_at_most_as_long_as_allowed():
     schedule = Schedule(0.01, (1,), (0,), 0.003)
     assert (schedule.steps, schedule.step_s) == (4, 0.0025)

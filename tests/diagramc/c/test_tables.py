@@ -70,11 +70,6 @@ def test_a_step_neither_computes_nor_keeps_what_is_looked_up():
     assert source.files()["m.c"].count("p->m.a") == 1  # whether it is finite
 
 
-def test_nothing_to_look_up_is_an_error():
-    with pytest.raises(CompilationError, match="look_up: nothing depends on an integer input"):
-        counting(interface=Interface(integers=frozenset(["count"])))
-
-
 def test_a_value_that_is_not_finite_is_refused():
     g = Graph()
     node = g.unary("log", g.source("input", 0))

@@ -215,8 +215,7 @@ def tables_of(text):
     return [[table[0], *table[2:]] for table in cells]  # the second row is a line of dashes
 
 
-def test_the_table_is_a_file_of_the_export(tmp_path, monkeypatch):
-    monkeypatch.setattr(c_build, "TARGETS", {})
+def test_the_table_is_a_file_of_the_export(tmp_path, no_targets, monkeypatch):
     monkeypatch.setattr(c_build, "COMPILERS", ())
     samples = np.full((3, 1), 1.3)
     options = {"name": "m", "inputs": ["u"], "samples": samples, "tick_s": 0.01}

@@ -1,10 +1,7 @@
 """Small diagrams for the tests of reading."""
 
-import sys
-
 import pytest
-from pydrake.systems.framework import DiagramBuilder, LeafSystem_
-from pydrake.systems.scalar_conversion import TemplateSystem
+from pydrake.systems.framework import DiagramBuilder
 
 
 def _diagram_of(system, name="block"):
@@ -20,30 +17,7 @@ def _diagram_of(system, name="block"):
     return builder.Build()
 
 
-def _leaf(name, construct):
-    """A leaf of all scalars that ``construct(self, T)`` declares."""
-
-    def template(T):
-        class Impl(LeafSystem_[T]):
-            def _construct(self, *, converter=None):
-                LeafSystem_[T].__init__(self, converter)
-                construct(self, T)
-
-            def _construct_copy(self, other, converter=None):
-                Impl._construct(self, converter=converter)
-
-        return Impl
-
-    return TemplateSystem.define(f"{name}_", scope=sys.modules[__name__])(template)[float]()
-
-
 @pytest.fixture(scope="session")
 def diagram_of():
     """The function ``diagram_of(system, name)``."""
     return _diagram_of
-
-
-@pytest.fixture(scope="session")
-def leaf():
-    """The function ``leaf(name, construct)``."""
-    return _leaf

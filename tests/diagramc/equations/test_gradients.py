@@ -30,19 +30,6 @@ def test_derivative_of_each_function_of_one_argument(interpreted, name):
     check_gradient(interpreted, lambda g, a: g.unary(name, a), [POINTS.get(name, -0.6)])
 
 
-@pytest.mark.parametrize("x", [(1.3, 0.4), (0.4, 1.3)])
-@pytest.mark.parametrize("name", ["min", "max", "atan2", "power", "divide", "where"])
-def test_derivative_of_each_function_of_two_arguments(interpreted, name, x):
-    makers = {
-        "power": lambda g, a, b: g.power(a, b),
-        "divide": lambda g, a, b: g.divide(a, b),
-        "where": lambda g, a, b: g.where(
-            g.compare("lt", a, b), g.multiply(a, a), g.unary("sin", b)
-        ),
-    }
-    check_gradient(interpreted, makers.get(name, lambda g, a, b: g.binary(name, a, b)), x)
-
-
 def test_derivative_of_a_product_with_a_repeated_factor_and_a_quotient(interpreted):
     check_gradient(
         interpreted,

@@ -48,30 +48,24 @@ def test_zeros_of_both_signs_are_two_nodes():
         assert len(graph.nodes) == 2
 
 
-def test_horner_is_regrouped_to_the_same_polynomial(interpreted):
+def _depth(graph, node):
+    return 1 + max((_depth(graph, argument) for argument in graph.arguments(node)), default=0)
+
+
+def test_horner_is_regrouped_to_the_same_polynomial_and_shallow(interpreted):
     rng = np.random.default_rng(1)
     coefficients = rng.normal(size=26)
     graph = Graph()
     t = graph.source("state", 0)
     node = graph.source("parameter", 0)
     for i in range(1, 26):
-        node = graph.add(graph.source("parameter", i), graph.multiply(node, t))
+        product = graph.multiply(node, t) if i % 2 else graph.multiply(t, node)
+        terms = [graph.source("parameter", i), product]
+        node = graph.add(*(terms if i % 3 else terms[::-1]))
+    assert _depth(graph, node) < 20  # Horner: 51
     for x in (-1.0, -0.3, 0.0, 0.9):
         (value,) = interpreted(graph, [node], state=[x], parameter=coefficients)
         assert value == pytest.approx(np.polyval(coefficients, x), rel=1e-14, abs=1e-14)
-
-
-def _depth(graph, node):
-    return 1 + max((_depth(graph, argument) for argument in graph.arguments(node)), default=0)
-
-
-def test_regrouped_polynomial_is_shallow():
-    graph = Graph()
-    t = graph.source("state", 0)
-    node = graph.source("parameter", 0)
-    for i in range(1, 26):
-        node = graph.add(graph.multiply(t, node), graph.source("parameter", i))
-    assert _depth(graph, node) < 20  # Horner: 51
 
 
 @pytest.mark.parametrize("angle", [-7.0, -math.pi + 1e-9, -1.0, 0.0, 3.0, math.pi, 3.3, 100.0])

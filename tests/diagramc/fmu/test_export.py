@@ -1,7 +1,6 @@
 """A diagram as FMU in one call: its file, its variables, its binaries on other platforms."""
 
 import math
-import os
 import struct
 import zipfile
 from dataclasses import replace
@@ -13,7 +12,7 @@ import pytest
 from pydrake.examples import PendulumPlant
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import DiscreteTimeDelay, Gain, Integrator
+from pydrake.systems.primitives import Gain, Integrator
 
 from diagramc import FmuParameter, Interface, export_fmu, write_fmu
 from diagramc.c import build, cross
@@ -36,15 +35,13 @@ def _pendulum(directory, **options):
     return export_fmu(PendulumPlant(), directory, **options)
 
 
-def test_ports_named_by_greek_letters_have_the_names_of_the_letters(tmp_path, no_compiler):
-    builder = DiagramBuilder()
-    delay = builder.AddNamedSystem("delay", DiscreteTimeDelay(0.01, 1, 1))
-    builder.ExportInput(delay.get_input_port(), "θ")
-    builder.ExportOutput(delay.get_output_port(), "ω")
-    file = export_fmu(builder.Build(), tmp_path, name="m", inputs=["θ"])
-    assert (file.inputs, file.outputs) == (("theta",), ("omega",))
-    description = zipfile.ZipFile(file.path).read("modelDescription.xml").decode()
-    assert description.count('name="theta"') == description.count('name="omega"') == 1
+def _drakes_pendulum():
+    """A pendulum in Drake's Simulator with a small error, and its Context."""
+    simulator = Simulator(PendulumPlant())
+    simulator.get_mutable_integrator().set_target_accuracy(1e-10)
+    context = simulator.get_mutable_context()
+    context.SetContinuousState(START)
+    return simulator, context
 
 
 @pytest.mark.parametrize("version", [2, 3])
@@ -64,10 +61,7 @@ def test_a_diagram_follows_drake(version, tmp_path, fmu_instance):
     fmu = fmu_instance(file.path)
     fmu.start(**{"initial.pendulum.theta": START[0], "pendulum.mass": 2.0, "torque_n_m": 0.5})
 
-    simulator = Simulator(PendulumPlant())
-    simulator.get_mutable_integrator().set_target_accuracy(1e-10)
-    context = simulator.get_mutable_context()
-    context.SetContinuousState(START)
+    simulator, context = _drakes_pendulum()
     context.get_mutable_numeric_parameter(0).set_mass(2.0)
     simulator.get_system().get_input_port().FixValue(context, [0.5])
     for n in range(STEPS):
@@ -122,7 +116,8 @@ def _one_line(error):
     ("options", "message"),
     [
         ({"name": "a\nb"}, r"name = 'a\nb': must be a C identifier"),
-        ({"name": "fmi3"}, "name = 'fmi3': is a prefix of FMI; choose another name"),
+        ({"name": "FMI3"}, "name = 'FMI3': is a prefix of FMI; choose another name"),
+        ({"name": "fmi2", "version": 2}, "name = 'fmi2': is a prefix of FMI; choose another name"),
         ({"version": 1}, "version = 1: must be one of 2, 3"),
         ({"version": "3"}, "version = '3': must be one of 2, 3"),
         ({"inputs": ["torque"]}, "has no input port 'torque'; it has tau"),
@@ -173,23 +168,6 @@ def test_wrong_arguments_are_one_line(options, message, tmp_path, no_compiler):
     assert not (tmp_path / "new").exists()
 
 
-def test_without_zig_nothing_is_written(tmp_path, monkeypatch):
-    monkeypatch.setattr(cross, "find_spec", lambda name: None)
-    with pytest.raises(CompilationError, match="pip install ziglang"):
-        _pendulum(tmp_path / "new", platforms="all")
-    assert not (tmp_path / "new").exists()
-
-
-@pytest.mark.parametrize("make", [os.mkfifo, Path.mkdir])
-def test_only_a_regular_file_is_replaced(make, fmu, tmp_path, no_compiler):
-    file = tmp_path / "lag.fmu"
-    make(file)
-    with pytest.raises(OutputError, match=r"^file .*: cannot be written \(is no regular file\); c"):
-        write_fmu(file, fmu)
-    assert not file.is_file()
-    assert list(tmp_path.iterdir()) == [file]
-
-
 def test_an_earlier_export_is_replaced(tmp_path, no_compiler):
     first = Path(_pendulum(tmp_path).path).read_bytes()
     second = Path(_pendulum(tmp_path, version=2).path).read_bytes()
@@ -210,7 +188,6 @@ def test_a_place_that_cannot_be_written(place, tmp_path, no_compiler):
 
 
 def test_a_failed_compiler_leaves_the_earlier_file(fmu, tmp_path, monkeypatch):
-    """After the failure of a rename, too, nothing is left but the earlier file."""
     file = tmp_path / "lag.fmu"
     monkeypatch.setattr(build, "COMPILERS", ())
     write_fmu(file, replace(fmu, description="first"))
@@ -225,16 +202,6 @@ def test_a_failed_compiler_leaves_the_earlier_file(fmu, tmp_path, monkeypatch):
         with pytest.raises(CompilationError, match=r"^compiler: no message$"):
             write_fmu(file, replace(fmu, description="second"))
     assert file.read_bytes() == before
-
-    def fail(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "replace", fail)
-    for target in (file, tmp_path / "a" / "b" / "lag.fmu"):
-        with pytest.raises(OutputError, match=r"cannot be written \(No space left on device\)"):
-            write_fmu(target, replace(fmu, description="second"))
-    assert file.read_bytes() == before
-    assert sorted(tmp_path.iterdir()) == [compiler.parent, file]
 
 
 # ------------------------------------------------------------------------------- platforms
@@ -323,10 +290,7 @@ def test_the_archive_of_all_platforms_is_valid_and_the_same_each_time(everywhere
 def test_each_platform_follows_drake(platform, everywhere, run_elsewhere):
     """Tolerance: 1e-8 as in `test_a_diagram_follows_drake`. The platforms agree to 1e-12."""
     rows = run_elsewhere(everywhere[0].path, platform, STEPS, TICK_S)
-    simulator = Simulator(PendulumPlant())
-    simulator.get_mutable_integrator().set_target_accuracy(1e-10)
-    context = simulator.get_mutable_context()
-    context.SetContinuousState(START)
+    simulator, context = _drakes_pendulum()
     port = simulator.get_system().get_input_port()
     expected = []
     for n in range(STEPS):

@@ -466,12 +466,6 @@ def test_token_follows_the_content(fmu, lag_source):
     assert replace(fmu).token == fmu.token
 
 
-def test_a_name_that_clashes_with_fmi_is_refused(fmu, lag_source):
-    source = replace(lag_source(), name=f"FMI{fmu.fmi}")
-    with pytest.raises(CompilationError, match=rf"^name = 'FMI{fmu.fmi}': is a prefix of FMI; "):
-        replace(fmu, source=source)
-
-
 def test_only_double_precision(fmu, lag_source):
     with pytest.raises(CompilationError, match="precision = 'float': must be double in an FMU"):
         replace(fmu, source=lag_source(precision="float"), parameters=())

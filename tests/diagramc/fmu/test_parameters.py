@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 from pydrake.examples import PendulumPlant
-from pydrake.systems.framework import DiagramBuilder, LeafSystem_
+from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import DiscreteTimeIntegrator, LinearSystem
-from pydrake.systems.scalar_conversion import TemplateSystem
 
 from diagramc import context_parameters, initial_states, read_diagram, source_of
 from diagramc.errors import CompilationError
@@ -15,44 +14,31 @@ from diagramc.fmu.variables import FmuParameter, VariableTable
 TICK_S = 0.1
 
 
-@TemplateSystem.define("Sampler_")
-def Sampler_(T):
-    """Samples its input at the initialization and then periodically."""
+def sampler(self, T):
+    """Construct a leaf that samples its input at the initialization and then periodically."""
 
-    class Impl(LeafSystem_[T]):
-        def _construct(self, *, converter=None):
-            LeafSystem_[T].__init__(self, converter=converter)
-            self.DeclareVectorInputPort("u", 1)
-            self.DeclareDiscreteState(1)
-            self.DeclarePeriodicDiscreteUpdateEvent(TICK_S, 0.0, self._sample)
-            self.DeclareInitializationDiscreteUpdateEvent(self._sample)
-            self.DeclareVectorOutputPort("y", 1, self._output, {self.xd_ticket()})
+    def sample(context, discrete):
+        discrete.set_value(self.get_input_port().Eval(context))
 
-        def _construct_copy(self, other, converter=None):
-            Impl._construct(self, converter=converter)
-
-        def _sample(self, context, discrete):
-            discrete.set_value(self.get_input_port().Eval(context))
-
-        def _output(self, context, output):
-            output.SetFromVector(context.get_discrete_state_vector().CopyToVector())
-
-    return Impl
+    self.DeclareVectorInputPort("u", 1)
+    self.DeclareStateOutputPort("y", self.DeclareDiscreteState(1))
+    self.DeclarePeriodicDiscreteUpdateEvent(TICK_S, 0.0, sample)
+    self.DeclareInitializationDiscreteUpdateEvent(sample)
 
 
 @pytest.fixture(scope="module")
-def mixed():
+def mixed(leaf):
     """Input → sampler → lag → sum, with two states each but the sampler."""
     builder = DiagramBuilder()
-    sampler = builder.AddNamedSystem("sampler", Sampler_[float]())
+    first = builder.AddNamedSystem("sampler", leaf("Sampler", sampler))
     lag = builder.AddNamedSystem("lag", LinearSystem(-2.0 * np.eye(2), [[1.0], [0.0]], np.eye(2)))
     total = builder.AddNamedSystem("sum", DiscreteTimeIntegrator(2, TICK_S))
-    builder.Connect(sampler.get_output_port(), lag.get_input_port())
+    builder.Connect(first.get_output_port(), lag.get_input_port())
     builder.Connect(lag.get_output_port(), total.get_input_port())
-    builder.ExportInput(sampler.get_input_port(), "u")
+    builder.ExportInput(first.get_input_port(), "u")
     builder.ExportOutput(total.get_output_port(), "y")
     builder.ExportOutput(lag.get_output_port(), "x")
-    builder.ExportOutput(sampler.get_output_port(), "sampled")
+    builder.ExportOutput(first.get_output_port(), "sampled")
     diagram = builder.Build()
     context = diagram.CreateDefaultContext()
     lag.GetMyMutableContextFromRoot(context).SetContinuousState([0.5, -0.25])

@@ -76,13 +76,7 @@ def test_each_ending_spells_its_symbol(ending):
 @pytest.mark.parametrize(
     ("name", "unit"),
     [
-        ("motor_speed_rad_s", "rad/s"),
-        ("load_flow_m3_s", "m3/s"),
-        ("plant.pump.internal_leakage_m3_per_s_pa", "m3/(s.Pa)"),
-        ("controller.lambda_per_s", "1/s"),
-        ("cylinder.damping_n_s_per_m", "N.s/m"),
         ("knee.a_3_m", "m"),
-        ("disturbance_n", "N"),
         ("controller.proportional_rad_s_per_n", "rad/(s.N)"),
         ("controller.integral_rad_s2_per_n", "rad/(s2.N)"),
     ],

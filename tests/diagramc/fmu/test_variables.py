@@ -26,23 +26,6 @@ def test_tunable_parameters_come_before_fixed_ones(table):
     assert [table.variables[i].start for i in (1, 2, 3, 7)] == [0.25, 0.0, 500.0, 0.1]
 
 
-def test_references_are_places_in_the_table(table):
-    causalities = ("independent", "input", "parameter", "output", "local")
-    assert [table.references(name) for name in causalities] == [[0], [1], [2, 3], [4, 5, 6], [7]]
-
-
-def test_each_parameter_sets_its_members(table):
-    assert [(member, i, p.name) for member, i, p in table.assignments()] == [
-        ("offset.group_0[0]", 2, "offset_m_s"),
-        ("initial_x[0]", 3, "initial.x_mm"),
-    ]
-
-
-def test_the_start_of_an_output_depends_on_what_it_reads(table):
-    """X is the start of the state, the delay line is empty, and 3 (u + offset) is direct."""
-    assert table.initial_dependencies() == [[3], [], [1, 2]]
-
-
 @pytest.mark.parametrize(
     ("variable", "unit"),
     [

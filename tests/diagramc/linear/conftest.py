@@ -1,14 +1,14 @@
 """Random diagrams: continuous, sampled, mixed, multirate; runs of Drake from any state."""
 
-import sys
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pydrake.math as drake
 import pytest
 from pydrake.symbolic import Variable, sin, tanh
 from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
-from pydrake.systems.framework import DiagramBuilder, LeafSystem_
+from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import (
     Adder,
     DiscreteTimeDelay,
@@ -21,7 +21,6 @@ from pydrake.systems.primitives import (
     SymbolicVectorSystem,
     ZeroOrderHold,
 )
-from pydrake.systems.scalar_conversion import TemplateSystem
 
 from diagramc import LinearizationError, find_equilibrium
 
@@ -36,58 +35,41 @@ SAMPLED = ("hold", "delay", "sum", "linear_z", "nonlinear_z")
 STATIC = ("gain", "product", "limit")
 
 
-@TemplateSystem.define("NonlinearMap_", scope=sys.modules[__name__])
-def NonlinearMap_(T):
-    class Impl(LeafSystem_[T]):
-        """x(k+1) = 0.5 sin x + 0.3 b tanh u + 0.1 x y, y(k+1) = 0.4 x + 0.2 y; the output is x."""
+def nonlinear_map(period, offset, b):
+    """x(k+1) = 0.5 sin x + 0.3 b tanh u + 0.1 x y, y(k+1) = 0.4 x + 0.2 y; the output is x."""
 
-        def _construct(self, period, offset, b, *, converter=None):
-            LeafSystem_[T].__init__(self, converter)
-            self.numbers = period, offset, b
-            self.DeclareDiscreteState(2)
-            port = self.DeclareVectorInputPort("u", 1)
-            ticket = {self.all_state_ticket()}
-            self.DeclareVectorOutputPort("x", 1, lambda c, y: y.SetAtIndex(0, states(c)[0]), ticket)
+    def construct(self, T):
+        self.DeclareDiscreteState(2)
+        port = self.DeclareVectorInputPort("u", 1)
+        ticket = {self.all_state_ticket()}
+        self.DeclareVectorOutputPort("x", 1, lambda c, y: y.SetAtIndex(0, states(c)[0]), ticket)
 
-            def states(context):
-                return context.get_discrete_state(0).CopyToVector()
+        def states(context):
+            return context.get_discrete_state(0).CopyToVector()
 
-            def update(context, discrete):
-                (x, y), (u,) = states(context), port.Eval(context)
-                first = 0.5 * drake.sin(x) + 0.3 * b * drake.tanh(u) + 0.1 * x * y
-                discrete.get_mutable_vector(0).SetFromVector([first, 0.4 * x + 0.2 * y])
+        def update(context, discrete):
+            (x, y), (u,) = states(context), port.Eval(context)
+            first = 0.5 * drake.sin(x) + 0.3 * b * drake.tanh(u) + 0.1 * x * y
+            discrete.get_mutable_vector(0).SetFromVector([first, 0.4 * x + 0.2 * y])
 
-            self.DeclarePeriodicDiscreteUpdateEvent(period, offset, update)
+        self.DeclarePeriodicDiscreteUpdateEvent(period, offset, update)
 
-        def _construct_copy(self, other, converter=None):
-            Impl._construct(self, *other.numbers, converter=converter)
-
-    return Impl
+    return construct
 
 
-@TemplateSystem.define("Product_", scope=sys.modules[__name__])
-def Product_(T):
-    class Impl(LeafSystem_[T]):
-        """y = u cos u + 0.2 b u²."""
+def product(b):
+    """Construct a leaf y = u cos u + 0.2 b u²."""
 
-        def _construct(self, b, *, converter=None):
-            LeafSystem_[T].__init__(self, converter)
-            self.b = b
-            port = self.DeclareVectorInputPort("u", 1)
+    def construct(self, T):
+        port = self.DeclareVectorInputPort("u", 1)
 
-            def output(context, y):
-                (u,) = port.Eval(context)
-                y.SetAtIndex(0, u * drake.cos(u) + 0.2 * b * u * u)
+        def output(context, y):
+            (u,) = port.Eval(context)
+            y.SetAtIndex(0, u * drake.cos(u) + 0.2 * b * u * u)
 
-            self.DeclareVectorOutputPort("y", 1, output, {port.ticket()})
+        self.DeclareVectorOutputPort("y", 1, output, {port.ticket()})
 
-        def _construct_copy(self, other, converter=None):
-            Impl._construct(self, other.b, converter=converter)
-
-    return Impl
-
-
-NonlinearMap, Product = NonlinearMap_[None], Product_[None]
+    return construct
 
 
 @dataclass
@@ -111,7 +93,7 @@ class RandomDiagram:
         raise AssertionError("no equilibrium at zero")
 
 
-def _block(rng, kind, period, offset):
+def _block(leaf, rng, kind, period, offset):
     """A block with one input element and one output element."""
     a, b = rng.uniform(0.3, 3.0), rng.uniform(0.5, 2.0) * rng.choice([-1.0, 1.0])
     x, y, u = Variable("x"), Variable("y"), Variable("u")
@@ -138,15 +120,15 @@ def _block(rng, kind, period, offset):
             matrix = rng.uniform(-0.5, 0.5, (2, 2))
             return LinearSystem(matrix, [[b], [0.3]], [[1.0, a]], [[0.0]], period)
         case "nonlinear_z":
-            return NonlinearMap(period, offset, b)
+            return leaf("NonlinearMap", nonlinear_map(period, offset, b))
         case "gain":
             return MatrixGain([[b]])
         case "product":
-            return Product(b)
+            return leaf("Product", product(b))
     return Saturation([-50.0], [50.0])
 
 
-def _random_diagram(seed, kind):
+def _random_diagram(leaf, seed, kind):
     """``kind``: continuous, sampled (one period), mixed (one period) or multirate."""
     rng = np.random.default_rng([seed, len(kind)])
     choices = {"continuous": CONTINUOUS, "sampled": SAMPLED}.get(kind, CONTINUOUS + SAMPLED)
@@ -164,7 +146,7 @@ def _random_diagram(seed, kind):
         if kind == "multirate":
             period = UNIT_S * int(rng.choice([1, 2, 3, 4, 6]))
             offset = UNIT_S * int(rng.integers(0, round(period / UNIT_S)))
-        block = builder.AddNamedSystem(f"{name}_{number}", _block(rng, name, period, offset))
+        block = builder.AddNamedSystem(f"{name}_{number}", _block(leaf, rng, name, period, offset))
         total = builder.AddNamedSystem(f"total_{number}", Adder(3, 1))
         # A static block reads earlier blocks alone, so that there is no algebraic loop.
         weights = [
@@ -194,9 +176,9 @@ def _random_diagram(seed, kind):
 
 
 @pytest.fixture(scope="session")
-def random_diagram():
+def random_diagram(leaf):
     """``random_diagram(seed, kind)``: see `_random_diagram`."""
-    return _random_diagram
+    return partial(_random_diagram, leaf)
 
 
 def _drake_state(context):

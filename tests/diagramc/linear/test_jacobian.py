@@ -29,28 +29,29 @@ def two_sources(graph):
     return graph.source("state", 0), graph.source("discrete", 0)
 
 
+@pytest.mark.parametrize("discrete", [0.81, 1.81])  # the smaller argument is the first or second
 @pytest.mark.parametrize("name", SMOOTH)
-def test_an_operation_has_the_derivative_of_its_differences(name):
-    graph = Graph()
+def test_an_operation_has_the_derivative_of_its_differences(name, discrete):
+    graph, point = Graph(), POINT | {"discrete": np.array([discrete])}
     x, d = two_sources(graph)
     product = graph.operation("multiply", x, d)
     arguments = [product] if OPERATIONS[name].arguments == 1 else [product, x]
     root = graph.operation(name, *arguments)
     size = len(graph.nodes)
-    (value,), jacobian = values_and_jacobian(graph, [root], POINT, ("state", "discrete"))
+    (value,), jacobian = values_and_jacobian(graph, [root], point, ("state", "discrete"))
     assert len(graph.nodes) == size
     step = 1e-6
     for column, (kind, index) in enumerate((("state", 0), ("state", 1), ("discrete", 0))):
         ends = []
         for sign in (1.0, -1.0):
-            moved = {key: values.copy() for key, values in POINT.items()}
+            moved = {key: values.copy() for key, values in point.items()}
             moved[kind][index] += sign * step
             ends += values_of(graph, [root], moved)
         # Central differences err by step² of the third derivative and 1e-16/step.
         expected = (ends[0] - ends[1]) / (2.0 * step)
         assert jacobian[0, column] == pytest.approx(expected, rel=1e-8, abs=1e-8)
     # The elementary functions of NumPy differ in the last bits.
-    assert value == pytest.approx(values_of(graph, [root], POINT)[0], rel=1e-15)
+    assert value == pytest.approx(values_of(graph, [root], point)[0], rel=1e-15)
 
 
 def test_the_columns_have_the_order_of_the_kinds():

@@ -95,38 +95,26 @@ def test_80_random_diagrams_move_as_in_drakes_simulator(random_diagram, drake_ru
         assert difference < 1e-6, (kind, seed)
 
 
-def assert_equals_drakes_linearize(random, seed):
-    diagram, context = random.diagram, random.diagram.CreateDefaultContext()
-    state = np.random.default_rng(seed).uniform(-0.5, 0.5, context.num_continuous_states())
-    context.SetContinuousState(state)
-    for name in random.inputs:
-        diagram.GetInputPort(name).FixValue(context, [0.2])
-    model = linearize(
-        diagram,
-        context,
-        inputs=random.inputs,
-        outputs=random.outputs,
-        equilibrium_tolerance=math.inf,
-    )
-    for column, name in enumerate(random.inputs):
-        for row, output in enumerate(random.outputs):
-            ports = (diagram.GetInputPort(name), diagram.GetOutputPort(output))
-            drake = Linearize(diagram, context, *(p.get_index() for p in ports), math.inf)
-            cell = slice(row, row + 1), slice(column, column + 1)
-            ours = (model.a, model.b[:, cell[1]], model.c[cell[0]], model.d[cell])
-            theirs = (drake.A(), drake.B(), drake.C(), drake.D())
-            for values, expected in zip(ours, theirs, strict=True):
-                np.testing.assert_allclose(values, expected, rtol=1e-12, atol=1e-12)
-
-
-def test_a_random_diagram_equals_drakes_linearize_anywhere(random_diagram):
-    assert_equals_drakes_linearize(random_diagram(0, "continuous"), 0)
-
-
-@pytest.mark.slow
-def test_50_random_diagrams_equal_drakes_linearize_anywhere(random_diagram):
-    for seed in range(1, 51):
-        assert_equals_drakes_linearize(random_diagram(seed, "continuous"), seed)
+@pytest.mark.parametrize("seeds", [range(1), pytest.param(range(1, 51), marks=pytest.mark.slow)])
+def test_random_diagrams_equal_drakes_linearize_anywhere(random_diagram, seeds):
+    for seed in seeds:
+        random = random_diagram(seed, "continuous")
+        diagram, context = random.diagram, random.diagram.CreateDefaultContext()
+        state = np.random.default_rng(seed).uniform(-0.5, 0.5, context.num_continuous_states())
+        context.SetContinuousState(state)
+        for name in random.inputs:
+            diagram.GetInputPort(name).FixValue(context, [0.2])
+        ports = {"inputs": random.inputs, "outputs": random.outputs}
+        model = linearize(diagram, context, **ports, equilibrium_tolerance=math.inf)
+        for column, name in enumerate(random.inputs):
+            for row, output in enumerate(random.outputs):
+                ends = (diagram.GetInputPort(name), diagram.GetOutputPort(output))
+                drake = Linearize(diagram, context, *(p.get_index() for p in ends), math.inf)
+                cell = slice(row, row + 1), slice(column, column + 1)
+                ours = (model.a, model.b[:, cell[1]], model.c[cell[0]], model.d[cell])
+                theirs = (drake.A(), drake.B(), drake.C(), drake.D())
+                for values, expected in zip(ours, theirs, strict=True):
+                    np.testing.assert_allclose(values, expected, rtol=1e-12, atol=1e-12)
 
 
 @pytest.mark.parametrize("make", [AcrobotPlant, PendulumPlant, QuadrotorPlant])
@@ -255,7 +243,7 @@ def test_a_diagram_without_ports_has_an_autonomous_model():
     assert (model.b.shape, model.c.shape, model.d.shape) == ((2, 0), (0, 2), (0, 0))
     # The default pendulum hangs at rest: m = 1 kg, l = 0.5 m, damping 0.1 N·m·s.
     assert np.poly(model.poles()) == pytest.approx([1.0, 0.1 / 0.5**2, 9.81 / 0.5])
-    with pytest.raises(LinearizationError, match="inputs: is empty"):
+    with pytest.raises(LinearizationError, match=r"\Ainputs: is empty; python-control [^\n]*\Z"):
         model.to_control()
     with pytest.raises(LinearizationError, match="outputs: is empty"):
         linearize(PendulumPlant(), outputs=[]).to_control()
@@ -268,9 +256,6 @@ def test_a_diagram_without_ports_has_an_autonomous_model():
         (CompilationError, "did you mean hold:y or hold:u", {"outputs": ["hold:y0"]}),
         (ParameterError, r"\Ainputs: has 'r' twice; ", {"inputs": ["r", "r"]}),
         (ParameterError, "must be a multiple of 0.02 s", {"period_s": 0.01}),
-        (ParameterError, "must be finite and > 0", {"period_s": -1.0}),
-        (ParameterError, "inputs: has 3; must be names", {"inputs": [3]}),
-        (ParameterError, "equilibrium_tolerance = nan: must", {"equilibrium_tolerance": math.nan}),
     ],
 )
 def test_a_wrong_argument_is_one_line(loop, error, match, arguments):
@@ -307,7 +292,7 @@ def test_a_point_that_moves_names_the_state(loop):
     assert model.operating_point.inputs == [0.5]
 
 
-@pytest.mark.parametrize("period_s", ["1", True, 0.0, math.nan, [0.1]])
+@pytest.mark.parametrize("period_s", ["1", True, 0.0, -1.0, math.nan, math.inf, [0.1]])
 def test_a_period_of_another_type_or_sign_is_refused(period_s):
     plant = PendulumPlant()
     with pytest.raises(ParameterError, match=r"\Aperiod_s = .*finite and > 0\Z"):

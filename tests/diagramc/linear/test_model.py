@@ -155,8 +155,6 @@ def test_what_a_model_lacks_is_one_line():
         model.after_updates()
     autonomous = linearize(VanDerPolOscillator(), inputs=[], outputs=["y0"])
     assert autonomous.frequency_response([1.0]).shape == (1, 1, 0)
-    with pytest.raises(LinearizationError, match=r"\Ainputs: is empty; python-control [^\n]*\Z"):
-        autonomous.to_control()
     for response in (model.frequency_response, linear(period_s=0.1).sine_response):
         with pytest.raises(
             LinearizationError, match=r"\Afrequency = nan Hz: must be finite, and at "
@@ -168,8 +166,6 @@ def test_what_a_model_lacks_is_one_line():
         for response in (pole.frequency_response, pole.sine_response):
             with pytest.raises(LinearizationError, match=r"\Afrequency = 0 Hz: is a pole [^\n]*\Z"):
                 response([1.0, 0.0, 0.3])
-    with pytest.raises(ParameterError, match=r"\Aperiod_s = inf s: must be finite and > 0\Z"):
-        linear(period_s=math.inf)
 
 
 @pytest.mark.parametrize("period_s", [None, 0.01])

@@ -100,11 +100,6 @@ def test_a_gain_far_beyond_the_margin_overflows_in_silence():
     assert (m.gain_margin, m.gain_margin_frequency_hz) == pytest.approx((2.0, 0.0), rel=1e-9)
 
 
-def test_a_loop_has_a_short_text():
-    text = repr(loop_at(loop(1.5, others=[(1.5 * T, 0.0, 0.4)]), "law:y0"))
-    assert text == "PeriodicLoop(period_s=0.15, 4 states, 4 times of updates)"
-
-
 FREE = [  # modes outside of the loop of LAG: a state that the loop drives but does not see
     ([[-1.0, 0.0], [1.0, 0.0]], [[1.0], [0.0]], [[1.0, 0.0]]),  # an angle
     (

@@ -2,9 +2,7 @@ import os
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
-from pydrake.systems.primitives import Integrator
 
-from diagramc import compile_diagram
 from diagramc.native.cores import available_cores
 
 
@@ -23,11 +21,3 @@ def test_cores_without_affinity_are_those_of_the_machine(monkeypatch, count, cor
     monkeypatch.delattr(os, "sched_getaffinity")
     monkeypatch.setattr(os, "cpu_count", lambda: count)
     assert available_cores() == cores
-
-
-def test_threads_need_no_affinity(monkeypatch):
-    monkeypatch.delattr(os, "sched_getaffinity")
-    monkeypatch.setattr(os, "cpu_count", lambda: 1)
-    model = compile_diagram(Integrator(1), inputs=["u0"])
-    runs = model.simulate_batch([model.parameters()] * 9, model.state(), 0.1, record_period_s=0.1)
-    assert [run["y0"][-1, 0] for run in runs] == [0.0] * 9

@@ -203,17 +203,6 @@ def test_runs_in_lanes_are_the_runs_alone(models, name, integrator):
                 assert any(text in end for end in texts), text
 
 
-@pytest.mark.parametrize("count", COUNTS)
-def test_sets_of_lanes(models, count):
-    model = models["without states"]
-    batch = assert_as_alone(model, random_runs(model, count, count))
-    assert len(batch) == count
-    runs = random_runs(model, 0, count)
-    batch = model.simulate_batch(runs[0], runs[1], 0.01, failures="return", threads=3)
-    for run, parameters, state in zip(batch, *runs[:2], strict=True):
-        assert_same_run(run, alone(model, parameters, state, 0.01, None))
-
-
 @pytest.mark.parametrize("lanes", [1, 8])
 @pytest.mark.parametrize(("name", "integrator"), RUNS)
 def test_pieces_of_a_run_are_the_whole_run(models, name, integrator, lanes):

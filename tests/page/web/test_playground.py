@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.image import imread
-from web_cases import solver_of
+from web_cases import solver_of, typed
 
 from kneexo.analysis import large_signal_bandwidth_hz, linearize_loop, track
 from kneexo.errors import KneexoError, SimulationError
@@ -69,10 +69,7 @@ class _Page:
 
     def type(self, name, value, index=0):
         """Write a number into the field of a quantity, and wait for the results."""
-        self.evaluate(
-            f"""(() => {{ const box = document.getElementById("q-{name}-value");
-            box.value = {json.dumps(str(value))}; box.dispatchEvent(new Event("change")); }})()"""
-        )
+        self.evaluate(typed(name, value))
         if self.evaluate(f'document.getElementById("q-{name}-value").ariaInvalid') != "true":
             self.wait(index)
 
@@ -218,10 +215,7 @@ def test_a_push_is_that_of_kneexo_and_must_end_within_the_run(browser, single, t
     assert _same(page.number("deviation")[0], push.largest_deviation_deg)
     assert _same(page.number("recovery")[0], push.recovery_time_s)
     before = page.curve("angle")
-    page.evaluate(
-        """(() => { const box = document.getElementById("q-push.start_s-value");
-        box.value = "29.9"; box.dispatchEvent(new Event("change")); })()"""
-    )
+    page.evaluate(typed("push.start_s", 29.9))
     assert page.text("notice").startswith("The push ends at 30.1 s, but the run lasts 30 s.")
     np.testing.assert_array_equal(page.curve("angle"), before)
     page.type("push.duration_s", -1)
@@ -453,10 +447,7 @@ def test_a_link_of_another_version_is_said_and_its_values_kept_where_they_fit(br
     words = f"The link is of kneexo 0.0.1, and this page of {__version__}. 2 values of the link do"
     assert browser.evaluate("document.getElementById('notice').textContent").startswith(words)
     assert browser.evaluate("Page.state.setups[0].values") == {GEAR: 3.5}
-    browser.evaluate(
-        f"""(() => {{ const box = document.getElementById("q-{GEAR}-value");
-        box.value = "4"; box.dispatchEvent(new Event("change")); }})()"""
-    )
+    browser.evaluate(typed(GEAR, 4))
     assert browser.evaluate("document.getElementById('notice').hidden")
 
 
@@ -572,10 +563,7 @@ def test_a_value_out_of_range_is_refused_with_its_range(browser, single):
 
 def test_a_reference_beyond_the_range_of_motion_is_a_sentence(browser, single):
     page = _Page(browser, single)
-    page.evaluate(
-        """(() => { const box = document.getElementById("q-reference.amplitude_deg-value");
-        box.value = "44"; box.dispatchEvent(new Event("change")); })()"""
-    )
+    page.evaluate(typed("reference.amplitude_deg", 44))
     assert "would reach −4°, but the knee moves only from 0° to 90°" in page.text("notice")
     assert page.evaluate("document.getElementById('notice').hidden") is False
     page.type("reference.amplitude_deg", "40")

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from web_cases import typed
 
 from kneexo.analysis import track
 from kneexo.page.playground import playground_page
@@ -237,21 +238,14 @@ def test_the_address_keeps_the_fault_and_wrong_values_are_one_line_each(browser,
     page.go(link)
     assert page.yaml() == before
     assert page.text("notice") == ""
-
-    def type_(name, value):
-        page.evaluate(
-            f"""(() => {{ const box = document.getElementById("q-fault.{name}-value");
-            box.value = "{value}"; box.dispatchEvent(new Event("change")); }})()"""
-        )
-
     late = "Choose an earlier time, or extend the run. The curves show the previous run."
-    type_("start_s", 20)
+    page.evaluate(typed("fault.start_s", 20))
     assert page.text("notice") == f"The fault begins at 20 s, but the run lasts 12 s. {late}"
-    type_("start_s", 4)
-    type_("duration_s", 9)
+    page.evaluate(typed("fault.start_s", 4))
+    page.evaluate(typed("fault.duration_s", 9))
     assert page.text("notice") == f"The fault ends at 13 s, but the run lasts 12 s. {late}"
-    type_("duration_s", 0)
-    type_("reset_s", 30)
+    page.evaluate(typed("fault.duration_s", 0))
+    page.evaluate(typed("fault.reset_s", 30))
     assert page.text("notice") == f"The reset is pressed at 30 s, but the run lasts 12 s. {late}"
     gear = "a.plant.pump.gear_ratio=5"
     for link, fault in (

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from web_cases import typed
 
 from kneexo.analysis import interaction_metrics, track
 from kneexo.page.playground import playground_page
@@ -68,10 +69,7 @@ def test_the_cards_and_the_curve_are_the_torque_of_kneexo(browser, page_file, tm
     before = browser.evaluate(READ)
     assert set(before) == {*CARDS, "saturated", "pressure"}  # margins are those of position control
     check_cards(browser, 0, run_of(browser, 0, tmp_path))
-    browser.evaluate(
-        f"""(() => {{ const box = document.getElementById("q-{STIFFNESS}-value");
-        box.value = "400"; box.dispatchEvent(new Event("change")); }})()"""
-    )
+    browser.evaluate(typed(STIFFNESS, 400))
     wait(browser, 0)
     run = run_of(browser, 0, tmp_path)
     check_cards(browser, 0, run)

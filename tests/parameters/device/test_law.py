@@ -206,18 +206,33 @@ def test_gains_are_reached_by_their_path() -> None:
     assert other != scenario
 
 
-def test_a_drake_system_or_its_class_is_a_law() -> None:
-    class Empty(LeafSystem):
-        pass
+class Empty(LeafSystem):
+    pass
 
+
+class Hide:
+    def __call__(self, rod_extension):
+        return 0.0
+
+
+@pytest.mark.parametrize(
+    ("target", "message"),
+    [
+        (Empty(), "Drake cannot clone this system; give its class"),
+        (lambda: 1, "takes no argument and returns int"),
+        (Hide, r"is a class, but no Drake system; give .* Hide\(\)"),
+    ],
+)
+def test_what_makes_no_system_is_one_line(target, message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
+        Law(target).make_system()
+
+
+def test_a_drake_system_or_its_class_is_a_law() -> None:
     for target in (Empty, Empty(), lambda: Empty()):
         assert Law(target).is_system
     assert isinstance(Law(Empty).make_system(), Empty)
     assert not Law(law).is_system
-    with pytest.raises(ParameterError, match="Drake cannot clone this system; give its class"):
-        Law(Empty()).make_system()
-    with pytest.raises(ParameterError, match="takes no argument and returns int"):
-        Law(lambda: 1).make_system()
     with pytest.raises(ParameterError, match="cannot be sent to worker processes"):
         pickle.dumps(Law(Empty()))
 
@@ -238,6 +253,10 @@ def test_a_drake_system_or_its_class_is_a_law() -> None:
         (lambda rod_extension, initial_state_0=1.0: 1.0, "rename the argument"),
         (lambda rod_extension, command_limit_rad_s=1.0: 1.0, "rename the argument"),
         (lambda rod_extension, state: 1.0, "initial_state is missing, such as [0.0]"),
+        (lambda scenario, state=(0.0,): 1.0, "has the arguments scenario and state; a function of"),
+        (lambda rod_extension, gain=math.nan: 1.0, "the default gain = nan must be finite; give"),
+        (lambda rod_extension, gain=10**400: 1.0, "the default of gain must be numbers: Overflow"),
+        (lambda rod_extension, state=(1.0, -math.inf): 1.0, "the default state = -inf must be"),
     ],
 )
 def test_a_wrong_law_is_one_line(bad, message: str) -> None:
@@ -262,15 +281,6 @@ def test_a_single_number_is_an_initial_state() -> None:
     assert scenario.controller.initial_state == (2.0,)
 
 
-def test_a_class_that_is_no_system_asks_for_an_object() -> None:
-    class Hide:
-        def __call__(self, rod_extension):
-            return 0.0
-
-    with pytest.raises(ParameterError, match=r"is a class, but no Drake system; give .* Hide\(\)"):
-        Law(Hide).make_system()
-
-
 def test_a_file_that_fails_is_one_line(tmp_path: Path) -> None:
     file = tmp_path / "my.py"
     file.write_text("x = 1\n1 / 0\n")
@@ -284,6 +294,8 @@ def test_a_file_that_fails_is_one_line(tmp_path: Path) -> None:
 def test_values_and_states_must_suit_the_function() -> None:
     with pytest.raises(ParameterError, match=r"has no argument of this name .* known: gain"):
         LawParameters(function=law, values={"gian": 1.0})
+    with pytest.raises(ParameterError, match=r"values.gain.* finite"):
+        LawParameters(function=law, values={"gain": math.nan})
     with pytest.raises(ParameterError, match="has no argument state"):
         LawParameters(function=law, initial_state=[0.0])
     with pytest.raises(ParameterError, match="is a Drake system: initial_state and values must"):
@@ -306,8 +318,6 @@ def test_a_function_of_a_scenario_has_gains_and_makes_a_system() -> None:
     assert scenario.controller.values == {"gain": 4.0}
     with pytest.raises(ParameterError, match=r"values.k: law .* has no argument of this name"):
         Scenario().with_law(make, values={"k": 4.0})
-    with pytest.raises(ParameterError, match="has the arguments scenario and state; a function of"):
-        Scenario().with_law(lambda scenario, state=(0.0,): make(scenario))
 
 
 def test_numbers_of_numpy_are_gains_and_others_are_one_line() -> None:
@@ -315,17 +325,6 @@ def test_numbers_of_numpy_are_gains_and_others_are_one_line() -> None:
         return 0.0
 
     assert Law(law).arguments.gains == {"a": 0.5, "b": 3.0, "c": 0.25}
-    for bad in (math.nan, -math.inf, np.float32(math.inf)):
-        with pytest.raises(ParameterError, match=r"the default gain = .* must be finite; give"):
-            Scenario().with_law(lambda rod_extension, gain=bad: gain)
-        with pytest.raises(ParameterError, match=r"the default state = .* must be finite"):
-            Scenario().with_law(lambda rod_extension, state=(1.0, bad): (0.0, state))
-        with pytest.raises(ParameterError, match=r"values.gain.* finite"):
-            Scenario().with_law(law_with_gain, values={"gain": bad})
-
-
-def law_with_gain(rod_extension, gain=1.0):
-    return gain * rod_extension
 
 
 class Anything:

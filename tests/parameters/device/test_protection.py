@@ -15,6 +15,7 @@ REFUSED = [
     ({"following_deg": 0.08}, {}, r"following_deg = 0.08 deg: must be > 0.08789 deg, one count"),
     ({"flow_mm": 0.01}, {}, r"flow_mm = 0.01 mm: must be > 0.1465 mm, the mean travel of"),
     ({"speed_rpm": 0.5}, {"bus": "can"}, "speed_rpm = 0.5 rpm: must be > 1 rpm, one velocity unit"),
+    ({"healthy_s": 2.0}, {}, "healthy_s = 2 s: must be at most overdue_s = 1 s"),
     ({"flow": 1.0}, {}, r"protection.flow: unknown name; did you mean protection.flow_"),
     (
         {"safe_state": "open"},

@@ -10,12 +10,10 @@ import typing
 import numpy as np
 import pytest
 
-from kneexo.errors import KneexoError, ParameterError
+from kneexo.errors import ParameterError
 from kneexo.parameters import (
     CylinderParameters,
-    ExactParameters,
     FullCylinderParameters,
-    KneeParameters,
     PlantParameters,
     RodPolynomialParameters,
     SampledReference,
@@ -78,11 +76,6 @@ def test_samples_and_coefficients_must_be_finite(value: float) -> None:
             "frequencies_hz has 2 values: must have at least 3",
         ),
         (
-            KneeParameters,
-            {"mass_kg": 3.0},
-            "mass_kg: unknown name; Scenario has plant.cylinder.mass_kg",
-        ),
-        (
             CylinderParameters,
             {"rod_diameter_m": 0.02},
             "rod_diameter_m = 0.02 m must be below 0.98 times bore_m = 0.02 m",
@@ -107,26 +100,12 @@ def test_samples_and_coefficients_must_be_finite(value: float) -> None:
             {"times_s": None, "angles_deg": (1.0,) * 3},
             "times_s has no value: must be a list of numbers",
         ),
-        (
-            Scenario,
-            {
-                "controller": SlidingModeParameters(continuous=True),
-                "estimator": ExactParameters(),
-                "bus": {"latency_samples": 1},
-            },
-            "bus.kind = none with latency_samples = 1 needs a discrete controller",
-        ),
     ],
 )
 def test_fault_is_one_line(
     model: type[Parameters], values: dict[str, typing.Any], line: str
 ) -> None:
     assert fault(model, **values) == f"{model.__name__}: {line}"
-
-
-def test_parameter_error_is_a_value_error() -> None:
-    assert issubclass(ParameterError, ValueError)
-    assert issubclass(ParameterError, KneexoError)
 
 
 def test_integers_become_floats() -> None:

@@ -175,16 +175,6 @@ def test_results_hold_what_was_tuned_and_tested(flat):
         )
 
 
-def test_the_winner_of_each_figure_is_named_whoever_it_is():
-    study = made_up()
-    winners = study.winners()
-    assert winners["median_error_deg"] == ["SMC"]
-    assert winners["median_disk_margin"] == ["PID"]
-    assert winners["unstable"] == ["SMC", "PID"]
-    assert study.better_share("SMC", "PID") == 0.75
-    assert study.better_share("PID", "SMC") == 0.25
-
-
 # -------------------------------------------------------------------------------- the runs
 
 

@@ -47,11 +47,6 @@ def test_ideal_settling_time_solves_the_sliding_surface():
     assert surface.sol(at)[0] == pytest.approx(0.1, rel=1e-6)  # the solver's tolerance
 
 
-def test_slope_is_beta_eta_over_phi():
-    beta = math.sqrt(1.8 / 1.4)
-    assert made_up().slope_per_s[2] == pytest.approx([beta * 2.8e4 / 3.2, beta * 2.8e5 / 3.2])
-
-
 def test_the_centre_is_the_scenarios_own_controller():
     assert made_up().centre == (1, 2, 1)
 

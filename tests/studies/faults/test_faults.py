@@ -3,7 +3,6 @@
 import math
 from dataclasses import replace
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from faults_cases import DEAD, FAST, QUICK, SWAPPED, made_up, row
@@ -204,7 +203,6 @@ def test_the_worst_case_is_drawn_until_the_motor_is_safe(safe_s, end_s):
     late = row("a", "late", 0.5, "rate", safe_s, moved_deg=9.0)
     figure = plot_worst_case(replace(made_up(), all_rows=(late,)))
     assert figure.axes[0].get_xlim() == (9.0, end_s)
-    plt.close(figure)
 
 
 @pytest.mark.slow
@@ -257,27 +255,9 @@ def test_the_worst_row_is_the_failure_with_the_largest_motion_or_the_least_margi
     assert replace(result, all_rows=(loose, tight)).worst == tight
 
 
-def test_each_fault_is_told_once_at_its_worst_time(tables):
+def test_a_motor_that_is_never_safe_is_counted_and_has_no_turn(tables):
+    """The row after; tests/studies/shown/faults.txt has the report of the result as it is."""
     result = made_up()
-    assert result.worst == result.rows[4]
-    assert result.undetected == result.rows[0]
-    faults, tolerated, phases, differing, hazards, _ = tables(report(result))
-    column = faults[0].index("critical duration (s)")
-    assert [line[column] for line in faults[1:]] == ["0.876", "0.321", "0.987"]
-    assert [line[1] for line in tolerated[1:]] == ["encoder offset 1 deg"]
-    assert [line[-1] for line in hazards[1:]] == ["in time", "late", "missed"]
-    assert [line[:4] for line in phases[1:]] == [
-        ["10", "34.5", "zero_speed", "2 of 4"],
-        ["10", "34.5", "torque_off", "1 of 4"],
-        ["12.5", "45.6", "zero_speed", "1 of 1"],
-        ["12.5", "45.6", "torque_off", "0 of 1"],
-    ]
-    assert [line[4:] for line in phases[1:3]] == [
-        ["9.88", "0", "0.876", "magnet slipped", "0.456", "5.43"],
-        ["9.88", "0", "12.3", "command lost", "6.78", "7.89"],
-    ]
-    fault = ["command lost", "command scale 0", "SMC"]
-    assert differing[1:] == [[*fault, "late, 5.68° at 10 s", "in time, 3.46° at 10 s"]]
     never = replace(result.all_rows[1], safe_after_s=math.inf, rest=Rest(math.nan, math.nan, False))
     _, _, phases, *_ = tables(
         report(replace(result, all_rows=(result.all_rows[0], never, *result.all_rows[2:])))

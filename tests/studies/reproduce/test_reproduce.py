@@ -31,7 +31,7 @@ from kneexo.studies.reproduce.reproduce import (
 
 def test_every_number_of_the_results_is_the_one_that_its_name_says(by_hand, flat):
     numbers = json.loads(to_json(by_hand.results()))
-    peak_rpm, saturation_hz = speed_demand()
+    peak_rpm, saturation_hz = speed_demand().values()
     growth = [case.pop("growth_rate_per_s") for case in numbers["eq27_exact_states"].values()]
     assert growth == pytest.approx([-0.5, 0.5], abs=0.02)
     for name, case in FIG_12.items():
@@ -118,7 +118,7 @@ def test_every_number_of_the_results_is_the_one_that_its_name_says(by_hand, flat
 
 
 def test_the_speed_limit_does_not_explain_the_error_at_a_tenth_of_a_hertz():
-    peak, saturation = speed_demand()
+    peak, saturation = speed_demand().values()
     # By hand: 30° at 0.1 Hz, moment arm of Table 1, 274.889 mm², 0.8 cm³/rev, gear 6.
     p = np.array([1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0])
     phase = np.linspace(0.0, 2.0 * np.pi, 4001)

@@ -24,14 +24,7 @@ ROWS = {  # the largest effect on top, with unit, and with the mark of each leve
 
 def test_a_figure_over_more_than_a_decade_has_a_logarithmic_axis(by_hand):
     wide = dataclasses.replace(by_hand, corners=(assessment(21.0, 1.4, 0.005, 0),))
-    for study, expected in ((by_hand, "linear"), (wide, "log")):
-        axes = distribution(study).axes
-        assert axes[0].get_xlabel() == "largest error (deg)"
-        assert axes[0].get_xscale() == expected  # from 0.9 to 2.3 or 21
-        assert [ax.get_ylabel() for ax in axes[::3]] == ["share of the samples"] * 2
-        (legend,) = axes[0].figure.legends
-        shown = [text.get_text() for text in legend.get_texts()]
-        assert shown == ["samples", "nominal", "worst corner"]
+    assert distribution(wide).axes[0].get_xscale() == "log"  # from 0.9 to 21
 
 
 def test_what_fails_is_crossed_beyond_the_worst_end(by_hand):

@@ -51,7 +51,6 @@ from kneexo.studies.robustness.robustness import (
     worst,
 )
 from kneexo.sweeps import parallel, parallel_map
-from kneexo.sweeps.checkpoint import Checkpoint
 
 
 @pytest.fixture
@@ -328,13 +327,6 @@ def test_a_figure_that_never_changes_has_no_correlation():
     assert np.isnan(rank_correlation(OPTIONS, visits_of([0, 1], "xy", [1, 1]), "disk_margin")).all()
 
 
-def test_what_the_worst_sample_covers(formula):
-    formula(lambda scenario: merits())
-    result = robustness_study(UNCERTAIN_KNEE, SMALL, FEW)
-    # That all of n draws lie within a share p of all plants has the probability pⁿ = 5 %.
-    assert result.covered**40 == pytest.approx(0.05)
-
-
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=30), st.floats(0.0, 1.0))
 def test_a_quantile_is_one_of_the_values(values, share):
     assessments = [Assessment({}, merits(disk_margin=v)) for v in values]
@@ -416,15 +408,6 @@ def test_a_plants_figures_do_not_depend_on_its_company(one_by_one, monkeypatch, 
     with ThreadPoolExecutor(2) as executor:
         assert repr(parallel_map(judge, points, executor=executor)) == expected
     assert repr(parallel_map(judge, points[::-1])[::-1]) == expected
-
-
-def test_a_plants_figures_do_not_depend_on_where_the_study_went_on(one_by_one, tmp_path):
-    judge, points, expected = one_by_one
-    path = tmp_path / "checkpoint.jsonl"
-    parallel_map(judge, points[5:18], checkpoint=Checkpoint(path))
-    resumed = Checkpoint(path, resume=True)
-    assert len(resumed) == 13
-    assert repr(parallel_map(judge, points, checkpoint=resumed)) == expected
 
 
 def test_a_reference_that_does_not_move_has_no_bandwidth(formula):

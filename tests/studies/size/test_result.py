@@ -167,40 +167,25 @@ def test_the_controller_is_asked_for_what_the_lag_takes(by_hand):
 
 
 def test_what_was_measured_is_in_the_results_as_it_is(by_hand, flat):
-    numbers = json.loads(to_json(by_hand.results()))
-    plain = json.loads(
-        to_json(
-            {
-                "nominal": by_hand.nominal,
-                "gains": by_hand.gains,
-                "best_gains": by_hand.best_gains,
-                "steps": by_hand.steps,
-                "design_at_reference": by_hand.design_at_reference,
-                "variations": by_hand.variations,
-                "bandwidth_map": {
-                    "factors": [0.5, 1.0, 2.0],
-                    "bandwidth_hz": by_hand.bandwidth_map_hz,
-                },
-                "walking_map": {
-                    "factors": [0.5, 1.0, 1.25, 1.5],
-                    "max_error_deg": by_hand.walking_map_deg,
-                },
-                "walking_sweeps": {
-                    path: [
-                        {"factor": factor} | walked
-                        for factor, walked in zip((0.5, 1.0, 1.25, 1.5), sweep, strict=True)
-                    ]
-                    for path, sweep in by_hand.walking_sweeps.items()
-                },
-            }
-        )
-    )
-    assert flat({key: numbers[key] for key in plain}) == flat(plain)
+    def plain(data):
+        return json.loads(to_json(data))
+
+    numbers = plain(by_hand.results())
+    for name in ("nominal", "gains", "best_gains", "steps", "design_at_reference", "variations"):
+        assert flat(numbers[name]) == flat(plain(getattr(by_hand, name)))
+    factors = [0.5, 1.0, 1.25, 1.5]
+    bandwidth, walking = plain(by_hand.bandwidth_map_hz), plain(by_hand.walking_map_deg)
+    assert numbers["bandwidth_map"] == {"factors": [0.5, 1.0, 2.0], "bandwidth_hz": bandwidth}
+    assert numbers["walking_map"] == {"factors": factors, "max_error_deg": walking}
+    assert numbers["walking_sweeps"] == {
+        path: [{"factor": f} | walked for f, walked in zip(factors, plain(sweep), strict=True)]
+        for path, sweep in by_hand.walking_sweeps.items()
+    }
     # Tables 2 and 3: rpm, cm³/rev, 1, rad/s², ms, counts/rev.
     for (path, sweep), value in zip(
         numbers["sweeps"].items(), (5000.0, 0.8, 6.0, 1e4, 10.0, 4096.0), strict=True
     ):
-        measured = json.loads(to_json(by_hand.sweeps[path]))
+        measured = plain(by_hand.sweeps[path])
         for factor, row, measured_row in zip((0.5, 1.0, 2.0), sweep, measured, strict=True):
             assert row.pop("factor") == factor
             assert row.pop("value") == pytest.approx(factor * value, rel=1e-9)

@@ -298,40 +298,6 @@ def test_the_rows_are_those_of_their_cases(monkeypatch):
     assert {r.wearer for r in result.help if r.rise_time_s == 0.8} == {"average"}
 
 
-@pytest.mark.slow(gate=0)
-def test_rows_are_those_of_their_own_runs(small, flat):
-    small, _ = small
-    by_name = designs(WEARER_KNEE, SMALL)
-    motions = {"walking, 1 Hz": WALKING, "rising in 0.8 s": (math.nan, 0.8)}
-    assert len(small.transparency) == len(by_name) * len(motions)
-    assert {(r.design, r.motion) for r in small.transparency} == {
-        (design, motion) for design in by_name for motion in motions
-    }
-    assert len(small.help) == 2 * (3 * 4 + 3)
-    # A run takes 1 s. `test_the_rows_are_those_of_their_cases` has the cases of all rows.
-    for row in (*small.transparency, *small.help)[::3]:
-        weak = row in small.help
-        case = in_motion(
-            by_name[row.design], SMALL, motions[row.motion], row.wearer if weak else ""
-        )
-        case = changed(case, modes(SMALL, assisting=True)[row.mode])
-        expected = {name: value for name, value in asdict(row).items() if name in ROW}
-        again = {name: value for name, value in measured(2, case).items() if name in ROW}
-        assert flat(again) == pytest.approx(flat(expected), nan_ok=True), row
-    for row in small.margins:
-        expected = margins((45.0,), by_name[row.design])
-        assert expected == pytest.approx({name: getattr(row, name) for name in expected})
-
-
-ROW = (
-    "rms_torque_n_m",
-    "peak_torque_n_m",
-    "deviation_deg",
-    "power_from_wearer_w",
-    "saturated_share",
-)
-
-
 @pytest.mark.slow
 def test_the_study_draws(small):
     for figure in figures(small[0]).values():
