@@ -257,6 +257,11 @@ def _changes_of(scenario: Scenario, number: int) -> Changes:
         raise ParameterError(f"{subject}: needs wearer.kind = leg or controller.kind = torque")
     if fault.place.startswith("plant.linkage."):
         raise ParameterError(f"{subject}: is of the linkage, which cannot change during a run")
+    if value is not None and not has_path(scenario, fault.place):
+        raise ParameterError(
+            f"{subject}: a part of yours replaces what has this number, and has no fault of its "
+            f"parameters; let a signal fail"
+        )
     if has_path(scenario, fault.place) and not isinstance(value, float):
         raise ParameterError(f"{subject}: is no number that can change during a run")
     try:

@@ -163,7 +163,7 @@ def test_the_numbers_of_the_replaced_part_are_the_controllers_alone():
         leg = LEG.with_part("motor", systems.BldcPump(LEG.plant.pump))
         with pytest.raises(ParameterError, match=r"^needs plant\.pump\.\w+, but a part of yours"):
             function(leg)
-    with pytest.raises(ParameterError, match=r"a part of yours has no fault of its parameters"):
+    with pytest.raises(ParameterError, match=r"has no fault of its parameters; let a signal fail"):
         make_closed_loop(
             LEG.with_part("motor", systems.BldcPump).changed(
                 {
