@@ -10,7 +10,7 @@ from pydrake.systems.framework import Diagram
 from diagramc import read_diagram
 from kneexo.common.ports import input_ports, output_ports, sizes
 from kneexo.diagrams.part import Part
-from kneexo.errors import ParameterError
+from kneexo.errors import CompilationError, ParameterError
 from kneexo.parameters.device.parts import PartParameters
 from kneexo.systems import StateVariable
 
@@ -51,12 +51,7 @@ def users_part(
     place, start = replaced.name, begin()
     subject = f"parts.{place}: {chosen.make.short_name}"
 
-    def make(**fault: Any) -> Any:
-        if fault:
-            raise ParameterError(
-                f"{subject}: a fault changes {', '.join(fault['fault_names'])}, but "
-                f"a part of yours has no fault of its parameters; fail a signal"
-            )
+    def make() -> Any:
         return chosen.make.make({"scenario": scenario, "start": start, **chosen.values})
 
     system = make()
@@ -87,10 +82,16 @@ def users_part(
 def part_key(part: Part) -> str:
     """Return a hash of the equations of a part of the user.
 
-    Raises `CompilationError` if the part has no symbolic equations.
+    Raises `ParameterError` if the part has no symbolic equations.
     """
     system = part.make()
-    return read_diagram(system, inputs=list(input_ports(system))).key
+    try:
+        return read_diagram(system, inputs=list(input_ports(system))).key
+    except CompilationError as error:
+        raise ParameterError(
+            f"parts.{part.name}: {error}; write the part for Expression too, or run it in Drake's "
+            f"Simulator by scenario.with_engine('drake')"
+        ) from None
 
 
 def _require_ports(subject: str, system: Any, template: Any) -> None:

@@ -258,3 +258,31 @@ def test_a_load_of_the_user_is_balanced_at_the_start():
     pressure = simulate(own)["load_pressure_pa"][0]
     assert pressure == pytest.approx(expected["initial_pressure_pa"], rel=1e-12)
     assert re.search("a part of yours replaces load", kx.track(own).verdict.text)
+
+
+class Floats(LeafSystem):
+    """A motor without lag, for floats only."""
+
+    def __init__(self):
+        super().__init__()
+        command = self.DeclareVectorInputPort("motor_speed_command", 1)
+        self.DeclareVectorInputPort("load_pressure", 1)
+        pump = PAPER.plant.pump
+        for name in ("motor_speed", "load_flow", "shaft_torque", "shaft_power", "hydraulic_power"):
+            gain = pump.displacement_m3_per_rad / pump.gear_ratio if name == "load_flow" else 1.0
+
+            def scaled(context, output, gain=gain):
+                output.SetFromVector(gain * command.Eval(context))
+
+            self.DeclareVectorOutputPort(name, 1, scaled, {command.ticket()})
+
+
+def test_a_part_of_floats_runs_in_drakes_simulator_alone():
+    scenario = PAPER.with_part("motor", Floats)
+    with pytest.raises(ParameterError, match=r"^parts\.motor: .*Floats.*with_engine\('drake'\)$"):
+        simulate(scenario)
+    run = simulate(scenario.with_engine("drake"))
+    ideal = PAPER.changed({"plant.ideal_motor": True}).with_engine("drake")
+    np.testing.assert_allclose(
+        run["knee_angle_rad"], simulate(ideal)["knee_angle_rad"], atol=math.radians(0.01)
+    )
