@@ -8,14 +8,14 @@ floats does not spoil the derivatives of the others. The chain rule joins the le
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from graphlib import CycleError, TopologicalSorter
 from typing import Any, NamedTuple
 
 import numpy as np
 from pydrake.autodiffutils import AutoDiffXd
+from pydrake.geometry import SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import PortDataType
 
@@ -28,6 +28,7 @@ from ..equations.names import numbered_names, state_names
 from ..equations.periods import timing_of
 from ..equations.ports import bypass as bypass_system, find_port, route_of, size_of
 from ..equations.reader import discrete_update, time_derivatives
+from ..equations.symbolic import Steps, completed
 from ..equations.tree import Node, Port
 from ..errors import CompilationError, DifferenceError
 from ..run_data import Array
@@ -156,31 +157,17 @@ class LeafwisePoint(Point):
         return self._known[key]
 
     def _slopes(self, outputs: tuple[str, ...]) -> Slopes:
-        leaves = self.read.leaves.values()
-        routes = [self.read.routes[name] for name in outputs]
-        moving = [leaf for leaf in leaves if leaf.continuous or leaf.discrete]
-        inputs = {leaf: list(_routes(leaf.node)) for leaf in moving}
-        needed = [route for of_leaf in inputs.values() for _, route in of_leaf]
-        signals: dict[Port, _Signal] = {}
-        calls: dict[Node, _Call] = {}
-        for node, index in self._order([*needed, *routes]):
-            where = f"output port {node.system.get_output_port(index).get_name()}"
-            call = calls.setdefault(node, _Call(self, self.read.leaves[node]))
-            call.give(_routes(node, index), signals)
-            signals[node, "output", index] = call.result(where, _output(index), signals)
+        evaluation = _Evaluation(self)
         rates, updates = [], []
-        for leaf in moving:
-            call = calls.setdefault(leaf.node, _Call(self, leaf))
-            call.give(inputs[leaf], signals)
+        for leaf in self.read.leaves.values():
             if leaf.continuous:
-                rates.append(call.result("time derivatives", time_derivatives, signals))
+                steps = evaluation.result(leaf.node, "time derivatives", time_derivatives)
+                rates.append(completed(steps))
             if leaf.discrete:
-                updates.append(call.result("discrete update", discrete_update, signals))
-        width = self.state.size + self.inputs.size
-        return Slopes(
-            *_joined([*rates, *updates], width),
-            *_joined([self.signal(route, signals) for route in routes], width),
-        )
+                steps = evaluation.result(leaf.node, "discrete update", discrete_update)
+                updates.append(completed(steps))
+        signals = [completed(evaluation.signal(self.read.routes[name])) for name in outputs]
+        return Slopes(*_joined([*rates, *updates], self.width), *_joined(signals, self.width))
 
     def time_varying(self, outputs: Sequence[str] = ()) -> list[str]:
         """Return the names of rates, updates and outputs whose derivatives change with the time.
@@ -198,36 +185,28 @@ class LeafwisePoint(Point):
             varies |= np.abs(change).max(axis=1, initial=0.0) > _EQUAL * (1.0 + largest)
         return [name for name, does in zip(names, varies, strict=True) if does]
 
-    def signal(self, route: Sequence[Port], signals: Mapping[Port, _Signal]) -> _Signal:
-        """Return the signal at the first port of a route: that of its source, and perturbations."""
-        size, source = size_of(route[0]), route[-1]
-        width = self.state.size + self.inputs.size
-        values, derivatives = np.zeros(size), np.zeros((size, width))
-        if source[1] == "output":
-            values, derivatives = (part.copy() for part in signals[source])
-        elif source not in self.read.open_inputs:
-            node, _, index = source
-            name = quoted(node.system.get_input_port(index).get_name())
-            if node.parent is not None:
-                raise CompilationError(
-                    f"{node.name}: input port {name} is not connected; connect it, or name the "
-                    f"diagram's port in inputs"
-                )
-            raise CompilationError(
-                f"input port {name} has no value: FixValue it in the Context, or name it in "
-                f"{self.setting}"
-            )
-        for port in route:
-            if port in self.read.open_inputs:
-                first = self.read.open_inputs[port]
-                values += self.inputs[first : first + size]
-                column = self.state.size + first
-                derivatives[:, column : column + size] += np.eye(size)
-        return _Signal(values, derivatives)
+    @property
+    def width(self) -> int:
+        """Number of states and inputs."""
+        return self.state.size + self.inputs.size
 
     def is_known(self, route: Sequence[Port]) -> bool:
         """Return whether the signal of a route has a source."""
         return route[-1][1] == "output" or route[-1] in self.read.open_inputs
+
+    def no_value(self, source: Port) -> CompilationError:
+        """Return the error for an input port without a value."""
+        node, _, index = source
+        name = quoted(node.system.get_input_port(index).get_name())
+        if node.parent is not None:
+            return CompilationError(
+                f"{node.name}: input port {name} is not connected; connect it, or name the "
+                f"diagram's port in inputs"
+            )
+        return CompilationError(
+            f"input port {name} has no value: FixValue it in the Context, or name it in "
+            f"{self.setting}"
+        )
 
     def _at_time(self, time_s: float) -> LeafwisePoint:
         context = self.context.Clone()
@@ -236,29 +215,59 @@ class LeafwisePoint(Point):
             *(self.read, time_s, self.parameters, self.state, self.inputs), context, self.setting
         )
 
-    def _order(self, routes: Iterable[Sequence[Port]]) -> Iterator[tuple[Node, int]]:
-        """Yield the output ports on which routes depend, each after those it depends on itself."""
-        sorter: TopologicalSorter[Port] = TopologicalSorter()
-        pending = [route[-1] for route in routes if route[-1][1] == "output"]
-        known: set[Port] = set()
-        while pending:
-            port = pending.pop()
-            if port in known:
-                continue
-            known.add(port)
-            node, _, index = port
-            ends = [route[-1] for _, route in _routes(node, index)]
-            before = [end for end in ends if end[1] == "output"]
-            sorter.add(port, *before)
-            pending += before
-        try:
-            yield from ((node, index) for node, _, index in [*sorter.static_order()])
-        except CycleError as error:
-            node, _, index = error.args[1][0]
-            raise CompilationError(
-                f"{node.name}: output port {node.system.get_output_port(index).get_name()}: "
-                f"depends on itself (algebraic loop)"
-            ) from None
+
+class _Evaluation:
+    """The signals and the leaves of a diagram at a point, as far as they are called."""
+
+    def __init__(self, point: LeafwisePoint) -> None:
+        self.point = point
+        self._calls: dict[Node, _Call] = {}
+        self._signals: dict[Port, _Signal | None] = {}
+        """Signal of each output port, or None while it is computed."""
+
+    def signal(self, route: Sequence[Port]) -> Steps[_Signal]:
+        """Return the signal at the first port of a route: that of its source, and perturbations."""
+        point, open_inputs = self.point, self.point.read.open_inputs
+        size, source = size_of(route[0]), route[-1]
+        values, derivatives = np.zeros(size), np.zeros((size, point.width))
+        if source[1] == "output":
+            of_source = yield self._output(source)
+            values, derivatives = (part.copy() for part in of_source)
+        elif source not in open_inputs:
+            raise point.no_value(source)
+        for port in route:
+            if port in open_inputs:
+                first = open_inputs[port]
+                values += point.inputs[first : first + size]
+                column = point.state.size + first
+                derivatives[:, column : column + size] += np.eye(size)
+        return _Signal(values, derivatives)
+
+    def _output(self, port: Port) -> Steps[_Signal]:
+        node, _, index = port
+        where = f"output port {node.system.get_output_port(index).get_name()}"
+        if port not in self._signals:
+            self._signals[port] = None
+            self._signals[port] = yield self.result(node, where, _output(index), index)
+        found = self._signals[port]
+        if found is None:
+            raise CompilationError(f"{node.name}: {where}: depends on itself (algebraic loop)")
+        return found
+
+    def result(
+        self, node: Node, purpose: str, evaluate: Evaluate, output: int | None = None
+    ) -> Steps[_Signal]:
+        """Return values and derivatives of a function of leaf and Context.
+
+        They depend on the inputs of an output port, or on all if ``output`` is None.
+        """
+        if node not in self._calls:
+            self._calls[node] = _Call(self.point, self.point.read.leaves[node])
+        call = self._calls[node]
+        for index, route in _routes(node, purpose, output):
+            if index not in call.inputs and self.point.is_known(route):
+                call.inputs[index] = yield self.signal(route)
+        return call.result(purpose, evaluate)
 
 
 class _Call:
@@ -273,8 +282,7 @@ class _Call:
         _refuse_abstract_state(node)
         count = len(point.read.state_names)
         self.continuous, self.discrete = leaf.of(point.state, count)
-        width = point.state.size + point.inputs.size
-        self._of_states = np.vstack(leaf.of(np.eye(point.state.size, width), count))
+        self._of_states = np.vstack(leaf.of(np.eye(point.state.size, point.width), count))
         ports = [system.get_input_port(index) for index in range(system.num_input_ports())]
         self._first: dict[int, int] = {}
         """Index of the first variable of each vector input."""
@@ -283,7 +291,8 @@ class _Call:
             if port.get_data_type() == PortDataType.kVectorValued:
                 self._first[index] = self.size
                 self.size += port.size()
-        self._inputs: dict[int, _Signal] = {}
+        self.inputs: dict[int, _Signal] = {}
+        """Signal of each vector input that has a source, as far as it is needed."""
         self._floats = system.CreateDefaultContext()
         self._floats.SetTimeStateAndParametersFrom(node.context(point.context))
         self._auto: tuple[Any, Any] | None = None
@@ -298,13 +307,7 @@ class _Call:
             context.SetTimeStateAndParametersFrom(self._floats)
             self._auto = converted, context
 
-    def give(self, routes: Iterable[tuple[int, Sequence[Port]]], signals: Any) -> None:
-        """Give the leaf the signals of its input ports, as far as they have a source."""
-        for index, route in routes:
-            if index not in self._inputs and self.point.is_known(route):
-                self._inputs[index] = self.point.signal(route, signals)
-
-    def result(self, purpose: str, evaluate: Evaluate, signals: Any) -> _Signal:
+    def result(self, purpose: str, evaluate: Evaluate) -> _Signal:
         """Return the values that a function of leaf and Context has, and their derivatives."""
         where = f"{self.node.name}: {purpose}"
         variables = self._variables()
@@ -332,7 +335,7 @@ class _Call:
             )
         count = len(self._of_states)
         derivatives = local[:, :count] @ self._of_states
-        for index, signal in self._inputs.items():
+        for index, signal in self.inputs.items():
             first = self._first[index]
             derivatives += local[:, first : first + signal.values.size] @ signal.derivatives
         return _Signal(values, derivatives)
@@ -340,7 +343,7 @@ class _Call:
     def _variables(self) -> Array:
         values = np.zeros(self.size)
         values[: len(self._of_states)] = np.concatenate([self.continuous, self.discrete])
-        for index, signal in self._inputs.items():
+        for index, signal in self.inputs.items():
             first = self._first[index]
             values[first : first + signal.values.size] = signal.values
         return values
@@ -355,7 +358,7 @@ class _Call:
             vector = context.get_mutable_discrete_state(group)
             vector.SetFromVector(variables[end : end + vector.size()])
             end += vector.size()
-        for index, signal in self._inputs.items():
+        for index, signal in self.inputs.items():
             first = self._first[index]
             port = system.get_input_port(index)
             port.FixValue(context, variables[first : first + signal.values.size])
@@ -415,7 +418,13 @@ class _Call:
     def _moved(self, evaluate: Evaluate, variables: Array, index: int, change: float) -> Array:
         moved = variables.copy()
         moved[index] += change
-        return np.asarray(self._called(evaluate, moved))
+        try:
+            return np.asarray(self._called(evaluate, moved))
+        except (Exception, SystemExit) as error:
+            raise CompilationError(
+                f"{self.node.name}: cannot be called beside this point, for differences "
+                f"({reason_of(error)})"
+            ) from error
 
     def _note_flat(
         self, purpose: str, evaluate: Evaluate, variables: Array, values: Array, local: Array
@@ -458,12 +467,9 @@ class _Call:
             port, route = self.system.get_input_port(index), list(self.node.route(index))
             if port.get_data_type() != PortDataType.kVectorValued:
                 if route[-1][1] == "output":
-                    raise CompilationError(
-                        f"{where}: fails at this point; its input {port.get_name()} is no vector "
-                        f"and has no derivative"
-                    )
+                    raise _no_vector(where, f"fails at this point; its input {port.get_name()}")
             elif f"InputPort[{index}]" in text and not self.point.is_known(route):
-                self.point.signal(route, {})
+                raise self.point.no_value(route[-1])
 
 
 _TEMPLATE = "their error is about 1e-11; write the leaf with Drake's TemplateSystem for exact ones"
@@ -484,19 +490,31 @@ def _output(index: int) -> Evaluate:
     return lambda system, context: system.get_output_port(index).Eval(context)
 
 
-def _routes(node: Node, output: int | None = None) -> Iterator[tuple[int, list[Port]]]:
-    """Yield index and route of each vector input that an output port, or anything, depends on."""
-    system = node.system
+def _no_vector(where: str, what: str) -> CompilationError:
+    return CompilationError(f"{where}: {what} is no vector and has no derivative")
+
+
+def _routes(
+    node: Node, purpose: str, output: int | None = None
+) -> Iterator[tuple[int, list[Port]]]:
+    """Yield index and route of each vector input that an output port, or anything, depends on.
+
+    Raises `CompilationError` if it can depend on a signal that is no vector. The geometry query of
+    a SceneGraph is none of them: a leaf that needs it fails, and one without contact does not.
+    """
+    system, where = node.system, f"{node.name}: {purpose}"
     if output is not None:
         port = system.get_output_port(output)
         if port.get_data_type() != PortDataType.kVectorValued:
-            raise CompilationError(
-                f"{node.name}: output port {port.get_name()}: is no vector and has no derivative"
-            )
+            raise _no_vector(where, "it")
     for index in range(system.num_input_ports()):
-        is_vector = system.get_input_port(index).get_data_type() == PortDataType.kVectorValued
-        if is_vector and (output is None or system.HasDirectFeedthrough(index, output)):
-            yield index, list(node.route(index))
+        if output is not None and not system.HasDirectFeedthrough(index, output):
+            continue
+        port, route = system.get_input_port(index), list(node.route(index))
+        if port.get_data_type() == PortDataType.kVectorValued:
+            yield index, route
+        elif route[-1][1] == "output" and not isinstance(route[-1][0].system, SceneGraph):
+            raise _no_vector(where, f"its input {port.get_name()}")
 
 
 def _joined(signals: Sequence[_Signal], width: int) -> tuple[Array, Array]:
