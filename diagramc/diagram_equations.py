@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from functools import cached_property
 from importlib.metadata import version
@@ -16,7 +16,7 @@ from .equations.contexts import parameters_of, state_of
 from .equations.equations import Equations
 from .equations.graph import Graph
 from .equations.graph_values import values_at
-from .equations.ports import bypass as bypass_system, find_port
+from .equations.ports import find_port, tree_of
 from .equations.reader import read_tree
 from .equations.symbolic import Conversion, Steps, completed
 from .equations.tree import Node
@@ -71,6 +71,7 @@ def read_diagram(
     inputs: Iterable[str] = (),
     outputs: Iterable[str] = (),
     bypass: Iterable[str] = (),
+    fixed: Mapping[str, tuple[str, int]] | None = None,
 ) -> DiagramEquations:
     """Return the equations of a diagram of floats.
 
@@ -87,20 +88,20 @@ def read_diagram(
         output ports of the diagram. The signal includes the perturbations of the same port.
     bypass
         Paths of systems, such as quantizers, whose output becomes their first input.
+    fixed
+        Open inputs inside the diagram that replace the connection of a port: {name: (path of the
+        system, index of its input port)}.
 
     Errors: see `compile_diagram`.
     """
     require_system(diagram)
     name = diagram.get_name() or type(diagram).__name__
-    root = Node(diagram)
     in_names, out_names = names("inputs", inputs), names("outputs", outputs)
-    paths = names("bypass", bypass)
-    for path in paths:
-        bypass_system(root, path)
+    root, fixed_ports = tree_of(diagram, names("bypass", bypass), fixed or {})
     try:
         equations = read_tree(
             root,
-            {port: find_port(root, port, "input") for port in in_names},
+            {port: find_port(root, port, "input") for port in in_names} | fixed_ports,
             {port: find_port(root, port, "output") for port in out_names},
         )
     except CompilationError as error:

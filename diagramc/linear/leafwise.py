@@ -8,9 +8,9 @@ floats does not spoil the derivatives of the others. The chain rule joins the le
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,7 +26,7 @@ from ..equations.equations import Equations, Update
 from ..equations.events import reason_of, refuse_witness_functions
 from ..equations.names import numbered_names, state_names
 from ..equations.periods import timing_of
-from ..equations.ports import bypass as bypass_system, find_port, route_of, size_of
+from ..equations.ports import find_port, route_of, size_of, tree_of
 from ..equations.reader import discrete_update, time_derivatives
 from ..equations.symbolic import Steps, completed
 from ..equations.tree import Node, Port
@@ -55,10 +55,9 @@ class LeafwiseEquations(DiagramEquations):
         inputs: Sequence[str],
         outputs: Sequence[str],
         bypass: Sequence[str],
+        fixed: Mapping[str, tuple[str, int]],
     ) -> None:
-        root = Node(diagram)
-        for path in bypass:
-            bypass_system(root, path)
+        root, fixed_ports = tree_of(diagram, bypass, fixed)
         ports = [diagram.get_output_port(i) for i in range(diagram.num_output_ports())]
         is_vector = {p.get_name(): p.get_data_type() == PortDataType.kVectorValued for p in ports}
         routes = {
@@ -71,8 +70,8 @@ class LeafwiseEquations(DiagramEquations):
         equations = Equations()
         self.open_inputs: dict[Port, int] = {}
         """Index of the first element of each open input among the elements of all open inputs."""
-        for name in inputs:
-            port = find_port(root, name, "input")
+        ports_in = {name: find_port(root, name, "input") for name in inputs} | fixed_ports
+        for name, port in ports_in.items():
             self.open_inputs[port] = sum(equations.inputs.values())
             equations.inputs[name] = size_of(port)
         self.routes = routes
@@ -211,9 +210,7 @@ class LeafwisePoint(Point):
     def _at_time(self, time_s: float) -> LeafwisePoint:
         context = self.context.Clone()
         context.SetTime(time_s)
-        return LeafwisePoint(
-            *(self.read, time_s, self.parameters, self.state, self.inputs), context, self.setting
-        )
+        return replace(self, time_s=time_s, context=context)
 
 
 class _Evaluation:
