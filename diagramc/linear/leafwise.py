@@ -38,7 +38,7 @@ _EQUAL = 1e-9  # relative difference of values of floats and of AutoDiffXd that 
 _STEP = 1e-3
 # The error of central differences with one extrapolation is about _STEP⁴ by truncation and
 # 1e-16/_STEP by rounding, so that both are about 1e-12.
-_JUMP = 1e-2  # relative difference of two central differences that no smooth function has
+_JUMP = 1e-2  # relative difference of two differences that no smooth function has
 _FLAT_STEPS = (1e-6, 1e-5, 1e-3, 1e-2, 0.1, 1.0)
 """Relative changes at which a value with the derivative zero is asked whether it changes."""
 
@@ -397,16 +397,18 @@ class _Call:
         columns = []
         for index, value in enumerate(variables):
             step = _STEP * max(1.0, abs(value))
-            wide, narrow = (
-                (
-                    self._moved(evaluate, variables, index, h)
-                    - self._moved(evaluate, variables, index, -h)
-                )
-                / (2.0 * h)
-                for h in (step, step / 2.0)
+            up, down, near_up, near_down = (
+                self._moved(evaluate, variables, index, change)
+                for change in (step, -step, step / 2.0, -step / 2.0)
             )
-            jump = np.abs(wide - narrow) > _JUMP * np.maximum(np.abs(wide), np.abs(narrow))
-            if jump.any() and np.abs(wide - narrow).max() > _EQUAL:
+            wide, narrow = (up - down) / (2.0 * step), (near_up - near_down) / step
+            far_bend, near_bend = up + down - 2.0 * values, near_up + near_down - 2.0 * values
+            # At a jump the two differ. At a corner they do not, but the bend is halved with the
+            # step, where that of a smooth function is a quarter.
+            jumps = np.abs(wide - narrow)
+            corners = np.where(np.abs(near_bend) > 0.4 * np.abs(far_bend), near_bend / step, 0.0)
+            change = np.maximum(jumps, np.abs(corners))
+            if (change > _JUMP * np.maximum(np.abs(wide), np.abs(narrow)) + _EQUAL).any():
                 purpose = where.removeprefix(f"{self.node.name}: ")
                 self._note(purpose, "jumps or bends near this point", "choose another point")
             columns.append((4.0 * narrow - wide) / 3.0)
