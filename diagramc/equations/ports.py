@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator
 from difflib import get_close_matches
 from typing import Any
 
@@ -11,23 +11,6 @@ from pydrake.systems.framework import PortDataType
 from ..arguments import quoted
 from ..errors import CompilationError, shown
 from .tree import Node, Port
-
-
-def tree_of(
-    diagram: Any, bypassed: Iterable[str], fixed: Mapping[str, tuple[str, int]]
-) -> tuple[Node, dict[str, Port]]:
-    """Return the tree of a diagram, and {name: port} of its fixed input ports.
-
-    ``bypassed`` has paths for `bypass`. ``fixed`` has the path of a system and the index of an
-    input port with a value of its own, which no source reaches, by the name of this open input.
-    """
-    root = Node(diagram)
-    for path in bypassed:
-        bypass(root, path)
-    systems = {node.path: node for node in _systems(root)}
-    for path, index in fixed.values():
-        systems[path].fixed.add(index)
-    return root, {name: (systems[path], "input", index) for name, (path, index) in fixed.items()}
 
 
 def find_port(root: Node, name: str, kind: str) -> Port:

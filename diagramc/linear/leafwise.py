@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from pydrake.autodiffutils import AutoDiffXd
-from pydrake.geometry import SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.systems.framework import PortDataType
 
@@ -26,13 +25,13 @@ from ..equations.equations import Equations, Update
 from ..equations.events import reason_of, refuse_witness_functions
 from ..equations.names import numbered_names, state_names
 from ..equations.periods import timing_of
-from ..equations.ports import find_port, route_of, size_of, tree_of
+from ..equations.ports import route_of, size_of
 from ..equations.reader import discrete_update, time_derivatives
 from ..equations.symbolic import Steps, completed
 from ..equations.tree import Node, Port
 from ..errors import CompilationError, DifferenceError
 from ..run_data import Array
-from .point import Point, Slopes
+from .point import Obstacle, Point, Slopes
 
 _EQUAL = 1e-9  # relative difference of values of floats and of AutoDiffXd that counts as none
 _STEP = 1e-3
@@ -46,77 +45,59 @@ _FLAT_STEPS = (1e-6, 1e-5, 1e-3, 1e-2, 0.1, 1.0)
 class LeafwiseEquations(DiagramEquations):
     """A diagram of which only the names, sizes and sample periods are known as equations.
 
-    The nodes in `equations` are placeholders. Parameters are as in `read_diagram`.
+    The nodes in `equations` are placeholders. Parameters are as in `read_tree`.
     """
 
-    def __init__(
-        self,
-        diagram: Any,
-        inputs: Sequence[str],
-        outputs: Sequence[str],
-        bypass: Sequence[str],
-        fixed: Mapping[str, tuple[str, int]],
-    ) -> None:
-        root, fixed_ports = tree_of(diagram, bypass, fixed)
-        ports = [diagram.get_output_port(i) for i in range(diagram.num_output_ports())]
-        is_vector = {p.get_name(): p.get_data_type() == PortDataType.kVectorValued for p in ports}
-        routes = {
-            name: list(root.output_route(index))
-            for index, (name, vector) in enumerate(is_vector.items())
-            if vector
-        }
-        routes |= {name: list(route_of(find_port(root, name, "output"))) for name in outputs}
-        root.observed = [route[-1][0] for route in routes.values() if route[-1][1] == "output"]
+    def __init__(self, root: Node, inputs: Mapping[str, Port], outputs: Mapping[str, Port]) -> None:
+        exported = map(root.system.get_output_port, range(root.system.num_output_ports()))
+        self.routes = {
+            port.get_name(): list(root.output_route(int(port.get_index())))
+            for port in exported
+            if port.get_data_type() == PortDataType.kVectorValued
+        } | {name: list(route_of(port)) for name, port in outputs.items()}
+        """Ports from each output of the model back to the source of its signal."""
+        ends = [route[-1] for route in self.routes.values()]
+        root.observed = [node for node, kind, _ in ends if kind == "output"]
         equations = Equations()
         self.open_inputs: dict[Port, int] = {}
         """Index of the first element of each open input among the elements of all open inputs."""
-        ports_in = {name: find_port(root, name, "input") for name in inputs} | fixed_ports
-        for name, port in ports_in.items():
+        for name, port in inputs.items():
             self.open_inputs[port] = sum(equations.inputs.values())
             equations.inputs[name] = size_of(port)
-        self.routes = routes
-        """Ports from each output of the model back to the source of its signal."""
         self.leaves: dict[Node, _Leaf] = {}
         updates: dict[tuple[float, float], list[int]] = {}
         for node in root.equation_leaves:
             context = node.system.CreateDefaultContext()
             refuse_witness_functions(node, context)
-            leaf = self.leaves[node] = _Leaf(node, len(equations.states), len(equations.discrete))
+            states, discrete = len(equations.states), len(equations.discrete)
             if context.num_continuous_states():
                 equations.states += state_names(node, context)
             for group in range(context.num_discrete_state_groups()):
                 size = context.get_discrete_state(group).size()
                 equations.discrete += numbered_names(node.path, group, size)
-            leaf.continuous = len(equations.states) - leaf.first_continuous
-            leaf.discrete = len(equations.discrete) - leaf.first_discrete
+            leaf = self.leaves[node] = _Leaf(
+                node,
+                range(states, len(equations.states)),
+                range(discrete, len(equations.discrete)),
+            )
             if leaf.discrete:
                 _refuse_abstract_state(node)
                 timing = timing_of(node)
                 key = timing.period_sec(), timing.offset_sec()
-                first = leaf.first_discrete
-                updates.setdefault(key, []).extend(range(first, first + leaf.discrete))
+                updates.setdefault(key, []).extend(leaf.discrete)
         equations.updates = [
             Update(*key, tuple((index, 0) for index in indices)) for key, indices in updates.items()
         ]
-        equations.outputs = {name: [0] * size_of(route[0]) for name, route in routes.items()}
-        super().__init__(diagram, equations, root)
+        equations.outputs = {name: [0] * size_of(route[0]) for name, route in self.routes.items()}
+        super().__init__(root.system, equations, root)
 
 
-@dataclass(eq=False)
-class _Leaf:
-    """A leaf system with the places of its states among all states of the diagram."""
+class _Leaf(NamedTuple):
+    """A leaf system with the indices of its states among all states of each kind."""
 
     node: Node
-    first_continuous: int
-    first_discrete: int
-    continuous: int = 0
-    discrete: int = 0
-
-    def of(self, states: Array, count: int) -> tuple[Array, Array]:
-        """Return the rows of the leaf's states; the first ``count`` states are continuous."""
-        first = count + self.first_discrete
-        continuous = states[self.first_continuous : self.first_continuous + self.continuous]
-        return continuous, states[first : first + self.discrete]
+    continuous: range
+    discrete: range
 
 
 class _Signal(NamedTuple):
@@ -124,15 +105,6 @@ class _Signal(NamedTuple):
 
     values: Array
     derivatives: Array
-
-
-class _Gap(NamedTuple):
-    """A fact about the derivatives of a leaf that a user of the linear model must know."""
-
-    path: str
-    port: str
-    reason: str
-    remedy: str
 
 
 @dataclass(frozen=True)
@@ -144,7 +116,7 @@ class LeafwisePoint(Point):
     """Context of the diagram, with parameters and abstract values."""
     setting: str
     """Name of the open inputs in the caller's arguments, for messages."""
-    gaps: dict[tuple[str, str], _Gap] = field(default_factory=dict, init=False)
+    gaps: dict[tuple[str, str], Obstacle] = field(default_factory=dict, init=False)
     """What `slopes` has found out, by path and port."""
     _known: dict[tuple[str, ...], Slopes] = field(default_factory=dict, init=False)
 
@@ -278,12 +250,13 @@ class _Call:
         self.point, self.node, self.system = point, node, system
         _refuse_abstract_state(node)
         count = len(point.read.state_names)
-        self.continuous, self.discrete = leaf.of(point.state, count)
-        self._of_states = np.vstack(leaf.of(np.eye(point.state.size, point.width), count))
+        rows = [*leaf.continuous, *(count + index for index in leaf.discrete)]
+        self._states, self._continuous = point.state[rows], len(leaf.continuous)
+        self._of_states = np.eye(point.state.size, point.width)[rows]
         ports = [system.get_input_port(index) for index in range(system.num_input_ports())]
         self._first: dict[int, int] = {}
         """Index of the first variable of each vector input."""
-        self.size = len(self._of_states)
+        self.size = self._states.size
         for index, port in enumerate(ports):
             if port.get_data_type() == PortDataType.kVectorValued:
                 self._first[index] = self.size
@@ -311,7 +284,7 @@ class _Call:
         try:
             values = self._called(evaluate, variables)
         except (Exception, SystemExit) as error:
-            self._require_inputs(where, str(error))
+            self._require_inputs(str(error))
             raise CompilationError(f"{where}: fails at this point ({reason_of(error)})") from error
         local = self._gradients(where, evaluate, variables, values)
         if local is None:
@@ -330,8 +303,7 @@ class _Call:
                 "has a quaternion: the model has one more eigenvalue for its length",
                 "leave out the eigenvalue 0 of a continuous or 1 of a sampled model",
             )
-        count = len(self._of_states)
-        derivatives = local[:, :count] @ self._of_states
+        derivatives = local[:, : self._states.size] @ self._of_states
         for index, signal in self.inputs.items():
             first = self._first[index]
             derivatives += local[:, first : first + signal.values.size] @ signal.derivatives
@@ -339,7 +311,7 @@ class _Call:
 
     def _variables(self) -> Array:
         values = np.zeros(self.size)
-        values[: len(self._of_states)] = np.concatenate([self.continuous, self.discrete])
+        values[: self._states.size] = self._states
         for index, signal in self.inputs.items():
             first = self._first[index]
             values[first : first + signal.values.size] = signal.values
@@ -348,7 +320,7 @@ class _Call:
     def _called(self, evaluate: Evaluate, variables: Any, auto: bool = False) -> Any:
         """Return the values of a function at variables of the leaf."""
         system, context = (self.system, self._floats) if not auto else self._auto  # type: ignore[misc]
-        end = self.continuous.size
+        end = self._continuous
         if end:
             context.SetContinuousState(variables[:end])
         for group in range(context.num_discrete_state_groups()):
@@ -455,19 +427,16 @@ class _Call:
 
     def _note(self, port: str, reason: str, remedy: str) -> None:
         key = self.node.name, port
-        self.point.gaps.setdefault(key, _Gap(*key, reason, remedy))
+        self.point.gaps.setdefault(key, Obstacle(*key, reason, remedy))
 
-    def _require_inputs(self, where: str, text: str) -> None:
+    def _require_inputs(self, text: str) -> None:
         """Raise `CompilationError` if an input without a value can be why a call failed.
 
         ``text`` is the message of the failure.
         """
         for index in range(self.system.num_input_ports()):
-            port, route = self.system.get_input_port(index), list(self.node.route(index))
-            if port.get_data_type() != PortDataType.kVectorValued:
-                if route[-1][1] == "output":
-                    raise _no_vector(where, f"fails at this point; its input {port.get_name()}")
-            elif f"InputPort[{index}]" in text and not self.point.is_known(route):
+            route = list(self.node.route(index))
+            if f"InputPort[{index}]" in text and not self.point.is_known(route):
                 raise self.point.no_value(route[-1])
 
 
@@ -489,31 +458,38 @@ def _output(index: int) -> Evaluate:
     return lambda system, context: system.get_output_port(index).Eval(context)
 
 
-def _no_vector(where: str, what: str) -> CompilationError:
-    return CompilationError(f"{where}: {what} is no vector and has no derivative")
-
-
 def _routes(
     node: Node, purpose: str, output: int | None = None
 ) -> Iterator[tuple[int, list[Port]]]:
     """Yield index and route of each vector input that an output port, or anything, depends on.
 
-    Raises `CompilationError` if it can depend on a signal that is no vector. The geometry query of
-    a SceneGraph is none of them: a leaf that needs it fails, and one without contact does not.
+    Raises `CompilationError` if the output port, or a signal that it can depend on, is no vector.
     """
     system, where = node.system, f"{node.name}: {purpose}"
     if output is not None:
-        port = system.get_output_port(output)
-        if port.get_data_type() != PortDataType.kVectorValued:
-            raise _no_vector(where, "it")
+        _require_vector(system.get_output_port(output), where)
     for index in range(system.num_input_ports()):
+        port, route = system.get_input_port(index), list(node.route(index))
         if output is not None and not system.HasDirectFeedthrough(index, output):
             continue
-        port, route = system.get_input_port(index), list(node.route(index))
         if port.get_data_type() == PortDataType.kVectorValued:
             yield index, route
-        elif route[-1][1] == "output" and not isinstance(route[-1][0].system, SceneGraph):
-            raise _no_vector(where, f"its input {port.get_name()}")
+        elif route[-1][1] == "output" and not _is_without_contact(system, port):
+            _require_vector(port, f"{where}: its input {port.get_name()}")
+
+
+def _require_vector(port: Any, where: str) -> None:
+    if port.get_data_type() != PortDataType.kVectorValued:
+        raise CompilationError(f"{where}: is no vector and has no derivative")
+
+
+def _is_without_contact(system: Any, port: Any) -> bool:
+    """Return whether a port is the geometry query of a plant that has nothing to collide."""
+    return (
+        isinstance(system, MultibodyPlant)
+        and port.get_name() == system.get_geometry_query_input_port().get_name()
+        and not system.num_collision_geometries()
+    )
 
 
 def _joined(signals: Sequence[_Signal], width: int) -> tuple[Array, Array]:

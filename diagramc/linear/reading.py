@@ -10,7 +10,8 @@ import numpy as np
 from pydrake.systems.framework import PortDataType
 
 from ..arguments import names, quoted
-from ..diagram_equations import DiagramEquations, read_diagram, require_system
+from ..diagram_equations import DiagramEquations, equations_of, require_system
+from ..equations.ports import bypass as bypass_system, find_port
 from ..equations.tree import Node, Port
 from ..errors import CompilationError, DifferenceError, ParameterError, shown
 from ..run_data import Array
@@ -67,18 +68,16 @@ def read_points(
                 f"other outputs or bypass; must be read with those of this call"
             )
     else:
-        fixed = _fixed_ports(system, contexts, values)
-        open_ports = tuple(dict.fromkeys([*inputs, *itertools.chain(*values)]))
+        root = Node(system)
+        for path in bypass:
+            bypass_system(root, path)
+        open_ports = dict.fromkeys([*inputs, *itertools.chain(*values)])
+        in_ports = {name: find_port(root, name, "input") for name in open_ports}
+        in_ports |= _fixed_ports(root, contexts, values)
         ports = map(system.get_output_port, range(system.num_output_ports()))
         exported = {port.get_name() for port in ports}
         inner = [name for name in outputs if name not in exported]
-        read = _read(
-            system,
-            [name for name in open_ports if name not in fixed or name in inputs],
-            inner,
-            bypass,
-            fixed,
-        )
+        read = _read(root, in_ports, {name: find_port(root, name, "output") for name in inner})
     sizes = read.equations.inputs
     states = [read.state(context) for context in contexts]
     points: list[Point] = []
@@ -112,23 +111,17 @@ def system_of(diagram: Any) -> Any:
     return diagram
 
 
-def _read(
-    diagram: Any,
-    inputs: Sequence[str],
-    outputs: Sequence[str],
-    bypass: Sequence[str],
-    fixed: Mapping[str, tuple[str, int]],
-) -> DiagramEquations:
+def _read(root: Node, inputs: Mapping[str, Port], outputs: Mapping[str, Port]) -> DiagramEquations:
     """Return the equations of a diagram; only their names and sizes if a leaf has no equations.
 
     Equations come first, because they tell more: see `advice`.
     """
     try:
-        return read_diagram(diagram, inputs=inputs, outputs=outputs, bypass=bypass, fixed=fixed)
+        return equations_of(root, inputs, outputs)
     except DifferenceError:  # a leaf whose forms disagree has no right derivative
         raise
     except CompilationError:
-        return LeafwiseEquations(diagram, inputs, outputs, bypass, fixed)
+        return LeafwiseEquations(root, inputs, outputs)
 
 
 def _input_values(diagram: Any, context: Any) -> dict[str, Array]:
@@ -151,28 +144,29 @@ def _input_values(diagram: Any, context: Any) -> dict[str, Array]:
 
 
 def _fixed_ports(
-    diagram: Any, contexts: Sequence[Any], values: Sequence[dict[str, Array]]
-) -> dict[str, tuple[str, int]]:
-    """Add the values of fixed ports inside a diagram to ``values``; return where the ports are.
+    root: Node, contexts: Sequence[Any], values: Sequence[dict[str, Array]]
+) -> dict[str, Port]:
+    """Add the values of fixed ports inside a diagram to ``values``; return and cut these ports.
 
     Raises `ParameterError` if a port is fixed in one Context and not in another.
     """
-    found = []
+    ports: dict[str, Port] = {}
     for context, of_port in zip(contexts, values, strict=True):
-        ports = {} if context is None else dict(_fixed_inside(Node(diagram), context))
-        of_port |= {name: value for name, (_, value) in ports.items()}
-        found.append({name: place for name, (place, _) in ports.items()})
-    for places in found[1:]:
-        if differing := found[0].keys() ^ places.keys():
+        if context is not None:
+            for name, port, value in _fixed_inside(root, context):
+                ports[name], of_port[name] = port, value
+    for name, (node, _, index) in ports.items():
+        node.fixed.add(index)
+        if not all(name in of_port for of_port in values):
             raise ParameterError(
-                f"contexts: {quoted(min(differing))} has a value of its own in some of them; must "
-                f"have one in all or in none"
+                f"contexts: {quoted(name)} has a value of its own in some of them; must have one "
+                f"in all or in none"
             )
-    return found[0] if found else {}
+    return ports
 
 
-def _fixed_inside(root: Node, context: Any) -> Iterator[tuple[str, tuple[tuple[str, int], Array]]]:
-    """Yield name, place and value of each input port inside with a value of its own.
+def _fixed_inside(root: Node, context: Any) -> Iterator[tuple[str, Port, Array]]:
+    """Yield name, port and value of each input port inside with a value of its own.
 
     Such a port is not connected, or has not the value of the port that it reads. Drake does not
     tell, so the values are compared where states and inputs have moved a little: FixValue may have
@@ -200,7 +194,7 @@ def _fixed_inside(root: Node, context: Any) -> Iterator[tuple[str, tuple[tuple[s
                 if before is None or not np.array_equal(own, before):
                     name = node.system.get_input_port(number).get_name()
                     same = " (input)" if node.system.HasOutputPort(name) else ""
-                    yield f"{node.path}:{name}{same}", ((node.path, number), own)
+                    yield f"{node.path}:{name}{same}", port, own
 
 
 def _beside(values: Array, random: Any) -> Array:
