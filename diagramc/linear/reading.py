@@ -191,7 +191,7 @@ def _fixed_inside(root: Node, context: Any) -> Iterator[tuple[str, Port, Array]]
                 node, kind, number = port
                 if kind == "output" or own is None:
                     continue
-                if before is None or not np.array_equal(own, before):
+                if before is None or not np.array_equal(own, before, equal_nan=True):
                     name = node.system.get_input_port(number).get_name()
                     same = " (input)" if node.system.HasOutputPort(name) else ""
                     yield f"{node.path}:{name}{same}", port, own
@@ -207,8 +207,5 @@ def _value(port: Port, context: Any) -> Array | None:
     of_node = node.context(context)
     try:
         return np.asarray(getattr(node.system, f"get_{kind}_port")(index).Eval(of_node))
-    except (
-        Exception,
-        SystemExit,
-    ):  # a leaf may fail beside the point; then its signal cannot be compared
-        return None
+    except (Exception, SystemExit):
+        return None  # a leaf may fail beside the point, and with it all who read the port
