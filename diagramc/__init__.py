@@ -92,7 +92,7 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
     )
     from .fmu.variables import FmuParameter as FmuParameter
     from .interruption import interrupt_later as interrupt_later
-    from .linear.advice import Obstacle as Obstacle, advice as advice
+    from .linear.advice import advice as advice
     from .linear.equilibrium import find_equilibrium as find_equilibrium
     from .linear.linearize import linearize as linearize, linearize_at as linearize_at
     from .linear.loop_at import loop_at as loop_at
@@ -109,6 +109,7 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
         TickModel as TickModel,
     )
     from .linear.periodic import PeriodicLoop as PeriodicLoop
+    from .linear.point import Obstacle as Obstacle
     from .model import (
         CompiledModel as CompiledModel,
         DiagramModel as DiagramModel,
@@ -160,7 +161,7 @@ else:
         "fmu.parameters": ("context_parameters", "initial_states"),
         "fmu.variables": ("FmuParameter",),
         "interruption": ("interrupt_later",),
-        "linear.advice": ("Obstacle", "advice"),
+        "linear.advice": ("advice",),
         "linear.equilibrium": ("find_equilibrium",),
         "linear.linearize": ("linearize", "linearize_at"),
         "linear.loop_at": ("loop_at",),
@@ -168,6 +169,7 @@ else:
         "linear.margins": ("LoopMargins", "margins"),
         "linear.model": ("LinearModel", "OperatingPoint", "TickModel"),
         "linear.periodic": ("PeriodicLoop",),
+        "linear.point": ("Obstacle",),
         "model": (
             *("CompiledModel", "DiagramModel", "Simulation", "compile_by_key", "compile_diagram"),
         ),

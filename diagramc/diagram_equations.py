@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from functools import cached_property
 from importlib.metadata import version
@@ -19,7 +19,7 @@ from .equations.graph_values import values_at
 from .equations.ports import bypass as bypass_system, find_port
 from .equations.reader import read_tree
 from .equations.symbolic import Conversion, Steps, completed
-from .equations.tree import Node
+from .equations.tree import Node, Port
 from .errors import CompilationError
 from .run_data import Array, State
 
@@ -91,25 +91,31 @@ def read_diagram(
     Errors: see `compile_diagram`.
     """
     require_system(diagram)
-    name = diagram.get_name() or type(diagram).__name__
     root = Node(diagram)
     in_names, out_names = names("inputs", inputs), names("outputs", outputs)
-    paths = names("bypass", bypass)
-    for path in paths:
+    for path in names("bypass", bypass):
         bypass_system(root, path)
+    return equations_of(
+        root,
+        {port: find_port(root, port, "input") for port in in_names},
+        {port: find_port(root, port, "output") for port in out_names},
+    )
+
+
+def equations_of(
+    root: Node, inputs: Mapping[str, Port], outputs: Mapping[str, Port]
+) -> DiagramEquations:
+    """Return the equations of the diagram at the root of a tree: see `read_tree`."""
+    name = root.system.get_name() or type(root.system).__name__
     try:
-        equations = read_tree(
-            root,
-            {port: find_port(root, port, "input") for port in in_names},
-            {port: find_port(root, port, "output") for port in out_names},
-        )
+        equations = read_tree(root, inputs, outputs)
     except CompilationError as error:
         # The path of a single leaf system is empty, and a user may not know of `inputs`.
         text = f"{name}{error}" if str(error).startswith(": ") else str(error)
         if "is not connected" in text:
             text += "; connect it, or name the diagram's port in inputs"
         raise type(error)(text) from error
-    return DiagramEquations(diagram, equations, root)
+    return DiagramEquations(root.system, equations, root)
 
 
 def require_system(diagram: Any) -> None:

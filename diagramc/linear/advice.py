@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -14,29 +13,13 @@ from ..equations.operations import OPERATIONS, Role
 from ..equations.ports import can_bypass
 from ..run_data import Array
 from .leafwise import LeafwisePoint
-from .point import EQUILIBRIUM_TOLERANCE, Point, Slopes, require_tolerance
+from .point import EQUILIBRIUM_TOLERANCE, Obstacle, Point, Slopes, require_tolerance
 from .reading import read_point
 
 _AT_CORNER = 1e-9  # relative distance of two numbers that counts as equal
 _CORNERS = {"where": "a switch", "abs": "an absolute value", "min": "a minimum", "max": "a maximum"}
 _ROUNDING = 1e-9  # relative size of a difference that counts as zero
 _RANK = 1e-10  # relative size of a singular value that counts as zero
-
-
-@dataclass(frozen=True)
-class Obstacle:
-    """What prevents a useful linear model at an operating point: block, reason and remedy."""
-
-    path: str
-    """Path of the leaf system."""
-    port: str
-    """The output port, update or state, such as ``output port y0``."""
-    reason: str
-    remedy: str
-
-    def __str__(self) -> str:
-        """Return the obstacle as one line."""
-        return f"{self.path}: {self.port}: {self.reason}; {self.remedy}"
 
 
 def advice(
@@ -102,7 +85,7 @@ def obstacles(point: Point, outputs: Iterable[str] = ()) -> list[Obstacle]:
     """Return all obstacles to a useful linear model in the equations of states and outputs."""
     if isinstance(point, LeafwisePoint):
         point.slopes(tuple(outputs))
-        return [Obstacle(*gap) for gap in point.gaps.values()]
+        return list(point.gaps.values())
     survey = _Survey(point, outputs)
     by_port: dict[tuple[str, str], Obstacle] = {}
     for section, reason, remedy in survey.faults():

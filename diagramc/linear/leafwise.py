@@ -8,10 +8,9 @@ floats does not spoil the derivatives of the others. The chain rule joins the le
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
-from graphlib import CycleError, TopologicalSorter
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,18 +25,19 @@ from ..equations.equations import Equations, Update
 from ..equations.events import reason_of, refuse_witness_functions
 from ..equations.names import numbered_names, state_names
 from ..equations.periods import timing_of
-from ..equations.ports import bypass as bypass_system, find_port, route_of, size_of
+from ..equations.ports import route_of, size_of
 from ..equations.reader import discrete_update, time_derivatives
+from ..equations.symbolic import Steps, completed
 from ..equations.tree import Node, Port
 from ..errors import CompilationError, DifferenceError
 from ..run_data import Array
-from .point import Point, Slopes
+from .point import Obstacle, Point, Slopes
 
 _EQUAL = 1e-9  # relative difference of values of floats and of AutoDiffXd that counts as none
 _STEP = 1e-3
 # The error of central differences with one extrapolation is about _STEP⁴ by truncation and
 # 1e-16/_STEP by rounding, so that both are about 1e-12.
-_JUMP = 1e-2  # relative difference of two central differences that no smooth function has
+_JUMP = 1e-2  # relative difference of two differences that no smooth function has
 _FLAT_STEPS = (1e-6, 1e-5, 1e-3, 1e-2, 0.1, 1.0)
 """Relative changes at which a value with the derivative zero is asked whether it changes."""
 
@@ -45,78 +45,59 @@ _FLAT_STEPS = (1e-6, 1e-5, 1e-3, 1e-2, 0.1, 1.0)
 class LeafwiseEquations(DiagramEquations):
     """A diagram of which only the names, sizes and sample periods are known as equations.
 
-    The nodes in `equations` are placeholders. Parameters are as in `read_diagram`.
+    The nodes in `equations` are placeholders. Parameters are as in `read_tree`.
     """
 
-    def __init__(
-        self,
-        diagram: Any,
-        inputs: Sequence[str],
-        outputs: Sequence[str],
-        bypass: Sequence[str],
-    ) -> None:
-        root = Node(diagram)
-        for path in bypass:
-            bypass_system(root, path)
-        ports = [diagram.get_output_port(i) for i in range(diagram.num_output_ports())]
-        is_vector = {p.get_name(): p.get_data_type() == PortDataType.kVectorValued for p in ports}
-        routes = {
-            name: list(root.output_route(index))
-            for index, (name, vector) in enumerate(is_vector.items())
-            if vector
-        }
-        routes |= {name: list(route_of(find_port(root, name, "output"))) for name in outputs}
-        root.observed = [route[-1][0] for route in routes.values() if route[-1][1] == "output"]
+    def __init__(self, root: Node, inputs: Mapping[str, Port], outputs: Mapping[str, Port]) -> None:
+        exported = map(root.system.get_output_port, range(root.system.num_output_ports()))
+        self.routes = {
+            port.get_name(): list(root.output_route(int(port.get_index())))
+            for port in exported
+            if port.get_data_type() == PortDataType.kVectorValued
+        } | {name: list(route_of(port)) for name, port in outputs.items()}
+        """Ports from each output of the model back to the source of its signal."""
+        ends = [route[-1] for route in self.routes.values()]
+        root.observed = [node for node, kind, _ in ends if kind == "output"]
         equations = Equations()
         self.open_inputs: dict[Port, int] = {}
         """Index of the first element of each open input among the elements of all open inputs."""
-        for name in inputs:
-            port = find_port(root, name, "input")
+        for name, port in inputs.items():
             self.open_inputs[port] = sum(equations.inputs.values())
             equations.inputs[name] = size_of(port)
-        self.routes = routes
-        """Ports from each output of the model back to the source of its signal."""
         self.leaves: dict[Node, _Leaf] = {}
         updates: dict[tuple[float, float], list[int]] = {}
         for node in root.equation_leaves:
             context = node.system.CreateDefaultContext()
             refuse_witness_functions(node, context)
-            leaf = self.leaves[node] = _Leaf(node, len(equations.states), len(equations.discrete))
+            states, discrete = len(equations.states), len(equations.discrete)
             if context.num_continuous_states():
                 equations.states += state_names(node, context)
             for group in range(context.num_discrete_state_groups()):
                 size = context.get_discrete_state(group).size()
                 equations.discrete += numbered_names(node.path, group, size)
-            leaf.continuous = len(equations.states) - leaf.first_continuous
-            leaf.discrete = len(equations.discrete) - leaf.first_discrete
+            leaf = self.leaves[node] = _Leaf(
+                node,
+                range(states, len(equations.states)),
+                range(discrete, len(equations.discrete)),
+            )
             if leaf.discrete:
                 _refuse_abstract_state(node)
                 timing = timing_of(node)
                 key = timing.period_sec(), timing.offset_sec()
-                first = leaf.first_discrete
-                updates.setdefault(key, []).extend(range(first, first + leaf.discrete))
+                updates.setdefault(key, []).extend(leaf.discrete)
         equations.updates = [
             Update(*key, tuple((index, 0) for index in indices)) for key, indices in updates.items()
         ]
-        equations.outputs = {name: [0] * size_of(route[0]) for name, route in routes.items()}
-        super().__init__(diagram, equations, root)
+        equations.outputs = {name: [0] * size_of(route[0]) for name, route in self.routes.items()}
+        super().__init__(root.system, equations, root)
 
 
-@dataclass(eq=False)
-class _Leaf:
-    """A leaf system with the places of its states among all states of the diagram."""
+class _Leaf(NamedTuple):
+    """A leaf system with the indices of its states among all states of each kind."""
 
     node: Node
-    first_continuous: int
-    first_discrete: int
-    continuous: int = 0
-    discrete: int = 0
-
-    def of(self, states: Array, count: int) -> tuple[Array, Array]:
-        """Return the rows of the leaf's states; the first ``count`` states are continuous."""
-        first = count + self.first_discrete
-        continuous = states[self.first_continuous : self.first_continuous + self.continuous]
-        return continuous, states[first : first + self.discrete]
+    continuous: range
+    discrete: range
 
 
 class _Signal(NamedTuple):
@@ -124,15 +105,6 @@ class _Signal(NamedTuple):
 
     values: Array
     derivatives: Array
-
-
-class _Gap(NamedTuple):
-    """A fact about the derivatives of a leaf that a user of the linear model must know."""
-
-    path: str
-    port: str
-    reason: str
-    remedy: str
 
 
 @dataclass(frozen=True)
@@ -144,7 +116,7 @@ class LeafwisePoint(Point):
     """Context of the diagram, with parameters and abstract values."""
     setting: str
     """Name of the open inputs in the caller's arguments, for messages."""
-    gaps: dict[tuple[str, str], _Gap] = field(default_factory=dict, init=False)
+    gaps: dict[tuple[str, str], Obstacle] = field(default_factory=dict, init=False)
     """What `slopes` has found out, by path and port."""
     _known: dict[tuple[str, ...], Slopes] = field(default_factory=dict, init=False)
 
@@ -156,31 +128,17 @@ class LeafwisePoint(Point):
         return self._known[key]
 
     def _slopes(self, outputs: tuple[str, ...]) -> Slopes:
-        leaves = self.read.leaves.values()
-        routes = [self.read.routes[name] for name in outputs]
-        moving = [leaf for leaf in leaves if leaf.continuous or leaf.discrete]
-        inputs = {leaf: list(_routes(leaf.node)) for leaf in moving}
-        needed = [route for of_leaf in inputs.values() for _, route in of_leaf]
-        signals: dict[Port, _Signal] = {}
-        calls: dict[Node, _Call] = {}
-        for node, index in self._order([*needed, *routes]):
-            where = f"output port {node.system.get_output_port(index).get_name()}"
-            call = calls.setdefault(node, _Call(self, self.read.leaves[node]))
-            call.give(_routes(node, index), signals)
-            signals[node, "output", index] = call.result(where, _output(index), signals)
+        evaluation = _Evaluation(self)
         rates, updates = [], []
-        for leaf in moving:
-            call = calls.setdefault(leaf.node, _Call(self, leaf))
-            call.give(inputs[leaf], signals)
+        for leaf in self.read.leaves.values():
             if leaf.continuous:
-                rates.append(call.result("time derivatives", time_derivatives, signals))
+                steps = evaluation.result(leaf.node, "time derivatives", time_derivatives)
+                rates.append(completed(steps))
             if leaf.discrete:
-                updates.append(call.result("discrete update", discrete_update, signals))
-        width = self.state.size + self.inputs.size
-        return Slopes(
-            *_joined([*rates, *updates], width),
-            *_joined([self.signal(route, signals) for route in routes], width),
-        )
+                steps = evaluation.result(leaf.node, "discrete update", discrete_update)
+                updates.append(completed(steps))
+        signals = [completed(evaluation.signal(self.read.routes[name])) for name in outputs]
+        return Slopes(*_joined([*rates, *updates], self.width), *_joined(signals, self.width))
 
     def time_varying(self, outputs: Sequence[str] = ()) -> list[str]:
         """Return the names of rates, updates and outputs whose derivatives change with the time.
@@ -198,67 +156,87 @@ class LeafwisePoint(Point):
             varies |= np.abs(change).max(axis=1, initial=0.0) > _EQUAL * (1.0 + largest)
         return [name for name, does in zip(names, varies, strict=True) if does]
 
-    def signal(self, route: Sequence[Port], signals: Mapping[Port, _Signal]) -> _Signal:
-        """Return the signal at the first port of a route: that of its source, and perturbations."""
-        size, source = size_of(route[0]), route[-1]
-        width = self.state.size + self.inputs.size
-        values, derivatives = np.zeros(size), np.zeros((size, width))
-        if source[1] == "output":
-            values, derivatives = (part.copy() for part in signals[source])
-        elif source not in self.read.open_inputs:
-            node, _, index = source
-            name = quoted(node.system.get_input_port(index).get_name())
-            if node.parent is not None:
-                raise CompilationError(
-                    f"{node.name}: input port {name} is not connected; connect it, or name the "
-                    f"diagram's port in inputs"
-                )
-            raise CompilationError(
-                f"input port {name} has no value: FixValue it in the Context, or name it in "
-                f"{self.setting}"
-            )
-        for port in route:
-            if port in self.read.open_inputs:
-                first = self.read.open_inputs[port]
-                values += self.inputs[first : first + size]
-                column = self.state.size + first
-                derivatives[:, column : column + size] += np.eye(size)
-        return _Signal(values, derivatives)
+    @property
+    def width(self) -> int:
+        """Number of states and inputs."""
+        return self.state.size + self.inputs.size
 
     def is_known(self, route: Sequence[Port]) -> bool:
         """Return whether the signal of a route has a source."""
         return route[-1][1] == "output" or route[-1] in self.read.open_inputs
 
+    def no_value(self, source: Port) -> CompilationError:
+        """Return the error for an input port without a value."""
+        node, _, index = source
+        name = quoted(node.system.get_input_port(index).get_name())
+        if node.parent is not None:
+            return CompilationError(
+                f"{node.name}: input port {name} is not connected; connect it, or name the "
+                f"diagram's port in inputs"
+            )
+        return CompilationError(
+            f"input port {name} has no value: FixValue it in the Context, or name it in "
+            f"{self.setting}"
+        )
+
     def _at_time(self, time_s: float) -> LeafwisePoint:
         context = self.context.Clone()
         context.SetTime(time_s)
-        return LeafwisePoint(
-            *(self.read, time_s, self.parameters, self.state, self.inputs), context, self.setting
-        )
+        return replace(self, time_s=time_s, context=context)
 
-    def _order(self, routes: Iterable[Sequence[Port]]) -> Iterator[tuple[Node, int]]:
-        """Yield the output ports on which routes depend, each after those it depends on itself."""
-        sorter: TopologicalSorter[Port] = TopologicalSorter()
-        pending = [route[-1] for route in routes if route[-1][1] == "output"]
-        known: set[Port] = set()
-        while pending:
-            port = pending.pop()
-            if port in known:
-                continue
-            known.add(port)
-            node, _, index = port
-            ends = [route[-1] for _, route in _routes(node, index)]
-            before = [end for end in ends if end[1] == "output"]
-            sorter.add(port, *before)
-            pending += before
-        try:
-            yield from ((node, index) for node, _, index in [*sorter.static_order()])
-        except CycleError as error:
-            node, _, index = error.args[1][0]
-            raise CompilationError(
-                f"{node.name}: output port {node.system.get_output_port(index).get_name()}: "
-                f"depends on itself (algebraic loop)"
-            ) from None
+
+class _Evaluation:
+    """The signals and the leaves of a diagram at a point, as far as they are called."""
+
+    def __init__(self, point: LeafwisePoint) -> None:
+        self.point = point
+        self._calls: dict[Node, _Call] = {}
+        self._signals: dict[Port, _Signal | None] = {}
+        """Signal of each output port, or None while it is computed."""
+
+    def signal(self, route: Sequence[Port]) -> Steps[_Signal]:
+        """Return the signal at the first port of a route: that of its source, and perturbations."""
+        point, open_inputs = self.point, self.point.read.open_inputs
+        size, source = size_of(route[0]), route[-1]
+        values, derivatives = np.zeros(size), np.zeros((size, point.width))
+        if source[1] == "output":
+            of_source = yield self._output(source)
+            values, derivatives = (part.copy() for part in of_source)
+        elif source not in open_inputs:
+            raise point.no_value(source)
+        for port in route:
+            if port in open_inputs:
+                first = open_inputs[port]
+                values += point.inputs[first : first + size]
+                column = point.state.size + first
+                derivatives[:, column : column + size] += np.eye(size)
+        return _Signal(values, derivatives)
+
+    def _output(self, port: Port) -> Steps[_Signal]:
+        node, _, index = port
+        where = f"output port {node.system.get_output_port(index).get_name()}"
+        if port not in self._signals:
+            self._signals[port] = None
+            self._signals[port] = yield self.result(node, where, _output(index), index)
+        found = self._signals[port]
+        if found is None:
+            raise CompilationError(f"{node.name}: {where}: depends on itself (algebraic loop)")
+        return found
+
+    def result(
+        self, node: Node, purpose: str, evaluate: Evaluate, output: int | None = None
+    ) -> Steps[_Signal]:
+        """Return values and derivatives of a function of leaf and Context.
+
+        They depend on the inputs of an output port, or on all if ``output`` is None.
+        """
+        if node not in self._calls:
+            self._calls[node] = _Call(self.point, self.point.read.leaves[node])
+        call = self._calls[node]
+        for index, route in _routes(node, purpose, output):
+            if index not in call.inputs and self.point.is_known(route):
+                call.inputs[index] = yield self.signal(route)
+        return call.result(purpose, evaluate)
 
 
 class _Call:
@@ -272,18 +250,19 @@ class _Call:
         self.point, self.node, self.system = point, node, system
         _refuse_abstract_state(node)
         count = len(point.read.state_names)
-        self.continuous, self.discrete = leaf.of(point.state, count)
-        width = point.state.size + point.inputs.size
-        self._of_states = np.vstack(leaf.of(np.eye(point.state.size, width), count))
+        rows = [*leaf.continuous, *(count + index for index in leaf.discrete)]
+        self._states, self._continuous = point.state[rows], len(leaf.continuous)
+        self._of_states = np.eye(point.state.size, point.width)[rows]
         ports = [system.get_input_port(index) for index in range(system.num_input_ports())]
         self._first: dict[int, int] = {}
         """Index of the first variable of each vector input."""
-        self.size = len(self._of_states)
+        self.size = self._states.size
         for index, port in enumerate(ports):
             if port.get_data_type() == PortDataType.kVectorValued:
                 self._first[index] = self.size
                 self.size += port.size()
-        self._inputs: dict[int, _Signal] = {}
+        self.inputs: dict[int, _Signal] = {}
+        """Signal of each vector input that has a source, as far as it is needed."""
         self._floats = system.CreateDefaultContext()
         self._floats.SetTimeStateAndParametersFrom(node.context(point.context))
         self._auto: tuple[Any, Any] | None = None
@@ -298,20 +277,14 @@ class _Call:
             context.SetTimeStateAndParametersFrom(self._floats)
             self._auto = converted, context
 
-    def give(self, routes: Iterable[tuple[int, Sequence[Port]]], signals: Any) -> None:
-        """Give the leaf the signals of its input ports, as far as they have a source."""
-        for index, route in routes:
-            if index not in self._inputs and self.point.is_known(route):
-                self._inputs[index] = self.point.signal(route, signals)
-
-    def result(self, purpose: str, evaluate: Evaluate, signals: Any) -> _Signal:
+    def result(self, purpose: str, evaluate: Evaluate) -> _Signal:
         """Return the values that a function of leaf and Context has, and their derivatives."""
         where = f"{self.node.name}: {purpose}"
         variables = self._variables()
         try:
             values = self._called(evaluate, variables)
         except (Exception, SystemExit) as error:
-            self._require_inputs(where, str(error))
+            self._require_inputs(str(error))
             raise CompilationError(f"{where}: fails at this point ({reason_of(error)})") from error
         local = self._gradients(where, evaluate, variables, values)
         if local is None:
@@ -330,17 +303,16 @@ class _Call:
                 "has a quaternion: the model has one more eigenvalue for its length",
                 "leave out the eigenvalue 0 of a continuous or 1 of a sampled model",
             )
-        count = len(self._of_states)
-        derivatives = local[:, :count] @ self._of_states
-        for index, signal in self._inputs.items():
+        derivatives = local[:, : self._states.size] @ self._of_states
+        for index, signal in self.inputs.items():
             first = self._first[index]
             derivatives += local[:, first : first + signal.values.size] @ signal.derivatives
         return _Signal(values, derivatives)
 
     def _variables(self) -> Array:
         values = np.zeros(self.size)
-        values[: len(self._of_states)] = np.concatenate([self.continuous, self.discrete])
-        for index, signal in self._inputs.items():
+        values[: self._states.size] = self._states
+        for index, signal in self.inputs.items():
             first = self._first[index]
             values[first : first + signal.values.size] = signal.values
         return values
@@ -348,14 +320,14 @@ class _Call:
     def _called(self, evaluate: Evaluate, variables: Any, auto: bool = False) -> Any:
         """Return the values of a function at variables of the leaf."""
         system, context = (self.system, self._floats) if not auto else self._auto  # type: ignore[misc]
-        end = self.continuous.size
+        end = self._continuous
         if end:
             context.SetContinuousState(variables[:end])
         for group in range(context.num_discrete_state_groups()):
             vector = context.get_mutable_discrete_state(group)
             vector.SetFromVector(variables[end : end + vector.size()])
             end += vector.size()
-        for index, signal in self._inputs.items():
+        for index, signal in self.inputs.items():
             first = self._first[index]
             port = system.get_input_port(index)
             port.FixValue(context, variables[first : first + signal.values.size])
@@ -397,16 +369,18 @@ class _Call:
         columns = []
         for index, value in enumerate(variables):
             step = _STEP * max(1.0, abs(value))
-            wide, narrow = (
-                (
-                    self._moved(evaluate, variables, index, h)
-                    - self._moved(evaluate, variables, index, -h)
-                )
-                / (2.0 * h)
-                for h in (step, step / 2.0)
+            up, down, near_up, near_down = (
+                self._moved(evaluate, variables, index, change)
+                for change in (step, -step, step / 2.0, -step / 2.0)
             )
-            jump = np.abs(wide - narrow) > _JUMP * np.maximum(np.abs(wide), np.abs(narrow))
-            if jump.any() and np.abs(wide - narrow).max() > _EQUAL:
+            wide, narrow = (up - down) / (2.0 * step), (near_up - near_down) / step
+            far_bend, near_bend = up + down - 2.0 * values, near_up + near_down - 2.0 * values
+            # At a jump the two differ. At a corner they do not, but the bend is halved with the
+            # step, where that of a smooth function is a quarter.
+            jumps = np.abs(wide - narrow)
+            corners = np.where(np.abs(near_bend) > 0.4 * np.abs(far_bend), near_bend / step, 0.0)
+            change = np.maximum(jumps, np.abs(corners))
+            if (change > _JUMP * np.maximum(np.abs(wide), np.abs(narrow)) + _EQUAL).any():
                 purpose = where.removeprefix(f"{self.node.name}: ")
                 self._note(purpose, "jumps or bends near this point", "choose another point")
             columns.append((4.0 * narrow - wide) / 3.0)
@@ -415,7 +389,13 @@ class _Call:
     def _moved(self, evaluate: Evaluate, variables: Array, index: int, change: float) -> Array:
         moved = variables.copy()
         moved[index] += change
-        return np.asarray(self._called(evaluate, moved))
+        try:
+            return np.asarray(self._called(evaluate, moved))
+        except (Exception, SystemExit) as error:
+            raise CompilationError(
+                f"{self.node.name}: cannot be called beside this point, for differences "
+                f"({reason_of(error)})"
+            ) from error
 
     def _note_flat(
         self, purpose: str, evaluate: Evaluate, variables: Array, values: Array, local: Array
@@ -447,23 +427,17 @@ class _Call:
 
     def _note(self, port: str, reason: str, remedy: str) -> None:
         key = self.node.name, port
-        self.point.gaps.setdefault(key, _Gap(*key, reason, remedy))
+        self.point.gaps.setdefault(key, Obstacle(*key, reason, remedy))
 
-    def _require_inputs(self, where: str, text: str) -> None:
+    def _require_inputs(self, text: str) -> None:
         """Raise `CompilationError` if an input without a value can be why a call failed.
 
         ``text`` is the message of the failure.
         """
         for index in range(self.system.num_input_ports()):
-            port, route = self.system.get_input_port(index), list(self.node.route(index))
-            if port.get_data_type() != PortDataType.kVectorValued:
-                if route[-1][1] == "output":
-                    raise CompilationError(
-                        f"{where}: fails at this point; its input {port.get_name()} is no vector "
-                        f"and has no derivative"
-                    )
-            elif f"InputPort[{index}]" in text and not self.point.is_known(route):
-                self.point.signal(route, {})
+            route = list(self.node.route(index))
+            if f"InputPort[{index}]" in text and not self.point.is_known(route):
+                raise self.point.no_value(route[-1])
 
 
 _TEMPLATE = "their error is about 1e-11; write the leaf with Drake's TemplateSystem for exact ones"
@@ -484,19 +458,38 @@ def _output(index: int) -> Evaluate:
     return lambda system, context: system.get_output_port(index).Eval(context)
 
 
-def _routes(node: Node, output: int | None = None) -> Iterator[tuple[int, list[Port]]]:
-    """Yield index and route of each vector input that an output port, or anything, depends on."""
-    system = node.system
+def _routes(
+    node: Node, purpose: str, output: int | None = None
+) -> Iterator[tuple[int, list[Port]]]:
+    """Yield index and route of each vector input that an output port, or anything, depends on.
+
+    Raises `CompilationError` if the output port, or a signal that it can depend on, is no vector.
+    """
+    system, where = node.system, f"{node.name}: {purpose}"
     if output is not None:
-        port = system.get_output_port(output)
-        if port.get_data_type() != PortDataType.kVectorValued:
-            raise CompilationError(
-                f"{node.name}: output port {port.get_name()}: is no vector and has no derivative"
-            )
+        _require_vector(system.get_output_port(output), where)
     for index in range(system.num_input_ports()):
-        is_vector = system.get_input_port(index).get_data_type() == PortDataType.kVectorValued
-        if is_vector and (output is None or system.HasDirectFeedthrough(index, output)):
-            yield index, list(node.route(index))
+        port, route = system.get_input_port(index), list(node.route(index))
+        if output is not None and not system.HasDirectFeedthrough(index, output):
+            continue
+        if port.get_data_type() == PortDataType.kVectorValued:
+            yield index, route
+        elif route[-1][1] == "output" and not _is_without_contact(system, port):
+            _require_vector(port, f"{where}: its input {port.get_name()}")
+
+
+def _require_vector(port: Any, where: str) -> None:
+    if port.get_data_type() != PortDataType.kVectorValued:
+        raise CompilationError(f"{where}: is no vector and has no derivative")
+
+
+def _is_without_contact(system: Any, port: Any) -> bool:
+    """Return whether a port is the geometry query of a plant that has nothing to collide."""
+    return (
+        isinstance(system, MultibodyPlant)
+        and port.get_name() == system.get_geometry_query_input_port().get_name()
+        and not system.num_collision_geometries()
+    )
 
 
 def _joined(signals: Sequence[_Signal], width: int) -> tuple[Array, Array]:

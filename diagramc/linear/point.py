@@ -38,6 +38,22 @@ class Slopes:
     outputs_jacobian: Array
 
 
+@dataclass(frozen=True)
+class Obstacle:
+    """What prevents a useful linear model at an operating point: block, reason and remedy."""
+
+    path: str
+    """Path of the leaf system."""
+    port: str
+    """The output port, update or state, such as ``output port y0``."""
+    reason: str
+    remedy: str
+
+    def __str__(self) -> str:
+        """Return the obstacle as one line."""
+        return f"{self.path}: {self.port}: {self.reason}; {self.remedy}"
+
+
 def mean_slopes(slopes: Sequence[Slopes]) -> Slopes:
     """Return the mean of values and derivatives at several points."""
     values = ([getattr(each, field.name) for each in slopes] for field in fields(Slopes))

@@ -1,5 +1,6 @@
 """Linear models of diagrams without symbolic equations, against equations written by hand."""
 
+import math
 import re
 import warnings
 
@@ -10,7 +11,12 @@ from pydrake.autodiffutils import AutoDiffXd
 from pydrake.common.value import AbstractValue
 from pydrake.geometry import Box
 from pydrake.math import RigidTransform
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction, MultibodyPlant
+from pydrake.multibody.plant import (
+    AddMultibodyPlantSceneGraph,
+    CoulombFriction,
+    MultibodyPlant,
+    Propeller,
+)
 from pydrake.multibody.tree import (
     FixedOffsetFrame,
     PrismaticJoint,
@@ -25,9 +31,11 @@ from pydrake.systems.sensors import RotaryEncoders
 
 from diagramc import (
     CompilationError,
+    ParameterError,
     advice,
     find_equilibrium,
     linearize,
+    linearize_at,
     loop_at,
     margins,
 )
@@ -291,9 +299,94 @@ def box_on_ground():
     return builder.Build()
 
 
+def propelled_body():
+    builder = DiagramBuilder()
+    plant = builder.AddNamedSystem("plant", MultibodyPlant(0.0))
+    body = plant.AddRigidBody("body", SpatialInertia.SolidBoxWithMass(1.0, 0.1, 0.1, 0.1))
+    joint = PrismaticJoint("z", plant.world_frame(), body.body_frame(), [0.0, 0.0, 1.0])
+    plant.AddJoint(joint)
+    plant.Finalize()
+    propeller = builder.AddNamedSystem("propeller", Propeller(body.index()))
+    law = builder.AddNamedSystem("law", MatrixGain([[-3.0, -1.0]]))
+    for source, target in (
+        (plant.get_state_output_port(), law.get_input_port()),
+        (law.get_output_port(), propeller.get_command_input_port()),
+        (plant.get_body_poses_output_port(), propeller.get_body_poses_input_port()),
+        (
+            propeller.get_spatial_forces_output_port(),
+            plant.get_applied_spatial_force_input_port(),
+        ),
+    ):
+        builder.Connect(source, target)
+    return builder.Build()
+
+
+class Hinge(LeafSystem):
+    """y = |u|, which has a corner at 0."""
+
+    def __init__(self):
+        super().__init__()
+        self.DeclareVectorInputPort("u", 1)
+        self.DeclareVectorOutputPort("y", 1, self._output)
+
+    def _output(self, context, output):
+        output.SetFromVector([abs(self.get_input_port().Eval(context)[0])])
+
+
+class Root(LeafSystem):
+    """y = √u, which ends at u = 0."""
+
+    def __init__(self):
+        super().__init__()
+        self.DeclareVectorInputPort("u", 1)
+        self.DeclareVectorOutputPort("y", 1, self._output)
+
+    def _output(self, context, output):
+        output.SetFromVector([math.sqrt(self.get_input_port().Eval(context)[0])])
+
+
+@pytest.mark.parametrize("form", [FloatGain, MatrixGain])
+def test_a_value_fixed_inside_opens_the_loop_there(form):
+    period_s = 0.01
+    gain = form(-gains_of(1))
+    diagram = sampled_loop(hanging_arm(1, MultibodyPlant(0.0)), gain, period_s)
+    context = diagram.CreateDefaultContext()
+    port = gain.get_input_port()
+    name = f"gain:{port.get_name()}"
+    # The value that the signal has.
+    port.FixValue(gain.GetMyMutableContextFromRoot(context), [0.0, 0.0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # central differences
+        model = linearize(diagram, context, inputs=[name])
+    a, b = stepped(1, period_s)
+    np.testing.assert_allclose(model.a[:2], np.hstack([a, np.zeros((2, 2))]), atol=1e-10)
+    np.testing.assert_allclose(model.b[:2], -b @ gains_of(1), atol=1e-10)
+    with pytest.raises(ParameterError, match=f"'{name}' has a value of its own in some of them"):
+        linearize_at(diagram, [context, diagram.CreateDefaultContext()])
+
+
+def test_a_torque_fixed_inside_moves_the_equilibrium():
+    builder = DiagramBuilder()
+    arm = builder.AddNamedSystem("arm", hanging_arm(1, MultibodyPlant(0.0)))
+    diagram = builder.Build()
+    context = diagram.CreateDefaultContext()
+    torque = 0.5 * MASSES[0] * GRAVITY * LENGTHS[0]
+    arm.get_actuation_input_port().FixValue(arm.GetMyMutableContextFromRoot(context), [torque])
+    rest = find_equilibrium(diagram, context)
+    assert rest.get_continuous_state_vector()[0] == pytest.approx(np.pi / 6.0, rel=1e-9)
+
+
 @pytest.mark.parametrize(
     ("make", "line"),
     [
+        (
+            propelled_body,
+            "plant: time derivatives: its input applied_spatial_force: is no vector",
+        ),
+        (
+            lambda: leaf_loop(Forgetful_[None](), Root()),
+            r"middle: cannot be called beside this point, for differences \(.*test_leafwise.py",
+        ),
         (
             lambda: leaf_loop(Forgetful_[None](forgets=True)),
             "leaf: time derivatives: AutoDiffXd gives 0 where floats give -2; the conversion of "
@@ -306,7 +399,7 @@ def box_on_ground():
         ),
         (
             box_on_ground,
-            "plant: time derivatives: fails at this point; its input geometry_query",
+            "plant: time derivatives: its input geometry_query: is no vector",
         ),
     ],
 )
@@ -322,6 +415,10 @@ def test_a_leaf_without_a_right_derivative_is_refused(make, line):
             lambda: leaf_loop(Forgetful_[None](), RotaryEncoders([64])),
             "middle: output port y0: changes without a derivative",
         ),
+        (
+            lambda: leaf_loop(Forgetful_[None](), Hinge()),
+            "middle: output port y: jumps or bends near this point",
+        ),
         (floating_body, "has a quaternion: the model has one more eigenvalue"),
         (
             lambda: leaf_loop(Forgetful_[None](), FloatGain(np.eye(1))),
@@ -331,8 +428,10 @@ def test_a_leaf_without_a_right_derivative_is_refused(make, line):
 )
 def test_what_a_linear_model_hides_is_said(make, line):
     diagram = make()
-    with pytest.warns(UserWarning, match=line):
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("always")
         linearize(diagram, inputs=(), equilibrium_tolerance=np.inf)
+    assert any(re.search(line, str(warning.message)) for warning in said)
     assert any(re.search(line, str(obstacle)) for obstacle in advice(diagram))
 
 
