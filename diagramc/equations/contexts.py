@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from typing import Any
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,14 +33,34 @@ def set_state(root: Node, context: Any, state: State) -> None:
     _fill(_discrete(root, context), state.discrete)
 
 
-def set_all(root: Node, context: Any, numbers: Array) -> list[float]:
-    """Write time, parameters, continuous and discrete states, in this order, into a Context.
+class Source(NamedTuple):
+    """What the values of a leaf system can depend on, such as its parameters or an input port."""
 
-    Returns the numbers that follow them in ``numbers``, such as the values of input ports.
+    name: str
+    """``time``, ``parameters``, ``continuous_state``, ``discrete_state`` or an input port's name"""
+    default: Array
+    """Numbers of the default Context, (size,); zeros of an input port."""
+    write: Callable[[Any, Any], None]
+    """Function of a Context and numbers (size,), which writes only this part of the Context."""
+
+
+def sources_of(leaf: Any, inputs: Iterable[int]) -> list[Source]:
+    """Return the time, the parameters, both states and input ports of a leaf, in this order.
+
+    Of the parameters and states, those without elements are left out. ``inputs``: indices of the
+    input ports, which must be vectors.
     """
-    context.SetTime(numbers[0])
-    left = _fill(_parameters(root, context), numbers[1:])
-    return _fill(_discrete(root, context), _fill(_continuous(root, context), left))
+    root, context = Node(leaf), leaf.CreateDefaultContext()
+    state = state_of(root, context)
+    sources = [
+        Source("time", np.zeros(1), lambda c, numbers: c.SetTime(numbers[0])),
+        Source("parameters", parameters_of(root, context), partial(set_parameters, root)),
+        Source("continuous_state", state.continuous, lambda c, x: _fill(_continuous(root, c), x)),
+        Source("discrete_state", state.discrete, lambda c, x: _fill(_discrete(root, c), x)),
+    ]
+    ports = map(leaf.get_input_port, inputs)
+    sources += [Source(p.get_name(), np.zeros(p.size()), p.FixValue) for p in ports]
+    return [source for source in sources if source.default.size]
 
 
 def discrete_values(values: Any) -> list[Any]:
@@ -74,10 +95,9 @@ def _numbers(vectors: Iterable[Any]) -> Array:
     return np.array([number for vector in vectors for number in vector.CopyToVector()])
 
 
-def _fill(vectors: Iterable[Any], values: Iterable[float]) -> list[float]:
-    """Write values into vectors one after the other; return the values that are left."""
+def _fill(vectors: Iterable[Any], values: Iterable[float]) -> None:
+    """Write values into vectors one after the other."""
     left = list(values)
     for vector in vectors:
         vector.SetFromVector(left[: vector.size()])
         del left[: vector.size()]
-    return left

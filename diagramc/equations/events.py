@@ -24,8 +24,10 @@ _NOT_OF_USERS = tuple(
 )
 
 
-def symbolic_value(where: str, evaluate: Callable[[], Any]) -> Any:
+def symbolic_value(where: str, evaluate: Callable[[], Any], form: str = "symbolic") -> Any:
     """Return ``evaluate()``, which calls a user's leaf system with symbolic values.
+
+    ``form`` is the scalar type for the message, if it is another one.
 
     The leaf's code can raise any error, for example at a branch on a symbolic value
     (`truth_of_scalars`). The function raises `CompilationError` in place of this error, with a
@@ -44,7 +46,7 @@ def symbolic_value(where: str, evaluate: Callable[[], Any]) -> Any:
         users = [frame for frame in frames if not frame.filename.startswith(_NOT_OF_USERS)]
         if users:
             reason += f"; {shown(Path(users[-1].filename).name)}, line {users[-1].lineno}"
-        raise CompilationError(f"{where}: has no symbolic form ({reason})") from error
+        raise CompilationError(f"{where}: has no {form} form ({reason})") from error
 
 
 def to_symbolic(leaf: Node) -> Any:
