@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
+from itertools import compress, product
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from pydrake.autodiffutils import AutoDiffXd
@@ -17,7 +18,6 @@ from pydrake.systems.framework import PortDataType, System
 from .arguments import names, quoted
 from .equations.comparison import (
     CalledLeaf,
-    Evaluate,
     called_twice,
     differ,
     margin_of,
@@ -25,7 +25,6 @@ from .equations.comparison import (
     rates_of,
     update_of,
 )
-from .equations.contexts import parameters_of, state_of
 from .equations.events import symbolic_value
 from .equations.names import parameter_groups, state_names
 from .equations.tree import Node
@@ -39,7 +38,8 @@ _STEPS = (1e-3, 1e-4, 1e-5, 1e-6)
 A jump or kink near a point spoils a long step; rounding spoils a short one. So a derivative is
 wrong only if it differs from the differences at each step.
 """
-_STEP_S = 1e-3  # of the run of a leaf that tells no sample time: short for most systems
+_PERIOD_S = 1e-3  # in place of the sample time of a leaf that has none; short for most systems
+_OUTSIDE = "the leaf keeps a state outside the Context, reads a clock or draws a random number"
 _NO_RANGES: Mapping[str, Any] = MappingProxyType({})
 
 
@@ -111,87 +111,50 @@ def check_leaf(
         raise ParameterError(
             f"scalars: unknown {quoted(unknown[0])}; known: {', '.join(_CONVERSIONS)}"
         )
-    check = _Check(system, ranges, units)
-    check.names_of_ports()
-    check.calls()
-    check.stored_outputs()
-    check.runs()
-    for scalar in wanted:
-        check.conversion(scalar, scalars is not None)
-    check.nan_inputs()
+    with np.errstate(all="ignore"):  # a point that is not finite does not count
+        check = _Check(system, ranges, units)
+        if check.repeats():  # otherwise each comparison would fail
+            check.stored_values()
+            check.runs()
+            for scalar in wanted:
+                check.conversion(scalar, check.note if scalars is None else check.find)
+            check.nan_inputs()
     if check.findings:
         raise AssertionError("\n".join(check.findings))
     return tuple(check.notes)
 
 
-class _Part(NamedTuple):
-    """Something that a leaf computes."""
-
-    name: str
-    evaluate: Evaluate
-    slice: slice  # of all values
-
-
 def _ports(system: Any, kind: str) -> list[Any]:
-    return [
-        getattr(system, f"get_{kind}_port")(index)
-        for index in range(getattr(system, f"num_{kind}_ports")())
-    ]
+    """Return the ``input`` or ``output`` ports of a system."""
+    count = getattr(system, f"num_{kind}_ports")()
+    return [getattr(system, f"get_{kind}_port")(index) for index in range(count)]
 
 
 def _is_vector(port: Any) -> bool:
     return bool(port.get_data_type() == PortDataType.kVectorValued)
 
 
-def _output(index: int, system: Any, context: Any) -> Any:
-    port = system.get_output_port(index)
-    value = port.Eval(context)  # of an abstract port too, because of what the call may change
-    return value.tolist() if _is_vector(port) else []
-
-
-def _context(system: Any, context: Any) -> list[Any]:
-    root = Node(system)
-    state = state_of(root, context)
-    return [
-        *(context.get_time(), *parameters_of(root, context), *state.continuous, *state.discrete)
-    ]
-
-
-def _number(value: Any) -> Any:
-    """Return the number of a scalar of Drake, and anything else unchanged."""
-    if isinstance(value, AutoDiffXd):
-        return value.value()
-    return value.Evaluate() if isinstance(value, Expression) else value
-
-
-def _evaluated(expression: Any, environment: Mapping[Any, float]) -> float:
-    """Return the number of an expression; nan where Drake refuses one, as for the root of −1."""
-    try:
-        return expression.Evaluate(environment) if isinstance(expression, Expression) else expression
-    except RuntimeError:
-        return math.nan
-
-
-def _gradient_of(dual: Any, size: int) -> Array:
-    derivatives = dual.derivatives() if isinstance(dual, AutoDiffXd) else np.empty(0)
-    return derivatives if derivatives.size else np.zeros(size)
+def _attributes(system: Any) -> dict[str, Any]:
+    return {name: v for name, v in vars(system).items() if not name.startswith("_pydrake")}
 
 
 def _reason(error: BaseException) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]
+    return shortened((str(error).splitlines() or [type(error).__name__])[0])
 
 
-def _structure(system: Any, elements: Sequence[str]) -> dict[str, Any]:
-    """Return the ports, sample time and default values that conversions keep."""
-    context = system.CreateDefaultContext()
-    kinds = ("input", "output")
-    sizes = {f"{k} {p.get_name()}": p.size() for k in kinds for p in _ports(system, k)}
-    timing = system.GetUniquePeriodicDiscreteUpdateAttribute()
-    times = {} if timing is None else {
-        "sample time": timing.period_sec(), "offset of the sample time": timing.offset_sec()
-    }  # fmt: skip
-    values = map(_number, _context(system, context))
-    return sizes | times | {f"default of {n}": v for n, v in zip(elements, values, strict=False)}
+def _number(value: Any, environment: Any = None) -> Any:
+    """Return the number of a scalar of Drake, and anything else unchanged."""
+    if isinstance(value, Expression):
+        try:
+            return value.Evaluate(environment or {})
+        except (RuntimeError, ValueError):  # Drake refuses nan, as for the root of −1
+            return math.nan
+    return value.value() if isinstance(value, AutoDiffXd) else value
+
+
+def _gradient(dual: Any, size: int) -> Array:
+    gradient = dual.derivatives() if isinstance(dual, AutoDiffXd) else np.zeros(0)
+    return gradient if gradient.size else np.zeros(size)
 
 
 def _are_equal(first: Any, second: Any) -> bool:
@@ -199,17 +162,10 @@ def _are_equal(first: Any, second: Any) -> bool:
     first, second = _number(first), _number(second)
     if first is second or callable(first) or type(first).__module__.startswith("pydrake"):
         return True
-    if isinstance(first, Mapping) and isinstance(second, Mapping):
-        return first.keys() == second.keys() and all(_are_equal(first[k], second[k]) for k in first)
-    if isinstance(first, list | tuple | np.ndarray) and type(first) is type(second):
-        return len(first) == len(second) and all(map(_are_equal, first, second))
-    if type(first) is type(second) and type(first).__eq__ is object.__eq__:
-        return not hasattr(first, "__dict__") or _are_equal(vars(first), vars(second))
-    return bool(first == second)
-
-
-def _attributes(system: Any) -> dict[str, Any]:
-    return {name: v for name, v in vars(system).items() if not name.startswith("_pydrake")}
+    if isinstance(first, dict | list | tuple | np.ndarray) and type(first) is type(second):
+        items = (v.items() if isinstance(v, dict) else v for v in (first, second))
+        return len(first) == len(second) and all(map(_are_equal, *items))
+    return type(first).__eq__ is object.__eq__ or bool(first == second)
 
 
 class _Check:
@@ -217,349 +173,313 @@ class _Check:
 
     def __init__(self, system: Any, ranges: Mapping[str, Any], units: Mapping[str, str]) -> None:
         self.system = system
-        self.findings: dict[str, None] = {}  # a set in its order
+        self.findings: dict[str, None] = {}  # as a set, in order
         self.notes: dict[str, None] = {}
-        self.inputs = [p for p in _ports(system, "input") if _is_vector(p)]
-        self.leaf = CalledLeaf(system, [int(p.get_index()) for p in self.inputs])
-        context = system.CreateDefaultContext()
-        node = Node(system)
+        self.inputs = [port for port in _ports(system, "input") if _is_vector(port)]
+        self.outputs = [port for port in _ports(system, "output") if _is_vector(port)]
+        self.leaf = self._called(system)
+        self.timing = system.GetUniquePeriodicDiscreteUpdateAttribute()
+        context, node, sources = system.CreateDefaultContext(), Node(system), self.leaf.sources
         known = [name for group in parameter_groups(node, context) for name in group]
-        known = ["", *known, *state_names(node, context)]
+        known = ["", *known, *state_names(node, context)]  # the first is the time
         self.elements: list[str] = []
-        for source in self.leaf.sources:
-            for index in range(source.default.size):
-                name = f"{source.name}[{index}]" if source.default.size > 1 else source.name
-                own = known[len(self.elements)][1:] if len(self.elements) < len(known) else ""
-                self.elements.append(own if own.isidentifier() else name)
-        self.units = {i: unit for n, unit in units.items() for i in self._indices("units", n)}
-        self.points = self._points(ranges)
-        self.parts: list[_Part] = []
-        for index, port in enumerate(_ports(system, "output")):
-            size = port.size() if _is_vector(port) else 0
-            self._add(f"output {port.get_name()}", partial(_output, index), size)
-        if context.num_continuous_states():
-            self._add("time derivatives", rates_of, context.num_continuous_states())
-        if context.num_discrete_state_groups():
-            if system.GetUniquePeriodicDiscreteUpdateAttribute() is None:
-                self._note("has not exactly one sample time, so its update is not compared")
-            else:
-                self._add("discrete update", update_of, state_of(node, context).discrete.size)
-        if callable(getattr(system, "margin", None)):
-            self._add("margin", margin_of, 1)
-        self._add("Context", _context, len(_context(system, context)))
-        self.function = self.leaf.function(self._evaluate, self.parts[-1].slice.stop)
-        self.numbers = np.empty((0, 0))
+        self.places: dict[str, list[int]] = {}
+        for source in sources:
+            start = len(self.elements)
+            for index in range(source.size):
+                own = known[start + index][1:] if start + index < len(known) else ""
+                plain = f"{source.name}[{index}]" if source.size > 1 else source.name
+                self.elements.append(own if own.isidentifier() else plain)
+                self.places[self.elements[-1]] = [start + index]
+            self.places[source.name] = [*range(start, start + source.size)]
+        self.units = [""] * len(self.elements)
+        for name, unit in units.items():
+            for index in self._indices("units", name):
+                self.units[index] = f" {unit}"
+        self.points = self._points(np.array(self.leaf.point(context)), ranges)
+        sizes = {f"output {port.get_name()}": port.size() for port in self.outputs}
+        sizes["time derivatives"] = context.num_continuous_states()
+        sizes["discrete update"] = len(self.places.get("discrete_state", ())) if self.timing else 0
+        sizes["margin"] = int(callable(getattr(system, "margin", None)))
+        self.parts = [part for part, size in sizes.items() for _ in range(size)]
+        self.computed = len(self.parts)
+        self.parts += self.elements
+        """Name of each value: first of those that the leaf computes, then of the Context's."""
+        self.function = self.leaf.function(partial(self._values, self.leaf), len(self.parts))
 
-    def _add(self, name: str, evaluate: Evaluate, size: int) -> None:
-        start = self.parts[-1].slice.stop if self.parts else 0
-        self.parts.append(_Part(name, evaluate, slice(start, start + size)))
+    def find(self, text: str, wrong: Any = None) -> None:
+        """Add a finding, or one about each part of which a value is ``wrong``."""
+        parts = [""] if wrong is None else [f"{self.parts[i]}: " for i in np.nonzero(wrong)[0]]
+        self.findings |= {f"{Node(self.system).type_name}: {part}{text}": None for part in parts}
 
-    def _find(self, text: str) -> None:
-        self.findings[f"{self.system.get_name() or Node(self.system).type_name}: {text}"] = None
+    def note(self, text: str) -> None:
+        """Add a note."""
+        self.notes[f"{Node(self.system).type_name}: {text}"] = None
 
-    def _note(self, text: str) -> None:
-        self.notes[f"{self.system.get_name() or Node(self.system).type_name}: {text}"] = None
+    def _called(self, system: Any) -> CalledLeaf:
+        return CalledLeaf(system, [int(port.get_index()) for port in self.inputs])
 
     def _indices(self, setting: str, name: str) -> list[int]:
         """Return the indices in a point of what has a name."""
-        starts = np.cumsum([0, *(source.default.size for source in self.leaf.sources)])
-        for source, start in zip(self.leaf.sources, starts, strict=False):
-            if source.name == name:
-                return [*range(start, start + source.default.size)]
-        if name not in self.elements:
-            known = dict.fromkeys([*(source.name for source in self.leaf.sources), *self.elements])
-            raise ParameterError(f"{setting}: unknown {quoted(name)}; known: {', '.join(known)}")
-        return [self.elements.index(name)]
+        if name not in self.places:
+            known = ", ".join(self.places)
+            raise ParameterError(f"{setting}: unknown {quoted(name)}; known: {known}")
+        return self.places[name]
 
-    def _points(self, ranges: Mapping[str, Any]) -> Array:
+    def _points(self, default: Array, ranges: Mapping[str, Any]) -> Array:
         """Return nine points in the ranges, (9, size)."""
         random = np.random.default_rng(0)  # a fixed seed: an equal leaf passes or fails each time
-        around = [
-            points_around(source.default, random, 0.0 if source.name == "parameters" else 1.0)
-            for source in self.leaf.sources
-        ]
-        points = np.concatenate(around)
+        points = points_around(default, random)
+        parameters = self.places.get("parameters", [])
+        points[parameters] = points_around(default[parameters], random, scale=0.0)
         points[0] = np.abs(points[0])  # the time
         for name, given in ranges.items():
             indices = self._indices("ranges", name)
             try:
                 low, high = np.broadcast_to(np.asarray(given, float), (len(indices), 2)).T
-            except (TypeError, ValueError):
-                low, high = np.array([[math.nan], [math.nan]])
-            if not (np.isfinite(low) & np.isfinite(high) & (low <= high)).all():
+                points[indices] = random.uniform(low, high, (9, len(indices))).T
+                is_range = bool(np.all(low <= high))
+            except (TypeError, ValueError, OverflowError):
+                is_range = False
+            if not is_range:
                 raise ParameterError(
                     f"ranges: {name} = {quoted(given)}: must be (low, high), finite, or a list of "
                     f"{len(indices)} such pairs"
                 )
-            points[indices] = random.uniform(low[:, None], high[:, None], (len(indices), 9))
         return points.T
 
-    def _evaluate(self, system: Any, context: Any) -> list[Any]:
-        self._fix_abstract(system, context)
-        return [value for part in self.parts for value in part.evaluate(system, context)]
-
-    def _fix_abstract(self, system: Any, context: Any) -> None:
+    def _values(self, leaf: CalledLeaf, system: Any, context: Any) -> list[Any]:
+        """Return what the leaf computes, and then what its Context has, in any scalar type."""
         for port in _ports(system, "input"):
-            if not _is_vector(port):
+            if not _is_vector(port) and not port.HasValue(context):
                 port.FixValue(context, port.Allocate())
+        values = []
+        for port in _ports(system, "output"):
+            value = port.Eval(context)  # of an abstract port too: the call may change something
+            values += list(value) if _is_vector(port) else []
+        if context.num_continuous_states():
+            values += rates_of(system, context)
+        if self.timing:
+            values += update_of(system, context)
+        if callable(getattr(system, "margin", None)):
+            values += margin_of(system, context)
+        return values + leaf.point(context)
 
     def _at(self, point: Array) -> str:
         """Return the numbers at a point as text."""
-        units = [f" {self.units[i]}" if i in self.units else "" for i in range(point.size)]
-        texts = map("{} = {:.6g}{}".format, self.elements, point, units)
+        texts = map("{} = {:.6g}{}".format, self.elements, point, self.units)
         return shortened(f"at {', '.join(texts)}", 200)
 
-    def names_of_ports(self) -> None:
-        """Find ports without a name of their own."""
-        for kind, letter in (("input", "u"), ("output", "y")):
-            for index, port in enumerate(_ports(self.system, kind)):
-                if port.get_name() == f"{letter}{index}":
-                    self._find(f"{kind} port {index} has Drake's default name {letter}{index}")
+    def repeats(self) -> bool:
+        """Return whether a second call of the leaf of floats gives the same values.
 
-    def calls(self) -> None:
-        """Call the leaf of floats twice at each point, and on the way between some of them."""
+        Points where the leaf fails are left out of all that follows.
+        """
+        for letter, ports in (("u", self.inputs), ("y", self.outputs)):
+            for port in ports:
+                if port.get_name() == f"{letter}{int(port.get_index())}":
+                    self.find(f"port {port.get_name()} has only Drake's default name")
         before = {name: repr(value) for name, value in _attributes(self.system).items()}
-        way = [point for _, _, point in self._way()]
-        points = np.concatenate([self.points, way])
+        self.way = [*self._way()]
+        points = np.array([*self.points, *(point for _, point in self.way)])
         numbers, repeats = called_twice(self.function, self.function, points)
-        self.numbers = numbers[: len(self.points)]
         after = _attributes(self.system).items()
         changed = [f"self.{name}" for name, value in after if before.get(name) != repr(value)]
+        if changed:
+            self.note(f"{', '.join(changed)} changes during calls")
         if not repeats:
             hint = f" ({', '.join(changed)})" if changed else ""
-            self._find(
-                f"gives other values when it is called again at the same points: it keeps a state "
-                f"in an attribute{hint}, reads a clock or draws a random number"
-            )
-        elif changed:
-            self._note(f"changes {', '.join(changed)} while it is called")
-        if np.isnan(numbers[:, self.parts[-1].slice]).all():
+            self.find(f"a second call gives other values: {_OUTSIDE}{hint}")
+        self.numbers, self.fresh = np.split(numbers, [len(self.points)])
+        reached = ~np.isnan(self.numbers[:, -1])
+        if not reached.any():
             try:
-                self._evaluate(self.system, self.leaf.context(self.points[0]))
+                self._values(self.leaf, self.system, self.leaf.context(self.points[0]))
             except (Exception, SystemExit) as error:
-                self._find(
-                    f"fails at each point of its ranges; {self._at(self.points[0])}: {_reason(error)}"
-                )
-            return
-        context = self.parts[-1].slice
-        held = self.points[:, : context.stop - context.start]
-        for column in range(held.shape[1]):
-            found = self.numbers[:, context.start + column]
-            if np.any(~np.isnan(found) & (found != held[:, column])):
-                self._find(f"changes {self.elements[column]} of its Context outside an update")
+                self.find(f"fails at each point; {self._at(self.points[0])}: {_reason(error)}")
+        self.points, self.numbers = self.points[reached], self.numbers[reached]
+        changes = (self.numbers[:, self.computed :] != self.points).any(axis=0)
+        self.find("changes in a call", np.pad(changes, (self.computed, 0)))
+        return not self.findings
 
-    def _way(self) -> Iterator[tuple[int, int, Array]]:
-        """Yield steps from point to point: number of the way, index of the source, the point."""
-        bounds = [0, *self.leaf.ends]
-        for number, (start, end) in enumerate(zip((0, 4, 5), (4, 5, 8), strict=True)):
+    def _way(self) -> Iterator[tuple[str, Array]]:
+        """Yield the way between some points: the source that changes, or nothing, and the point."""
+        for start, end in ((0, 4), (4, 5), (5, 8)):
             point = self.points[start].copy()
-            yield number, -1, point.copy()
-            for index in range(len(self.leaf.sources)):
-                part = slice(bounds[index], bounds[index + 1])
-                point[part] = self.points[end][part]
-                yield number, index, point.copy()
+            yield "", point.copy()
+            for source in self.leaf.sources:
+                point[self.places[source.name]] = self.points[end, self.places[source.name]]
+                yield source.name, point.copy()
 
-    def stored_outputs(self) -> None:
-        """Compare values that Drake stores in a Context, on the way between points, with fresh."""
-        felt, stale = set(), set()
-        context, before, ends = None, np.empty(0), [0, *self.leaf.ends]
-        for _, index, point in self._way():
-            fresh = np.array(self.function(point))
-            if index < 0:
-                context = self.leaf.context(point)
+    def stored_values(self) -> None:
+        """Compare values that Drake stores in a Context with fresh ones, on the way."""
+        felt: set[tuple[str, str]] = set()
+        sources = {source.name: source for source in self.leaf.sources}
+        context, before = None, self.fresh[0]
+        for (name, point), fresh in zip(self.way, self.fresh, strict=True):
+            if not name:
+                context, before = self.leaf.context(point), fresh
                 context.EnableCaching()
-                self._fix_abstract(self.system, context)
             else:
-                self.leaf.sources[index].write(context, point[ends[index] : ends[index + 1]])
-            for part in self.parts[:-1]:
-                try:
-                    stored = np.array(part.evaluate(self.system, context))
-                except (Exception, SystemExit):
-                    continue
-                now = fresh[part.slice]
-                if index < 0 or np.isnan(now).any() or np.array_equal(now, before[part.slice]):
-                    continue
-                felt.add((part.name, index))
-                if not np.array_equal(stored, now):
-                    stale.add((part.name, index))
+                sources[name].write(context, point[self.places[name]])
+            try:
+                stored = self._values(self.leaf, self.system, context)
+            except (Exception, SystemExit):  # a point that does not count
+                stored = fresh
+            changes = ~np.isnan(fresh) & (fresh != before)
+            felt |= {(self.parts[index], name) for index in np.nonzero(changes)[0]}
+            text = f"its stored value stays when {name} changes: add it to prerequisites_of_calc"
+            self.find(text, changes & (stored != fresh))
             before = fresh
-        for name, index in sorted(stale):
-            source = self.leaf.sources[index].name
-            self._find(
-                f"{name}: keeps its stored value when {source} changes; add {source} to its "
-                f"prerequisites_of_calc"
-            )
-        first = len(self.leaf.sources) - len(self.inputs)
-        for index, port in enumerate(self.inputs):
-            for output, part in enumerate(self.parts[: self.system.num_output_ports()]):
-                declared = self.system.HasDirectFeedthrough(int(port.get_index()), output)
-                if declared and (part.name, first + index) not in felt:
-                    self._note(f"{part.name}: is declared to feel {port.get_name()}, and does not")
+        for source, port in product(self.inputs, self.outputs):
+            pair = f"output {port.get_name()}", source.get_name()
+            is_declared = self.system.HasDirectFeedthrough(source.get_index(), port.get_index())
+            if is_declared and pair not in felt:
+                self.note("{} is declared to depend on {}, and does not".format(*pair))
 
     def runs(self) -> None:
-        """Run two clones of one Context, with short steps between samples."""
-        timing = self.system.GetUniquePeriodicDiscreteUpdateAttribute()
-        period, offset = _STEP_S, 0.0
-        if timing is not None:
-            period, offset = timing.period_sec(), timing.offset_sec()
-        usable = np.nonzero(np.isfinite(self.numbers).all(axis=1))[0]
-        if not usable.size:
-            return
-        point = self.points[usable[0]]
-        context = self.leaf.context(point)
+        """Compare runs of two clones of a Context, with short steps between the samples."""
+        period, offset = _PERIOD_S, 0.0
+        if self.timing:
+            period, offset = self.timing.period_sec(), self.timing.offset_sec()
+        elif "discrete_state" in self.places:
+            self.note("has not exactly one sample time, so its update is seen in runs alone")
+        sample = offset + period * math.ceil((self.points[0, 0] - offset) / period)
+        times = sample + period * (np.arange(3)[:, None] + [0.4, 0.401, 0.402, 0.403]).ravel()
+        context = self.leaf.context(self.points[0])
         context.EnableCaching()
-        self._fix_abstract(self.system, context)
-        sample = offset + period * math.ceil((point[0] - offset) / period)
-        times = [sample + (k + 0.4 + n * 1e-3) * period for k in range(3) for n in range(4)]
-        first, second = context.Clone(), context.Clone()
         try:
-            rows = [self._run(each, times, 0.1 * period) for each in (first, second)]
+            first, second = (self._run(c, times, period) for c in (context.Clone(), context))
         except (Exception, SystemExit) as error:
-            self._note(f"fails in a run {self._at(point)}: {_reason(error)}")
+            self.note(f"a run fails {self._at(self.points[0])}: {_reason(error)}")
             return
-        if not np.array_equal(*rows, equal_nan=True):
-            self._find(
-                "runs from two clones of one Context differ: an update keeps a state outside the "
-                "Context, reads a clock or draws a random number"
-            )
-        held = self.parts[-1].slice.stop - state_of(Node(self.system), context).discrete.size
-        short = rows[0][:, held:].reshape(3, 4, -1)
-        for column in np.nonzero((short != short[:, :1]).any(axis=(0, 1)))[0].tolist():
-            self._find(
-                f"discrete state {column} changes between samples: update it in a periodic "
-                f"discrete update alone"
-            )
+        if not np.array_equal(first, second, equal_nan=True):
+            self.find(f"runs of two clones of a Context differ: {_OUTSIDE}")
+        sizes = np.abs(first).max(axis=0)
+        most = np.zeros(len(sizes))
+        state = self.computed + np.array(self.places.get("continuous_state", []), int)
+        rates = [index for index, part in enumerate(self.parts) if part == "time derivatives"]
+        most[state] = 2e-3 * period * sizes[rates] + 1e-9 * (1.0 + sizes[state])
+        jumps = (np.abs(np.diff(first.reshape(3, 4, -1), axis=1)) > most).any(axis=(0, 1))
+        jumps[: self.computed + 1] = False  # those of the Context alone, without the time
+        self.find("jumps between samples", jumps)
 
-    def _run(self, context: Any, times: Sequence[float], step: float) -> Array:
+    def _run(self, context: Any, times: Array, period: float) -> Array:
         """Return all values of a run at some times, (times, values)."""
+        self._values(self.leaf, self.system, context)  # gives values to abstract input ports
         simulator = Simulator(self.system, context)
-        ResetIntegratorFromFlags(simulator, "runge_kutta2", step)
+        ResetIntegratorFromFlags(simulator, "runge_kutta2", 0.1 * period)
         simulator.Initialize()
         rows = []
-        for time in times:
+        for time in times.tolist():
             simulator.AdvanceTo(time)
-            rows.append([v for part in self.parts for v in part.evaluate(self.system, context)])
+            rows.append(self._values(self.leaf, self.system, context))
         return np.array(rows)
 
-    def conversion(self, scalar: str, is_demanded: bool) -> None:
-        """Compare the leaf of another scalar type with the leaf of floats."""
+    def _structure(self, system: Any) -> dict[str, Any]:
+        """Return ports, sample time, default values and attributes, which conversions keep."""
+        timing = system.GetUniquePeriodicDiscreteUpdateAttribute()
+        values = self._called(system).point(system.CreateDefaultContext())
+        return {
+            **{f"input {port.get_name()}": port.size() for port in _ports(system, "input")},
+            **{f"output {port.get_name()}": port.size() for port in _ports(system, "output")},
+            "sample time": timing and (timing.period_sec(), timing.offset_sec()),
+            **{f"default of {n}": x for n, x in zip(self.elements, values, strict=False)},
+            **{f"attribute {name}": value for name, value in _attributes(system).items()},
+        }
+
+    def conversion(self, scalar: str, tell: Callable[[str], None]) -> None:
+        """Compare the leaf in another scalar type with the leaf of floats.
+
+        ``tell`` takes the line about a leaf that does not convert.
+        """
         try:
-            converted = symbolic_value(
-                "conversion", getattr(self.system, _CONVERSIONS[scalar]), scalar
-            )
+            convert = getattr(self.system, _CONVERSIONS[scalar])
+            converted = symbolic_value("conversion", convert, scalar)
+            if converted is None:
+                tell(f"does not convert to {scalar} (see Drake's TemplateSystem)")
+                return
+            own, other = self._structure(self.system), self._structure(converted)
+            for name in dict.fromkeys([*own, *other]):
+                values = other.get(name, "missing"), own.get(name, "missing")
+                if not _are_equal(*values):
+                    now, expected = (shortened(str(_number(value))) for value in values)
+                    self.find(f"as {scalar}, {name} is {now}, not {expected}")
+            if all(name in other for name in own):
+                self._compare(scalar, converted)
         except CompilationError as error:
-            return self._find(str(error))
-        if converted is None:
-            tell = self._find if is_demanded else self._note
-            return tell(f"does not convert to {scalar} (see Drake's TemplateSystem)")
-        own, other = (_structure(s, self.elements) for s in (self.system, converted))
-        for name in [*own, *(name for name in other if name not in own)]:
-            if name not in own or name not in other or own[name] != other[name]:
-                values = f"{other.get(name, 'missing')}, not {own.get(name, 'missing')}"
-                self._find(f"conversion to {scalar}: {name} is {values}")
-        own, other = map(_attributes, (self.system, converted))
-        for name, value in own.items():
-            if name not in other or not _are_equal(value, other[name]):
-                text = shortened(repr(other[name])) if name in other else "missing"
-                self._find(
-                    f"conversion to {scalar}: the attribute {name} is {text}, not "
-                    f"{shortened(repr(value))}"
+            self.find(str(error))
+
+    def _compare(self, scalar: str, converted: Any) -> None:
+        """Compare the values and gradients of a converted leaf with those of floats."""
+        leaf = self._called(converted)
+
+        def called(point: Iterable[Any]) -> Any:
+            values = np.array([*point])
+            evaluate = lambda: self._values(leaf, converted, leaf.context(values))  # noqa: E731
+            return symbolic_value("outputs, derivatives, update", evaluate, scalar)
+
+        size = len(self.elements)
+        if scalar == "Expression":
+            variables = [Variable(name) for name in self.elements]
+            expressions = called(map(Expression, variables))
+            here = [dict(zip(variables, point, strict=True)) for point in self.points]
+            found = np.array([[_number(e, values) for e in expressions] for values in here])
+        else:
+            duals = [called(map(AutoDiffXd, point, np.eye(size))) for point in self.points]
+            found = np.array([[_number(dual) for dual in row] for row in duals])
+            for row in range(min(1, len(duals) - 1), len(duals), 3):
+                self._differentiate(row, np.array([_gradient(dual, size) for dual in duals[row]]))
+        for column in range(self.computed):
+            one = slice(column, column + 1)
+            pair = found[:, one], self.numbers[:, one]
+            if differ(lambda p, one=one: np.array(self.function(p)[one]), self.points, *pair):
+                row = int(np.argmax(np.isfinite(pair[1]) & ~np.isclose(*pair, 1e-9, 1e-9)))
+                number, other = self.numbers[row, column], found[row, column]
+                self.find(
+                    f"{self.parts[column]}: {other:.9g} by {scalar}, {number:.9g} by float "
+                    f"{self._at(self.points[row])}"
                 )
-        leaf = CalledLeaf(converted, [int(p.get_index()) for p in self.inputs])
-        if [s.default.size for s in leaf.sources] != [s.default.size for s in self.leaf.sources]:
-            return None
-        found = np.full(self.numbers.shape, math.nan)
-        gradients = np.full((*found.shape, self.points.shape[1]), math.nan)
-        for part in self.parts[:-1]:
-            where, numbers = part.slice, self.numbers[:, part.slice]
-            try:
-                found[:, where], gradients[:, where] = self._converted(scalar, leaf, part)
-            except CompilationError as error:
-                self._find(str(error))
-                continue
-            if differ(lambda p, s=where: np.array(self.function(p)[s]), self.points, found[:, where], numbers):  # noqa
-                far = ~np.isclose(found[:, where], numbers, 1e-9, 1e-9) & np.isfinite(numbers)
-                row = int(np.argmax(far.sum(axis=1)))
-                self._find(
-                    f"{part.name}: {scalar} gives {found[row, where].tolist()}, float "
-                    f"{numbers[row].tolist()} {self._at(self.points[row])}"
-                )
-        for row in (1, 4, 7):
-            self._gradient(self.points[row], self.numbers[row], gradients[row])
-        return None
 
-    def _converted(self, scalar: str, leaf: CalledLeaf, part: _Part) -> tuple[Array, Array]:
-        """Return values and gradients of a part in another scalar type; nan for no gradient."""
-
-        def values(point: Sequence[Any]) -> Any:
-            context = leaf.context(np.array(point))
-            self._fix_abstract(leaf.system, context)
-            return part.evaluate(leaf.system, context)
-
-        def called(point: Sequence[Any]) -> Any:
-            return symbolic_value(part.name, partial(values, point), scalar)
-
-        size, rows, gradients = self.points.shape[1], [], []
-        variables = [Variable(name) for name in self.elements]
-        expressions = called([*map(Expression, variables)]) if scalar == "Expression" else []
-        for point, number in zip(self.points, self.numbers, strict=True):
-            nothing = np.full(len(number[part.slice]), math.nan)
-            if np.isnan(number).all():
-                rows.append(nothing)
-                gradients.append(np.full((nothing.size, size), math.nan))
-            elif scalar == "Expression":
-                here = dict(zip(variables, point, strict=True))
-                rows.append([_evaluated(each, here) for each in expressions])
-                gradients.append(np.full((nothing.size, size), math.nan))
-            else:
-                duals = called([AutoDiffXd(x, e) for x, e in zip(point, np.eye(size), strict=True)])
-                rows.append([_number(dual) for dual in duals])
-                gradients.append([_gradient_of(dual, size) for dual in duals])
-        return np.array(rows), np.array(gradients)
-
-    def _gradient(self, point: Array, number: Array, gradient: Array) -> None:
-        """Compare the gradients (values, size) at a point with central differences."""
-        scale = np.ptp(self.points, axis=0)
+    def _differentiate(self, row: int, gradient: Array) -> None:
+        """Compare gradients (values, size) at a point with central differences."""
+        point, scale = self.points[row], np.ptp(self.points, axis=0)
         scaled = gradient * scale
-        largest = np.abs(number) + np.abs(scaled).max(axis=1)
+        finite = np.where(np.isfinite(self.numbers), self.numbers, 0.0)
+        largest = np.abs(finite).max(axis=0) + np.abs(scaled).max(axis=1)
         for column in np.nonzero(scale)[0].tolist():
             wrong = np.isfinite(scaled[:, column])
             for step in _STEPS:
                 if not wrong.any():
                     break
-                change = step * scale[column] * np.eye(len(point))[column]
+                change = step * scale[column] * np.eye(len(scale))[column]
                 one, half = (
-                    (np.array(self.function(point + s * change)) - self.function(point - s * change))
-                    / (2.0 * s * step)
-                    for s in (1.0, 0.5)
+                    np.subtract(
+                        self.function(point + h * change), self.function(point - h * change)
+                    )
+                    / (2.0 * h * step)
+                    for h in (1.0, 0.5)
                 )
-                difference = half + (half - one) / 3.0
+                slope = half + (half - one) / 3.0
                 # Of rounding, 1e-16 of the largest term over the step, with a factor of 1000.
-                slack = 1e-6 * np.abs(difference) + 1e-13 / step * largest + np.abs(half - one)
-                wrong &= np.abs(scaled[:, column] - difference) > slack
-            for row in np.nonzero(wrong)[0].tolist():
-                (part,) = (p for p in self.parts if p.slice.start <= row < p.slice.stop)
-                self._find(
-                    f"{part.name}[{row - part.slice.start}]: its derivative with respect to "
-                    f"{self.elements[column]} is {gradient[row, column]:.6g} by AutoDiffXd and "
-                    f"{difference[row] / scale[column]:.6g} by differences {self._at(point)}"
+                slack = 1e-6 * np.abs(slope) + 1e-13 / step * largest + np.abs(half - one)
+                wrong &= np.abs(scaled[:, column] - slope) > slack
+            for value in np.nonzero(wrong)[0].tolist():
+                self.find(
+                    f"{self.parts[value]}: derivative with respect to {self.elements[column]} "
+                    f"{gradient[value, column]:.6g} by AutoDiffXd, "
+                    f"{slope[value] / scale[column]:.6g} by differences {self._at(point)}"
                 )
 
     def nan_inputs(self) -> None:
         """Note what follows from an input of nan."""
-        ends = [0, *self.leaf.ends][-len(self.inputs) - 1 :]
-        for port, start, end in zip(self.inputs, ends, ends[1:], strict=False):
+        for port in self.inputs:
             point = self.points[0].copy()
-            point[start:end] = math.nan
-            context = self.leaf.context(point)
-            self._fix_abstract(self.system, context)
+            point[self.places[port.get_name()]] = math.nan
             try:
-                reached = [
-                    part.name
-                    for part in self.parts[:-1]
-                    if np.isnan(np.array(part.evaluate(self.system, context), float)).any()
-                ]
-                text = f"reaches {', '.join(reached)}" if reached else "reaches nothing"
+                values = self._values(self.leaf, self.system, self.leaf.context(point))
+                parts = dict.fromkeys(compress(self.parts, np.isnan(values[: self.computed])))
+                text = f"reaches {', '.join(parts) or 'nothing'}"
             except (Exception, SystemExit) as error:
                 text = f"raises {_reason(error)}"
-            self._note(f"nan at {port.get_name()} {text}")
+            self.note(f"nan at {port.get_name()} {text}")

@@ -143,7 +143,7 @@ class CalledLeaf:
         """``inputs``: indices of the input ports that have a value, which must be vectors."""
         self.system = system
         self.sources = sources_of(system, inputs)
-        self.ends = np.cumsum([source.default.size for source in self.sources])
+        self.ends = np.cumsum([source.size for source in self.sources])
 
     def context(self, point: Any) -> Any:
         """Return a Context at a point, which stores no values."""
@@ -152,6 +152,10 @@ class CalledLeaf:
         for source, part in zip(self.sources, np.split(point, self.ends[:-1]), strict=True):
             source.write(context, part)
         return context
+
+    def point(self, context: Any) -> list[Any]:
+        """Return the point of a Context."""
+        return [scalar for source in self.sources for scalar in source.read(context)]
 
     def function(self, evaluate: Evaluate, size: int) -> Function:
         """Return the function of a point that ``evaluate`` gives; nan (size,) where it fails."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -38,10 +37,11 @@ class Source(NamedTuple):
 
     name: str
     """``time``, ``parameters``, ``continuous_state``, ``discrete_state`` or an input port's name"""
-    default: Array
-    """Numbers of the default Context, (size,); zeros of an input port."""
+    size: int
+    read: Callable[[Any], Any]
+    """Function of a Context that returns the scalars (size,); zeros of an open input port."""
     write: Callable[[Any, Any], None]
-    """Function of a Context and numbers (size,), which writes only this part of the Context."""
+    """Function of a Context and scalars (size,), which writes this part of the Context alone."""
 
 
 def sources_of(leaf: Any, inputs: Iterable[int]) -> list[Source]:
@@ -50,17 +50,25 @@ def sources_of(leaf: Any, inputs: Iterable[int]) -> list[Source]:
     Of the parameters and states, those without elements are left out. ``inputs``: indices of the
     input ports, which must be vectors.
     """
-    root, context = Node(leaf), leaf.CreateDefaultContext()
-    state = state_of(root, context)
+    root, default = Node(leaf), leaf.CreateDefaultContext()
+
+    def part(name: str, vectors: Callable[[Node, Any], Iterator[Any]]) -> Source:
+        size = sum(vector.size() for vector in vectors(root, default))
+        read = lambda context: _numbers(vectors(root, context))  # noqa: E731
+        return Source(name, size, read, lambda context, x: _fill(vectors(root, context), x))
+
+    def input_port(port: Any) -> Source:
+        read = lambda c: port.Eval(c) if port.HasValue(c) else np.zeros(port.size())  # noqa: E731
+        return Source(port.get_name(), port.size(), read, port.FixValue)
+
     sources = [
-        Source("time", np.zeros(1), lambda c, numbers: c.SetTime(numbers[0])),
-        Source("parameters", parameters_of(root, context), partial(set_parameters, root)),
-        Source("continuous_state", state.continuous, lambda c, x: _fill(_continuous(root, c), x)),
-        Source("discrete_state", state.discrete, lambda c, x: _fill(_discrete(root, c), x)),
+        Source("time", 1, lambda c: [c.get_time()], lambda c, t: c.SetTime(t[0])),
+        part("parameters", _parameters),
+        part("continuous_state", _continuous),
+        part("discrete_state", _discrete),
+        *map(input_port, map(leaf.get_input_port, inputs)),
     ]
-    ports = map(leaf.get_input_port, inputs)
-    sources += [Source(p.get_name(), np.zeros(p.size()), p.FixValue) for p in ports]
-    return [source for source in sources if source.default.size]
+    return [source for source in sources if source.size]
 
 
 def discrete_values(values: Any) -> list[Any]:
