@@ -318,8 +318,7 @@ class _Check:
         context, before = None, self.fresh[0]
         for (name, point), fresh in zip(self.way, self.fresh, strict=True):
             if not name:
-                context, before = self.leaf.context(point), fresh
-                context.EnableCaching()
+                context, before = self.leaf.context(point, stores=True), fresh
             else:
                 sources[name].write(context, point[self.places[name]])
             try:
@@ -333,8 +332,11 @@ class _Check:
             before = fresh
         for source, port in product(self.inputs, self.outputs):
             pair = f"output {port.get_name()}", source.get_name()
-            is_declared = self.system.HasDirectFeedthrough(source.get_index(), port.get_index())
-            if is_declared and pair not in felt:
+            try:
+                declared = self.system.HasDirectFeedthrough(source.get_index(), port.get_index())
+            except RuntimeError:  # Drake looks at the Expression, which `conversion` tells about
+                continue
+            if declared and pair not in felt:
                 self.note("{} is declared to depend on {}, and does not".format(*pair))
 
     def runs(self) -> None:
@@ -346,8 +348,7 @@ class _Check:
             self.note("has not exactly one sample time, so its update is seen in runs alone")
         sample = offset + period * math.ceil((self.points[0, 0] - offset) / period)
         times = sample + period * (np.arange(3)[:, None] + [0.4, 0.401, 0.402, 0.403]).ravel()
-        context = self.leaf.context(self.points[0])
-        context.EnableCaching()
+        context = self.leaf.context(self.points[0], stores=True)
         try:
             first, second = (self._run(c, times, period) for c in (context.Clone(), context))
         except (Exception, SystemExit) as error:
@@ -405,7 +406,7 @@ class _Check:
                 if not _are_equal(*values):
                     now, expected = (shortened(str(_number(value))) for value in values)
                     self.find(f"as {scalar}, {name} is {now}, not {expected}")
-            if all(name in other for name in own):
+            if all(_are_equal(own[name], other.get(name)) for name in own):
                 self._compare(scalar, converted)
         except CompilationError as error:
             self.find(str(error))

@@ -145,10 +145,11 @@ class CalledLeaf:
         self.sources = sources_of(system, inputs)
         self.ends = np.cumsum([source.size for source in self.sources])
 
-    def context(self, point: Any) -> Any:
-        """Return a Context at a point, which stores no values."""
+    def context(self, point: Any, *, stores: bool = False) -> Any:
+        """Return a Context at a point; ``stores``: whether Drake keeps computed values in it."""
         context = self.system.CreateDefaultContext()
-        context.DisableCaching()
+        if not stores:
+            context.DisableCaching()
         for source, part in zip(self.sources, np.split(point, self.ends[:-1]), strict=True):
             source.write(context, part)
         return context

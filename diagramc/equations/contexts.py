@@ -18,7 +18,7 @@ def parameters_of(root: Node, context: Any) -> Array:
 
 def set_parameters(root: Node, context: Any, parameters: Array) -> None:
     """Write the parameters (parameters,) into the Context of a diagram of floats."""
-    _fill(_parameters(root, context), parameters)
+    _fill(_parameters(root, context, _WRITE), parameters)
 
 
 def state_of(root: Node, context: Any) -> State:
@@ -28,8 +28,8 @@ def state_of(root: Node, context: Any) -> State:
 
 def set_state(root: Node, context: Any, state: State) -> None:
     """Write continuous and discrete states into the Context of a diagram of floats."""
-    _fill(_continuous(root, context), state.continuous)
-    _fill(_discrete(root, context), state.discrete)
+    _fill(_continuous(root, context, _WRITE), state.continuous)
+    _fill(_discrete(root, context, _WRITE), state.discrete)
 
 
 class Source(NamedTuple):
@@ -52,10 +52,10 @@ def sources_of(leaf: Any, inputs: Iterable[int]) -> list[Source]:
     """
     root, default = Node(leaf), leaf.CreateDefaultContext()
 
-    def part(name: str, vectors: Callable[[Node, Any], Iterator[Any]]) -> Source:
+    def part(name: str, vectors: Callable[..., Iterator[Any]]) -> Source:
         size = sum(vector.size() for vector in vectors(root, default))
         read = lambda context: _numbers(vectors(root, context))  # noqa: E731
-        return Source(name, size, read, lambda context, x: _fill(vectors(root, context), x))
+        return Source(name, size, read, lambda context, x: _fill(vectors(root, context, _WRITE), x))
 
     def input_port(port: Any) -> Source:
         read = lambda c: port.Eval(c) if port.HasValue(c) else np.zeros(port.size())  # noqa: E731
@@ -84,19 +84,24 @@ def _contexts(root: Node, context: Any) -> Iterator[Any]:
     return (leaf.context(context) for leaf in root.equation_leaves())
 
 
-def _parameters(root: Node, context: Any) -> Iterator[Any]:
+_WRITE = "get_mutable"  # Drake then forgets what it has computed of the numbers
+
+
+def _parameters(root: Node, context: Any, get: str = "get") -> Iterator[Any]:
     """Yield the vectors of the parameters of all leaves in the Context of a diagram."""
     for c in _contexts(root, context):
-        yield from map(c.get_mutable_numeric_parameter, range(c.num_numeric_parameter_groups()))
+        yield from map(
+            getattr(c, f"{get}_numeric_parameter"), range(c.num_numeric_parameter_groups())
+        )
 
 
-def _continuous(root: Node, context: Any) -> Iterator[Any]:
-    return (c.get_mutable_continuous_state_vector() for c in _contexts(root, context))
+def _continuous(root: Node, context: Any, get: str = "get") -> Iterator[Any]:
+    return (getattr(c, f"{get}_continuous_state_vector")() for c in _contexts(root, context))
 
 
-def _discrete(root: Node, context: Any) -> Iterator[Any]:
+def _discrete(root: Node, context: Any, get: str = "get") -> Iterator[Any]:
     for c in _contexts(root, context):
-        yield from map(c.get_mutable_discrete_state, range(c.num_discrete_state_groups()))
+        yield from map(getattr(c, f"{get}_discrete_state"), range(c.num_discrete_state_groups()))
 
 
 def _numbers(vectors: Iterable[Any]) -> Array:
