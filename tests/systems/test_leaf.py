@@ -7,6 +7,7 @@ from pydrake.symbolic import Expression, Variable
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import LeafSystem_
 
+from diagramc.testing import check_leaf
 from kneexo.systems._leaf import (
     NamedLeaf,
     clip,
@@ -66,30 +67,11 @@ def test_output_without_sources_is_computed_once():
     assert len(calls) == 1
 
 
-def test_tree_counter_unfolds_shared_expressions(leaf):
-    x = Variable("x")
-    shared = Expression(x)
-    for _ in range(4):
-        shared = abs(shared) * abs(shared + 1.0)
-    single = leaf.tree_size(shared)
-    for _ in range(4):
-        shared = abs(shared) * abs(shared + 1.0)
-    assert single > 2**4
-    assert leaf.tree_size(shared, limit=10**6) > 2**4 * single
-    assert leaf.tree_size(shared, limit=100) == 101
-    assert leaf.tree_size(Expression(x)) == leaf.tree_size(Expression(2.0)) == 1
-
-
 # ----------------------------------------------------------------------------- conversion
 
 
-def test_conversions_agree_and_keep_arguments(leaf):
-    probe = leaf.Probe(Sample({"gain": 5.0, "offset": -3.0}), {"u": [(-1, 1)]}, [(-1, 1)] * 2)
-    probe.check_conversions()
-    probe.check_outputs_follow_every_source()
-    probe.check_conversions_keep_arguments()
-    probe.check_conversions_keep("gain", 7.0)
-    assert probe.largest_tree() < 10
+def test_conversions_agree_and_keep_arguments():
+    check_leaf(Sample({"gain": 5.0, "offset": -3.0}))
 
 
 def test_a_component_is_a_leaf_system_of_float_and_has_a_class_for_each_scalar():
