@@ -123,6 +123,7 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
     )
     from .reductions import REDUCTIONS as REDUCTIONS, Reduction as Reduction
     from .run_data import Array as Array, InputTable as InputTable, State as State
+    from .testing import check_leaf as check_leaf
     from .trajectories import input_table as input_table, stack_tables as stack_tables
 else:
     _NAMES = {
@@ -168,6 +169,7 @@ else:
         "native.runner": ("ROUGH_STEP_S", "STEP_S"),
         "reductions": ("REDUCTIONS", "Reduction"),
         "run_data": ("Array", "InputTable", "State"),
+        "testing": ("check_leaf",),
         "trajectories": ("input_table", "stack_tables"),
     }
     _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}

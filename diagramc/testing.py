@@ -25,7 +25,7 @@ from .equations.comparison import (
     rates_of,
     update_of,
 )
-from .equations.events import symbolic_value
+from .equations.events import reason_of, symbolic_value
 from .equations.names import parameter_groups, state_names
 from .equations.tree import Node
 from .errors import CompilationError, ParameterError, shortened
@@ -119,9 +119,10 @@ def check_leaf(
             for scalar in wanted:
                 check.conversion(scalar, check.note if scalars is None else check.find)
             check.nan_inputs()
+    leaf = Node(system).type_name
     if check.findings:
-        raise AssertionError("\n".join(check.findings))
-    return tuple(check.notes)
+        raise AssertionError("\n".join(f"{leaf}: {finding}" for finding in check.findings))
+    return tuple(f"{leaf}: {note}" for note in check.notes)
 
 
 def _ports(system: Any, kind: str) -> list[Any]:
@@ -136,10 +137,6 @@ def _is_vector(port: Any) -> bool:
 
 def _attributes(system: Any) -> dict[str, Any]:
     return {name: v for name, v in vars(system).items() if not name.startswith("_pydrake")}
-
-
-def _reason(error: BaseException) -> str:
-    return shortened((str(error).splitlines() or [type(error).__name__])[0])
 
 
 def _number(value: Any, environment: Any = None) -> Any:
@@ -192,10 +189,13 @@ class _Check:
                 self.elements.append(own if own.isidentifier() else plain)
                 self.places[self.elements[-1]] = [start + index]
             self.places[source.name] = [*range(start, start + source.size)]
-        self.units = [""] * len(self.elements)
-        for name, unit in units.items():
-            for index in self._indices("units", name):
-                self.units[index] = f" {unit}"
+        for setting, given in (("ranges", ranges), ("units", units)):
+            if unknown := [name for name in given if name not in self.places]:
+                known_names = ", ".join(self.places)
+                raise ParameterError(
+                    f"{setting}: unknown {quoted(unknown[0])}; known: {known_names}"
+                )
+        self.units = {i: f" {unit}" for name, unit in units.items() for i in self.places[name]}
         self.points = self._points(np.array(self.leaf.point(context)), ranges)
         sizes = {f"output {port.get_name()}": port.size() for port in self.outputs}
         sizes["time derivatives"] = context.num_continuous_states()
@@ -210,21 +210,14 @@ class _Check:
     def find(self, text: str, wrong: Any = None) -> None:
         """Add a finding, or one about each part of which a value is ``wrong``."""
         parts = [""] if wrong is None else [f"{self.parts[i]}: " for i in np.nonzero(wrong)[0]]
-        self.findings |= {f"{Node(self.system).type_name}: {part}{text}": None for part in parts}
+        self.findings |= {part + text: None for part in parts}
 
     def note(self, text: str) -> None:
         """Add a note."""
-        self.notes[f"{Node(self.system).type_name}: {text}"] = None
+        self.notes[text] = None
 
     def _called(self, system: Any) -> CalledLeaf:
         return CalledLeaf(system, [int(port.get_index()) for port in self.inputs])
-
-    def _indices(self, setting: str, name: str) -> list[int]:
-        """Return the indices in a point of what has a name."""
-        if name not in self.places:
-            known = ", ".join(self.places)
-            raise ParameterError(f"{setting}: unknown {quoted(name)}; known: {known}")
-        return self.places[name]
 
     def _points(self, default: Array, ranges: Mapping[str, Any]) -> Array:
         """Return nine points in the ranges, (9, size)."""
@@ -234,7 +227,7 @@ class _Check:
         points[parameters] = points_around(default[parameters], random, scale=0.0)
         points[0] = np.abs(points[0])  # the time
         for name, given in ranges.items():
-            indices = self._indices("ranges", name)
+            indices = self.places[name]
             try:
                 low, high = np.broadcast_to(np.asarray(given, float), (len(indices), 2)).T
                 points[indices] = random.uniform(low, high, (9, len(indices))).T
@@ -267,7 +260,8 @@ class _Check:
 
     def _at(self, point: Array) -> str:
         """Return the numbers at a point as text."""
-        texts = map("{} = {:.6g}{}".format, self.elements, point, self.units)
+        units = [self.units.get(index, "") for index in range(len(point))]
+        texts = map("{} = {:.6g}{}".format, self.elements, point, units)
         return shortened(f"at {', '.join(texts)}", 200)
 
     def repeats(self) -> bool:
@@ -296,7 +290,7 @@ class _Check:
             try:
                 self._values(self.leaf, self.system, self.leaf.context(self.points[0]))
             except (Exception, SystemExit) as error:
-                self.find(f"fails at each point; {self._at(self.points[0])}: {_reason(error)}")
+                self.find(f"fails at each point, {self._at(self.points[0])}: {reason_of(error)}")
         self.points, self.numbers = self.points[reached], self.numbers[reached]
         changes = (self.numbers[:, self.computed :] != self.points).any(axis=0)
         self.find("changes in a call", np.pad(changes, (self.computed, 0)))
@@ -352,7 +346,7 @@ class _Check:
         try:
             first, second = (self._run(c, times, period) for c in (context.Clone(), context))
         except (Exception, SystemExit) as error:
-            self.note(f"a run fails {self._at(self.points[0])}: {_reason(error)}")
+            self.note(f"a run fails {self._at(self.points[0])}: {reason_of(error)}")
             return
         if not np.array_equal(first, second, equal_nan=True):
             self.find(f"runs of two clones of a Context differ: {_OUTSIDE}")
@@ -429,7 +423,7 @@ class _Check:
         else:
             duals = [called(map(AutoDiffXd, point, np.eye(size))) for point in self.points]
             found = np.array([[_number(dual) for dual in row] for row in duals])
-            for row in range(min(1, len(duals) - 1), len(duals), 3):
+            for row in range(min(1, len(duals) - 1), len(duals), 4):
                 self._differentiate(row, np.array([_gradient(dual, size) for dual in duals[row]]))
         for column in range(self.computed):
             one = slice(column, column + 1)
@@ -482,5 +476,5 @@ class _Check:
                 parts = dict.fromkeys(compress(self.parts, np.isnan(values[: self.computed])))
                 text = f"reaches {', '.join(parts) or 'nothing'}"
             except (Exception, SystemExit) as error:
-                text = f"raises {_reason(error)}"
+                text = f"raises {reason_of(error)}"
             self.note(f"nan at {port.get_name()} {text}")

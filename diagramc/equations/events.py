@@ -37,16 +37,21 @@ def symbolic_value(where: str, evaluate: Callable[[], Any], form: str = "symboli
         with truth_of_scalars():
             return evaluate()
     except (Exception, SystemExit) as error:
-        # str(error) could raise an error itself.
-        text = format_exception_only(error)[0].strip().partition(": ")[2]
-        reason = (text.splitlines() or [type(error).__name__])[0]
-        if "`__bool__`" in reason:  # also of a Formula, whose own text does not help
-            reason = "the code branches on a symbolic value"
-        frames = extract_tb(error.__traceback__)
-        users = [frame for frame in frames if not frame.filename.startswith(_NOT_OF_USERS)]
-        if users:
-            reason += f"; {shown(Path(users[-1].filename).name)}, line {users[-1].lineno}"
-        raise CompilationError(f"{where}: has no {form} form ({reason})") from error
+        raise CompilationError(f"{where}: has no {form} form ({reason_of(error)})") from error
+
+
+def reason_of(error: BaseException) -> str:
+    """Return the first line of an error of a user's code, with the file and line of this code."""
+    # str(error) could raise an error itself.
+    text = format_exception_only(error)[0].strip().partition(": ")[2]
+    reason = (text.splitlines() or [type(error).__name__])[0]
+    if "`__bool__`" in reason:  # also of a Formula, whose own text does not help
+        reason = "the code branches on a symbolic value"
+    frames = extract_tb(error.__traceback__)
+    users = [frame for frame in frames if not frame.filename.startswith(_NOT_OF_USERS)]
+    if users:
+        reason += f"; {shown(Path(users[-1].filename).name)}, line {users[-1].lineno}"
+    return reason
 
 
 def to_symbolic(leaf: Node) -> Any:

@@ -310,7 +310,9 @@ class Rough(LeafSystem):
 def test_a_port_without_a_name_and_a_leaf_that_fails_everywhere_are_found():
     with pytest.raises(AssertionError, match=r"^Rough: port y0 has only Drake's default name$"):
         check_leaf(Rough(abs))
-    text = r"^Rough: fails at each point; at time = 0, u = -2\.\d+ m: math domain error$"
+    text = (
+        r"^Rough: fails at each point, at time = 0, u = -2\.\d+ m: .*; test_testing.py, line \d+$"
+    )
     with pytest.raises(AssertionError, match=text):
         check_leaf(Rough(math.sqrt, "y"), {"u": (-3, -2), "time": (0, 0)}, units={"u": "m"})
     assert "Rough: nan at u reaches output y" in check_leaf(Rough(math.sqrt, "y"), {"u": (0, 1)})
