@@ -59,7 +59,6 @@ def check_leaf(
 
     At nine points in the ranges, and on the way between some of them, it checks that
 
-    - each port has a name;
     - a conversion to AutoDiffXd or Expression keeps ports, sizes, sample time, default values and
       attributes, and gives the outputs, time derivatives, discrete update and ``margin`` of the
       leaf of floats;
@@ -71,10 +70,12 @@ def check_leaf(
       state outside the Context, reads no clock and draws no random number;
     - runs from two clones of one Context are equal, and the discrete state stays between samples.
 
-    A point where the leaf of floats raises an error or is not finite does not count. Returns notes,
-    one line each, which are no faults: a conversion that the leaf does not have, an input that an
-    output is declared to feel and does not, what follows from an input of nan, an attribute that
-    changes during calls. Abstract ports get their model values, and are not compared.
+    A point where the leaf of floats raises an error or is not finite does not count. Abstract ports
+    get their model values; abstract values are not compared.
+
+    Returns notes, one line each, which are no faults: a port without a name of its own, a
+    conversion that the leaf does not have, an input that an output is declared to depend on and
+    does not, what follows from an input of nan, an attribute that changes during calls.
 
     Parameters
     ----------
@@ -162,7 +163,9 @@ def _are_equal(first: Any, second: Any) -> bool:
     if isinstance(first, dict | list | tuple | np.ndarray) and type(first) is type(second):
         items = (v.items() if isinstance(v, dict) else v for v in (first, second))
         return len(first) == len(second) and all(map(_are_equal, *items))
-    return type(first).__eq__ is object.__eq__ or bool(first == second)
+    kind: Any = type(first)
+    are_nan = first != first and second != second
+    return kind.__eq__ is object.__eq__ or bool(first == second or are_nan)
 
 
 class _Check:
@@ -177,18 +180,20 @@ class _Check:
         self.leaf = self._called(system)
         self.timing = system.GetUniquePeriodicDiscreteUpdateAttribute()
         context, node, sources = system.CreateDefaultContext(), Node(system), self.leaf.sources
+        self.elements = [
+            f"{s.name}[{i}]" if s.size > 1 else s.name for s in sources for i in range(s.size)
+        ]
         known = [name for group in parameter_groups(node, context) for name in group]
-        known = ["", *known, *state_names(node, context)]  # the first is the time
-        self.elements: list[str] = []
-        self.places: dict[str, list[int]] = {}
-        for source in sources:
-            start = len(self.elements)
-            for index in range(source.size):
-                own = known[start + index][1:] if start + index < len(known) else ""
-                plain = f"{source.name}[{index}]" if source.size > 1 else source.name
-                self.elements.append(own if own.isidentifier() else plain)
-                self.places[self.elements[-1]] = [start + index]
-            self.places[source.name] = [*range(start, start + source.size)]
+        for index, name in enumerate([*known, *state_names(node, context)], 1):  # after the time
+            if name[1:].isidentifier():
+                self.elements[index] = name[1:]
+        numbered = [*range(len(self.elements))]
+        slices = {
+            s.name: numbered[place] for s, place in zip(sources, self.leaf.places, strict=True)
+        }
+        self.places = {name: [index] for index, name in enumerate(self.elements)} | slices
+        count = len(sources) - len(self.inputs)
+        self.own = dict(zip([s.name for s in sources[:count]], self.leaf.places, strict=False))
         for setting, given in (("ranges", ranges), ("units", units)):
             if unknown := [name for name in given if name not in self.places]:
                 known_names = ", ".join(self.places)
@@ -199,7 +204,8 @@ class _Check:
         self.points = self._points(np.array(self.leaf.point(context)), ranges)
         sizes = {f"output {port.get_name()}": port.size() for port in self.outputs}
         sizes["time derivatives"] = context.num_continuous_states()
-        sizes["discrete update"] = len(self.places.get("discrete_state", ())) if self.timing else 0
+        held = self.own.get("discrete_state", slice(0))
+        sizes["discrete update"] = held.stop - held.start if self.timing else 0
         sizes["margin"] = int(callable(getattr(system, "margin", None)))
         self.parts = [part for part, size in sizes.items() for _ in range(size)]
         self.computed = len(self.parts)
@@ -223,7 +229,7 @@ class _Check:
         """Return nine points in the ranges, (9, size)."""
         random = np.random.default_rng(0)  # a fixed seed: an equal leaf passes or fails each time
         points = points_around(default, random)
-        parameters = self.places.get("parameters", [])
+        parameters = self.own.get("parameters", slice(0))
         points[parameters] = points_around(default[parameters], random, scale=0.0)
         points[0] = np.abs(points[0])  # the time
         for name, given in ranges.items():
@@ -258,6 +264,9 @@ class _Check:
             values += margin_of(system, context)
         return values + leaf.point(context)
 
+    def _value(self, column: int, point: Array) -> list[float]:
+        return [self.function(point)[column]]
+
     def _at(self, point: Array) -> str:
         """Return the numbers at a point as text."""
         units = [self.units.get(index, "") for index in range(len(point))]
@@ -272,7 +281,7 @@ class _Check:
         for letter, ports in (("u", self.inputs), ("y", self.outputs)):
             for port in ports:
                 if port.get_name() == f"{letter}{int(port.get_index())}":
-                    self.find(f"port {port.get_name()} has only Drake's default name")
+                    self.note(f"port {port.get_name()} has only Drake's default name")
         before = {name: repr(value) for name, value in _attributes(self.system).items()}
         self.way = [*self._way()]
         points = np.array([*self.points, *(point for _, point in self.way)])
@@ -285,36 +294,39 @@ class _Check:
             hint = f" ({', '.join(changed)})" if changed else ""
             self.find(f"a second call gives other values: {_OUTSIDE}{hint}")
         self.numbers, self.fresh = np.split(numbers, [len(self.points)])
-        reached = ~np.isnan(self.numbers[:, -1])
+        reached = ~np.isnan(self.numbers[:, self.computed])  # the time, which is never nan
         if not reached.any():
             try:
                 self._values(self.leaf, self.system, self.leaf.context(self.points[0]))
             except (Exception, SystemExit) as error:
                 self.find(f"fails at each point, {self._at(self.points[0])}: {reason_of(error)}")
         self.points, self.numbers = self.points[reached], self.numbers[reached]
-        changes = (self.numbers[:, self.computed :] != self.points).any(axis=0)
+        nowhere = ~np.isfinite(self.numbers[:, : self.computed]).any(axis=0)
+        self.find("is finite at no point; give other ranges", nowhere & reached.any())
+        held = self.numbers[:, self.computed :]  # nan, as in the inertia of Drake's world, stays
+        changes = ((held != self.points) & ~np.isnan(self.points)).any(axis=0)
         self.find("changes in a call", np.pad(changes, (self.computed, 0)))
         return not self.findings
 
-    def _way(self) -> Iterator[tuple[str, Array]]:
-        """Yield the way between some points: the source that changes, or nothing, and the point."""
+    def _way(self) -> Iterator[tuple[int, Array]]:
+        """Yield the way between some points: the source that changes, first −1, and the point."""
         for start, end in ((0, 4), (4, 5), (5, 8)):
             point = self.points[start].copy()
-            yield "", point.copy()
-            for source in self.leaf.sources:
-                point[self.places[source.name]] = self.points[end, self.places[source.name]]
-                yield source.name, point.copy()
+            yield -1, point.copy()
+            for number, place in enumerate(self.leaf.places):
+                point[place] = self.points[end, place]
+                yield number, point.copy()
 
     def stored_values(self) -> None:
         """Compare values that Drake stores in a Context with fresh ones, on the way."""
         felt: set[tuple[str, str]] = set()
-        sources = {source.name: source for source in self.leaf.sources}
         context, before = None, self.fresh[0]
-        for (name, point), fresh in zip(self.way, self.fresh, strict=True):
-            if not name:
+        for (number, point), fresh in zip(self.way, self.fresh, strict=True):
+            name, _, _, write = self.leaf.sources[number]
+            if number < 0:
                 context, before = self.leaf.context(point, stores=True), fresh
             else:
-                sources[name].write(context, point[self.places[name]])
+                write(context, point[self.leaf.places[number]])
             try:
                 stored = self._values(self.leaf, self.system, context)
             except (Exception, SystemExit):  # a point that does not count
@@ -338,7 +350,7 @@ class _Check:
         period, offset = _PERIOD_S, 0.0
         if self.timing:
             period, offset = self.timing.period_sec(), self.timing.offset_sec()
-        elif "discrete_state" in self.places:
+        elif "discrete_state" in self.own:
             self.note("has not exactly one sample time, so its update is seen in runs alone")
         sample = offset + period * math.ceil((self.points[0, 0] - offset) / period)
         times = sample + period * (np.arange(3)[:, None] + [0.4, 0.401, 0.402, 0.403]).ravel()
@@ -352,7 +364,8 @@ class _Check:
             self.find(f"runs of two clones of a Context differ: {_OUTSIDE}")
         sizes = np.abs(first).max(axis=0)
         most = np.zeros(len(sizes))
-        state = self.computed + np.array(self.places.get("continuous_state", []), int)
+        state = np.arange(len(self.elements))[self.own.get("continuous_state", slice(0))]
+        state += self.computed
         rates = [index for index, part in enumerate(self.parts) if part == "time derivatives"]
         most[state] = 2e-3 * period * sizes[rates] + 1e-9 * (1.0 + sizes[state])
         jumps = (np.abs(np.diff(first.reshape(3, 4, -1), axis=1)) > most).any(axis=(0, 1))
@@ -394,13 +407,14 @@ class _Check:
             if converted is None:
                 tell(f"does not convert to {scalar} (see Drake's TemplateSystem)")
                 return
+            count = len(self.findings)
             own, other = self._structure(self.system), self._structure(converted)
             for name in dict.fromkeys([*own, *other]):
-                values = other.get(name, "missing"), own.get(name, "missing")
-                if not _are_equal(*values):
-                    now, expected = (shortened(str(_number(value))) for value in values)
+                values = [_number(kept.get(name, "missing")) for kept in (other, own)]
+                if name not in own or name not in other or not _are_equal(*values):
+                    now, expected = (shortened(str(value)) for value in values)
                     self.find(f"as {scalar}, {name} is {now}, not {expected}")
-            if all(_are_equal(own[name], other.get(name)) for name in own):
+            if len(self.findings) == count:
                 self._compare(scalar, converted)
         except CompilationError as error:
             self.find(str(error))
@@ -426,19 +440,19 @@ class _Check:
             for row in range(min(1, len(duals) - 1), len(duals), 4):
                 self._differentiate(row, np.array([_gradient(dual, size) for dual in duals[row]]))
         for column in range(self.computed):
-            one = slice(column, column + 1)
-            pair = found[:, one], self.numbers[:, one]
-            if differ(lambda p, one=one: np.array(self.function(p)[one]), self.points, *pair):
-                row = int(np.argmax(np.isfinite(pair[1]) & ~np.isclose(*pair, 1e-9, 1e-9)))
-                number, other = self.numbers[row, column], found[row, column]
+            numbers, others = self.numbers[:, [column]], found[:, [column]]
+            if differ(partial(self._value, column), self.points, others, numbers):
+                row = int(
+                    np.argmax(np.isfinite(numbers) & ~np.isclose(others, numbers, 1e-9, 1e-9))
+                )
                 self.find(
-                    f"{self.parts[column]}: {other:.9g} by {scalar}, {number:.9g} by float "
-                    f"{self._at(self.points[row])}"
+                    f"{self.parts[column]}: {others[row, 0]:.9g} by {scalar}, "
+                    f"{numbers[row, 0]:.9g} by float {self._at(self.points[row])}"
                 )
 
     def _differentiate(self, row: int, gradient: Array) -> None:
         """Compare gradients (values, size) at a point with central differences."""
-        point, scale = self.points[row], np.ptp(self.points, axis=0)
+        point, scale = self.points[row], np.nan_to_num(np.ptp(self.points, axis=0))
         scaled = gradient * scale
         finite = np.where(np.isfinite(self.numbers), self.numbers, 0.0)
         largest = np.abs(finite).max(axis=0) + np.abs(scaled).max(axis=1)
@@ -468,9 +482,10 @@ class _Check:
 
     def nan_inputs(self) -> None:
         """Note what follows from an input of nan."""
-        for port in self.inputs:
+        places = self.leaf.places[len(self.own) :]
+        for port, place in zip(self.inputs, places, strict=True):
             point = self.points[0].copy()
-            point[self.places[port.get_name()]] = math.nan
+            point[place] = math.nan
             try:
                 values = self._values(self.leaf, self.system, self.leaf.context(point))
                 parts = dict.fromkeys(compress(self.parts, np.isnan(values[: self.computed])))

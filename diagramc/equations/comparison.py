@@ -143,15 +143,16 @@ class CalledLeaf:
         """``inputs``: indices of the input ports that have a value, which must be vectors."""
         self.system = system
         self.sources = sources_of(system, inputs)
-        self.ends = np.cumsum([source.size for source in self.sources])
+        ends = np.cumsum([source.size for source in self.sources]).tolist()
+        self.places = [slice(e - s.size, e) for s, e in zip(self.sources, ends, strict=True)]
 
     def context(self, point: Any, *, stores: bool = False) -> Any:
         """Return a Context at a point; ``stores``: whether Drake keeps computed values in it."""
         context = self.system.CreateDefaultContext()
         if not stores:
             context.DisableCaching()
-        for source, part in zip(self.sources, np.split(point, self.ends[:-1]), strict=True):
-            source.write(context, part)
+        for source, place in zip(self.sources, self.places, strict=True):
+            source.write(context, point[place])
         return context
 
     def point(self, context: Any) -> list[Any]:

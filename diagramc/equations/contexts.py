@@ -61,14 +61,14 @@ def sources_of(leaf: Any, inputs: Iterable[int]) -> list[Source]:
         read = lambda c: port.Eval(c) if port.HasValue(c) else np.zeros(port.size())  # noqa: E731
         return Source(port.get_name(), port.size(), read, port.FixValue)
 
-    sources = [
+    own = [
         Source("time", 1, lambda c: [c.get_time()], lambda c, t: c.SetTime(t[0])),
         part("parameters", _parameters),
         part("continuous_state", _continuous),
         part("discrete_state", _discrete),
-        *map(input_port, map(leaf.get_input_port, inputs)),
     ]
-    return [source for source in sources if source.size]
+    ports = map(input_port, map(leaf.get_input_port, inputs))
+    return [*(source for source in own if source.size), *ports]
 
 
 def discrete_values(values: Any) -> list[Any]:

@@ -192,11 +192,12 @@ ANYWHERE = {
     ),
     "other dual": (lambda leaf, context, y: y + 1e-3 if is_dual(y) else y, r"\S+ by AutoDiffXd, "),
     "other symbol": (
-        lambda leaf, context, y: 1.001 * y if isinstance(y, Expression) else y, r"\S+ by Expression, ",
+        lambda leaf, context, y: 1.001 * y if isinstance(y, Expression) else y,
+        r"\S+ by Expression, ",
     ),
     "its state": (sets_its_state, f"discrete_state: {CALL}"),
     "a parameter": (sets_a_parameter, f"parameters: {CALL}"),
-}  # fmt: skip
+}
 """Mistakes that an output, the time derivatives and the update can have, with their findings."""
 
 
@@ -287,7 +288,9 @@ def test_the_leaf_without_a_mistake_passes():
     assert check_leaf(Leaf_[None](**OTHER)) == (f"Leaf: nan at u reaches {reached}",)
 
 
-@pytest.mark.parametrize(("mistake", "place", "text"), MISTAKES)
+@pytest.mark.parametrize(
+    ("mistake", "place", "text"), MISTAKES, ids=[f"{m}, {place}" for m, place, _ in MISTAKES]
+)
 def test_a_leaf_with_one_mistake_is_found(mistake, place, text):
     with pytest.raises(AssertionError, match=rf"^Leaf: (\w+ ?\w*: )?{text}") as caught:
         check_leaf(Leaf_[None](mistake, place, **OTHER), {"u": (-2.0, 2.0)})
@@ -307,9 +310,11 @@ class Rough(LeafSystem):
         self.DeclareVectorOutputPort(name, 1, calc)
 
 
-def test_a_port_without_a_name_and_a_leaf_that_fails_everywhere_are_found():
-    with pytest.raises(AssertionError, match=r"^Rough: port y0 has only Drake's default name$"):
-        check_leaf(Rough(abs))
+def test_a_leaf_that_fails_or_is_not_finite_everywhere_is_found():
+    with pytest.raises(
+        AssertionError, match=r"^Rough: output y: is finite at no point; give other ranges$"
+    ):
+        check_leaf(Rough(lambda u: u + math.inf, "y"))
     text = (
         r"^Rough: fails at each point, at time = 0, u = -2\.\d+ m: .*; test_testing.py, line \d+$"
     )
@@ -320,6 +325,7 @@ def test_a_port_without_a_name_and_a_leaf_that_fails_everywhere_are_found():
 
 def test_an_input_that_an_output_is_declared_to_feel_and_a_log_in_an_attribute_are_notes():
     seen = []
+    assert "Rough: port y0 has only Drake's default name" in check_leaf(Rough(abs))
     notes = check_leaf(Rough(lambda u: 3.0, "y"))
     assert "Rough: output y is declared to depend on u, and does not" in notes
     system = Rough(lambda u: seen.append(u) or u, "y")
