@@ -300,6 +300,8 @@ class _Check:
                 self._values(self.leaf, self.system, self.leaf.context(self.points[0]))
             except (Exception, SystemExit) as error:
                 self.find(f"fails at each point, {self._at(self.points[0])}: {reason_of(error)}")
+        elif not reached.all():
+            self.note(f"fails at {np.sum(~reached)} of {reached.size} points, which do not count")
         self.points, self.numbers = self.points[reached], self.numbers[reached]
         nowhere = ~np.isfinite(self.numbers[:, : self.computed]).any(axis=0)
         self.find("is finite at no point; give other ranges", nowhere & reached.any())
@@ -407,8 +409,8 @@ class _Check:
             if converted is None:
                 tell(f"does not convert to {scalar} (see Drake's TemplateSystem)")
                 return
-            count = len(self.findings)
-            own, other = self._structure(self.system), self._structure(converted)
+            count, own = len(self.findings), self._structure(self.system)
+            other = symbolic_value("conversion", partial(self._structure, converted), scalar)
             for name in dict.fromkeys([*own, *other]):
                 values = [_number(kept.get(name, "missing")) for kept in (other, own)]
                 if name not in own or name not in other or not _are_equal(*values):
