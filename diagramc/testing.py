@@ -86,7 +86,7 @@ def check_leaf(
         that of an input port or of a parameter, or ``time``, ``parameters``, ``continuous_state``
         or ``discrete_state``. The elements of a vector are ``name[0]``, ``name[1]`` and so on. By
         default states and inputs lie up to 10 around those of the default Context (inputs: around
-        zero), and parameters within a tenth of their values.
+        zero), and parameters within a tenth of their values. None leaves an input port open.
     units
         Dictionary from such names to units, for the messages.
     scalars
@@ -175,7 +175,10 @@ class _Check:
         self.system = system
         self.findings: dict[str, None] = {}  # as a set, in order
         self.notes: dict[str, None] = {}
-        self.inputs = [port for port in _ports(system, "input") if _is_vector(port)]
+        inputs = [port for port in _ports(system, "input") if _is_vector(port)]
+        is_open = {p.get_name(): ranges.get(p.get_name(), ()) is None for p in inputs}
+        ranges = {name: given for name, given in ranges.items() if not is_open.get(name)}
+        self.inputs = [port for port in inputs if not is_open[port.get_name()]]
         self.outputs = [port for port in _ports(system, "output") if _is_vector(port)]
         self.leaf = self._called(system)
         self.timing = system.GetUniquePeriodicDiscreteUpdateAttribute()

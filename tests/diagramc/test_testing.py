@@ -325,6 +325,10 @@ def test_a_leaf_that_fails_or_is_not_finite_everywhere_is_found():
 
 def test_an_input_that_an_output_is_declared_to_feel_and_a_log_in_an_attribute_are_notes():
     seen = []
+    with pytest.raises(
+        AssertionError, match=r"^Rough: fails at each point, at time = 0: .*InputPort"
+    ):
+        check_leaf(Rough(abs), {"u": None})
     assert "Rough: port y0 has only Drake's default name" in check_leaf(Rough(abs))
     notes = check_leaf(Rough(lambda u: 3.0, "y"))
     assert "Rough: output y is declared to depend on u, and does not" in notes

@@ -156,7 +156,7 @@ def test_the_load_cell_and_the_motion_feel_the_stop(order):
 
 @pytest.mark.parametrize("order", MAKERS)
 def test_conversions_with_stops_agree_and_keep_arguments_and_changes(order):
-    inputs = {"load_flow": [(-1e-5, 1e-5)], "load_force": [(-100.0, 100.0)]}
+    inputs = {"load_flow": (-1e-5, 1e-5), "load_force": (-100.0, 100.0), "moving_mass": None}
     pressures = [(1.0, 1.4), (0.4, 0.6)][: len(STATES[order]) - 2]
     state = {"continuous_state": [(0.135, 0.14), (-0.05, 0.05), *pressures]}
     check_leaf(MAKERS[order](STOPS), inputs | state)

@@ -120,7 +120,7 @@ def test_rod_starts_at_rest_holding_nothing_or_where_given():
 
 
 def test_conversions_agree_and_keep_arguments_and_changes():
-    check_leaf(full_system(), INPUTS | {"continuous_state": STATE})
+    check_leaf(full_system(), INPUTS | {"moving_mass": None, "continuous_state": STATE})
 
 
 def test_conversions_keep_the_initial_state():
@@ -267,7 +267,10 @@ def bypassed(opening, bypass=BYPASS, pressures=(2.0e6, 0.9e6), parts=IDLE_BYPASS
 
 def test_conversions_with_a_bypass_agree_and_keep_arguments_and_changes():
     system = FullCylinder(CYLINDER, FULL, 0.06, (0.4e6, 0.7e6), PUMP_LEAKAGE, BYPASS)
-    check_leaf(system, INPUTS | {"bypass_opening": (0.1, 0.9), "continuous_state": STATE})
+    check_leaf(
+        system,
+        INPUTS | {"bypass_opening": (0.1, 0.9), "moving_mass": None, "continuous_state": STATE},
+    )
 
 
 def test_an_open_bypass_empties_both_chambers_into_the_reservoir():
