@@ -150,11 +150,6 @@ def _number(value: Any, environment: Any = None) -> Any:
     return value.value() if isinstance(value, AutoDiffXd) else value
 
 
-def _gradient(dual: Any, size: int) -> Array:
-    gradient = dual.derivatives() if isinstance(dual, AutoDiffXd) else np.zeros(0)
-    return gradient if gradient.size else np.zeros(size)
-
-
 def _are_equal(first: Any, second: Any) -> bool:
     """Return whether two attributes are equal, as far as they can be compared."""
     first, second = _number(first), _number(second)
@@ -190,19 +185,14 @@ class _Check:
         for index, name in enumerate([*known, *state_names(node, context)], 1):  # after the time
             if name[1:].isidentifier():
                 self.elements[index] = name[1:]
-        numbered = [*range(len(self.elements))]
-        slices = {
-            s.name: numbered[place] for s, place in zip(sources, self.leaf.places, strict=True)
-        }
-        self.places = {name: [index] for index, name in enumerate(self.elements)} | slices
-        count = len(sources) - len(self.inputs)
-        self.own = dict(zip([s.name for s in sources[:count]], self.leaf.places, strict=False))
+        pairs = [(s.name, place) for s, place in zip(sources, self.leaf.places, strict=True)]
+        self.own = dict(pairs[: len(pairs) - len(self.inputs)])
+        self.places = {name: [index] for index, name in enumerate(self.elements)}
+        self.places |= {name: [*range(place.start, place.stop)] for name, place in pairs}
         for setting, given in (("ranges", ranges), ("units", units)):
             if unknown := [name for name in given if name not in self.places]:
-                known_names = ", ".join(self.places)
-                raise ParameterError(
-                    f"{setting}: unknown {quoted(unknown[0])}; known: {known_names}"
-                )
+                text = f"unknown {quoted(unknown[0])}; known: {', '.join(self.places)}"
+                raise ParameterError(f"{setting}: {text}")
         self.units = {i: f" {unit}" for name, unit in units.items() for i in self.places[name]}
         self.points = self._points(np.array(self.leaf.point(context)), ranges)
         sizes = {f"output {port.get_name()}": port.size() for port in self.outputs}
@@ -281,10 +271,10 @@ class _Check:
 
         Points where the leaf fails are left out of all that follows.
         """
-        for letter, ports in (("u", self.inputs), ("y", self.outputs)):
-            for port in ports:
-                if port.get_name() == f"{letter}{int(port.get_index())}":
-                    self.note(f"port {port.get_name()} has only Drake's default name")
+        for port in (*self.inputs, *self.outputs):
+            index = int(port.get_index())
+            if port.get_name() in (f"u{index}", f"y{index}"):
+                self.note(f"port {port.get_name()} has only Drake's default name")
         before = {name: repr(value) for name, value in _attributes(self.system).items()}
         self.way = [*self._way()]
         points = np.array([*self.points, *(point for _, point in self.way)])
@@ -298,13 +288,9 @@ class _Check:
             self.find(f"a second call gives other values: {_OUTSIDE}{hint}")
         self.numbers, self.fresh = np.split(numbers, [len(self.points)])
         reached = ~np.isnan(self.numbers[:, self.computed])  # the time, which is never nan
-        if not reached.any():
-            try:
-                self._values(self.leaf, self.system, self.leaf.context(self.points[0]))
-            except (Exception, SystemExit) as error:
-                self.find(f"fails at each point, {self._at(self.points[0])}: {reason_of(error)}")
-        elif not reached.all():
-            self.note(f"fails at {np.sum(~reached)} of {reached.size} points, which do not count")
+        if self.leaf.error is not None:
+            text = f"at {np.sum(~reached)} of {reached.size} points: {reason_of(self.leaf.error)}"
+            (self.note if reached.any() else self.find)(f"fails {text}")
         self.points, self.numbers = self.points[reached], self.numbers[reached]
         nowhere = ~np.isfinite(self.numbers[:, : self.computed]).any(axis=0)
         self.find("is finite at no point; give other ranges", nowhere & reached.any())
@@ -338,8 +324,8 @@ class _Check:
                 stored = fresh
             changes = ~np.isnan(fresh) & (fresh != before)
             felt |= {(self.parts[index], name) for index in np.nonzero(changes)[0]}
-            text = f"its stored value stays when {name} changes: add it to prerequisites_of_calc"
-            self.find(text, changes & (stored != fresh))
+            text = f"its stored value stays after a change of {name}; add {name} to its "
+            self.find(f"{text}prerequisites_of_calc", changes & (stored != fresh))
             before = fresh
         for source, port in product(self.inputs, self.outputs):
             pair = f"output {port.get_name()}", source.get_name()
@@ -440,16 +426,16 @@ class _Check:
             here = [dict(zip(variables, point, strict=True)) for point in self.points]
             found = np.array([[_number(e, values) for e in expressions] for values in here])
         else:
-            duals = [called(map(AutoDiffXd, point, np.eye(size))) for point in self.points]
-            found = np.array([[_number(dual) for dual in row] for row in duals])
+            zero = AutoDiffXd(0.0, np.zeros(size))  # Drake leaves out gradients of zero
+            rows = [called(map(AutoDiffXd, point, np.eye(size))) for point in self.points]
+            duals = [[zero + value for value in row] for row in rows]
+            found = np.array([[dual.value() for dual in row] for row in duals])
             for row in range(min(1, len(duals) - 1), len(duals), 4):
-                self._differentiate(row, np.array([_gradient(dual, size) for dual in duals[row]]))
+                self._differentiate(row, np.array([dual.derivatives() for dual in duals[row]]))
         for column in range(self.computed):
             numbers, others = self.numbers[:, [column]], found[:, [column]]
             if differ(partial(self._value, column), self.points, others, numbers):
-                row = int(
-                    np.argmax(np.isfinite(numbers) & ~np.isclose(others, numbers, 1e-9, 1e-9))
-                )
+                row = int(np.argmax(np.where(np.isfinite(numbers), abs(others - numbers), 0.0)))
                 self.find(
                     f"{self.parts[column]}: {others[row, 0]:.9g} by {scalar}, "
                     f"{numbers[row, 0]:.9g} by float {self._at(self.points[row])}"
@@ -491,10 +477,9 @@ class _Check:
         for port, place in zip(self.inputs, places, strict=True):
             point = self.points[0].copy()
             point[place] = math.nan
-            try:
-                values = self._values(self.leaf, self.system, self.leaf.context(point))
-                parts = dict.fromkeys(compress(self.parts, np.isnan(values[: self.computed])))
-                text = f"reaches {', '.join(parts) or 'nothing'}"
-            except (Exception, SystemExit) as error:
-                text = f"raises {reason_of(error)}"
+            self.leaf.error = None
+            are_nan = np.isnan(self.function(point))[: self.computed]
+            text = f"reaches {', '.join(dict.fromkeys(compress(self.parts, are_nan))) or 'nothing'}"
+            if self.leaf.error is not None:
+                text = f"raises {reason_of(self.leaf.error)}"
             self.note(f"nan at {port.get_name()} {text}")

@@ -142,6 +142,8 @@ class CalledLeaf:
     def __init__(self, system: Any, inputs: Iterable[int]) -> None:
         """``inputs``: indices of the input ports that have a value, which must be vectors."""
         self.system = system
+        self.error: BaseException | None = None
+        """What the leaf raised when it was last called in vain."""
         self.sources = sources_of(system, inputs)
         ends = np.cumsum([source.size for source in self.sources]).tolist()
         self.places = [slice(e - s.size, e) for s, e in zip(self.sources, ends, strict=True)]
@@ -165,7 +167,8 @@ class CalledLeaf:
         def values(point: Array) -> Sequence[float]:
             try:
                 return evaluate(self.system, self.context(point))
-            except (Exception, SystemExit):  # a user's code may raise any error, and Drake exits
+            except (Exception, SystemExit) as error:  # a user's code may raise any; Drake exits
+                self.error = error
                 return [math.nan] * size
 
         return values
