@@ -8,6 +8,8 @@ The equations are written once, in the leaf systems. They pass through these fol
 - ``c/`` and ``fmu/`` print the graph as C99 and pack it as an FMU;
 - ``linear/`` makes linear models from the derivatives of the graph.
 
+``testing.py`` tests leaf systems, also those that do not compile.
+
 The names below are the whole interface. A name is imported when it is first used. So the command
 line can use some names without loading NumPy or Drake.
 
