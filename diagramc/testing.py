@@ -449,7 +449,8 @@ class _Check:
         largest = np.abs(finite).max(axis=0) + np.abs(scaled).max(axis=1)
         for column in np.nonzero(scale)[0].tolist():
             wrong = np.isfinite(scaled[:, column])
-            for step in _STEPS:
+            near = 1e-3 * abs(point[column]) / scale[column]  # far from a limit at zero
+            for step in (*_STEPS, near or _STEPS[-1]):
                 if not wrong.any():
                     break
                 change = step * scale[column] * np.eye(len(scale))[column]
@@ -462,7 +463,8 @@ class _Check:
                 )
                 slope = half + (half - one) / 3.0
                 # Of rounding, 1e-16 of the largest term over the step, with a factor of 1000.
-                slack = 1e-6 * np.abs(slope) + 1e-13 / step * largest + np.abs(half - one)
+                # Over a jump J at the point one is J/2, half is J and slope 7/6 J, over the step.
+                slack = 1e-6 * np.abs(slope) + 1e-13 / step * largest + 4.0 * np.abs(half - one)
                 wrong &= np.abs(scaled[:, column] - slope) > slack
             for value in np.nonzero(wrong)[0].tolist():
                 self.find(
