@@ -40,14 +40,14 @@ wrong only if it differs from the differences at each step.
 """
 _PERIOD_S = 1e-3  # in place of the sample time of a leaf that has none; short for most systems
 _OUTSIDE = "the leaf keeps a state outside the Context, reads a clock or draws a random number"
-_NO_RANGES: Mapping[str, Any] = MappingProxyType({})
+_NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 
 def check_leaf(
     system: Any,
-    ranges: Mapping[str, Any] = _NO_RANGES,
+    ranges: Mapping[str, Any] = _NOTHING,
     *,
-    units: Mapping[str, str] = _NO_RANGES,
+    units: Mapping[str, str] = _NOTHING,
     scalars: str | Iterable[str] | None = None,
 ) -> tuple[str, ...]:
     """Assert that a Drake leaf system keeps the rules that simulation and linearization rely on.
