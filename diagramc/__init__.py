@@ -8,6 +8,8 @@ The equations are written once, in the leaf systems. They pass through these fol
 - ``c/`` and ``fmu/`` print the graph as C99 and pack it as an FMU;
 - ``linear/`` makes linear models from the derivatives of the graph.
 
+``testing.py`` tests leaf systems, also those that do not compile.
+
 The names below are the whole interface. A name is imported when it is first used. So the command
 line can use some names without loading NumPy or Drake.
 
@@ -130,6 +132,7 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
     )
     from .reductions import REDUCTIONS as REDUCTIONS, Reduction as Reduction
     from .run_data import Array as Array, InputTable as InputTable, State as State
+    from .testing import check_leaf as check_leaf
     from .trajectories import input_table as input_table, stack_tables as stack_tables
 else:
     _NAMES = {
@@ -178,6 +181,7 @@ else:
         "native.runner": ("ROUGH_STEP_S", "STEP_S"),
         "reductions": ("REDUCTIONS", "Reduction"),
         "run_data": ("Array", "InputTable", "State"),
+        "testing": ("check_leaf",),
         "trajectories": ("input_table", "stack_tables"),
     }
     _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}

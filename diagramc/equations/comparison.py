@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from os import sep
 from pathlib import Path
 from time import process_time
@@ -13,8 +13,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from ..run_data import Array
-from .contexts import set_all
-from .tree import Node
+from .contexts import discrete_values, sources_of
 
 _TOLERANCE = 1e-9  # sums in another order; conditioning of a law with gains up to 1e6
 _NEAR = 16  # random signs of the rounding errors of the inputs; as many as the signs of four inputs
@@ -92,6 +91,21 @@ def differ(function: Function, points: Array, found: Array, numbers: Array) -> b
     return False
 
 
+def rates_of(system: Any, context: Any) -> Any:
+    """Return the time derivatives of a leaf system."""
+    return system.EvalTimeDerivatives(context).CopyToVector().tolist()
+
+
+def update_of(system: Any, context: Any) -> list[Any]:
+    """Return the discrete states of a leaf system after its periodic update."""
+    return discrete_values(system.EvalUniquePeriodicDiscreteUpdate(context))
+
+
+def margin_of(system: Any, context: Any) -> list[Any]:
+    """Return the margin of a leaf system, which has one."""
+    return [system.margin(context)]
+
+
 _trusted = [f"{Path(__file__).parents[1]}{sep}"]
 
 
@@ -119,8 +133,49 @@ def points_around(values: Array, random: np.random.Generator, scale: float = 1.0
     return values[:, None] * (1.0 + 0.1 * changes[0]) + scale * np.array(_SCALES) * changes[1]
 
 
+class CalledLeaf:
+    """A leaf system of any scalar type as a function of points.
+
+    A point has the time, parameters, continuous and discrete states, and inputs, (size,).
+    """
+
+    def __init__(self, system: Any, inputs: Iterable[int]) -> None:
+        """``inputs``: indices of the input ports that have a value, which must be vectors."""
+        self.system = system
+        self.error: BaseException | None = None
+        """What the leaf raised when it was last called in vain."""
+        self.sources = sources_of(system, inputs)
+        ends = np.cumsum([source.size for source in self.sources]).tolist()
+        self.places = [slice(e - s.size, e) for s, e in zip(self.sources, ends, strict=True)]
+
+    def context(self, point: Any, *, stores: bool = False) -> Any:
+        """Return a Context at a point; ``stores``: whether Drake keeps computed values in it."""
+        context = self.system.CreateDefaultContext()
+        if not stores:
+            context.DisableCaching()
+        for source, place in zip(self.sources, self.places, strict=True):
+            source.write(context, point[place])
+        return context
+
+    def point(self, context: Any) -> list[Any]:
+        """Return the point of a Context."""
+        return [scalar for source in self.sources for scalar in source.read(context)]
+
+    def function(self, evaluate: Evaluate, size: int) -> Function:
+        """Return the function of a point that ``evaluate`` gives; nan (size,) where it fails."""
+
+        def values(point: Array) -> Sequence[float]:
+            try:
+                return evaluate(self.system, self.context(point))
+            except (Exception, SystemExit) as error:  # a user's code may raise any; Drake exits
+                self.error = error
+                return [math.nan] * size
+
+        return values
+
+
 def differs_from_leaf(
-    evaluate: Evaluate, system: Any, points: Array, inputs: Mapping[int, int], found: Array
+    evaluate: Evaluate, system: Any, points: Array, inputs: Iterable[int], found: Array
 ) -> bool:
     """Return whether a leaf of floats computes otherwise than its equations, or hides state.
 
@@ -134,26 +189,12 @@ def differs_from_leaf(
     system
         The leaf system of floats.
     points
-        Time, parameters, continuous and discrete states, and inputs at each point, (points, size).
+        Points of a `CalledLeaf`, (points, size).
     inputs
-        Number of elements of each input port that has a value, by its index.
+        Indices of the input ports that have a value.
     found
         Values of the equations, (points, values).
     """
-
-    node = Node(system)
-
-    def values(point: Array) -> Sequence[float]:
-        try:
-            context = system.CreateDefaultContext()
-            context.DisableCaching()
-            left = set_all(node, context, point)
-            for index, size in inputs.items():
-                system.get_input_port(index).FixValue(context, left[:size])
-                del left[:size]
-            return evaluate(system, context)
-        except (Exception, SystemExit):  # a user's code may raise any error, and Drake exits
-            return [math.nan] * found.shape[1]
-
+    values = CalledLeaf(system, inputs).function(evaluate, found.shape[1])
     numbers, repeats = called_twice(values, values, points)
     return not repeats or differ(values, points, found, numbers)

@@ -24,8 +24,10 @@ _NOT_OF_USERS = tuple(
 )
 
 
-def symbolic_value(where: str, evaluate: Callable[[], Any]) -> Any:
+def symbolic_value(where: str, evaluate: Callable[[], Any], form: str = "symbolic") -> Any:
     """Return ``evaluate()``, which calls a user's leaf system with symbolic values.
+
+    ``form`` is the scalar type for the message, if it is another one.
 
     The leaf's code can raise any error, for example at a branch on a symbolic value
     (`truth_of_scalars`). The function raises `CompilationError` in place of this error, with a
@@ -35,11 +37,11 @@ def symbolic_value(where: str, evaluate: Callable[[], Any]) -> Any:
         with truth_of_scalars():
             return evaluate()
     except (Exception, SystemExit) as error:
-        raise CompilationError(f"{where}: has no symbolic form ({reason_of(error)})") from error
+        raise CompilationError(f"{where}: has no {form} form ({reason_of(error)})") from error
 
 
 def reason_of(error: BaseException) -> str:
-    """Return in a few words why a user's leaf system failed, with file and line of its code."""
+    """Return the first line of an error of a user's code, with the file and line of this code."""
     # str(error) could raise an error itself.
     text = format_exception_only(error)[0].strip().partition(": ")[2]
     reason = (text.splitlines() or [type(error).__name__])[0]

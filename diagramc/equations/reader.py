@@ -28,7 +28,15 @@ from pydrake.systems.primitives import TrajectorySource
 
 from ..errors import CompilationError, DifferenceError
 from ..run_data import Array
-from .comparison import Evaluate, differs_from_leaf, is_compared, points_around
+from .comparison import (
+    Evaluate,
+    differs_from_leaf,
+    is_compared,
+    margin_of,
+    points_around,
+    rates_of,
+    update_of,
+)
 from .contexts import discrete_values, parameters_of, state_of
 from .equations import Equations, Limit, Section, Update
 from .events import refuse_witness_functions, symbolic_value, to_symbolic
@@ -38,20 +46,6 @@ from .periods import timing_of
 from .ports import find_port, route_of, size_of
 from .symbolic import Conversion, Steps, completed
 from .tree import Node, Port
-
-
-def time_derivatives(system: Any, context: Any) -> Any:
-    """Return the rates of the continuous states of a system in a Context."""
-    return system.EvalTimeDerivatives(context).CopyToVector().tolist()
-
-
-def discrete_update(system: Any, context: Any) -> list[Any]:
-    """Return the discrete states of a system after its update in a Context."""
-    return discrete_values(system.EvalUniquePeriodicDiscreteUpdate(context))
-
-
-def _margin(system: Any, context: Any) -> list[Any]:
-    return [system.margin(context)]
 
 
 class _Leaf:
@@ -200,15 +194,13 @@ class _Reader:
         """Add the derivatives, discrete updates and margin of one leaf to the equations."""
         equations, context = self.equations, leaf.context
         if context.num_continuous_states():
-            equations.derivatives += completed(
-                self._evaluated("time derivatives", leaf, time_derivatives)
-            )
+            equations.derivatives += completed(self._evaluated("time derivatives", leaf, rates_of))
         if context.num_discrete_state_groups():
             timing = timing_of(leaf.node)
-            nodes = completed(self._evaluated("discrete update", leaf, discrete_update))
+            nodes = completed(self._evaluated("discrete update", leaf, update_of))
             self._add_update(timing, list(enumerate(nodes, leaf.first_discrete)))
         if callable(getattr(leaf.system, "margin", None)):
-            (node,) = completed(self._evaluated("margin", leaf, _margin))
+            (node,) = completed(self._evaluated("margin", leaf, margin_of))
             equations.limits.append(Limit(leaf.node.path, node))
 
     def read_initial(self, leaf: _Leaf) -> None:
@@ -298,10 +290,9 @@ class _Reader:
 
         for leaf in leaves:
             points = values([*leaf.own, *chain(*leaf.inputs.values())])
-            inputs = {index: len(nodes) for index, nodes in leaf.inputs.items()}
             for purpose, (evaluate, nodes) in leaf.parts.items():
                 system, found = leaf.node.system, values(nodes)
-                if differs_from_leaf(evaluate, system, points, inputs, found):
+                if differs_from_leaf(evaluate, system, points, leaf.inputs, found):
                     raise DifferenceError(
                         f"{leaf.node.name}: {purpose}: the equations that were read off differ "
                         f"from {leaf.node.type_name} called with numbers; its symbolic form must "

@@ -20,13 +20,12 @@ from pydrake.systems.framework import PortDataType
 
 from ..arguments import quoted
 from ..diagram_equations import DiagramEquations
-from ..equations.comparison import Evaluate
+from ..equations.comparison import Evaluate, rates_of, update_of
 from ..equations.equations import Equations, Update
 from ..equations.events import reason_of, refuse_witness_functions
 from ..equations.names import numbered_names, state_names
 from ..equations.periods import timing_of
 from ..equations.ports import route_of, size_of
-from ..equations.reader import discrete_update, time_derivatives
 from ..equations.symbolic import Steps, completed
 from ..equations.tree import Node, Port
 from ..errors import CompilationError, DifferenceError
@@ -132,10 +131,10 @@ class LeafwisePoint(Point):
         rates, updates = [], []
         for leaf in self.read.leaves.values():
             if leaf.continuous:
-                steps = evaluation.result(leaf.node, "time derivatives", time_derivatives)
+                steps = evaluation.result(leaf.node, "time derivatives", rates_of)
                 rates.append(completed(steps))
             if leaf.discrete:
-                steps = evaluation.result(leaf.node, "discrete update", discrete_update)
+                steps = evaluation.result(leaf.node, "discrete update", update_of)
                 updates.append(completed(steps))
         signals = [completed(evaluation.signal(self.read.routes[name])) for name in outputs]
         return Slopes(*_joined([*rates, *updates], self.width), *_joined(signals, self.width))

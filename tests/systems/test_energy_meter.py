@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from pydrake.systems.framework import DiagramBuilder
 
+from diagramc.testing import check_leaf
 from kneexo.diagrams import make_plant
 from kneexo.parameters import (
     BldcPumpParameters,
@@ -58,9 +59,8 @@ def powers(meter, **values):
     return dict(zip(ENERGIES, meter.EvalTimeDerivatives(context).CopyToVector(), strict=True))
 
 
-def test_conversions_agree_and_keep_arguments_and_changes(leaf):
-    probe = leaf.Probe(EnergyMeter(*PARAMETERS), INPUTS, [(-5.0, 5.0)] * 8)
-    probe.check_contract(damping_n_s_per_m=80.0)
+def test_conversions_agree_and_keep_arguments_and_changes():
+    check_leaf(EnergyMeter(*PARAMETERS), INPUTS | {"continuous_state": (-5.0, 5.0)})
 
 
 @pytest.mark.parametrize(

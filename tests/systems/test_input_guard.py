@@ -4,6 +4,7 @@ import math
 
 import pytest
 
+from diagramc.testing import check_leaf
 from kneexo.parameters.device.safety_states import DETECTORS
 from kneexo.systems import InputGuard
 
@@ -66,9 +67,8 @@ def test_before_the_first_good_values_the_knee_stays_where_it_was_at_the_start()
     assert sample(**GOOD) == GOOD | NONE
 
 
-def test_scalars_dependencies_and_parameters(leaf):
+def test_scalars_dependencies_and_parameters():
     system = InputGuard(SPAN, T)
     inputs = {n: [(0.9 * x, 1.1 * x) for x in values] for n, values in GOOD.items()}
     inputs |= {"knee_angle": [(0.2, 0.4)]}
-    state = [(0.9, 1.1)] * 4
-    leaf.Probe(system, inputs, state, spread=1e-3).check_contract(reference_max_rad=0.4)
+    check_leaf(system, inputs | {"discrete_state": (0.9, 1.1)})

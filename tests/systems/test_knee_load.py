@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from table_1 import P_MM_DEG
 
+from diagramc.testing import check_leaf
 from kneexo.parameters import KneeLoadParameters
 from kneexo.systems import KneeLoad
 
@@ -27,16 +28,15 @@ INPUTS = {
 # ----------------------------------------------------------------------------- conversion
 
 
-def test_conversions_agree_and_keep_arguments_and_changes(leaf):
-    probe = leaf.Probe(KneeLoad(PARAMETERS), INPUTS)
-    probe.check_contract(disturbance_frequency_hz=0.9)
+def test_conversions_agree_and_keep_arguments_and_changes():
+    check_leaf(KneeLoad(PARAMETERS), INPUTS)
 
 
 # -------------------------------------------------------------------------------- numbers
 
 
 def test_random_points_meet_the_written_out_equation(leaf):
-    probe = leaf.Probe(KneeLoad(PARAMETERS), INPUTS, spread=0.0)
+    probe = leaf.Probe(KneeLoad(PARAMETERS), INPUTS)
     for z in probe.points(50):
         time, knee, arm, torque, disturbance = z[:5]
         weight = 3.0 * 9.81 * 0.25 * math.sin(0.4 - knee)
@@ -61,11 +61,10 @@ def test_work_of_the_weight_on_the_rod_is_its_loss_of_potential_energy():
     assert -np.trapezoid(forces, x) == pytest.approx(2.0 * 9.81 * sinks, rel=1e-5)
 
 
-def test_an_inertia_is_a_mass_at_the_rod_that_grows_as_the_arm_shortens(leaf):
+def test_an_inertia_is_a_mass_at_the_rod_that_grows_as_the_arm_shortens():
     inputs = INPUTS | {"moment_arm_slope": [(-0.6, 0.6)]}
     system = KneeLoad(KneeLoadParameters(inertia_kg_m2=0.064))
-    probe = leaf.Probe(system, inputs)
-    probe.check_contract(2)
+    check_leaf(system, inputs)
     for arm, slope in ((0.1, 0.0), (0.04, -0.5), (0.08, 0.3)):
         context = system.CreateDefaultContext()
         system.GetInputPort("moment_arm").FixValue(context, arm)

@@ -5,6 +5,7 @@ import pytest
 from pydrake.systems.analysis import Simulator
 
 from diagramc import compile_diagram
+from diagramc.testing import check_leaf
 from kneexo.errors import ParameterError, SimulationError
 from kneexo.parameters import LoadCellParameters
 from kneexo.systems import LoadCell
@@ -12,7 +13,6 @@ from kneexo.systems.load_cell import next_seeds
 
 T = 0.002
 PLAIN = {"quantized": False}
-INPUTS = {"rod_force": [(-800.0, 800.0)]}
 
 
 def generator(seed):
@@ -46,23 +46,18 @@ def readings(parameters, times, force=0.0):
 
 
 @pytest.mark.parametrize("missing", [False, True])
-def test_conversions_agree_and_keep_arguments_and_changes(leaf, missing):
+def test_conversions_agree_and_keep_arguments_and_changes(missing):
     numbers = {"offset_n": 3.0, "filter_s": 0.004, "noise_n": 2.0, "seed": 5, "quantized": False}
     if missing:
         numbers |= {"dropout_s": 50.0, "dropout_start_s": 0.01}
 
-    class Both(leaf.Probe):  # the leaf has continuous and discrete states
-        def context(self, system, z, *, parameters=True):
-            context = super().context(system, z, parameters=parameters)
-            time = z[0]
-            seeds = [1000.2 + n + 0.0 * time for n in range(3)]
-            context.SetDiscreteState(0, [300.0 * time, 0.01 * time, *seeds])
-            return context
-
-    probe = Both(LoadCell(LoadCellParameters(**numbers)), INPUTS, [(-0.4, 0.4)])
-    probe.check_conversions()
-    probe.check_conversions_keep_arguments()
-    assert probe.largest_tree() < leaf.tree_limit
+    state = [(-600.0, 600.0), (0.0, 0.02), *[(1000.0, 1003.0)] * 3]
+    ranges = {
+        "rod_force": (-800.0, 800.0),
+        "continuous_state": (-0.4, 0.4),
+        "discrete_state": state,
+    }
+    check_leaf(LoadCell(LoadCellParameters(**numbers)), ranges)
 
 
 def test_low_pass_and_offset():

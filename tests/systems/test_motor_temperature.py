@@ -5,6 +5,7 @@ import pytest
 from pydrake.systems.analysis import Simulator
 from scipy.linalg import expm
 
+from diagramc.testing import check_leaf
 from kneexo.analysis import linearize_plant
 from kneexo.diagrams import make_plant
 from kneexo.export.firmware import export_firmware
@@ -40,9 +41,9 @@ def at_loss(loss_w, parameters=OWN):
     return system, context
 
 
-def test_conversions_agree_and_keep_arguments_and_changes(leaf):
-    probe = leaf.Probe(MotorTemperature(OWN), {"winding_loss": [(0.0, 60.0)]}, [(0.2, 1.5)] * 2)
-    probe.check_contract(winding_to_case_k_per_w=1.3)
+def test_conversions_agree_and_keep_arguments_and_changes():
+    ranges = {"winding_loss": (0.0, 60.0), "continuous_state": (0.2, 1.5)}
+    check_leaf(MotorTemperature(OWN), ranges)
 
 
 def test_a_constant_loss_warms_both_nodes_as_their_matrix_exponential_says():
@@ -70,14 +71,14 @@ def warm_motor(winding_degc, *, motor=MotorParameters(), pressure=0.0, command=0
     return system.GetOutputPort(output).Eval(context)[0]
 
 
-def test_conversions_of_the_warm_motor_agree_and_keep_arguments_and_changes(leaf):
+def test_conversions_of_the_warm_motor_agree_and_keep_arguments_and_changes():
     system = TorqueLimitedPump(thermal=COLD, motor=MotorParameters())
     inputs = {
         "motor_speed_command": [(-600.0, 600.0)],
         "load_pressure": [(-3e6, 3e6)],
         "motor_temperatures": [(110.0, 160.0), (20.0, 90.0)],
     }
-    leaf.Probe(system, inputs, [(-0.3, 0.3)]).check_contract(copper_per_k=0.005)
+    check_leaf(system, inputs | {"continuous_state": (-0.3, 0.3)})
 
 
 def test_the_loss_is_that_of_the_current_in_warm_copper():

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, strategies as st
 from pydrake.systems.analysis import Simulator
 
+from diagramc.testing import check_leaf
 from kneexo.parameters import (
     BldcPumpParameters,
     CylinderParameters,
@@ -82,17 +83,10 @@ def written_out(state, reference, *, signum=False):
     [UNLIMITED, {}, {**UNLIMITED, "switching": "signum"}, {**UNLIMITED, "continuous": True}],
     ids=["unlimited", "limited", "signum", "continuous"],
 )
-def test_conversions_agree_and_keep_arguments(leaf, ranges, values):
+def test_conversions_agree_and_keep_arguments(ranges, values):
     parameters = SlidingModeParameters(**UNCERTAIN, **values)
-    state = [] if parameters.continuous else [(-500.0, 500.0)]
-    probe = leaf.Probe(SlidingModeController(parameters, PLANT), ranges, state, spread=0.01)
-    probe.check_contract()
-
-
-def test_conversions_keep_changed_parameters(leaf):
-    probe = leaf.Probe(SlidingModeController(), INSIDE, [(-500.0, 500.0)])
-    probe.check_conversions_keep("lambda_per_s", 30.0)
-    probe.check_conversions_keep("phi_m_s2", 9.0)
+    state = {} if parameters.continuous else {"discrete_state": (-500.0, 500.0)}
+    check_leaf(SlidingModeController(parameters, PLANT), ranges | state)
 
 
 # -------------------------------------------------------------------------------- numbers
@@ -103,7 +97,7 @@ def test_conversions_keep_changed_parameters(leaf):
 def test_random_points_meet_the_written_out_law(leaf, ranges, switching):
     parameters = SlidingModeParameters(switching=switching, **UNCERTAIN, **UNLIMITED)
     system = SlidingModeController(parameters, PLANT)
-    probe = leaf.Probe(system, ranges, [(-500.0, 500.0)], spread=0.0)
+    probe = leaf.Probe(system, ranges, [(-500.0, 500.0)])
     for z in probe.points(50):
         state, reference, held = z[1:4], z[4:8], z[8]
         expected = written_out(state, reference, signum=switching == "signum")
@@ -118,7 +112,7 @@ def test_continuous_command_is_the_same_law(leaf):
     system = SlidingModeController(
         SlidingModeParameters(continuous=True, **UNCERTAIN, **UNLIMITED), PLANT
     )
-    probe = leaf.Probe(system, INSIDE, spread=0.0)
+    probe = leaf.Probe(system, INSIDE)
     for z in probe.points(5):
         expected = written_out(z[1:4], z[4:8])
         assert probe.results(z)[0] == pytest.approx(expected, rel=1e-6, abs=1e-3)  # as above

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
 
+from diagramc.testing import check_leaf
 from kneexo.errors import ParameterError
 from kneexo.parameters import ObserverParameters
 from kneexo.systems import BackwardDifference, TrackingObserver
@@ -35,22 +36,21 @@ def run(system, positions):
 # ----------------------------------------------------------------------------- conversion
 
 
-def test_conversions_of_the_observer_agree_and_keep_arguments_and_changes(leaf):
+def test_conversions_of_the_observer_agree_and_keep_arguments_and_changes():
     system = TrackingObserver(ObserverParameters(time_constant_s=0.03), 0.005)
-    probe = leaf.Probe(system, INPUTS, OBSERVER_STATE)
-    probe.check_contract(time_constant_s=0.05)
+    check_leaf(system, INPUTS | {"discrete_state": OBSERVER_STATE})
 
 
-def test_conversions_of_the_differences_agree_and_keep_arguments(leaf):
-    probe = leaf.Probe(BackwardDifference(0.005), INPUTS, [(0.0, 0.15), (-0.1, 0.1)])
-    probe.check_contract()
+def test_conversions_of_the_differences_agree_and_keep_arguments():
+    state = {"discrete_state": [(0.0, 0.15), (-0.1, 0.1)]}
+    check_leaf(BackwardDifference(0.005), INPUTS | state)
 
 
 # ------------------------------------------------------------------- numbers: the observer
 
 
 def test_observer_meets_the_written_out_equations(leaf):
-    probe = leaf.Probe(TrackingObserver(), INPUTS, OBSERVER_STATE, spread=0.0)
+    probe = leaf.Probe(TrackingObserver(), INPUTS, OBSERVER_STATE)
     for z in probe.points(20):
         y, predicted = z[1], z[2:5]
         corrected = predicted + GAINS * (y - predicted[0])

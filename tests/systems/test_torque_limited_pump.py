@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hydraulics import LIMIT, PUMP, PUMP_INPUTS, RPM, acceleration, output, response
 
+from diagramc.testing import check_leaf
 from kneexo.parameters import MotorParameters
 from kneexo.systems import TorqueLimitedPump
 
@@ -21,10 +22,10 @@ def limited(**values):
 
 
 @pytest.mark.parametrize("supply", [4.0, 24.0])
-def test_conversions_with_torque_agree_and_keep_arguments_and_changes(leaf, supply):
+def test_conversions_with_torque_agree_and_keep_arguments_and_changes(supply):
     system = TorqueLimitedPump(PUMP, MotorParameters(supply_voltage_v=supply))
     inputs = LIMITED_INPUTS | {"dynamic_brake": [(0.0, 0.4)]}  # braked, the voltage is zero
-    leaf.Probe(system, inputs, [(-0.3, 0.3)]).check_contract(11, inertia_kg_m2=3e-5)
+    check_leaf(system, inputs | {"continuous_state": (-0.3, 0.3)})
 
 
 def test_random_points_meet_the_written_out_torque_current_and_voltage(leaf):
@@ -33,9 +34,9 @@ def test_random_points_meet_the_written_out_torque_current_and_voltage(leaf):
         coulomb_torque_n_m=0.03, viscous_torque_n_m_s_per_rad=4e-5, friction_band_rad_s=40.0,
         supply_voltage_v=15.0, current_limit_a=6.0,
     )  # fmt: skip
-    probe = leaf.Probe(TorqueLimitedPump(PUMP, n), LIMITED_INPUTS, [(-0.5, 0.5)], spread=0.0)
+    probe = leaf.Probe(TorqueLimitedPump(PUMP, n), LIMITED_INPUTS, [(-0.5, 0.5)])
     limits = set()
-    for z in probe.points(100):
+    for z in probe.points(200):
         _, command, pressure, torque_off, brake, krad_s = z[:6]
         speed = 1e3 * krad_s
         wanted = min(max((min(max(command, -LIMIT), LIMIT) - speed) / 0.010, -1e4), 1e4)

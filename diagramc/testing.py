@@ -1,0 +1,487 @@
+"""Tests a leaf system, as an assertion for pytest: see `check_leaf`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
+from itertools import compress, product
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from pydrake.autodiffutils import AutoDiffXd
+from pydrake.symbolic import Expression, Variable
+from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
+from pydrake.systems.framework import PortDataType, System
+
+from .arguments import names, quoted
+from .equations.comparison import (
+    CalledLeaf,
+    called_twice,
+    differ,
+    margin_of,
+    points_around,
+    rates_of,
+    update_of,
+)
+from .equations.events import reason_of, symbolic_value
+from .equations.names import parameter_groups, state_names
+from .equations.tree import Node
+from .errors import CompilationError, ParameterError, shortened
+from .run_data import Array
+
+_CONVERSIONS = {"AutoDiffXd": "ToAutoDiffXdMaybe", "Expression": "ToSymbolicMaybe"}
+_STEPS = (1e-3, 1e-4, 1e-5, 1e-6)
+"""Steps of the differences, as shares of the spread of the points.
+
+A jump or kink near a point spoils a long step; rounding spoils a short one. So a derivative is
+wrong only if it differs from the differences at each step.
+"""
+_PERIOD_S = 1e-3  # in place of the sample time of a leaf that has none; short for most systems
+_OUTSIDE = "the leaf keeps a state outside the Context, reads a clock or draws a random number"
+_NOTHING: Mapping[str, Any] = MappingProxyType({})
+
+
+def check_leaf(
+    system: Any,
+    ranges: Mapping[str, Any] = _NOTHING,
+    *,
+    units: Mapping[str, str] = _NOTHING,
+    scalars: str | Iterable[str] | None = None,
+) -> tuple[str, ...]:
+    """Assert that a Drake leaf system keeps the rules that simulation and linearization rely on.
+
+    Use it in a test of your leaf system, beside the tests of its numbers::
+
+        def test_my_cylinder():
+            check_leaf(MyCylinder(), {"load_flow": (-1e-5, 1e-5), "mass_kg": (1.0, 3.0)})
+
+    At nine points in the ranges, and on the way between some of them, it checks that
+
+    - a conversion to AutoDiffXd or Expression keeps ports, sizes, sample time, default values and
+      attributes, and gives the outputs, time derivatives, discrete update and ``margin`` of the
+      leaf of floats;
+    - the derivatives of AutoDiffXd are those of central differences, with one step of Richardson's
+      extrapolation;
+    - an output that Drake has stored is computed anew after a change of whatever it depends on. So
+      ``prerequisites_of_calc`` lacks nothing;
+    - a second call gives the same values, and no call changes the Context. So the leaf keeps no
+      state outside the Context, reads no clock and draws no random number;
+    - runs from two clones of one Context are equal, and the discrete state stays between samples.
+
+    A point where the leaf of floats raises an error or is not finite does not count. Abstract ports
+    get their model values; abstract values are not compared.
+
+    Returns notes, one line each, which are no faults: a port without a name of its own, a
+    conversion that the leaf does not have, an input that an output is declared to depend on and
+    does not, what follows from an input of nan, an attribute that changes during calls.
+
+    Parameters
+    ----------
+    system
+        The leaf system of floats.
+    ranges
+        Dictionary from a name to (low, high), or to a list of one pair for each element. A name is
+        that of an input port or of a parameter, or ``time``, ``parameters``, ``continuous_state``
+        or ``discrete_state``. The elements of a vector are ``name[0]``, ``name[1]`` and so on. By
+        default states and inputs lie up to 10 around those of the default Context (inputs: around
+        zero), and parameters within a tenth of their values. None leaves an input port open.
+    units
+        Dictionary from such names to units, for the messages.
+    scalars
+        Scalar types that the leaf must have, of ``"AutoDiffXd"`` and ``"Expression"``; others are
+        not checked. By default those to which the leaf converts are checked.
+
+    Raises
+    ------
+    AssertionError
+        The leaf breaks a rule. The message has one line for each finding.
+    ParameterError
+        The system is no leaf, or ``ranges``, ``units`` or ``scalars`` has an unknown name or a
+        wrong range.
+    """
+    __tracebackhide__ = True  # pytest shows the test that calls
+    if not isinstance(system, System) or hasattr(system, "connection_map"):
+        raise ParameterError(
+            f"system = {quoted(system)}: must be a leaf system of floats; check the leaves of a "
+            f"diagram one by one"
+        )
+    wanted = tuple(_CONVERSIONS) if scalars is None else names("scalars", scalars)
+    if unknown := [scalar for scalar in wanted if scalar not in _CONVERSIONS]:
+        raise ParameterError(
+            f"scalars: unknown {quoted(unknown[0])}; known: {', '.join(_CONVERSIONS)}"
+        )
+    with np.errstate(all="ignore"):  # a point that is not finite does not count
+        check = _Check(system, ranges, units)
+        if check.repeats():  # otherwise each comparison would fail
+            check.stored_values()
+            check.runs()
+            for scalar in wanted:
+                check.conversion(scalar, check.note if scalars is None else check.find)
+            check.nan_inputs()
+    leaf = Node(system).type_name
+    if check.findings:
+        raise AssertionError("\n".join(f"{leaf}: {finding}" for finding in check.findings))
+    return tuple(f"{leaf}: {note}" for note in check.notes)
+
+
+def _ports(system: Any, kind: str) -> list[Any]:
+    """Return the ``input`` or ``output`` ports of a system."""
+    count = getattr(system, f"num_{kind}_ports")()
+    return [getattr(system, f"get_{kind}_port")(index) for index in range(count)]
+
+
+def _is_vector(port: Any) -> bool:
+    return bool(port.get_data_type() == PortDataType.kVectorValued)
+
+
+def _attributes(system: Any) -> dict[str, Any]:
+    return {name: v for name, v in vars(system).items() if not name.startswith("_pydrake")}
+
+
+def _number(value: Any, environment: Any = None) -> Any:
+    """Return the number of a scalar of Drake, and anything else unchanged."""
+    if isinstance(value, Expression):
+        try:
+            return value.Evaluate(environment or {})
+        except (RuntimeError, ValueError):  # Drake refuses nan, as for the root of −1
+            return math.nan
+    return value.value() if isinstance(value, AutoDiffXd) else value
+
+
+def _are_equal(first: Any, second: Any) -> bool:
+    """Return whether two attributes are equal, as far as they can be compared."""
+    first, second = _number(first), _number(second)
+    if first is second or callable(first) or type(first).__module__.startswith("pydrake"):
+        return True
+    if isinstance(first, dict | list | tuple | np.ndarray) and type(first) is type(second):
+        items = (v.items() if isinstance(v, dict) else v for v in (first, second))
+        return len(first) == len(second) and all(map(_are_equal, *items))
+    kind: Any = type(first)
+    are_nan = first != first and second != second
+    return kind.__eq__ is object.__eq__ or bool(first == second or are_nan)
+
+
+class _Check:
+    """The checks of one leaf, with their findings and notes."""
+
+    def __init__(self, system: Any, ranges: Mapping[str, Any], units: Mapping[str, str]) -> None:
+        self.system = system
+        self.findings: dict[str, None] = {}  # as a set, in order
+        self.notes: dict[str, None] = {}
+        inputs = [port for port in _ports(system, "input") if _is_vector(port)]
+        is_open = {p.get_name(): ranges.get(p.get_name(), ()) is None for p in inputs}
+        ranges = {name: given for name, given in ranges.items() if not is_open.get(name)}
+        self.inputs = [port for port in inputs if not is_open[port.get_name()]]
+        self.outputs = [port for port in _ports(system, "output") if _is_vector(port)]
+        self.leaf = self._called(system)
+        self.timing = system.GetUniquePeriodicDiscreteUpdateAttribute()
+        context, node, sources = system.CreateDefaultContext(), Node(system), self.leaf.sources
+        self.elements = [
+            f"{s.name}[{i}]" if s.size > 1 else s.name for s in sources for i in range(s.size)
+        ]
+        known = [name for group in parameter_groups(node, context) for name in group]
+        for index, name in enumerate([*known, *state_names(node, context)], 1):  # after the time
+            if name[1:].isidentifier():
+                self.elements[index] = name[1:]
+        pairs = [(s.name, place) for s, place in zip(sources, self.leaf.places, strict=True)]
+        self.own = dict(pairs[: len(pairs) - len(self.inputs)])
+        self.places = {name: [index] for index, name in enumerate(self.elements)}
+        self.places |= {name: [*range(place.start, place.stop)] for name, place in pairs}
+        for setting, given in (("ranges", ranges), ("units", units)):
+            if unknown := [name for name in given if name not in self.places]:
+                text = f"unknown {quoted(unknown[0])}; known: {', '.join(self.places)}"
+                raise ParameterError(f"{setting}: {text}")
+        self.units = {i: f" {unit}" for name, unit in units.items() for i in self.places[name]}
+        self.points = self._points(np.array(self.leaf.point(context)), ranges)
+        sizes = {f"output {port.get_name()}": port.size() for port in self.outputs}
+        sizes["time derivatives"] = context.num_continuous_states()
+        held = self.own.get("discrete_state", slice(0))
+        sizes["discrete update"] = held.stop - held.start if self.timing else 0
+        sizes["margin"] = int(callable(getattr(system, "margin", None)))
+        self.parts = [part for part, size in sizes.items() for _ in range(size)]
+        self.computed = len(self.parts)
+        self.parts += self.elements
+        """Name of each value: first of those that the leaf computes, then of the Context's."""
+        self.function = self.leaf.function(partial(self._values, self.leaf), len(self.parts))
+
+    def find(self, text: str, wrong: Any = None) -> None:
+        """Add a finding, or one about each part of which a value is ``wrong``."""
+        parts = [""] if wrong is None else [f"{self.parts[i]}: " for i in np.nonzero(wrong)[0]]
+        self.findings |= {part + text: None for part in parts}
+
+    def note(self, text: str) -> None:
+        """Add a note."""
+        self.notes[text] = None
+
+    def _called(self, system: Any) -> CalledLeaf:
+        return CalledLeaf(system, [int(port.get_index()) for port in self.inputs])
+
+    def _points(self, default: Array, ranges: Mapping[str, Any]) -> Array:
+        """Return nine points in the ranges, (9, size)."""
+        random = np.random.default_rng(0)  # a fixed seed: an equal leaf passes or fails each time
+        points = points_around(default, random)
+        parameters = self.own.get("parameters", slice(0))
+        points[parameters] = points_around(default[parameters], random, scale=0.0)
+        points[0] = np.abs(points[0])  # the time
+        for name, given in ranges.items():
+            indices = self.places[name]
+            try:
+                low, high = np.broadcast_to(np.asarray(given, float), (len(indices), 2)).T
+                points[indices] = random.uniform(low, high, (9, len(indices))).T
+                is_range = bool(np.all(low <= high))
+            except (TypeError, ValueError, OverflowError):
+                is_range = False
+            if not is_range:
+                raise ParameterError(
+                    f"ranges: {name} = {quoted(given)}: must be (low, high), finite, or a list of "
+                    f"{len(indices)} such pairs"
+                )
+        return points.T
+
+    def _values(self, leaf: CalledLeaf, system: Any, context: Any) -> list[Any]:
+        """Return what the leaf computes, and then what its Context has, in any scalar type."""
+        for port in _ports(system, "input"):
+            if not _is_vector(port) and not port.HasValue(context):
+                port.FixValue(context, port.Allocate())
+        values = []
+        for port in _ports(system, "output"):
+            value = port.Eval(context)  # of an abstract port too: the call may change something
+            values += list(value) if _is_vector(port) else []
+        if context.num_continuous_states():
+            values += rates_of(system, context)
+        if self.timing:
+            values += update_of(system, context)
+        if callable(getattr(system, "margin", None)):
+            values += margin_of(system, context)
+        return values + leaf.point(context)
+
+    def _value(self, column: int, point: Array) -> list[float]:
+        return [self.function(point)[column]]
+
+    def _at(self, point: Array) -> str:
+        """Return the numbers at a point as text."""
+        units = [self.units.get(index, "") for index in range(len(point))]
+        texts = map("{} = {:.6g}{}".format, self.elements, point, units)
+        return shortened(f"at {', '.join(texts)}", 200)
+
+    def repeats(self) -> bool:
+        """Return whether a second call of the leaf of floats gives the same values.
+
+        Points where the leaf fails are left out of all that follows.
+        """
+        for port in (*self.inputs, *self.outputs):
+            index = int(port.get_index())
+            if port.get_name() in (f"u{index}", f"y{index}"):
+                self.note(f"port {port.get_name()} has only Drake's default name")
+        before = {name: repr(value) for name, value in _attributes(self.system).items()}
+        self.way = [*self._way()]
+        points = np.array([*self.points, *(point for _, point in self.way)])
+        numbers, repeats = called_twice(self.function, self.function, points)
+        after = _attributes(self.system).items()
+        changed = [f"self.{name}" for name, value in after if before.get(name) != repr(value)]
+        if changed:
+            self.note(f"{', '.join(changed)} changes during calls")
+        if not repeats:
+            hint = f" ({', '.join(changed)})" if changed else ""
+            self.find(f"a second call gives other values: {_OUTSIDE}{hint}")
+        self.numbers, self.fresh = np.split(numbers, [len(self.points)])
+        reached = ~np.isnan(self.numbers[:, self.computed])  # the time, which is never nan
+        if self.leaf.error is not None:
+            text = f"at {np.sum(~reached)} of {reached.size} points: {reason_of(self.leaf.error)}"
+            (self.note if reached.any() else self.find)(f"fails {text}")
+        self.points, self.numbers = self.points[reached], self.numbers[reached]
+        nowhere = ~np.isfinite(self.numbers[:, : self.computed]).any(axis=0)
+        self.find("is finite at no point; give other ranges", nowhere & reached.any())
+        held = self.numbers[:, self.computed :]  # nan, as in the inertia of Drake's world, stays
+        changes = ((held != self.points) & ~np.isnan(self.points)).any(axis=0)
+        self.find("changes in a call", np.pad(changes, (self.computed, 0)))
+        return not self.findings
+
+    def _way(self) -> Iterator[tuple[int, Array]]:
+        """Yield the way between some points: the source that changes, first −1, and the point."""
+        for start, end in ((0, 4), (4, 5), (5, 8)):
+            point = self.points[start].copy()
+            yield -1, point.copy()
+            for number, place in enumerate(self.leaf.places):
+                point[place] = self.points[end, place]
+                yield number, point.copy()
+
+    def stored_values(self) -> None:
+        """Compare values that Drake stores in a Context with fresh ones, on the way."""
+        felt: set[tuple[str, str]] = set()
+        context, before = None, self.fresh[0]
+        for (number, point), fresh in zip(self.way, self.fresh, strict=True):
+            name, _, _, write = self.leaf.sources[number]
+            if number < 0:
+                context, before = self.leaf.context(point, stores=True), fresh
+            else:
+                write(context, point[self.leaf.places[number]])
+            try:
+                stored = self._values(self.leaf, self.system, context)
+            except (Exception, SystemExit):  # a point that does not count
+                stored = fresh
+            changes = ~np.isnan(fresh) & (fresh != before)
+            felt |= {(self.parts[index], name) for index in np.nonzero(changes)[0]}
+            text = f"its stored value stays after a change of {name}; add {name} to its "
+            self.find(f"{text}prerequisites_of_calc", changes & (stored != fresh))
+            before = fresh
+        for source, port in product(self.inputs, self.outputs):
+            pair = f"output {port.get_name()}", source.get_name()
+            try:
+                declared = self.system.HasDirectFeedthrough(source.get_index(), port.get_index())
+            except RuntimeError:  # Drake looks at the Expression, which `conversion` tells about
+                continue
+            if declared and pair not in felt:
+                self.note("{} is declared to depend on {}, and does not".format(*pair))
+
+    def runs(self) -> None:
+        """Compare runs of two clones of a Context, with short steps between the samples."""
+        period, offset = _PERIOD_S, 0.0
+        if self.timing:
+            period, offset = self.timing.period_sec(), self.timing.offset_sec()
+        elif "discrete_state" in self.own:
+            self.note("has not exactly one sample time, so its update is seen in runs alone")
+        sample = offset + period * math.ceil((self.points[0, 0] - offset) / period)
+        times = sample + period * (np.arange(3)[:, None] + [0.4, 0.401, 0.402, 0.403]).ravel()
+        context = self.leaf.context(self.points[0], stores=True)
+        try:
+            first, second = (self._run(c, times, period) for c in (context.Clone(), context))
+        except (Exception, SystemExit) as error:
+            self.note(f"a run fails {self._at(self.points[0])}: {reason_of(error)}")
+            return
+        if not np.array_equal(first, second, equal_nan=True):
+            self.find(f"runs of two clones of a Context differ: {_OUTSIDE}")
+        sizes = np.abs(first).max(axis=0)
+        most = np.zeros(len(sizes))
+        state = np.arange(len(self.elements))[self.own.get("continuous_state", slice(0))]
+        state += self.computed
+        rates = [index for index, part in enumerate(self.parts) if part == "time derivatives"]
+        most[state] = 2e-3 * period * sizes[rates] + 1e-9 * (1.0 + sizes[state])
+        jumps = (np.abs(np.diff(first.reshape(3, 4, -1), axis=1)) > most).any(axis=(0, 1))
+        jumps[: self.computed + 1] = False  # those of the Context alone, without the time
+        self.find("jumps between samples", jumps)
+
+    def _run(self, context: Any, times: Array, period: float) -> Array:
+        """Return all values of a run at some times, (times, values)."""
+        self._values(self.leaf, self.system, context)  # gives values to abstract input ports
+        simulator = Simulator(self.system, context)
+        ResetIntegratorFromFlags(simulator, "runge_kutta2", 0.1 * period)
+        simulator.Initialize()
+        rows = []
+        for time in times.tolist():
+            simulator.AdvanceTo(time)
+            rows.append(self._values(self.leaf, self.system, context))
+        return np.array(rows)
+
+    def _structure(self, system: Any) -> dict[str, Any]:
+        """Return ports, sample time, default values and attributes, which conversions keep."""
+        timing = system.GetUniquePeriodicDiscreteUpdateAttribute()
+        values = self._called(system).point(system.CreateDefaultContext())
+        return {
+            **{f"input {port.get_name()}": port.size() for port in _ports(system, "input")},
+            **{f"output {port.get_name()}": port.size() for port in _ports(system, "output")},
+            "sample time": timing and (timing.period_sec(), timing.offset_sec()),
+            **{f"default of {n}": x for n, x in zip(self.elements, values, strict=False)},
+            **{f"attribute {name}": value for name, value in _attributes(system).items()},
+        }
+
+    def conversion(self, scalar: str, tell: Callable[[str], None]) -> None:
+        """Compare the leaf in another scalar type with the leaf of floats.
+
+        ``tell`` takes the line about a leaf that does not convert.
+        """
+        try:
+            convert = getattr(self.system, _CONVERSIONS[scalar])
+            converted = symbolic_value("conversion", convert, scalar)
+            if converted is None:
+                tell(f"does not convert to {scalar} (see Drake's TemplateSystem)")
+                return
+            count, own = len(self.findings), self._structure(self.system)
+            other = symbolic_value("conversion", partial(self._structure, converted), scalar)
+            for name in dict.fromkeys([*own, *other]):
+                values = [_number(kept.get(name, "missing")) for kept in (other, own)]
+                if name not in own or name not in other or not _are_equal(*values):
+                    now, expected = (shortened(str(value)) for value in values)
+                    self.find(f"as {scalar}, {name} is {now}, not {expected}")
+            if len(self.findings) == count:
+                self._compare(scalar, converted)
+        except CompilationError as error:
+            self.find(str(error))
+
+    def _compare(self, scalar: str, converted: Any) -> None:
+        """Compare the values and gradients of a converted leaf with those of floats."""
+        leaf = self._called(converted)
+
+        def called(point: Iterable[Any]) -> Any:
+            values = np.array([*point])
+            evaluate = lambda: self._values(leaf, converted, leaf.context(values))  # noqa: E731
+            return symbolic_value("outputs, derivatives, update", evaluate, scalar)
+
+        size = len(self.elements)
+        if scalar == "Expression":
+            variables = [Variable(name) for name in self.elements]
+            expressions = called(map(Expression, variables))
+            here = [dict(zip(variables, point, strict=True)) for point in self.points]
+            found = np.array([[_number(e, values) for e in expressions] for values in here])
+        else:
+            zero = AutoDiffXd(0.0, np.zeros(size))  # Drake leaves out gradients of zero
+            rows = [called(map(AutoDiffXd, point, np.eye(size))) for point in self.points]
+            duals = [[zero + value for value in row] for row in rows]
+            found = np.array([[dual.value() for dual in row] for row in duals])
+            for row in range(min(1, len(duals) - 1), len(duals), 4):
+                self._differentiate(row, np.array([dual.derivatives() for dual in duals[row]]))
+        for column in range(self.computed):
+            numbers, others = self.numbers[:, [column]], found[:, [column]]
+            if differ(partial(self._value, column), self.points, others, numbers):
+                row = int(np.argmax(np.where(np.isfinite(numbers), abs(others - numbers), 0.0)))
+                self.find(
+                    f"{self.parts[column]}: {others[row, 0]:.9g} by {scalar}, "
+                    f"{numbers[row, 0]:.9g} by float {self._at(self.points[row])}"
+                )
+
+    def _differentiate(self, row: int, gradient: Array) -> None:
+        """Compare gradients (values, size) at a point with central differences."""
+        point, scale = self.points[row], np.nan_to_num(np.ptp(self.points, axis=0))
+        scaled = gradient * scale
+        finite = np.where(np.isfinite(self.numbers), self.numbers, 0.0)
+        largest = np.abs(finite).max(axis=0) + np.abs(scaled).max(axis=1)
+        for column in np.nonzero(scale)[0].tolist():
+            wrong = np.isfinite(scaled[:, column])
+            near = 1e-3 * abs(point[column]) / scale[column]  # far from a limit at zero
+            for step in (*_STEPS, near or _STEPS[-1]):
+                if not wrong.any():
+                    break
+                change = step * scale[column] * np.eye(len(scale))[column]
+                one, half = (
+                    np.subtract(
+                        self.function(point + h * change), self.function(point - h * change)
+                    )
+                    / (2.0 * h * step)
+                    for h in (1.0, 0.5)
+                )
+                slope = half + (half - one) / 3.0
+                # Of rounding, 1e-16 of the largest term over the step, with a factor of 1000.
+                # Over a jump J at the point one is J/2, half is J and slope 7/6 J, over the step.
+                slack = 1e-6 * np.abs(slope) + 1e-13 / step * largest + 4.0 * np.abs(half - one)
+                wrong &= np.abs(scaled[:, column] - slope) > slack
+            for value in np.nonzero(wrong)[0].tolist():
+                self.find(
+                    f"{self.parts[value]}: derivative with respect to {self.elements[column]} "
+                    f"{gradient[value, column]:.6g} by AutoDiffXd, "
+                    f"{slope[value] / scale[column]:.6g} by differences {self._at(point)}"
+                )
+
+    def nan_inputs(self) -> None:
+        """Note what follows from an input of nan."""
+        places = self.leaf.places[len(self.own) :]
+        for port, place in zip(self.inputs, places, strict=True):
+            point = self.points[0].copy()
+            point[place] = math.nan
+            self.leaf.error = None
+            are_nan = np.isnan(self.function(point))[: self.computed]
+            text = f"reaches {', '.join(dict.fromkeys(compress(self.parts, are_nan))) or 'nothing'}"
+            if self.leaf.error is not None:
+                text = f"raises {reason_of(self.leaf.error)}"
+            self.note(f"nan at {port.get_name()} {text}")
