@@ -54,9 +54,9 @@ def test_a_cuff_without_slip_torque_does_not_slip(leaf):
 
 def test_a_rate_that_is_not_finite_is_an_error(leaf):
     probe = leaf.Probe(Cuff(CuffParameters(**NUMBERS)), INPUTS, STATE)
-    z = probe.center.copy()
+    z = probe.points(1)[0]
     z[1] = math.nan  # the angle of the leg
-    context = probe.context(probe.system, z)
+    context = probe.context(z)
     with pytest.raises(SimulationError, match="slip_rate = nan is not finite"):
         probe.system.EvalTimeDerivatives(context)
     assert np.isnan(probe.system.GetOutputPort("interaction_torque").Eval(context)[0])

@@ -148,8 +148,8 @@ def table():
     rows = []
     for name in LEAVES:
         kind, _, variant = name.partition(",")
-        module = CLASSES[kind].__module__.rpartition(".")[2]
-        source, test = f"../kneexo/systems/{module}.py", f"../tests/systems/test_{module}.py"
+        package, room, module = CLASSES[kind].__module__.split(".")
+        source, test = f"../{package}/{room}/{module}.py", f"../tests/{room}/test_{module}.py"
         links = f"[{kind}]({source}){variant and f',{variant}'} ([test]({test}))"
         rows.append(f"| {links} | {structure(made(name))} |")
     return HEAD + "\n".join([*rows, ""])
