@@ -127,7 +127,7 @@ def test_an_error_of_the_users_code_is_one_line_with_its_place(capsys, monkeypat
 
 def test_a_mistake_of_ours_has_its_traceback(monkeypatch):
     monkeypatch.setattr(utilities, "params", utilities.cache)
-    with pytest.raises(TypeError):
+    with pytest.raises(AttributeError):
         main(["params", "--schema"])
 
 
