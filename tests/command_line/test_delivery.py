@@ -2,12 +2,11 @@ import fcntl
 import sys
 import warnings
 
-import matplotlib.pyplot as plt
 import pytest
 
-from kneexo.command_line.delivery import deliver, interrupt_notice
+from kneexo.command_line.delivery import deliver
 from kneexo.command_line.main import main
-from kneexo.command_line.outcome import Outcome, file_names
+from kneexo.command_line.outcome import Outcome
 from kneexo.command_line.request import Request
 from kneexo.common.interruption import Terminated
 from kneexo.errors import WorkerError
@@ -22,25 +21,6 @@ def test_text_or_document_is_printed_and_notices_go_to_stderr(capsys, json, docu
     assert deliver(Request(run=lambda request: outcome, json=json)) == 0
     captured = capsys.readouterr()
     assert (captured.out, captured.err) == (stdout, "notice\n")
-
-
-def test_files_and_figures_are_written_to_the_directory(tmp_path):
-    files = {
-        "a.txt": "λ",
-        "b.bin": b"\xff",
-        "c.txt": lambda path: path.write_text("by a function"),
-    }
-    figures = {"d": plt.figure()}
-    outcome, out = Outcome(files=files, figures=figures), tmp_path / "out"
-    request = Request(run=lambda request: outcome, fills_directory=True, out=out)
-    assert interrupt_notice(request) == "nothing was written"
-    assert deliver(request) == 0
-    assert interrupt_notice(request) == f"the results are in {out}"
-    assert sorted(file.name for file in out.iterdir()) == file_names(files, figures)
-    assert (out / "a.txt").read_text(encoding="utf-8") == "λ"
-    assert (out / "b.bin").read_bytes() == b"\xff"
-    assert (out / "c.txt").read_text() == "by a function"
-    assert not plt.fignum_exists(figures["d"].number)
 
 
 @pytest.mark.parametrize("pieces", [0, 2])
