@@ -35,9 +35,9 @@ _P = TypeVar("_P", bound="Parameters")
 class Request(argparse.Namespace):
     """A command with its arguments.
 
-    The parser sets an attribute for each argument of the command. Arguments that a single command
-    has are not listed here. `kneexo.command_line.delivery.deliver` runs the request once, and notes
-    here what an interrupt would leave.
+    The parser sets an attribute for each argument of the command. Listed here are the arguments
+    that this class and the delivery read. `kneexo.command_line.delivery.deliver` runs a request
+    once, and notes here what an interrupt would leave.
     """
 
     run: Callable[[Request], Outcome]
@@ -58,8 +58,11 @@ class Request(argparse.Namespace):
     scenario: str | None = None
     """Path of the scenario file, or None without a file. Error messages begin with the path."""
     preset: str | None = None
+    """Name of the preset from which the scenario starts, or None."""
     law: str | None = None
+    """The control law in place of that of the scenario, FILE.py:NAME, or None."""
     engine: Literal["compiled", "drake"] | None = None
+    """The engine in place of that of the scenario, or None."""
     values: Sequence[str] = ()
     """Changes of the scenario, each NAME=VALUE."""
     settings: Sequence[str] = ()

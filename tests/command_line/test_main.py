@@ -88,7 +88,7 @@ def runs_without(arguments, *modules):
     assert not set(modules) & set(sys.modules), arguments
 runs_without(["setup", "cache"], "numpy", "pydrake", "matplotlib", "numba", "llvmlite", "pydantic")
 runs_without(["--help"], "numpy", "pydrake", "matplotlib")
-for arguments in (["--yaml"], ["--schema"], [sys.argv[1]]):
+for arguments in (["--yaml"], ["--schema"], ["--preset", "leg"], [sys.argv[1]]):
     runs_without(["params", *arguments], "pydrake", "scipy", "matplotlib", "llvmlite")
 runs_without(["params"], "scipy.optimize", "scipy.linalg", "matplotlib")
 """
