@@ -30,7 +30,6 @@ SIMULATE = {
     "--set mass_kg=2": rf"--set mass_kg: unknown name; did you mean {MASS}\?$",
     "--set plant.cylinder.mass=2": rf"did you mean {MASS}\?$",
     f"--set {MASS}": rf"--set {MASS}: must be NAME=VALUE$",
-    f"--set {MASS}:2": r"must be NAME=VALUE$",
     f"--set {MASS}=": rf"--set {MASS} has no value: must be a number",
     f"--set {MASS}=2kg": rf"--set {MASS} = '2kg': must be a number, .* kg$",
     f"--set {MASS}=1,6": r"must be a number with a decimal point",
@@ -83,7 +82,6 @@ WRONG = {
     r", .* with --law$",
     "linearize --knee-angle 200 --out run": r"--knee-angle = 200 deg .* >= 0 and <= 90 deg$",
     "linearize --knee-angle 40deg --out run": r"'40deg' must be a finite number .* without unit;",
-    "study bandwith --out run": r"did you mean bandwidth\?",
     f"study bandwidth --set {MASS}=2 --out run": rf"unknown name; Scenario has {MASS}$",
     "study bandwidth --set amplitude_deg=3 --out run": r"did you mean amplitudes_deg\?$",
     "study bandwidth --set tolerance=3 --out run": r"did you mean estimate.tolerance\?$",
@@ -98,7 +96,6 @@ WRONG = {
     },
     "study bandwidth --out run --resume": r"^--resume is gone: a study always goes on from "
     r"finished pieces without --restart; see kneexo study bandwidth --help$",
-    "reproduce --set trial=1 --out run": r"--set trial: unknown name; did you mean trials\?$",
     "reproduce --set mass_min_kg=1.9 --out run": r"= 1.9 kg must not exceed mass_max_kg = 1.8 kg$",
     "study robustness --uncertainty no.yaml --out run": r"no.yaml: cannot be read: No such file",
     "study bandwidth --preset wearer --out run": r"controller.kind = torque: .* study wearer meas",
@@ -126,6 +123,9 @@ WRONG = {
     "setup completion fish": r"^argument shell: 'fish' is unknown; known: bash, zsh, tcsh; see kn",
     # names of before
     "bandwidth --out run": r"^'kneexo bandwidth' is now 'kneexo study bandwidth'; see kneexo --hel",
+    "robustness": r"^'kneexo robustness' is now 'kneexo study robustness'; see kneexo --help$",
+    "cache --clear": r"^'kneexo cache' is now 'kneexo setup cache'; see kneexo --help$",
+    "completion bash": r"^'kneexo completion' is now 'kneexo setup completion'; see kneexo --help$",
 }
 """Regular expression of the one line on stderr, after ``kneexo: ``. The exit code is 2."""
 for words, remedy in SIMULATE.items():
@@ -178,7 +178,7 @@ ANSWERS = {
         r'^(?!.*"parameter": "[^"]*[(:]).*"parameter": "controller.integral_per_s2"',
     ),
     "params --yaml": (r"^plant: pump: .* mass_kg: 1.6 ",),
-    "params --preset bench --find segment_mass": (r"segment_mass_kg = 1.6 kg (?!.*needs)",),
+    "params --preset bench --find segment_mass": (r"^plant[^=]*segment_mass_kg = 1.6 kg [^=]*$",),
     "params bench.yaml --preset leg --find segment_mass": (r"segment_mass_kg = 2.5 kg .* yours",),
     "params bench.yaml --preset leg --find 'preset leg'": (r"coulomb_friction_n = 40 N",),
     "params module.yaml --law law.py:control --find controller.function": (

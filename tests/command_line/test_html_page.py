@@ -95,7 +95,7 @@ def test_a_figure_is_at_its_place_in_the_report_or_after_the_text(figure):
 
 
 def test_html_in_a_report_is_text():
-    text = html_page("<t>", "a <script>alert(1)</script>", {}, {"kneexo": "<v>"})
+    text = html_page("<t>", "a <script>alert(1)</script>", {}, {"kneexo": "<v>", "a": "<script>"})
     assert "<script>" not in text
     assert f"<h1>{html.escape('<t>')}</h1>" in text
 

@@ -34,6 +34,7 @@ def test_simulate_writes_signals_metrics_scenario_and_plot(capsys, short, tmp_pa
     assert f"  change of the command     {m.mean_command_change_rpm:.3g} rpm per sample\n" in text
     work = f"{m.shaft_energy_delivered_j:.3g} J; {back_j:.3g} J flows back to the motor"
     assert f"  work of the motor         {work}\n" in text
+    assert text.split()[-5:] == ", ".join(names).split()
 
 
 @pytest.mark.slow
