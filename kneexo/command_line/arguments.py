@@ -3,29 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import inspect
 import math
 import re
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import Any
 
-from kneexo.command_line.html_page import ReportPage
-from kneexo.command_line.outcome import Outcome, Request
+from kneexo.command_line.outcome import Outcome
+from kneexo.command_line.request import Request
 from kneexo.common.files.table import NUMBER
 from kneexo.common.progress import line_width
-from kneexo.errors import ParameterError, shown
-from kneexo.version import __version__
-
-if TYPE_CHECKING:
-    from kneexo.parameters import Scenario
-    from kneexo.parameters.fields.quantity import Parameters
-
-_P = TypeVar("_P", bound="Parameters")
+from kneexo.errors import shown
 
 PAPER = "the paper's setup (see `kneexo params`)"
 """Description of the default `Scenario` in the help of the commands."""
@@ -46,13 +34,10 @@ class HelpFormatter(argparse.ArgumentDefaultsHelpFormatter):
         return super()._get_help_string(action)
 
 
-# --------------------------------------------------------------------- adding arguments
-
-
 def add_command(
     group: Any,
     name: str,
-    command: Callable[..., Outcome],
+    command: Callable[[Request], Outcome],
     summary: str,
     detail: str = "",
     duration_s: float = 1.0,
@@ -60,9 +45,7 @@ def add_command(
 ) -> argparse.ArgumentParser:
     """Add a command to a group of subparsers.
 
-    Each parameter of ``command`` gets the parsed argument of the same name. ``choice`` gets a
-    `ScenarioChoice`, and ``page`` a `ReportPage` or None. ``attributes`` are attributes of the
-    `Request`. An attribute can be a function that computes the value from all parsed arguments.
+    ``attributes`` are attributes of the `Request` that ``command`` gets, besides the arguments.
     The help names ``duration_s``, the typical duration in s on two cores.
     """
     duration = f"Takes about {_rounded(duration_s)} on two cores."
@@ -75,7 +58,7 @@ def add_command(
         formatter_class=HelpFormatter,
     )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
-    parser.set_defaults(request=partial(_request, parser.prog, command, attributes), parser=parser)
+    parser.set_defaults(run=command, parser=parser, **attributes)
     return parser
 
 
@@ -99,43 +82,6 @@ def add_group(subparsers: Any, name: str, summary: str, metavar: str) -> Any:
         formatter_class=HelpFormatter,
     )
     return parser.add_subparsers(title="commands", required=True, metavar=metavar)
-
-
-def _request(
-    program: str,
-    command: Callable[..., Outcome],
-    attributes: dict[str, Any],
-    options: argparse.Namespace,
-) -> Request:
-    """Return the request that runs a command with the parsed arguments ``options``.
-
-    ``program`` is ``kneexo`` and the name of the command, such as ``kneexo export c``.
-    """
-    values = vars(options)
-    path, texts = values.get("scenario"), values.get("values", ())
-    preset, law = values.get("preset"), values.get("law")
-    choice = ScenarioChoice(path, texts, values.get("engine"), preset, law)
-    page = None
-    if values.get("html"):
-        changes = [f"--preset={preset}"] if preset else []
-        changes += [f"--law={law}"] if law else []
-        changes += [f"--set={text}" for text in (*texts, *values.get("settings", ()))]
-        words = program.split()
-        name = f"{words[-1]}.html"
-        page = ReportPage([*words, *([path] if path else []), *changes], name)
-    values = values | {"choice": choice, "page": page}
-    names = inspect.signature(command).parameters.keys() & values.keys()
-    computed = {
-        name: value(options) if callable(value) else value for name, value in attributes.items()
-    }
-    run = partial(command, **{name: values[name] for name in names})
-    return Request(run, json=options.json, scenario=path, **computed)
-
-
-def out(options: argparse.Namespace) -> Path:
-    """Return the path of ``--out``. `add_command` takes this function as directory or file."""
-    path: Path = options.out
-    return path
 
 
 def add_scenario(parser: argparse.ArgumentParser, default: str = PAPER) -> None:
@@ -255,96 +201,3 @@ def integer(text: str) -> int:
     if re.fullmatch(r"[-+]?[0-9]{1,9}", text):
         return int(text)
     raise argparse.ArgumentTypeError(f"{shown(text)!r} must be an integer in the digits 0-9")
-
-
-# -------------------------------------------------------------------- reading arguments
-
-
-@dataclass(frozen=True)
-class ScenarioChoice:
-    """The scenario of a command: a file, a preset or the default, changed by other arguments."""
-
-    path: str | None = None
-    values: Sequence[str] = ()
-    engine: Literal["compiled", "drake"] | None = None
-    preset: str | None = None
-    law: str | None = None
-
-    def load(self, default: Scenario | None = None, *, runs_law: bool = True) -> Scenario:
-        """Return the scenario.
-
-        Without a file and a preset, start from ``default`` (None: the paper's setup). If the
-        scenario file names a law in a file of Python, this file is imported unless ``runs_law`` is
-        False. A line on stderr names the file whose code runs.
-        """
-        from kneexo.parameters import Scenario
-        from kneexo.parameters.presets import with_preset
-        from kneexo.parameters.scenario_file import load_scenario
-
-        if self.preset is not None:
-            with _argument():
-                with_preset(self.preset, {})
-        if self.path is not None:
-            scenario = load_scenario(self.path, self.preset, without_law=self.law is not None)
-        elif self.preset is not None:
-            scenario = Scenario.preset(self.preset)
-        else:
-            scenario = default or Scenario()
-        if self.law is not None:
-            with _argument():
-                scenario = scenario.with_law(self.law)
-        scenario = with_values(scenario, self.values)
-        if self.law is not None and scenario.controller.kind != "law":
-            raise ParameterError(
-                f"--law: --set replaces the law by controller.kind = {scenario.controller.kind}; "
-                f"leave out one of them"
-            )
-        scenario = scenario.with_engine(self.engine)
-        for code in scenario.users_code().values():
-            if runs_law or code.is_loaded:
-                place = shown(code.short_name.rpartition(":")[0])
-                sys.stderr.write(f"kneexo: runs Python of {place}\n")
-                scenario = scenario.with_loaded_law()
-        return scenario
-
-
-@contextmanager
-def _argument() -> Iterator[None]:
-    """Context manager: put ``--`` before an error that begins with the name of an argument."""
-    try:
-        yield
-    except ParameterError as error:
-        raise ParameterError(f"--{error}") from None
-
-
-def with_values(parameters: _P, texts: Sequence[str]) -> _P:
-    """Return changed parameters. ``texts`` are the arguments NAME=VALUE of ``--set``."""
-    from kneexo.parameters.scenario_file import read_value
-
-    values = {}
-    for text in texts:
-        name, separator, value = text.partition("=")
-        if not separator or not name:
-            raise ParameterError(f"--set {shown(text)}: must be NAME=VALUE")
-        values[name] = read_value(f"--set {name}", value)
-    if not values:
-        return parameters
-    try:
-        return parameters.changed(values)
-    except ParameterError as error:
-        line = str(error).removeprefix(f"{type(parameters).__name__}: ")
-        place = re.split("[ =:]", line, maxsplit=1)[0]
-        if not any(f"{place}.".startswith(f"{name}.") for name in values):
-            line = f"{shown(', '.join(values))}: {line}"
-        raise ParameterError(f"--set {line}") from None
-
-
-def origin_of(scenario: Scenario, settings: Parameters | None = None) -> dict[str, Any]:
-    """Return the items that begin every JSON result: version of kneexo, scenario, settings.
-
-    The scenario has explicit duration and polynomials, also where its user left them out.
-    """
-    from kneexo.geometry.rod_polynomial import completed
-
-    origin = {"kneexo": __version__, "scenario": completed(scenario).model_dump(mode="json")}
-    return origin if settings is None else origin | {"settings": settings.model_dump(mode="json")}

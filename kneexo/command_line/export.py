@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import asdict
-from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any
 
 from kneexo.command_line import arguments
-from kneexo.command_line.arguments import ScenarioChoice
 from kneexo.command_line.outcome import Outcome
+from kneexo.command_line.request import Request, origin_of
 from kneexo.common.progress import line_width
 from kneexo.errors import shown
 
 if TYPE_CHECKING:  # the compiler loads NumPy
     from diagramc import Measurement, SilMeasurement
+    from kneexo.parameters import Scenario
 
 NO_BINARY = "none; a binary needs 64-bit Linux and a C compiler (cc, gcc, clang)"
 """Text in place of the names of platforms, for an FMU that has C sources alone."""
@@ -136,12 +136,6 @@ def _add_target(parser: argparse.ArgumentParser, measurement: str) -> None:
         help=f"the controller, from {measurement} and knee reference to motor speed command; the "
         "plant with its encoder; or both as closed loop",
     )
-    _add_integrator(parser)
-    _add_step(parser)
-
-
-def _add_integrator(parser: argparse.ArgumentParser) -> None:
-    """Add the arguments that choose the method for the continuous states of plant and loop."""
     parser.add_argument(
         "--integrator",
         choices=("rk4", "rosenbrock"),
@@ -156,6 +150,7 @@ def _add_integrator(parser: argparse.ArgumentParser) -> None:
         help="largest error estimate of a substep of rosenbrock, the sum over all states of "
         "error / (1 + |state|); left out: 1e-7 in double and 1e-5 in float precision",
     )
+    _add_step(parser)
 
 
 def _add_step(parser: argparse.ArgumentParser) -> None:
@@ -168,44 +163,31 @@ def _add_step(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def export_c(
-    choice: ScenarioChoice,
-    out: Path,
-    target: str,
-    integrator: str,
-    tolerance: float | None,
-    precision: str,
-    vectors_s: float | None,
-    step_s: float | None,
-    look_up: bool,
-    name: str | None,
-    outputs: list[str] | None,
-) -> Outcome:
-    """Write controller, plant or loop as C to the directory ``out``; return the command's text.
+def export_c(request: Request) -> Outcome:
+    """Write controller, plant or loop as C to the directory ``--out``; return the command's text.
 
     See `kneexo.export.firmware`. Adds a notice if the replay of the test vectors differs by more
     than the tolerance.
     """
-    from kneexo.command_line.output import to_json
     from kneexo.export.firmware import export_firmware
 
-    scenario = choice.load()
+    scenario = request.load(request.scenario)
     measurement = export_firmware(
         scenario,
-        out,
-        target,
-        integrator=integrator,
-        tolerance=tolerance,
-        precision=precision,
-        vectors_s=vectors_s,
-        step_s=step_s,
-        look_up=look_up,
-        name=name,
-        outputs=outputs,
+        request.out,
+        request.target,
+        integrator=request.integrator,
+        tolerance=request.tolerance,
+        precision=request.precision,
+        vectors_s=request.vectors_s,
+        step_s=request.step_s,
+        look_up=request.look_up,
+        name=request.name,
+        outputs=request.outputs,
     )
-    notices = _replay_notices(f"{target} in {precision} precision", measurement)
+    subject = f"{request.target} in {request.precision} precision"
     lines = [
-        f"{target} in {precision} precision: {shown(out)}",
+        f"{subject}: {shown(request.out)}",
         f"  {sum(measurement.operations.values())} operations a step",
         f"  {measurement.state_bytes} bytes of state",
     ]
@@ -214,38 +196,32 @@ def export_c(
         lines.append(f"  {processor}: {size.flash} bytes of flash, {size.stack} bytes of stack")
     for quantity, reason in measurement.not_measured.items():
         lines.append(f"  {quantity} not measured: {reason}")
-    document = to_json(arguments.origin_of(scenario) | asdict(measurement))
-    return Outcome("\n".join(lines) + "\n", document, notices)
+    return _measured(subject, lines, scenario, measurement)
 
 
-def export_sil(
-    choice: ScenarioChoice,
-    out: Path,
-    precision: str,
-    vectors_s: float | None,
-    step_s: float | None,
-    look_up: bool,
-) -> Outcome:
+def export_sil(request: Request) -> Outcome:
     """Write controller, plant and the program of their loop as C; return the command's text.
 
     See `kneexo.export.firmware.export_sil`. Adds a notice if the loop in C differs from the
     compiled loop by more than the tolerance.
     """
-    from kneexo.command_line.output import to_json
     from kneexo.export import firmware
 
-    scenario = choice.load()
+    scenario = request.load(request.scenario)
     measurement = firmware.export_sil(
-        scenario, out, precision=precision, vectors_s=vectors_s, step_s=step_s, look_up=look_up
+        scenario,
+        request.out,
+        precision=request.precision,
+        vectors_s=request.vectors_s,
+        step_s=request.step_s,
+        look_up=request.look_up,
     )
-    subject = f"loop of controller in {precision} precision and plant"
-    lines = [f"{subject}: {shown(out)}", *_differences(measurement)]
+    subject = f"loop of controller in {request.precision} precision and plant"
+    lines = [f"{subject}: {shown(request.out)}", *_differences(measurement)]
     if measurement.replay is None:
         reason = measurement.controller.not_measured["differences"]
         lines.append(f"  differences not measured: {reason}")
-    document = to_json(arguments.origin_of(scenario) | asdict(measurement))
-    notices = _replay_notices(subject, measurement)
-    return Outcome("\n".join(lines) + "\n", document, notices)
+    return _measured(subject, lines, scenario, measurement)
 
 
 def _differences(measurement: Measurement | SilMeasurement) -> list[str]:
@@ -259,45 +235,58 @@ def _differences(measurement: Measurement | SilMeasurement) -> list[str]:
     ]
 
 
-def _replay_notices(subject: str, measurement: Measurement | SilMeasurement) -> list[str]:
-    """Return a notice if a replay differs by more than its tolerance."""
-    if measurement.replay is None or measurement.replay.passed:
-        return []
-    return [
-        f"kneexo: {subject}: the replay differs by more than the harness allows; make test fails"
-    ]
-
-
-def export_fmu(
-    choice: ScenarioChoice,
-    out: Path,
-    target: str,
-    fmi: int,
-    integrator: str,
-    tolerance: float | None,
-    step_s: float | None,
-    platforms: str | list[str] | None,
+def _measured(
+    subject: str,
+    lines: list[str],
+    scenario: Scenario,
+    measurement: Measurement | SilMeasurement,
 ) -> Outcome:
-    """Write controller, plant or loop as FMU to ``out``; return the command's text.
+    """Return the outcome of C code, with a notice if a replay differs by more than its tolerance.
+
+    Parameters
+    ----------
+    subject
+        What was exported, for the notice.
+    lines
+        The text.
+    scenario
+        The scenario whose parts were exported.
+    measurement
+        What the document says beside the scenario.
+    """
+    from kneexo.command_line.output import to_json
+
+    notices = []
+    if measurement.replay is not None and not measurement.replay.passed:
+        notices.append(
+            f"kneexo: {subject}: the replay differs by more than the harness allows; make test "
+            f"fails"
+        )
+    document = to_json(origin_of(scenario) | asdict(measurement))
+    return Outcome("\n".join(lines) + "\n", document, notices)
+
+
+def export_fmu(request: Request) -> Outcome:
+    """Write controller, plant or loop as FMU to ``--out``; return the command's text.
 
     See `kneexo.export.fmu`.
     """
     from kneexo.command_line.output import to_json
     from kneexo.export import fmu
 
-    scenario = choice.load()
+    scenario = request.load(request.scenario)
     file = fmu.export_fmu(
         scenario,
-        out,
-        target,
-        fmi=fmi,
-        integrator=integrator,
-        tolerance=tolerance,
-        step_s=step_s,
-        platforms=platforms,
+        request.out,
+        request.target,
+        fmi=request.fmi,
+        integrator=request.integrator,
+        tolerance=request.tolerance,
+        step_s=request.step_s,
+        platforms=request.platforms,
     )
     lines = [
-        f"{target} as FMU by FMI {fmi}: {shown(file.path)}",
+        f"{request.target} as FMU by FMI {request.fmi}: {shown(file.path)}",
         *wrap(f"  inputs: {', '.join(file.inputs)}", line_width(), subsequent_indent="    "),
         *wrap(f"  outputs: {', '.join(file.outputs)}", line_width(), subsequent_indent="    "),
         f"  parameters: {len(file.parameters)}, of which {len(file.scenario_parameters)} have "
@@ -309,4 +298,4 @@ def export_fmu(
             subsequent_indent="    ",
         ),
     ]
-    return Outcome("\n".join(lines) + "\n", to_json(arguments.origin_of(scenario) | asdict(file)))
+    return Outcome("\n".join(lines) + "\n", to_json(origin_of(scenario) | asdict(file)))

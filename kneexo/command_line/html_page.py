@@ -8,14 +8,13 @@ from __future__ import annotations
 import base64
 import html
 import re
-import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from kneexo.command_line.request import Request
     from kneexo.view.legs import Motion
     from kneexo.view.page import StageContent
 
@@ -54,35 +53,32 @@ footer { border-top: 1px solid #d0d4d9; margin-top: 2rem; }
 """
 
 
-@dataclass(frozen=True)
-class ReportPage:
-    """The request for an HTML page with the report of a command."""
+def page_file(
+    request: Request,
+    report: str,
+    figures: Mapping[str, Figure],
+    origin: Mapping[str, Any],
+    motions: Mapping[str, Motion] | None = None,
+) -> dict[str, str]:
+    """Return a dictionary from the name of the HTML file of a command to the text of the page.
 
-    words: Sequence[str]
-    """The command and the arguments that change its result: the title of the page."""
-    name: str
-    """Name of the HTML file."""
+    For the other parameters see `html_page`.
 
-    def file(
-        self,
-        report: str,
-        figures: Mapping[str, Figure],
-        origin: Mapping[str, Any],
-        motions: Mapping[str, Motion] | None = None,
-    ) -> dict[str, str]:
-        """Return a dictionary from the name of the HTML file to the text of the page.
+    Parameters
+    ----------
+    request
+        The command, which names the file, with its arguments, which the title of the page has.
+    motions
+        Dictionary from name to a run that the page shows in three dimensions, or None.
+    """
+    view = None
+    if motions:
+        from kneexo.view.legs import Leg
+        from kneexo.view.page import MOST_FRAMES_IN_REPORT, stage_content
 
-        For the other parameters see `html_page`. ``motions`` maps names to runs that the page shows
-        in three dimensions. If ``motions`` is None or empty, the page shows no motion.
-        """
-        view = None
-        if motions:
-            from kneexo.view.legs import Leg
-            from kneexo.view.page import MOST_FRAMES_IN_REPORT, stage_content
-
-            legs = [Leg.of_plant(name, *motion) for name, motion in motions.items()]
-            view = stage_content(legs, MOST_FRAMES_IN_REPORT)
-        return {self.name: html_page(shlex.join(self.words), report, figures, origin, view)}
+        legs = [Leg.of_plant(name, *motion) for name, motion in motions.items()]
+        view = stage_content(legs, MOST_FRAMES_IN_REPORT)
+    return {f"{request.command}.html": html_page(request.title, report, figures, origin, view)}
 
 
 def html_page(

@@ -12,10 +12,9 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
-from diagramc import interrupt_later
-from kneexo import system
-from kneexo.command_line.outcome import Delivery, named_in_errors
+from kneexo.command_line.delivery import deliver, interrupt_notice, pieces_notice
 from kneexo.command_line.parser import LONGEST_LINE, parsed
+from kneexo.command_line.request import Request, named_in_errors
 from kneexo.common.interruption import Terminated, sigterm_raises
 from kneexo.common.user_code import cause_of, place_in_user_code
 from kneexo.errors import KneexoError, WorkerError, escaped, shortened, shown
@@ -42,15 +41,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     _prepare_libraries()
     _prepare_streams()
     words = sys.argv[1:] if arguments is None else arguments
-    delivery: Delivery | None = None
+    request: Request | None = None
     with sigterm_raises():
         try:
             try:
                 if not words:
                     print(FIRST_STEPS, end="")
                     return 0
-                delivery = Delivery(parsed(words))
-                return _run(delivery)
+                request = parsed(words)
+                return _run(request)
             except Exception as error:  # of any library: an interrupt may be behind it
                 if (interrupt := _interrupt_behind(error)) is None:
                     raise
@@ -60,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 if sys.stdout is not None and not sys.stdout.closed:
                     sys.stdout.flush()
         except KeyboardInterrupt as interrupt:
-            return _interrupted(interrupt, delivery)
+            return _interrupted(interrupt, request)
         except ImportError as error:
             library, unloaded, _ = str(error).partition(": cannot open shared object file")
             if not unloaded:
@@ -98,28 +97,22 @@ def _escaped(error: UnicodeError) -> tuple[str, int]:
     return json.dumps(error.object[error.start : error.end])[1:-1], error.end
 
 
-def _run(delivery: Delivery) -> int:
-    """Run the command of ``delivery``; return the exit code.
+def _run(request: Request) -> int:
+    """Run the command of ``request``; return the exit code.
 
     An error becomes one line on stderr if its cause is the input, a lack of memory, or the user's
     code. Any other error is raised.
     """
-    request = delivery.request
-    if request.uses_drake:
-        if line := system.lacking():  # Drake itself would print a page
-            return _fail(line)
-        with interrupt_later():  # an interrupt of its first import makes Drake print a page
-            import pydrake  # noqa: F401  (imported here for that reason alone)
     format_before = warnings.formatwarning
     warnings.formatwarning = _one_line
     try:
         with named_in_errors(request.scenario):
-            return delivery.run()
+            return deliver(request)
     except KneexoError as error:
-        pieces = delivery.checkpoint_notice() if isinstance(error, WorkerError) else ""
+        pieces = pieces_notice(request) if isinstance(error, WorkerError) else ""
         return _fail(f"{error}{pieces and f'; {pieces}'}")
     except MemoryError:
-        workers = ", or the processes with --workers" if request.uses_workers else ""
+        workers = ", or the processes with --workers" if "workers" in request else ""
         return _fail(f"out of memory; reduce simulation.duration_s{workers}")
     except (Exception, SystemExit) as error:
         in_user_code = isinstance(error, SystemExit) or place_in_user_code(error) is not None
@@ -153,9 +146,9 @@ def _failed_output(error: OSError) -> int:
     return 2
 
 
-def _interrupted(interrupt: KeyboardInterrupt, delivery: Delivery | None) -> int:
+def _interrupted(interrupt: KeyboardInterrupt, request: Request | None) -> int:
     """Print where results are. Return the exit code: 130 for Ctrl-C, 143 for SIGTERM."""
-    notice = "nothing was written" if delivery is None else delivery.interrupt_notice()
+    notice = "nothing was written" if request is None else interrupt_notice(request)
     if isinstance(interrupt, Terminated):
         return _fail(f"terminated; {notice}", 143)
     return _fail(f"interrupted; {notice}", 130)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, get_args
 from diagramc import write_files
 from kneexo.command_line import arguments
 from kneexo.command_line.outcome import Outcome
+from kneexo.command_line.request import Request
 from kneexo.errors import OutputError, ParameterError, shown
 from kneexo.version import __version__
 
@@ -72,8 +73,9 @@ def add_new(subparsers: Any) -> None:
     )
 
 
-def new(path: Path) -> Outcome:
+def new(request: Request) -> Outcome:
     """Write a scenario file and the CSV file of its reference, and say how to run it."""
+    path: Path = request.path
     if path.suffix not in (".yaml", ".yml"):
         raise ParameterError(f"{shown(path)}: the name must end in .yaml")
     csv = path.with_suffix(".csv")

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from functools import partial
 from typing import Any, NoReturn
 
 from kneexo.command_line import arguments
 from kneexo.command_line.export import add_exports
 from kneexo.command_line.new import add_new
-from kneexo.command_line.outcome import Outcome, Request
+from kneexo.command_line.outcome import Outcome
 from kneexo.command_line.play import add_play
+from kneexo.command_line.request import Request
 from kneexo.command_line.single_runs import add_single_runs
 from kneexo.command_line.studies import add_studies
 from kneexo.command_line.utilities import add_utilities
@@ -97,10 +97,10 @@ def parsed(arguments: Sequence[str]) -> Request:
     parser = _parser()
     if arguments and (name := RENAMED.get(arguments[0])):
         parser.error(f"'kneexo {arguments[0]}' is now 'kneexo {name}'")
-    options, unknown = parser.parse_known_args(arguments)
+    request = Request()
+    unknown = parser.parse_known_args(arguments, request)[1]
     if unknown:
-        options.parser.error(_unknown_argument(unknown[0], options.parser))
-    request: Request = options.request(options)
+        request.parser.error(_unknown_argument(unknown[0], request.parser))
     return request
 
 
@@ -144,19 +144,16 @@ def _add_completion(setup: Any) -> None:
         formatter_class=arguments.HelpFormatter,
     )
     parser.add_argument("shell", choices=("bash", "zsh", "tcsh"), help="the shell")
-    parser.set_defaults(
-        request=lambda options: Request(partial(completion, options.shell), uses_drake=False),
-        parser=parser,
-    )
+    parser.set_defaults(run=completion, parser=parser, uses_drake=False)
 
 
-def completion(shell: str) -> Outcome:
+def completion(request: Request) -> Outcome:
     """Return a script by which bash, zsh or tcsh completes commands, options and files."""
     import shtab
 
     parser = _parser()
     _complete_paths(parser, shtab.FILE, shtab.DIRECTORY)
-    return Outcome(shtab.complete(parser, shell) + "\n")
+    return Outcome(shtab.complete(parser, request.shell) + "\n")
 
 
 def _complete_paths(parser: argparse.ArgumentParser, file: object, directory: object) -> None:

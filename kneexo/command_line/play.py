@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from kneexo.command_line import arguments
-from kneexo.command_line.arguments import PAPER, ScenarioChoice
-from kneexo.command_line.outcome import Outcome, named_in_errors
+from kneexo.command_line.arguments import PAPER
+from kneexo.command_line.outcome import Outcome
+from kneexo.command_line.request import Request, named_in_errors
 from kneexo.command_line.view import run_names
 from kneexo.errors import shown
 from kneexo.version import __version__
@@ -24,7 +23,6 @@ def add_play(subparsers: Any) -> None:
         "The page is one file that any browser opens without network. The closed loop runs in the "
         "browser, so a changed value shows its effect at once. The page compares two scenarios.",
         duration_s=3.0,
-        file=arguments.out,
     )
     parser.add_argument(
         "scenarios",
@@ -42,47 +40,29 @@ def add_play(subparsers: Any) -> None:
     arguments.add_page(parser)
 
 
-def play(
-    scenarios: Sequence[str],
-    values: Sequence[str],
-    out: Path,
-    browser: bool,
-    preset: str | None = None,
-    compare: str | None = None,
-) -> Outcome:
+def play(request: Request) -> Outcome:
     """Return an outcome with an HTML page on which a user runs and changes closed loops.
 
-    Parameters
-    ----------
-    scenarios
-        Paths of scenario files. Without files the page has ``preset``.
-    values
-        Changes of every scenario, each NAME=VALUE.
-    out
-        Path of the page, which the message names.
-    browser
-        Whether the browser opens the page.
-    preset
-        Name of the preset from which every scenario starts, by default the paper's setup.
-    compare
-        Name of a preset that the page also has, without the changes ``values``.
+    Without scenario files the page has the preset, by default the paper's setup. The preset of
+    ``--compare`` is without the changes of ``--set``.
     """
     from kneexo.command_line.output import to_json
     from kneexo.page.playground import LONGEST_RUN_S, playground_page
     from kneexo.parameters import Scenario
     from kneexo.view.web_page import require_page_name
 
-    require_page_name(out)
-    names = [", ".join([name, *values]) for name in run_names(scenarios, preset)]
+    paths: list[str] = request.scenarios
+    require_page_name(request.out)
+    names = [", ".join([name, *request.values]) for name in run_names(paths, request.preset)]
     loaded = []
-    for path in scenarios or (None,):
+    for path in paths or (None,):
         with named_in_errors(path):
-            loaded.append(ScenarioChoice(path, values, preset=preset).load())
-    if compare is not None:
-        names.append(f"preset {compare}")
-        loaded.append(Scenario.preset(compare))
+            loaded.append(request.load(path))
+    if request.compare is not None:
+        names.append(f"preset {request.compare}")
+        loaded.append(Scenario.preset(request.compare))
     # With several files the error does not say which one is at fault.
-    with named_in_errors(scenarios[0] if len(scenarios) == 1 else None):
+    with named_in_errors(paths[0] if len(paths) == 1 else None):
         page = playground_page(loaded, names)
     shortened_runs = [
         f"kneexo: {shown(name)}: a run on the page has the first {LONGEST_RUN_S:g} of "
@@ -92,9 +72,9 @@ def play(
     ]
     size_mb = len(page.encode()) / 1e6
     return Outcome(
-        f"{shown(out)} ({size_mb:.1f} MB): {', '.join(map(shown, names))}; open it in a browser\n",
-        to_json({"kneexo": __version__, "page": str(out), "scenarios": names}),
+        f"{shown(request.out)} ({size_mb:.1f} MB): {', '.join(map(shown, names))}; open it in a "
+        f"browser\n",
+        to_json({"kneexo": __version__, "page": str(request.out), "scenarios": names}),
         shortened_runs,
         page=page,
-        open_in_browser=browser,
     )

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kneexo.command_line import arguments
-from kneexo.command_line.arguments import ScenarioChoice
-from kneexo.command_line.html_page import ReportPage
+from kneexo.command_line.html_page import page_file
 from kneexo.command_line.outcome import Outcome, file_names
+from kneexo.command_line.request import Request, origin_of
 from kneexo.command_line.view import run_names
 from kneexo.errors import shown
 
@@ -27,7 +26,7 @@ def add_single_runs(subparsers: Any) -> None:
         simulate,
         "run one scenario",
         "With --engine drake a simulated second takes 0.2 s (preset paper) to 2 s (wearer).",
-        directory=arguments.out,
+        fills_directory=True,
         duration_s=2.0,
     )
     arguments.add_scenario(parser)
@@ -42,7 +41,7 @@ def add_single_runs(subparsers: Any) -> None:
         linearize,
         "poles, margins and small-signal bandwidths of plant and sampled loop",
         "At a posture; the quantizer is bypassed.",
-        directory=arguments.out,
+        fills_directory=True,
         duration_s=2.0,
     )
     arguments.add_scenario(parser)
@@ -57,13 +56,9 @@ def add_single_runs(subparsers: Any) -> None:
     arguments.add_html(parser)
 
 
-def simulate(choice: ScenarioChoice, out: Path, page: ReportPage | None = None) -> Outcome:
-    """Run a scenario; return an outcome with signals, metrics and plot.
-
-    ``out`` is the directory that the message names. If ``page`` is given, the outcome also has an
-    HTML page.
-    """
-    scenario = choice.load()
+def simulate(request: Request) -> Outcome:
+    """Run a scenario; return an outcome with signals, metrics and plot."""
+    scenario = request.load(request.scenario)
     from kneexo.analysis import track
     from kneexo.analysis.tracking.notices import wrapped
     from kneexo.command_line.output import to_json, write_csv
@@ -76,23 +71,23 @@ def simulate(choice: ScenarioChoice, out: Path, page: ReportPage | None = None) 
     else:
         result = _track_with_bar(scenario)
     verdict, metrics = result.verdict, result.metrics
-    origin = arguments.origin_of(scenario)
+    origin = origin_of(scenario)
     step = {} if result.step is None else {"step": asdict(result.step)}
     push = {} if result.push is None else {"push": asdict(result.push)}
     results = to_json(origin | {"verdict": verdict.results()} | asdict(metrics) | step | push)
     files: dict[str, Any] = {
         "signals.csv": lambda path: write_csv(path, result.run),
         "metrics.json": results,
-        **scenario_files(completed(scenario), "scenario.yaml", out),
+        **scenario_files(completed(scenario), "scenario.yaml", request.out),
     }
     figures = {"tracking": result.plot()[0].figure}
-    if page is not None:
+    if request.html:
         from kneexo.studies.simulate.report import report as report_of
 
         report = report_of(result)
-        (name,) = run_names([choice.path] if choice.path else [], choice.preset)
+        (name,) = run_names([request.scenario] if request.scenario else [], request.preset)
         motions = {name: (scenario.plant, result.run.columns)}
-        files |= page.file(report, figures, origin, motions)
+        files |= page_file(request, report, figures, origin, motions)
     error = "rms from the reference" if verdict.tracks is None else "error (root mean square)"
     delivered_j = metrics.shaft_energy_delivered_j
     lines = [
@@ -103,7 +98,7 @@ def simulate(choice: ScenarioChoice, out: Path, page: ReportPage | None = None) 
         f"sample",
         f"  {'work of the motor':24}  {delivered_j:.3g} J; "
         f"{delivered_j - metrics.shaft_energy_j:.3g} J flows back to the motor",
-        wrapped(f"In {shown(out)}: {', '.join(file_names(files, figures))}"),
+        wrapped(f"In {shown(request.out)}: {', '.join(file_names(files, figures))}"),
     ]
     return Outcome("\n".join(lines) + "\n", results, files=files, figures=figures)
 
@@ -119,24 +114,13 @@ def _track_with_bar(scenario: Scenario) -> TrackingResult:
         return track(scenario, all_signals=True, progress=lambda time: bar.update(time - bar.n))
 
 
-def linearize(
-    choice: ScenarioChoice, knee_angle: float | None, out: Path, page: ReportPage | None = None
-) -> Outcome:
+def linearize(request: Request) -> Outcome:
     """Linearize plant and sampled loop; return an outcome with poles, margins and plots.
 
-    Parameters
-    ----------
-    choice
-        The scenario of the command line.
-    knee_angle
-        Knee angle in deg. None: the middle of the knee angles that the reference reaches within a
-        run.
-    out
-        Directory that the message names.
-    page
-        HTML page that the outcome also has, or None.
+    Without ``--knee-angle`` the posture is the middle of the knee angles that the reference reaches
+    within a run.
     """
-    scenario = choice.load()
+    scenario = request.load(request.scenario)
     from kneexo.analysis import linearize_loop, linearize_plant
     from kneexo.analysis.linear.plant_linearization import plant_at
     from kneexo.analysis.tracking.notices import model_lines, model_notices, wrapped
@@ -144,6 +128,7 @@ def linearize(
     from kneexo.command_line.output import to_json
     from kneexo.systems.knee_reference import run_middle_deg
 
+    knee_angle: float | None = request.knee_angle
     if knee_angle is None:
         knee_angle = run_middle_deg(scenario)
     scenario.plant.knee.require_posture(knee_angle, "--knee-angle")
@@ -153,7 +138,7 @@ def linearize(
     margins = asdict(loop.margins())
     if not loop.stable:  # the margins of an unstable loop are not defined
         margins = dict.fromkeys(margins, math.nan) | {"stable": False}
-    origin = arguments.origin_of(scenario) | {"settings": {"knee_angle_deg": knee_angle}}
+    origin = origin_of(scenario) | {"settings": {"knee_angle_deg": knee_angle}}
     verdict_lines, notices = loop_lines(loop), model_lines(scenario, model_notices(scenario))
     results = to_json(
         {
@@ -175,15 +160,15 @@ def linearize(
     axes = {"loop": loop.plot()[0], "nyquist": loop.plot_nyquist(), "poles": loop.plot_poles()}
     figures = {name: ax.figure for name, ax in axes.items()}
     files = {"linearization.json": results}
-    if page is not None:
+    if request.html:
         from kneexo.studies.linearize.report import report as report_of
 
         report = report_of(plant, loop, verdict_lines, notices)
-        files |= page.file(report, figures, origin)
+        files |= page_file(request, report, figures, origin)
     text = [
         *map(wrapped, verdict_lines),
         *notices,
         f"Plant: {plant}",
-        wrapped(f"In {shown(out)}: {', '.join(file_names(files, figures))}"),
+        wrapped(f"In {shown(request.out)}: {', '.join(file_names(files, figures))}"),
     ]
     return Outcome("\n".join(text) + "\n", results, files=files, figures=figures)

@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from contextlib import AbstractContextManager, nullcontext
-from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from kneexo.command_line import arguments
-from kneexo.command_line.arguments import ScenarioChoice
-from kneexo.command_line.html_page import ReportPage
-from kneexo.command_line.outcome import FILES, Outcome, files_line
+from kneexo.command_line.delivery import FILES
+from kneexo.command_line.html_page import page_file
+from kneexo.command_line.outcome import Outcome, files_line
 from kneexo.command_line.plain_text import head_of, plain_text
-from kneexo.common.progress import Stage, progress_bar, whole_bar
+from kneexo.command_line.request import Request, origin_of, with_values
+from kneexo.common.progress import Stage, progress_bar
 from kneexo.errors import ParameterError
 from kneexo.studies.catalogue import Study
 from kneexo.studies.markdown import failure_file
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor
-
-    from kneexo.sweeps.checkpoint import Checkpoint
 
 FIGURES = "figures"
 """Description of the progress bar of drawing a study's figures."""
@@ -44,23 +40,19 @@ def add_studies(subparsers: Any, studies: Iterable[Study]) -> None:
 
 
 def _add_study(group: Any, name: str, study: Study) -> None:
-    def checkpoint_path(options: argparse.Namespace) -> Path:
-        return arguments.out(options) / f"{name}.checkpoint.jsonl"
-
     drawing, writing = Stage(FIGURES, study.drawing_s), Stage(FILES, study.writing_s)
     stages = (*study.stages, drawing, writing)
     parser = arguments.add_command(
         group,
         name,
-        partial(run_study, study),
+        run_study,
         study.summary,
         study.detail,
-        directory=arguments.out,
-        checkpoint_path=checkpoint_path if study.resumable else None,
-        restart=lambda options: study.resumable and options.restart,
-        uses_workers=True,
-        progress=lambda options: partial(whole_bar, study.name, stages),
         duration_s=sum(stage.duration_s for stage in stages),
+        study=study,
+        stages=stages,
+        resumable=study.resumable,
+        fills_directory=True,
     )
     if study.takes_scenario:
         arguments.add_scenario(parser, study.setup or arguments.PAPER)
@@ -99,44 +91,38 @@ def _add_study(group: Any, name: str, study: Study) -> None:
         )
 
 
-def run_study(
-    study: Study,
-    choice: ScenarioChoice,
-    settings: Sequence[str],
-    out: Path,
-    page: ReportPage | None,
-    workers: int | None,
-    dask: str | None,
-    uncertainty: str | None = None,
-    checkpoint: Checkpoint | None = None,
-) -> Outcome:
-    """Run a study; return results, report and figures. If ``page`` is given, add an HTML page.
+def run_study(request: Request) -> Outcome:
+    """Run a study; return results, report and figures. With ``--html`` add an HTML page.
 
     The text of the outcome has the findings, with which the report begins, and where the files are.
-    ``choice`` selects the scenario. ``settings`` changes settings of the study, each by NAME=VALUE.
-    ``workers`` is the number of processes, by default the number of cores. If ``dask`` is the
-    address of a Dask cluster, the cluster replaces the processes. If the study is `uncertain`,
-    ``uncertainty`` is the path of a file of uncertain values. If the study is `resumable`,
-    ``checkpoint`` stores its finished pieces.
     """
+    study: Study = request.study
+    options: dict[str, Any] = {}
+    if request.checkpoint_path is not None:
+        from kneexo.sweeps.checkpoint import Checkpoint
+
+        path, resume = request.checkpoint_path, not request.restart
+        options["checkpoint"] = request.checkpoint = Checkpoint(path, resume=resume)
     computation = study.computation()
-    scenario = choice.load(computation.scenario)
-    changed = arguments.with_values(computation.settings(), settings)
-    compute = computation.compute
+    scenario = request.load(request.scenario, computation.scenario)
+    settings = with_values(computation.settings(), request.settings)
     from kneexo.parameters.scenario_file import load_uncertainty, scenario_files
 
-    if uncertainty is not None:
-        compute = partial(compute, uncertainty=load_uncertainty(uncertainty, scenario))
+    if study.uncertain and request.uncertainty is not None:
+        options["uncertainty"] = load_uncertainty(request.uncertainty, scenario)
     from kneexo.command_line.output import to_json
 
     shown = study.presentation()  # imports Matplotlib: if this fails, it fails before the work
-    if checkpoint is not None:
-        compute = partial(compute, checkpoint=checkpoint)
-    with _executor(workers, dask) as executor:
-        result = compute(
-            scenario, settings=changed, workers=workers, executor=executor, progress=True
+    with _executor(request.workers, request.dask) as executor:
+        result = computation.compute(
+            scenario,
+            settings=settings,
+            workers=request.workers,
+            executor=executor,
+            progress=True,
+            **options,
         )
-    origin = arguments.origin_of(scenario, changed)
+    origin = origin_of(scenario, settings)
     document = to_json(origin | result.results())
     report = shown.report(result)
     results_file, report_file = study.files
@@ -146,13 +132,13 @@ def run_study(
     }
     with progress_bar(1.0, FIGURES):
         figures = shown.figures(result)
-    if page is not None:
-        files |= page.file(report, figures, origin, shown.motions(result))
+    if request.html:
+        files |= page_file(request, report, figures, origin, shown.motions(result))
     for number, failed in enumerate(shown.failed_runs(result).values(), start=1):
-        files |= scenario_files(failed, failure_file(number), out)
+        files |= scenario_files(failed, failure_file(number), request.out)
     for file_name, made in shown.scenarios(result).items():
-        files |= scenario_files(made, file_name, out)
-    text = f"{plain_text(head_of(report))}\n{files_line(out, files, figures)}"
+        files |= scenario_files(made, file_name, request.out)
+    text = f"{plain_text(head_of(report))}\n{files_line(request.out, files, figures)}"
     return Outcome(text, document, files=files, figures=figures)
 
 

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from kneexo.command_line import arguments
-from kneexo.command_line.arguments import ScenarioChoice
+from kneexo.command_line.delivery import import_drake
 from kneexo.command_line.outcome import Outcome, files_line
+from kneexo.command_line.request import Request, origin_of
 from kneexo.version import __version__
 
 
@@ -24,8 +25,7 @@ def add_utilities(subparsers: Any) -> Any:
         "Without a scenario file also the settings of all studies. With --schema, editors complete "
         "and check scenario files: save the schema as kneexo.schema.json and begin a file with "
         "the line '# yaml-language-server: $schema=kneexo.schema.json'.",
-        # The list of all settings imports the studies, and so Drake.
-        uses_drake=lambda options: not (options.scenario or options.yaml or options.schema),
+        uses_drake=False,
     )
     arguments.add_scenario(parser)
     form = parser.add_mutually_exclusive_group()
@@ -46,7 +46,7 @@ def add_utilities(subparsers: Any) -> Any:
         diagram,
         "draw the block diagram of a scenario",
         "Its blocks are the systems of the Drake diagram. The names on the wires are ports.",
-        directory=arguments.out,
+        fills_directory=True,
     )
     arguments.add_scenario(parser)
     arguments.add_out(parser, "closed_loop.svg and closed_loop.png")
@@ -67,18 +67,21 @@ def add_utilities(subparsers: Any) -> Any:
     return setup
 
 
-def params(choice: ScenarioChoice, yaml: bool, schema: bool, find: str | None = None) -> Outcome:
-    """Return the list of all parameters, or a scenario file (``yaml``) or its schema (``schema``).
+def params(request: Request) -> Outcome:
+    """Return the list of all parameters, or a scenario file or its schema.
 
     If no scenario is given, the list also has all kinds of parts, the settings of all studies and
-    the uncertain values. If ``find`` is given, the list has only the parameters with this text.
+    the uncertain values. With ``--find`` the list has only the parameters with this text.
     """
-    scenario = choice.load(runs_law=False)
-    if yaml:
+    everything = not (request.scenario or request.preset or request.yaml or request.schema)
+    if everything:
+        import_drake()  # the studies, whose settings are listed, need it
+    scenario = request.load(request.scenario, runs_law=False)
+    if request.yaml:
         from kneexo.parameters.scenario_file import dump_scenario
 
         return Outcome(dump_scenario(scenario))
-    if schema:
+    if request.schema:
         from kneexo.parameters.schema import json_schema
 
         return Outcome(json.dumps(json_schema(), indent=2, ensure_ascii=False) + "\n")
@@ -92,22 +95,21 @@ def params(choice: ScenarioChoice, yaml: bool, schema: bool, find: str | None = 
     )
     from kneexo.geometry.rod_polynomial import completed
 
-    everything = choice.path is None and choice.preset is None
     rows = list(parameter_rows(completed(scenario), all_kinds=everything))
     mark_changes(rows, scenario)
     if everything:
         rows += [*setting_rows(), *uncertainty_rows()]
-    if find is not None:
-        rows = matching(rows, find)
-    document = {**arguments.origin_of(scenario), "parameters": rows}
-    text = listing(rows, grouped=find is None)
+    if request.find is not None:
+        rows = matching(rows, request.find)
+    document = {**origin_of(scenario), "parameters": rows}
+    text = listing(rows, grouped=request.find is None)
     text_of_rows = json.dumps(document, indent=2, ensure_ascii=False, default=str)  # a law
     return Outcome(text, text_of_rows + "\n")
 
 
-def diagram(choice: ScenarioChoice, out: Path) -> Outcome:
+def diagram(request: Request) -> Outcome:
     """Return the block diagram of a scenario as SVG and PNG."""
-    scenario = choice.load(runs_law=False)
+    scenario = request.load(request.scenario, runs_law=False)
     from kneexo.command_line.output import svg_text
     from kneexo.view.block_diagram import block_diagram
 
@@ -116,19 +118,19 @@ def diagram(choice: ScenarioChoice, out: Path) -> Outcome:
         "closed_loop.png": lambda path: figure.savefig(path, dpi=200),
         "closed_loop.svg": svg_text(figure),
     }
-    document = {**arguments.origin_of(scenario), "directory": str(out), "files": list(files)}
-    return Outcome(files_line(out, files), json.dumps(document) + "\n", files=files)
+    document = {**origin_of(scenario), "directory": str(request.out), "files": list(files)}
+    return Outcome(files_line(request.out, files), json.dumps(document) + "\n", files=files)
 
 
-def cache(clear: bool) -> Outcome:
-    """Return size, limit and last use of the compiled models on disk. Delete all if ``clear``."""
+def cache(request: Request) -> Outcome:
+    """Return size, limit and last use of the compiled models on disk, or delete all of them."""
     import time
 
     from diagramc import cache_directory, cache_entries, cache_size_limit, clear_cache
 
     directory = cache_directory()
     origin = {"kneexo": __version__, "directory": str(directory)}
-    if clear:
+    if request.clear:
         count = clear_cache() + _clear_cache_of_before(directory)
         text = f"{directory}: {count} {'entry' if count == 1 else 'entries'} deleted\n"
         return Outcome(text, json.dumps({**origin, "deleted": count}) + "\n")

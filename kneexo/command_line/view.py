@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from kneexo.command_line import arguments
-from kneexo.command_line.arguments import PAPER, ScenarioChoice
-from kneexo.command_line.outcome import Outcome, named_in_errors
+from kneexo.command_line.arguments import PAPER
+from kneexo.command_line.outcome import Outcome
+from kneexo.command_line.request import Request, named_in_errors
 from kneexo.errors import ParameterError, shown
 from kneexo.version import __version__
 
@@ -23,7 +24,6 @@ def add_view(subparsers: Any) -> None:
         "show runs in three dimensions: an HTML page with a time slider",
         "The page is one file that any browser opens without network. Several runs stand beside "
         "each other. The cylinder's colour is its pressure. The black outline is the reference.",
-        file=arguments.out,
     )
     parser.add_argument(
         "runs",
@@ -37,19 +37,12 @@ def add_view(subparsers: Any) -> None:
     arguments.add_page(parser)
 
 
-def view(
-    runs: Sequence[str],
-    values: Sequence[str],
-    out: Path,
-    browser: bool,
-    preset: str | None = None,
-) -> Outcome:
+def view(request: Request) -> Outcome:
     """Return an outcome with an HTML page that shows runs in three dimensions.
 
-    Each of ``runs`` is a scenario file, or a directory that ``kneexo simulate`` wrote. ``values``
-    (each NAME=VALUE) change the scenarios of files, which start from ``preset`` if it is given.
-    Without runs the page shows the preset, by default the paper's setup. If ``browser`` is True,
-    the browser opens the page.
+    Each run is a scenario file, or a directory that ``kneexo simulate`` wrote. The arguments change
+    the scenarios of files only. Without runs the page shows the preset, by default the paper's
+    setup.
     """
     from kneexo.command_line.output import to_json
     from kneexo.parameters.scenario_file import load_scenario
@@ -57,7 +50,9 @@ def view(
     from kneexo.view.page import MOST_LEGS, shown_s, view_page
     from kneexo.view.web_page import require_page_name
 
-    require_page_name(out)
+    runs: list[str] = request.runs
+    values, preset = request.values, request.preset
+    require_page_name(request.out)
     if len(runs) > MOST_LEGS:
         raise ParameterError(f"{len(runs)} runs: a page shows {MOST_LEGS} at most")
     if (values or preset) and (results := [run for run in runs if Path(run).is_dir()]):
@@ -78,8 +73,7 @@ def view(
         start = [f"preset {preset}"] if run and preset else []
         caption = ", ".join([name, *start, *values])
         with named_in_errors(run):
-            choice = ScenarioChoice(run, values, preset=preset)
-            leg, failure = leg_of_scenario(caption, choice.load())
+            leg, failure = leg_of_scenario(caption, request.load(run))
         if failure:
             notices.append(f"kneexo: {shown(caption)}: {failure}; shown up to there")
         legs.append(leg)
@@ -87,11 +81,10 @@ def view(
         notices.append(f"kneexo: the page is full, so it shows only the first {end_s:.4g} s")
     names = [leg.name for leg in legs]
     return Outcome(
-        f"{shown(out)}: {', '.join(map(shown, names))}; open it in a browser\n",
-        to_json({"kneexo": __version__, "page": str(out), "runs": names}),
+        f"{shown(request.out)}: {', '.join(map(shown, names))}; open it in a browser\n",
+        to_json({"kneexo": __version__, "page": str(request.out), "runs": names}),
         notices,
         page=view_page(legs),
-        open_in_browser=browser,
     )
 
 

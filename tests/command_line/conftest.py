@@ -30,12 +30,6 @@ def short(scenario_file):
 
 
 @pytest.fixture
-def small_map():
-    """Arguments of a bandwidth study with few runs."""
-    return ["--set", "amplitudes_deg=[1.0]", "--set", "frequencies_hz=[2, 3, 5]"]
-
-
-@pytest.fixture
 def undrawn(monkeypatch):
     """Draw no figures, which take longer than the rest and have tests of their own."""
     monkeypatch.setattr("kneexo.studies.bandwidth.figures.figures", lambda _: {})
@@ -56,11 +50,8 @@ def run_command():
 class FakeResult:
     """The result of a study that computes nothing."""
 
-    def __init__(self, settings):
-        self.settings = settings
-
     def results(self):
-        return {"settings": type(self.settings).__name__}
+        return {"results": "of the study"}
 
 
 @pytest.fixture
@@ -72,9 +63,9 @@ def replace_study(monkeypatch):
 
     def replaced(name, compute, **shows):
         @functools.wraps(compute)
-        def study(*arguments, settings, **options):
-            compute(*arguments, settings=settings, **options)
-            return FakeResult(settings)
+        def study(*arguments, **options):
+            compute(*arguments, **options)
+            return FakeResult()
 
         row = STUDIES[name]
         computation = replace(row.computation(), compute=study)

@@ -1,9 +1,6 @@
 import json
 from pathlib import Path
 
-import pytest
-
-import kneexo
 from kneexo.analysis import track
 from kneexo.command_line.main import main
 from kneexo.geometry.rod_polynomial import completed
@@ -15,26 +12,6 @@ from kneexo.studies.contest.contest import ContestSettings
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        ["simulate"],
-        pytest.param(["linearize", "--knee-angle", "20"], marks=pytest.mark.slow),
-        pytest.param(["diagram"], marks=pytest.mark.slow),
-        ["params"],
-    ],
-)
-def test_json_says_version_and_scenario(capsys, short, tmp_path, undrawn, command):
-    name, *options = command
-    out = [] if name == "params" else ["--out", str(tmp_path / "out")]
-    assert main([name, short, *options, *out, "--json"]) == 0
-    printed = json.loads(capsys.readouterr().out)
-    assert printed["kneexo"] == kneexo.__version__
-    assert changed(Scenario(), printed["scenario"]) == completed(load_scenario(short))
-    if name == "linearize":
-        assert printed["settings"] == {"knee_angle_deg": 20.0}
-
-
 def test_values_of_the_scenario_win_over_the_file(capsys, short, tmp_path, undrawn):
     path, out = short, tmp_path / "out"
     texts = ["plant.cylinder.mass_kg=1.7", "reference.frequency_hz=2", "plant.linkage=G3"]
@@ -44,7 +21,7 @@ def test_values_of_the_scenario_win_over_the_file(capsys, short, tmp_path, undra
     values = {"plant.cylinder.mass_kg": 1.7, "reference.frequency_hz": 2, "plant.linkage": "G3"}
     expected = changed(load_scenario(path), values)
     assert changed(Scenario(), printed["scenario"]) == completed(expected)
-    assert load_scenario(out / "scenario.yaml") in (expected, completed(expected))
+    assert load_scenario(out / "scenario.yaml") == completed(expected)
     assert expected.reference.amplitude_deg == 2.0  # of the file
     metrics = track(expected).metrics
     assert printed["max_error_deg"] == metrics.max_error_deg
@@ -57,28 +34,6 @@ def test_changed_leaves_nested_mappings_of_settings_alone():
     assert changed(settings, {path: 5.0}).contestants["SMC"].controller.lambda_per_s == 5.0
     assert settings == ContestSettings()
     assert ContestSettings().contestants["SMC"].controller.lambda_per_s == 20.0
-
-
-def test_a_preset_is_the_scenario_that_file_and_values_change(capsys, scenario_file):
-    def scenario(*words):
-        assert main(["params", *words, "--json"]) == 0
-        return changed(Scenario(), json.loads(capsys.readouterr().out)["scenario"])
-
-    assert scenario("--preset", "bench") == completed(Scenario.preset("bench"))
-    path = scenario_file("preset: bench\nplant: {load: {segment_mass_kg: 2.5}}")
-    expected = changed(Scenario.preset("leg"), {"plant.load.segment_mass_kg": 2.5})
-    assert scenario(path, "--preset", "leg") == completed(expected)
-
-
-@pytest.mark.slow
-def test_the_preset_of_a_run_is_on_its_page(short, tmp_path, capsys, undrawn):
-    command = ["simulate", short, "--preset", "bench", "--set", "bus.latency_samples=2"]
-    assert main([*command, "--out", str(tmp_path), "--html", "--json"]) == 0
-    printed = json.loads(capsys.readouterr().out)["scenario"]
-    assert printed["plant"]["load"]["kind"] == "knee"
-    assert printed["bus"]["latency_samples"] == 2
-    title = f"kneexo simulate {short} --preset=bench --set=bus.latency_samples=2"
-    assert f"<title>{title}</title>" in (tmp_path / "simulate.html").read_text()
 
 
 def test_a_relative_out_belongs_to_the_directory_of_the_call(
@@ -105,5 +60,3 @@ def test_a_law_of_the_user_replaces_that_of_the_file(capsys, short, tmp_path, un
     assert printed["max_error_deg"] == expected.max_error_deg
     assert expected.max_error_deg > 2.0 * track(load_scenario(short)).metrics.max_error_deg
     assert load_scenario(out / "scenario.yaml").controller.values == {"gain": 9e4}
-    assert main([*command, "--set", "controller=pid"]) == 2
-    assert "--law: --set replaces the law by controller.kind = pid" in capsys.readouterr().err

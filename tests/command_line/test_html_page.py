@@ -70,6 +70,7 @@ def test_a_page_has_tables_pictures_and_origin(figure):
     assert "mass_kg: 1.6\nof: µ\na: 1\n" in text  # in the order given
     assert 'aria-label="Enlarge speed of walking"' in text
     assert "style=" not in text
+    assert "script-src 'none'" in text
     assert text.count("<h1>") == 1
     assert 'name="viewport"' in text
 
@@ -93,60 +94,28 @@ def test_a_figure_is_at_its_place_in_the_report_or_after_the_text(figure):
     assert ".png" not in text
 
 
-def test_equal_reports_are_equal_pages(figure):
-    pages = [html_page("t", "text", {"a": figure}, {"kneexo": "1"}) for _ in range(2)]
-    assert pages[0] == pages[1]
-    assert "<h1>t</h1>" in pages[0]
-
-
 def test_html_in_a_report_is_text():
-    text = html_page("<t>", "a <script>alert(1)</script>", {}, {"kneexo": "<v>"})
+    text = html_page("<t>", "a <script>alert(1)</script>", {}, {"kneexo": "<v>", "a": "<script>"})
     assert "<script>" not in text
-    assert html.escape("<t>") in text
-
-
-@pytest.fixture
-def short(tmp_path):
-    path = tmp_path / "short.yaml"
-    path.write_text("simulation: {duration_s: 0.5}\n")
-    return str(path)
+    assert f"<h1>{html.escape('<t>')}</h1>" in text
 
 
 @pytest.mark.parametrize("command", ["simulate", pytest.param("linearize", marks=pytest.mark.slow)])
 def test_html_of_a_command_names_command_and_settings(command, short, tmp_path, capsys, undrawn):
     out = tmp_path / "out"
-    change = "plant.cylinder.mass_kg=1.7"
-    assert main([command, short, "--set", change, "--out", str(out), "--html"]) == 0
+    changes = ["--preset=bench", "--set=simulation.duration_s=0.25"]
+    assert main([command, short, *changes, "--out", str(out), "--html"]) == 0
     text = (out / f"{command}.html").read_text()
     cells = Page(text).cells
     assert cells
     assert not [cell for cell in cells if "_" in cell]  # no identifiers
-    assert re.search("duration_s: 0.5", text)
-    # the middle of the range that the run of 0.5 s reaches, 10…11.47°
-    assert ("knee_angle_deg: 10.73" in text) == (command == "linearize")
-    title = html.escape(shlex.join(["kneexo", command, short, f"--set={change}"]))
+    assert re.search("duration_s: 0.25", text)
+    # the middle of the range that a quarter of the period reaches, 38…40°
+    assert ("knee_angle_deg: 39" in text) == (command == "linearize")
+    title = html.escape(shlex.join(["kneexo", command, short, *changes]))
     assert f"<title>{title}</title>" in text
     assert f"<p>kneexo {__version__}: <code>{title}</code></p>" in text
     assert len(text) < 3e6
-
-
-@pytest.mark.slow
-def test_html_of_a_study_is_its_report(short, tmp_path, capsys):
-    out = tmp_path / "out"
-    few = ["--set", "frequencies_hz=[2, 3, 4]", "--set", "amplitudes_deg=[1]"]
-    assert (
-        main(["study", "bandwidth", short, "--out", str(out), "--html", *few, "--workers", "1"])
-        == 0
-    )
-    text = (out / "bandwidth.html").read_text()
-    cells = Page(text).cells
-    settings = ["--set=frequencies_hz=[2, 3, 4]", "--set=amplitudes_deg=[1]"]
-    command = html.escape(shlex.join(["kneexo", "study", "bandwidth", short, *settings]))
-    assert f"<code>{command}</code>" in text
-    report = (out / "bandwidth.md").read_text()
-    rows = (line.strip("|").split("|") for line in report.splitlines() if line[:1] == "|")
-    of_report = [cell.strip() for row in rows for cell in row]
-    assert [cell for cell in of_report if cell != "---"] == cells
 
 
 VIEW = StageContent('<p id="stage">legs</p>', ["p { margin: 0; }"], ["var a = 1;"], {"legs": [1]})
@@ -160,19 +129,6 @@ def test_a_page_with_moving_legs_holds_the_stage(figure):
     assert '<script type="application/json" id="legs">[1]</script>' in text
     assert text == html_page("t", "text", {"a": figure}, {"kneexo": "1"}, VIEW)
     assert "<script" not in html_page("t", "text", {"a": figure}, {"kneexo": "1"})
-
-
-def test_a_page_allows_only_its_scripts_and_styles(figure):
-    policies = [
-        re.search('Content-Security-Policy" content="([^"]*)"', text)[1]
-        for view in (None, VIEW)
-        for text in [html_page("t", "text", {"a": figure}, {"kneexo": "1"}, view)]
-    ]
-    assert "script-src 'none'" in policies[0]
-    assert "script-src 'sha256-" in policies[1]
-    for policy in policies:
-        assert policy.startswith("default-src 'none'")
-        assert "unsafe" not in policy
 
 
 # -------------------------------------------------------------------------------- browser

@@ -36,7 +36,6 @@ def test_help_shows_only_defaults_that_tell_something(command, capsys, monkeypat
     ("duration_s", "text"),
     [
         (0.4, "1 s"),
-        (4.4, "4 s"),
         (89.0, "89 s"),
         (95.0, "2 min"),
         (5300.0, "88 min"),

@@ -1,4 +1,6 @@
+import html
 import json
+import shlex
 
 import pytest
 
@@ -14,24 +16,12 @@ from kneexo.studies.catalogue import STUDIES
 from kneexo.studies.markdown import repeating_commands
 
 
-@pytest.mark.slow
-def test_bandwidth_measures_writes_and_leaves_no_checkpoint(capsys, tmp_path, small_map):
-    out = tmp_path / "out"
-    assert (
-        main(["study", "bandwidth", *small_map, "--workers", "1", "--out", str(out), "--json"]) == 0
-    )
-    printed = json.loads(capsys.readouterr().out)
-    assert json.loads((out / "bandwidth.json").read_text()) == printed
-    names = {file.name for file in out.iterdir()}
-    assert {"bandwidth.md", "amplitude_map.png", "amplitude_map.pdf"} <= names
-    assert not any("checkpoint" in name for name in names)
-
-
 def test_an_interrupted_study_goes_on_with_identical_results(
-    capsys, tmp_path, monkeypatch, undrawn, small_map
+    capsys, tmp_path, monkeypatch, undrawn
 ):
     whole, torn = tmp_path / "whole", tmp_path / "torn"
-    command = ["study", "bandwidth", *small_map, "--workers", "1", "--out"]
+    few = ["--set=amplitudes_deg=[1.0]", "--set=frequencies_hz=[2, 3, 5]"]
+    command = ["study", "bandwidth", *few, "--workers", "1", "--out"]
     assert main([*command, str(whole)]) == 0
     measure, calls = bandwidth._measure, []
 
@@ -75,7 +65,10 @@ def test_each_study_is_wired(capsys, tmp_path, study, replace_study):
     assert main([*command, "--workers", "2", "--out", str(out), "--json"]) == 0
     assert options["workers"] == 2
     printed = json.loads(capsys.readouterr().out)
-    assert printed["settings"] == study.computation().settings.__name__
+    assert (printed["kneexo"], printed["results"]) == (kneexo.__version__, "of the study")
+    assert changed(Scenario(), printed["scenario"]) == completed(Scenario())
+    settings = study.computation().settings()
+    assert printed["settings"] == settings.model_dump(mode="json")
     names = ("results", "report") if study.name == "reproduce" else (study.name, study.name)
     assert {file.name for file in out.iterdir()} == {f"{names[0]}.json", f"{names[1]}.md"}
     assert json.loads((out / f"{names[0]}.json").read_text()) == printed
@@ -85,26 +78,6 @@ def test_each_study_is_wired(capsys, tmp_path, study, replace_study):
     assert f"<title>kneexo {study.command}</title>" in page
 
 
-def test_json_of_a_sweep_says_version_scenario_and_settings(capsys, tmp_path, undrawn, small_map):
-    command = [
-        "study",
-        "bandwidth",
-        *small_map,
-        "--set",
-        "estimate.averaged_cycles=4",
-        "--set",
-        "amplitudes_deg=1",
-        "--workers",
-        "1",
-    ]
-    assert main([*command, "--out", str(tmp_path / "out"), "--json"]) == 0
-    printed = json.loads(capsys.readouterr().out)
-    assert printed["kneexo"] == kneexo.__version__
-    assert changed(Scenario(), printed["scenario"]) == completed(Scenario())
-    assert printed["settings"]["estimate"]["averaged_cycles"] == 4
-    assert printed["settings"]["amplitudes_deg"] == [1.0]  # a scalar is a list of one
-
-
 def test_reproduce_takes_settings_of_fig_13(capsys, tmp_path, replace_study):
     passed = []
 
@@ -112,9 +85,11 @@ def test_reproduce_takes_settings_of_fig_13(capsys, tmp_path, replace_study):
         passed.append(settings)
 
     replace_study("reproduce", compute)
-    command = ["reproduce", "--set", "trials=2", "--set", "frequencies_hz=[0.2, 0.21, 0.3]"]
-    assert main([*command, "--out", str(tmp_path / "out"), "--json"]) == 0
+    settings = ["--set=trials=2", "--set=frequencies_hz=[0.2, 0.21, 0.3]"]
+    assert main(["reproduce", *settings, "--out", str(tmp_path), "--html"]) == 0
     assert passed == [SinestreamSettings(trials=2, frequencies_hz=(0.2, 0.21, 0.3))]
+    command = shlex.join(["kneexo", "reproduce", *settings])
+    assert f"<code>{html.escape(command)}</code>" in (tmp_path / "reproduce.html").read_text()
 
 
 def test_failed_runs_become_scenarios_beside_the_report(

@@ -2,57 +2,25 @@ import fcntl
 import sys
 import warnings
 
-import matplotlib.pyplot as plt
 import pytest
 
+from kneexo.command_line.delivery import deliver
 from kneexo.command_line.main import main
-from kneexo.command_line.outcome import Delivery, Outcome, Request, file_names, named_in_errors
+from kneexo.command_line.outcome import Outcome
+from kneexo.command_line.request import Request
 from kneexo.common.interruption import Terminated
-from kneexo.errors import (
-    OutputError,
-    PackageError,
-    ParameterError,
-    ScenarioError,
-    WorkerError,
-)
+from kneexo.errors import WorkerError
 
 
 @pytest.mark.parametrize(
-    ("json", "document", "stdout", "stderr"),
-    [
-        (False, "{}\n", "text\n", "notice\nadvice\n"),
-        (True, "{}\n", "{}\n", "notice\n"),
-        (True, None, "text\n", "notice\nadvice\n"),
-    ],
+    ("json", "document", "stdout"),
+    [(False, "{}\n", "text\n"), (True, "{}\n", "{}\n"), (True, None, "text\n")],
 )
-def test_text_or_document_is_printed_and_notices_go_to_stderr(
-    capsys, json, document, stdout, stderr
-):
-    outcome = Outcome("text\n", document, ["notice"], "advice")
-    assert Delivery(Request(lambda: outcome, json=json)).run() == 0
+def test_text_or_document_is_printed_and_notices_go_to_stderr(capsys, json, document, stdout):
+    outcome = Outcome("text\n", document, ["notice"])
+    assert deliver(Request(run=lambda request: outcome, json=json)) == 0
     captured = capsys.readouterr()
-    assert (captured.out, captured.err) == (stdout, stderr)
-
-
-def test_files_and_figures_are_written_to_the_directory(tmp_path):
-    files = {
-        "a.txt": "λ",
-        "b.bin": b"\xff",
-        "c.txt": lambda path: path.write_text("by a function"),
-    }
-    figures = {"d": plt.figure()}
-    delivery = Delivery(
-        Request(lambda: Outcome(files=files, figures=figures), directory=tmp_path / "out")
-    )
-    assert delivery.interrupt_notice() == "nothing was written"
-    assert delivery.run() == 0
-    assert delivery.interrupt_notice() == f"the results are in {tmp_path / 'out'}"
-    out = tmp_path / "out"
-    assert sorted(file.name for file in out.iterdir()) == file_names(files, figures)
-    assert (out / "a.txt").read_text(encoding="utf-8") == "λ"
-    assert (out / "b.bin").read_bytes() == b"\xff"
-    assert (out / "c.txt").read_text() == "by a function"
-    assert not plt.fignum_exists(figures["d"].number)
+    assert (captured.out, captured.err) == (stdout, "notice\n")
 
 
 @pytest.mark.parametrize("pieces", [0, 2])
@@ -144,23 +112,3 @@ def test_an_interrupt_after_the_files_are_written_says_so(capsys, tmp_path, monk
     monkeypatch.setattr("kneexo.sweeps.checkpoint.Checkpoint.remove", interrupted)
     assert main(["study", "bandwidth", "--out", str(tmp_path)]) == 130
     assert capsys.readouterr().err == f"kneexo: interrupted; the results are in {tmp_path}\n"
-
-
-@pytest.mark.parametrize(
-    ("error", "line"),
-    [
-        (ParameterError("the knee stops"), "my.yaml: the knee stops"),
-        (ParameterError("my.yaml is empty"), "my.yaml is empty"),
-        (ParameterError("--workers = 0"), "--workers = 0"),
-        (ScenarioError("set.yaml: is empty"), "set.yaml: is empty"),
-        (WorkerError("Dask scheduler 'x'"), "Dask scheduler 'x'"),
-        (OutputError("directory x"), "directory x"),
-        (PackageError("distributed"), "distributed"),
-    ],
-)
-def test_only_what_a_scenario_can_cause_names_its_file(error, line):
-    with pytest.raises(type(error)) as caught, named_in_errors("my.yaml"):
-        raise error
-    assert str(caught.value) == line
-    with pytest.raises(ParameterError, match=r"^wrong$"), named_in_errors(None):
-        raise ParameterError("wrong")
