@@ -28,6 +28,7 @@ from kneexo.parameters import (
     Uncertainty,
     UncertaintySet,
 )
+from kneexo.parameters.device.parts import PartParameters
 from kneexo.parameters.fields.fields import allowed_range, limits_of, models_of, source_of, unit_of
 from kneexo.parameters.fields.quantity import Parameters
 from kneexo.studies.catalogue import STUDIES
@@ -38,6 +39,7 @@ NEEDED: dict[typing.Any, dict[str, typing.Any]] = {
     Contestant: {"controller": "smc", "gains": {"lambda_per_s": {"low": 1.0, "high": 2.0}}},
     CsvReference: {"file": "x.csv"},
     LawParameters: {"function": f"{OWN_LAW}:law"},
+    PartParameters: {"make": f"{OWN_LAW}:law"},
     MomentTable: {"times_s": (0.0, 1.0), "moments_n_m": (0.0, 1.0)},
     SampledReference: {"times_s": (0.0, 1.0, 2.0), "angles_deg": (1.0, 2.0, 3.0)},
     Uncertainty: {"low": 1.0, "high": 2.0},

@@ -38,6 +38,7 @@ from kneexo.parameters import (
     TorqueParameters,
     scenario_file,
 )
+from kneexo.parameters.device.parts import PartMaker
 from kneexo.parameters.fields.quantity import Parameters
 from kneexo.parameters.scenario_file import dump_scenario, load_scenario, read_value, scenario_files
 from kneexo.studies.paper import IDEAL_SMC
@@ -422,8 +423,8 @@ def values_of(annotation: typing.Any, bounds: dict[str, float]) -> st.SearchStra
         return st.none()
     if annotation is bool:
         return st.booleans()
-    if annotation is Law:
-        return st.just(Law.from_text(f"{OWN_LAW}:law"))
+    if annotation in (Law, PartMaker):
+        return st.just(annotation.from_text(f"{OWN_LAW}:law"))
     if annotation is int:
         return st.integers(bounds["ge"], bounds["le"])
     if annotation is float:

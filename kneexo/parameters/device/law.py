@@ -82,6 +82,8 @@ class Law:
 
     noun = "law"
     """What messages call the object."""
+    elsewhere = "name a law that you trust with --law"
+    """How a user names code that lies elsewhere."""
 
     def __init__(self, target: Any, name: str | None = None) -> None:
         """Wrap a law. Raises `ParameterError` if ``target`` is neither callable nor a system."""
@@ -119,7 +121,7 @@ class Law:
             if is_data and not (file and file.is_relative_to(Path(directory).resolve())):
                 raise ParameterError(
                     f"{subject}: must be NAME.py:function, in a file beside or below the scenario "
-                    f"file; copy the {cls.noun} there, or name one that you trust in Python"
+                    f"file; copy the {cls.noun} there, or {cls.elsewhere}"
                 )
             if file is not None:
                 if not file.is_file():

@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Mapping
 from typing import Any
 
-from pydantic import model_validator
+from pydantic import field_validator
 
 from kneexo.common.user_code import user_code
 from kneexo.errors import ParameterError
@@ -22,6 +22,7 @@ class PartMaker(Law):
     """
 
     noun = "part"
+    elsewhere = "pass it in Python by Scenario.with_part"
     _last: Any = None
 
     def make(self, arguments: Mapping[str, Any]) -> Any:
@@ -74,12 +75,6 @@ class PartParameters(Parameters):
     make: PartMaker = choice(..., "given by the user: FILE.py:NAME of a Drake leaf system")
     values: dict[str, float] = choice({}, "given by the user: numbers of the part, by argument")
 
-    @model_validator(mode="before")
-    @classmethod
-    def _short_form(cls, data: Any) -> Any:
-        """Accept the maker alone in place of a mapping."""
-        return data if isinstance(data, Mapping) else {"make": data}
-
     def __hash__(self) -> int:
         """Return a hash of the maker and the sorted values."""
         return hash((self.make, tuple(sorted(self.values.items()))))
@@ -92,6 +87,13 @@ class PartsParameters(Parameters):
     motor: PartParameters | None = choice(None, "left out: that of plant.pump and plant.motor")
     load: PartParameters | None = choice(None, "left out: that of plant.load")
     estimator: PartParameters | None = choice(None, "left out: that of estimator")
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _short_form(cls, part: Any) -> Any:
+        """Accept the maker alone in place of a mapping."""
+        is_whole = part is None or isinstance(part, Mapping | PartParameters)
+        return part if is_whole else {"make": part}
 
     def chosen(self) -> dict[str, PartParameters]:
         """Return the parts that there are, by the name of their place."""
