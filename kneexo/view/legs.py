@@ -14,6 +14,7 @@ from kneexo.common.files.table import read_table
 from kneexo.common.result import Array
 from kneexo.errors import ScenarioError, SimulationError, shown
 from kneexo.parameters import CylinderParameters, LinkageParameters, PlantParameters, Scenario
+from kneexo.parameters.fields.replaced import believed
 from kneexo.parameters.task.reference import LONGEST_TIME_S
 from kneexo.simulation import simulate
 
@@ -64,7 +65,7 @@ class Leg:
         """
         time, angle, reference, pressure = (np.asarray(signals[column]) for column in COLUMNS)
         wearer = (np.asarray(signals[c]) if c in signals else None for c in WEARER_COLUMNS)
-        rating_pa = plant.cylinder.pressure_rating_pa
+        rating_pa = believed(plant.cylinder).pressure_rating_pa
         return cls(name, plant.linkage, time, angle, reference, pressure, rating_pa, *wearer)
 
 
