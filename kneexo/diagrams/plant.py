@@ -312,9 +312,11 @@ def plant_parts(
         "load": systems.KneeLoad,
     }
     chosen = {place: part for place, part in parts.chosen().items() if place in templates}
+    shape = full_order is None, bypass is None, motor is None, thermal is None
     for index, part in enumerate(own):
         if part.name in chosen:
-            own[index] = users_part(chosen[part.name], part, templates[part.name], begin, scenario)
+            template = templates[part.name]
+            own[index] = users_part(chosen[part.name], part, template, begin, scenario, shape=shape)
     return [part._replace(reads={"fault": f"{part.name}_fault"}) for part in own]
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
+from functools import cached_property, partial
 from typing import Any
 
 from pydrake.systems.framework import Diagram
@@ -11,7 +12,9 @@ from diagramc import read_diagram
 from kneexo.common.ports import input_ports, output_ports, sizes
 from kneexo.diagrams.part import Part
 from kneexo.errors import CompilationError, ParameterError
-from kneexo.parameters.device.parts import PartParameters
+from kneexo.law.decision import remembered
+from kneexo.parameters import Scenario
+from kneexo.parameters.device.parts import PartMaker, PartParameters
 from kneexo.systems import StateVariable
 
 _EXTENSION_TOLERANCE_M = 1e-6  # of the start of an object, which cannot be told where to start
@@ -22,11 +25,15 @@ def users_part(
     replaced: Part,
     template: Callable[[], Any],
     begin: Callable[[], dict[str, Any]],
-    scenario: Any,
+    scenario: Scenario | None,
     *,
+    shape: Hashable = None,
     period_s: float | None = None,
 ) -> Part:
     """Return the part of the user that takes a place.
+
+    What is known of a Drake object is remembered as long as the object lives. A class or a function
+    is asked anew, as `remembered` says.
 
     Parameters
     ----------
@@ -40,6 +47,8 @@ def users_part(
         Function that returns what a function of the user gets as ``start``.
     scenario
         What a function of the user gets as ``scenario``.
+    shape
+        What decides the ports of the ``template``.
     period_s
         Sample time in s that a sampled part must have; None: the part must be continuous.
 
@@ -48,50 +57,69 @@ def users_part(
     ParameterError
         The system has other ports, other kinds of states, or another start.
     """
-    place, start = replaced.name, begin()
-    subject = f"parts.{place}: {chosen.make.short_name}"
-
-    def make() -> Any:
-        return chosen.make.make({"scenario": scenario, "start": start, **chosen.values})
-
-    system = make()
-    if isinstance(system, Diagram):
-        raise ParameterError(f"{subject}: is a Diagram; must be a LeafSystem")
-    _require_ports(subject, system, template())
-    context = system.CreateDefaultContext()
-    _require_states(subject, system, context, period_s)
-    values = _values(system, context)
-    if place == "cylinder":
-        extension = system.GetOutputPort("rod_extension").Eval(context)[0]
-        wanted = start["initial_extension_m"]
-        if not abs(extension - wanted) <= _EXTENSION_TOLERANCE_M:
-            raise ParameterError(
-                f"{subject}: its rod starts at {extension:.7g} m, and the knee at {wanted:.7g} m; "
-                f"must start there: give a function with the argument start, and begin at "
-                f"start['initial_extension_m']"
-            )
-    states = context.get_continuous_state_vector().CopyToVector()
+    start = begin()
+    given = {"scenario": scenario, "start": start, **chosen.values}
+    numbers = repr((start, sorted(chosen.values.items())))
+    text = scenario.model_dump_json() if scenario and chosen.make.takes_scenario else ""
+    found = remembered(
+        chosen.make,
+        (replaced.name, shape, period_s, numbers, text),
+        lambda: _Found(chosen.make, given, replaced.name, template, period_s),
+    )
     return replaced._replace(
-        make=make,
-        values=lambda: values,
-        states=tuple(StateVariable(f"{place}_state_{n}") for n in range(states.size)),
-        start=lambda: states,
+        make=lambda: chosen.make.make(given),
+        values=lambda: found.values,
+        states=tuple(StateVariable(f"{replaced.name}_state_{n}") for n in range(len(found.start))),
+        start=lambda: found.start,
+        key=lambda: found.key,
     )
 
 
-def part_key(part: Part) -> str:
-    """Return a hash of the equations of a part of the user.
+class _Found:
+    """What is known of a part of the user: values, start and equations of its system.
 
-    Raises `ParameterError` if the part has no symbolic equations.
+    `users_part` describes the errors.
     """
-    system = part.make()
-    try:
-        return read_diagram(system, inputs=list(input_ports(system))).key
-    except CompilationError as error:
-        raise ParameterError(
-            f"parts.{part.name}: {error}; write the part for Expression too, or run it in Drake's "
-            f"Simulator by scenario.with_engine('drake')"
-        ) from None
+
+    def __init__(
+        self,
+        maker: PartMaker,
+        given: dict[str, Any],
+        place: str,
+        template: Callable[[], Any],
+        period_s: float | None,
+    ) -> None:
+        self._subject = subject = f"parts.{place}: {maker.short_name}"
+        self._make = partial(maker.make, given)
+        system = maker.make(given)
+        if isinstance(system, Diagram):
+            raise ParameterError(f"{subject}: is a Diagram; must be a LeafSystem")
+        _require_ports(subject, system, template())
+        context = system.CreateDefaultContext()
+        _require_states(subject, system, context, period_s)
+        if place == "cylinder":
+            extension = system.GetOutputPort("rod_extension").Eval(context)[0]
+            wanted = given["start"]["initial_extension_m"]
+            if not abs(extension - wanted) <= _EXTENSION_TOLERANCE_M:
+                raise ParameterError(
+                    f"{subject}: its rod starts at {extension:.7g} m, and the knee at "
+                    f"{wanted:.7g} m; must start there: give a function with the argument start, "
+                    f"and begin at start['initial_extension_m']"
+                )
+        self.values = _values(system, context)
+        self.start = context.get_continuous_state_vector().CopyToVector().tolist()
+
+    @cached_property
+    def key(self) -> str:
+        """Hash of the equations of the system."""
+        system = self._make()
+        try:
+            return read_diagram(system, inputs=list(input_ports(system))).key
+        except CompilationError as error:
+            raise ParameterError(
+                f"{self._subject}: {error}; write the part for Expression too, or run it in "
+                f"Drake's Simulator by scenario.with_engine('drake')"
+            ) from None
 
 
 def _require_ports(subject: str, system: Any, template: Any) -> None:

@@ -49,7 +49,6 @@ from kneexo.diagrams.controller import (
 from kneexo.diagrams.faults import fault_structure
 from kneexo.diagrams.plant import scenario_plant_parts
 from kneexo.diagrams.signals import SIGNALS, columns
-from kneexo.diagrams.users_part import part_key
 from kneexo.diagrams.wearer import moment_of, moment_spline
 from kneexo.errors import KneexoError
 from kneexo.law.call import argument_sizes
@@ -157,8 +156,7 @@ def structure_key(scenario: Scenario) -> str:
 def _users_parts_key(scenario: Scenario) -> tuple[tuple[str, str], ...]:
     """Return the place of each part of the user, and a hash of its equations."""
     parts = (*scenario_plant_parts(scenario), *controller_parts(scenario))
-    chosen = scenario.parts.chosen()
-    return tuple((part.name, part_key(part)) for part in parts if part.name in chosen)
+    return tuple((part.name, part.key()) for part in parts if part.key is not None)
 
 
 @lru_cache

@@ -54,6 +54,16 @@ class PartMaker(Law):
         return system
 
     @property
+    def is_system(self) -> bool:
+        """True: whatever the maker is, it makes a Drake system."""
+        return True
+
+    @property
+    def takes_scenario(self) -> bool:
+        """Whether the maker is a function with the argument ``scenario``."""
+        return not self.is_object and "scenario" in self._parameters
+
+    @property
     def is_object(self) -> bool:
         """Whether the user gave a system itself, and no class or function."""
         return hasattr(type(self.target), "CreateDefaultContext")

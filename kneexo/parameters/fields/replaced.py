@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any, TypeVar, cast
 
 from pydantic import BaseModel
@@ -31,17 +31,22 @@ def replaced(parameters: P, path: str) -> P:
     return cast(P, copy)
 
 
-def believed(parameters: P) -> P:
+def believed(value: P) -> P:
     """Return a value that can be read, also if it is, or contains, parameters `replaced`."""
+    if not isinstance(value, BaseModel):
+        return value
+    if is_replaced(value) or any(map(is_replaced, vars(value).values())):
+        return cast(P, _readable(value))
+    return value
+
+
+@lru_cache(maxsize=64)  # a run asks some 20 times for the believed plant
+def _readable(parameters: BaseModel) -> BaseModel:
     if is_replaced(parameters):
-        kind: Any = type(parameters).__bases__[0]
-        return cast(P, kind.model_construct(**vars(parameters)))
-    if not isinstance(parameters, BaseModel):
-        return parameters
-    hidden = {n: v for n, v in vars(parameters).items() if is_replaced(v)}
-    if not hidden:
-        return parameters
-    return parameters.model_copy(update={name: believed(value) for name, value in hidden.items()})
+        kind: type[BaseModel] = type(parameters).__bases__[0]
+        return kind.model_construct(**vars(parameters))
+    hidden = {name: believed(value) for name, value in vars(parameters).items()}
+    return parameters.model_copy(update=hidden)
 
 
 _REPLACED = "Replaced"
