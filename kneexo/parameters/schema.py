@@ -49,6 +49,8 @@ def json_schema() -> dict[str, Any]:
     moment = definitions["LegParameters"]["properties"]["moment"]
     for alternatives in (reference["oneOf"], moment["anyOf"]):  # both also accept a file name
         alternatives.append({"type": "string", "pattern": r"\.(csv|mot|sto)$"})
+    for part in definitions["PartsParameters"]["properties"].values():  # also its maker alone
+        part["anyOf"].append({"type": "string", "pattern": r"\.py:\w+$"})
     definitions["GaitMoment"]["required"] = ["kind"]
     summaries = "; ".join(f"{name}: {preset.summary}" for name, preset in PRESETS.items())
     scenario["properties"]["preset"] = {"enum": list(PRESETS), "description": summaries}

@@ -68,6 +68,7 @@ VALID = [
     "reference: gait.csv",
     "reference: {kind: csv, file: gait.csv, cycles: 2, flexion: positive}",
     "reference: gait.mot",
+    "parts: {cylinder: own.py:make}",
     "reference: {kind: gait, cycles: 3}",
     "reference: {kind: samples, times_s: [0, 1, 2], angles_deg: [3, 4, 5], interpolation: pchip}",
     *(f"controller: {word}" for word in ("smc", "pid")),
@@ -96,6 +97,7 @@ def test_schema_accepts_what_loads(schema, text, tmp_path):
     (tmp_path / "gait.mot").write_text(
         "inDegrees=yes\nendheader\ntime knee_angle_deg\n0 1\n1 2\n3 2"
     )
+    (tmp_path / "own.py").touch()
     (tmp_path / "moment.csv").write_text("time_s,knee_moment_nm\n0,1\n30,2\n")
     load_scenario(path)
     assert errors(schema, text) == []
