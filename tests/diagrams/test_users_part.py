@@ -12,7 +12,13 @@ from pydrake.systems.scalar_conversion import TemplateSystem
 
 import kneexo as kx
 from kneexo import systems
-from kneexo.analysis import energy_balance, linearize_loop, stride_load
+from kneexo.analysis import (
+    energy_balance,
+    estimate_sine,
+    large_signal_bandwidth_hz,
+    linearize_loop,
+    stride_load,
+)
 from kneexo.diagrams import cylinder_start, make_closed_loop, make_plant
 from kneexo.errors import ParameterError
 from kneexo.parameters import KneeLoadParameters, Scenario
@@ -286,3 +292,37 @@ def test_a_part_of_floats_runs_in_drakes_simulator_alone():
     np.testing.assert_allclose(
         run["knee_angle_rad"], simulate(ideal)["knee_angle_rad"], atol=math.radians(0.01)
     )
+
+
+FUNCTIONS = {
+    "track": lambda s: kx.track(s).metrics,
+    "linearize": lambda s: kx.linearize(s).margins(),
+    "bode": kx.bode,
+    "step": lambda s: kx.step(s).step,
+    "energy_balance": energy_balance,
+    "stride_load": stride_load,
+    "large_signal_bandwidth_hz": large_signal_bandwidth_hz,
+    "estimate_sine": lambda s: estimate_sine(s).response,
+    "settings": lambda s: kx.batch(s, {"controller.lambda_per_s": [12.0]}).rows[0].metrics,
+}
+FULL = {
+    "cylinder": lambda start: systems.FullCylinder(
+        LEG.plant.cylinder, LEG.plant.full_order, **start
+    ),
+    "motor": systems.BldcPump(LEG.plant.pump),
+    "load": systems.KneeLoad(LEG.plant.load),
+    "estimator": systems.TrackingObserver(),
+}
+
+
+@pytest.mark.slow(gate=2)
+@pytest.mark.parametrize("place", FULL)
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_each_function_is_right_beside_a_part_or_says_which_number_it_needs(name, place):
+    function, scenario = FUNCTIONS[name], LEG.with_part(place, FULL[place])
+    try:
+        found = repr(function(scenario))
+    except ParameterError as error:
+        found = str(error)
+    needs = re.match(r"needs plant\.\w+\.\w+, but a part of yours replaces", found)
+    assert needs or found == repr(function(LEG))
