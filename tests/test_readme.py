@@ -42,7 +42,7 @@ def test_the_example_for_drake_flexes_the_knee_and_has_the_poles_of_the_plant(tm
     angle_deg, poles = output_of(code, tmp_path, capsys).split("\n", 1)
     assert 10.0 < float(angle_deg) < 20.0
     expected = linearize_plant(Scenario().plant, knee_angle_deg=10.0).poles
-    found = [complex(number) for number in poles.replace("[", " ").replace("]", " ").split()]
+    found = [complex(number) for number in re.findall(r"[-+.\de]+j", re.sub(r"\s+\+", "+", poles))]
     np.testing.assert_allclose(np.sort_complex(found), np.sort_complex(expected), rtol=1e-6)
 
 

@@ -56,7 +56,7 @@ FILES = {
     "plant: {mass_kg: 2}": rf"plant.mass_kg: unknown name; did you mean {MASS}\?$",
     "plant: {cylinder: {Mass_kg: 2}}": rf"did you mean {MASS}\?$",
     "plant:\n  cylinder:\n  mass_kg: 2": rf"my.yaml:3: plant.mass_kg: .* mean {MASS}\?",
-    "cylinder: {mass_kg: 2}": r"cylinder: unknown name; did you mean plant.cylinder or parts.cylinder\?",
+    "cylinder: {mass_kg: 2}": r"cylinder: unknown name; did you mean plant.cylinder or parts",
     f"{MASS}: 2": r"nest the names: plant: {cylinder: {mass_kg: …}}$",
     "nominal: {cylinder: {mass: 1}}": r"did you mean nominal.cylinder.mass_kg\?$",
     "controller: {proportional_per_s: 3}": r"unknown name; needs controller.kind = pid$",

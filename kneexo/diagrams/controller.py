@@ -260,7 +260,15 @@ def _estimator_parts(scenario: Scenario) -> Iterator[Part]:
     if (chosen := scenario.parts.estimator) is not None:
         own = Part("estimator", systems.TrackingObserver, reads=position)
         known = known_to_controller(scenario)
-        yield users_part(chosen, own, systems.TrackingObserver, dict, known, period_s=sample_time)
+        yield users_part(
+            chosen,
+            own,
+            systems.TrackingObserver,
+            dict,
+            known,
+            needed=("measured_position",),
+            period_s=sample_time,
+        )
     elif isinstance(estimator, ObserverParameters):
         yield Part(
             "estimator",

@@ -312,11 +312,30 @@ def plant_parts(
         "load": systems.KneeLoad,
     }
     chosen = {place: part for place, part in parts.chosen().items() if place in templates}
-    shape = full_order is None, bypass is None, motor is None, thermal is None
+    pushed = scenario is not None and (scenario.wearer.kind != "none" or scenario.push is not None)
+    # Ports through which the scenario acts, so that nothing of it is lost in silence.
+    acts = {
+        "motor": {
+            "motor_speed_command": True,
+            "torque_off": motor is not None,
+            "dynamic_brake": motor is not None,
+            "motor_temperatures": thermal is not None,
+        },
+        "cylinder": {
+            "load_flow": True,
+            "load_force": isinstance(load, KneeLoadParameters) or parts.load is not None,
+            "moving_mass": getattr(believed(load), "inertia_kg_m2", None) is not None,
+            "bypass_opening": bypass is not None,
+        },
+        "load": {"knee_torque": pushed},
+    }
     for index, part in enumerate(own):
         if part.name in chosen:
             template = templates[part.name]
-            own[index] = users_part(chosen[part.name], part, template, begin, scenario, shape=shape)
+            needed = tuple(name for name, does in acts[part.name].items() if does)
+            own[index] = users_part(
+                chosen[part.name], part, template, begin, scenario, needed=needed
+            )
     return [part._replace(reads={"fault": f"{part.name}_fault"}) for part in own]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Sequence
 from functools import cached_property, partial
 from typing import Any
 
@@ -27,7 +27,7 @@ def users_part(
     begin: Callable[[], dict[str, Any]],
     scenario: Scenario | None,
     *,
-    shape: Hashable = None,
+    needed: tuple[str, ...] = (),
     period_s: float | None = None,
 ) -> Part:
     """Return the part of the user that takes a place.
@@ -47,8 +47,8 @@ def users_part(
         Function that returns what a function of the user gets as ``start``.
     scenario
         What a function of the user gets as ``scenario``.
-    shape
-        What decides the ports of the ``template``.
+    needed
+        Input ports that the part must have, because the scenario acts on the leaf through them.
     period_s
         Sample time in s that a sampled part must have; None: the part must be continuous.
 
@@ -63,8 +63,8 @@ def users_part(
     text = scenario.model_dump_json() if scenario and chosen.make.takes_scenario else ""
     found = remembered(
         chosen.make,
-        (replaced.name, shape, period_s, numbers, text),
-        lambda: _Found(chosen.make, given, replaced.name, template, period_s),
+        (replaced.name, needed, period_s, numbers, text),
+        lambda: _Found(chosen.make, given, replaced.name, template, needed, period_s),
     )
     return replaced._replace(
         make=lambda: chosen.make.make(given),
@@ -87,6 +87,7 @@ class _Found:
         given: dict[str, Any],
         place: str,
         template: Callable[[], Any],
+        needed: tuple[str, ...],
         period_s: float | None,
     ) -> None:
         self._subject = subject = f"parts.{place}: {maker.short_name}"
@@ -94,7 +95,7 @@ class _Found:
         system = maker.make(given)
         if isinstance(system, Diagram):
             raise ParameterError(f"{subject}: is a Diagram; must be a LeafSystem")
-        _require_ports(subject, system, template())
+        _require_ports(subject, system, template(), needed)
         context = system.CreateDefaultContext()
         _require_states(subject, system, context, period_s)
         if place == "cylinder":
@@ -122,16 +123,16 @@ class _Found:
             ) from None
 
 
-def _require_ports(subject: str, system: Any, template: Any) -> None:
+def _require_ports(subject: str, system: Any, template: Any, needed: Sequence[str]) -> None:
     """Raise `ParameterError` unless a system can replace ``template``.
 
-    The system must have all outputs of the template, and may leave out inputs. Its inputs are among
-    those of the template.
+    The system must have all outputs of the template and the inputs ``needed``. Its other inputs are
+    among those of the template.
     """
     for kind, ports in (("input", input_ports), ("output", output_ports)):
         found, wanted = sizes(ports(system)), sizes(ports(template))
         table = ", ".join(f"{name} ({size})" for name, size in wanted.items())
-        for name in wanted if kind == "output" else found:
+        for name in wanted if kind == "output" else {**found, **dict.fromkeys(needed, 0)}:
             if name not in wanted or found.get(name) != wanted[name]:
                 size = f"{name} of size {found[name]}" if name in found else f"no {name}"
                 raise ParameterError(

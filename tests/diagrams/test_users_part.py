@@ -231,6 +231,7 @@ TWICE = systems.BldcPump()
             systems.KneeLoad,
             r"parts\.motor: .*: has knee_angle of size 1 as input port",
         ),
+        ("load", lambda mass_kg: systems.KneeLoad(), r"cannot be made: .*'mass_kg'"),
         ("motor", Sampled, r"parts\.motor: .*Sampled: has discrete states; this place must be con"),
         ("motor", lambda: make_plant(), r"parts\.motor: .*: is a Diagram; must be a LeafSystem"),
         ("estimator", systems.BackwardDifference, None),
@@ -255,6 +256,18 @@ def test_a_part_that_does_not_fit_is_one_line(place, part, line):
     with pytest.raises(ParameterError, match=line) as caught:
         make_closed_loop(PAPER.with_part(place, part))
     assert "\n" not in str(caught.value)
+
+
+def test_a_part_that_the_scenario_cannot_act_on_is_refused():
+    loaded = PAPER.changed({"plant.load": "knee", "plant.load.inertia_kg_m2": 0.1})
+    own = loaded.with_part("cylinder", rubbing)
+    with pytest.raises(
+        ParameterError, match=r"parts\.cylinder: .*: has no moving_mass as input po"
+    ):
+        simulate(own)
+    typo = PAPER.with_part("cylinder", rubbing, values={"coulomb": 1.0})
+    with pytest.raises(ParameterError, match=r"has no argument coulomb; did you mean coulomb_n\?"):
+        simulate(typo)
 
 
 def test_a_load_of_the_user_is_balanced_at_the_start():

@@ -286,7 +286,8 @@ class Law:
     @cached_property
     def short_name(self) -> str:
         """The name without the directory of the file."""
-        return shortened(self.name.rpartition("/")[2])
+        # Drake's template of a leaf system marks the name of its class for floats.
+        return shortened(self.name.rpartition("/")[2].partition("_𝓣")[0])
 
     @property
     def _parameters(self) -> Mapping[str, inspect.Parameter]:

@@ -9,7 +9,7 @@ from typing import Any
 from pydantic import field_validator
 
 from kneexo.common.user_code import user_code
-from kneexo.errors import ParameterError
+from kneexo.errors import ParameterError, close_names, question
 from kneexo.parameters.device.law import Law
 from kneexo.parameters.fields.quantity import Parameters, choice
 
@@ -41,6 +41,9 @@ class PartMaker(Law):
         with user_code(f"{subject}: cannot be made"):
             known = inspect.signature(self.target).parameters
             offered = arguments.keys() & {"scenario", "start"} - known.keys()
+            if unknown := arguments.keys() - known.keys() - offered:
+                hint = question(close_names(min(unknown), known))
+                raise ParameterError(f"{subject}: has no argument {min(unknown)}{hint}")
             system = self.target(**{n: v for n, v in arguments.items() if n not in offered})
         if not hasattr(type(system), "CreateDefaultContext"):
             raise ParameterError(
