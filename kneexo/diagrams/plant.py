@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -297,46 +297,55 @@ def plant_parts(
                 bypass_valve.STATE_VARIABLES,
             )
         )
-    # Leaf systems with the ports of those that parts of the user replace.
-    templates: dict[str, Callable[[], Any]] = {
-        "motor": lambda: (
-            systems.BldcPump()
-            if motor is None
-            else systems.TorqueLimitedPump(motor=believed(motor), thermal=thermal)
-        ),
-        "cylinder": lambda: (
-            systems.ReducedCylinder()
-            if full_order is None
-            else systems.FullCylinder(full_order=believed(full_order), bypass=bypass)
-        ),
-        "load": systems.KneeLoad,
-    }
-    chosen = {place: part for place, part in parts.chosen().items() if place in templates}
-    pushed = scenario is not None and (scenario.wearer.kind != "none" or scenario.push is not None)
-    # Ports through which the scenario acts, so that nothing of it is lost in silence.
-    acts = {
+    if parts.chosen():
+        places = _users_places(parameters, parts, scenario)
+        for index, part in enumerate(own):
+            if chosen := getattr(parts, part.name, None):
+                template, needed = places[part.name]
+                own[index] = users_part(chosen, part, template, begin, scenario, needed=needed)
+    return [part._replace(reads={"fault": f"{part.name}_fault"}) for part in own]
+
+
+def _users_places(
+    parameters: PlantParameters, parts: PartsParameters, scenario: Scenario | None
+) -> dict[str, tuple[Callable[[], Any], tuple[str, ...]]]:
+    """Return what `users_part` needs of each place: a template of its ports, and needed inputs.
+
+    Through the needed inputs the scenario acts on the part, so that nothing of it is lost in
+    silence.
+    """
+    motor, full_order = believed(parameters.motor), believed(parameters.full_order)
+    thermal, bypass, load = parameters.thermal, parameters.bypass, believed(parameters.load)
+    is_loaded = isinstance(load, KneeLoadParameters) or parts.load is not None
+    is_pushed = scenario is not None and (scenario.wearer.kind != "none" or scenario.push)
+    needed = {
         "motor": {
             "motor_speed_command": True,
-            "torque_off": motor is not None,
-            "dynamic_brake": motor is not None,
-            "motor_temperatures": thermal is not None,
+            "torque_off": motor,
+            "dynamic_brake": motor,
+            "motor_temperatures": thermal,
         },
         "cylinder": {
             "load_flow": True,
-            "load_force": isinstance(load, KneeLoadParameters) or parts.load is not None,
-            "moving_mass": getattr(believed(load), "inertia_kg_m2", None) is not None,
-            "bypass_opening": bypass is not None,
+            "load_force": is_loaded,
+            "moving_mass": getattr(load, "inertia_kg_m2", None),
+            "bypass_opening": bypass,
         },
-        "load": {"knee_torque": pushed},
+        "load": {"knee_torque": is_pushed},
     }
-    for index, part in enumerate(own):
-        if part.name in chosen:
-            template = templates[part.name]
-            needed = tuple(name for name, does in acts[part.name].items() if does)
-            own[index] = users_part(
-                chosen[part.name], part, template, begin, scenario, needed=needed
-            )
-    return [part._replace(reads={"fault": f"{part.name}_fault"}) for part in own]
+    templates: dict[str, Callable[[], Any]] = {
+        "motor": systems.BldcPump
+        if motor is None
+        else partial(systems.TorqueLimitedPump, motor=motor, thermal=thermal),
+        "cylinder": systems.ReducedCylinder
+        if full_order is None
+        else partial(systems.FullCylinder, full_order=full_order, bypass=bypass),
+        "load": systems.KneeLoad,
+    }
+    return {
+        place: (template, tuple(name for name, acts in needed[place].items() if acts))
+        for place, template in templates.items()
+    }
 
 
 def cylinder_start(

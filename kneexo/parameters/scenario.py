@@ -282,7 +282,7 @@ class Scenario(Parameters):
             A leaf system, a class or function that makes one, or the name ``FILE.py:NAME`` of one
             of these. None: kneexo's own part again.
         values
-            Context parameters of the system, by name.
+            Numbers of the part, by argument of the function. Left out: the defaults.
 
         Raises
         ------
