@@ -318,7 +318,7 @@ def _users_places(
     thermal, bypass, load = parameters.thermal, parameters.bypass, believed(parameters.load)
     is_loaded = isinstance(load, KneeLoadParameters) or parts.load is not None
     is_pushed = scenario is not None and (scenario.wearer.kind != "none" or scenario.push)
-    needed = {
+    needed: dict[str, dict[str, Any]] = {
         "motor": {
             "motor_speed_command": True,
             "torque_off": motor,
