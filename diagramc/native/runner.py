@@ -359,9 +359,10 @@ class Runner:
         return self._status
 
     def unstable_step(self, lane: int, integrator: str | None = None) -> UnstableStep | None:
-        """Return the first unstable step of the run in a lane since `restart`; None without one.
+        """Return the first step since `restart` that was too long for a mode of the model, or None.
 
-        ``integrator`` has the steps that are judged, by default the integrator of this runner.
+        ``lane``: the lane of the run. ``integrator``: the method whose stability limit is applied,
+        by default the integrator of this runner.
         """
         suspects = self._suspects[lane, self._suspects[lane, :, 0] > 0.0]
         if not suspects.size:

@@ -227,7 +227,11 @@ class _Model:
         return replace(tick, number=number, second_rate=second_rate)
 
     def _report(self, number: Value, lanes: Value, step: Sequence[Array]) -> None:
-        """Emit the log of the tick ``number``, with the inputs at the end of the tick."""
+        """Emit code that logs the step of tick ``number``, which may be unstable, in ``lanes``.
+
+        ``step``: ratio, start, end, h and x of the step, see `Report`. The log also gets the
+        discrete states and the inputs at the end of the tick.
+        """
         f = self.f
         flags = f.array(1, INT.of(self.lanes))
         flags[0] = f.flags(lanes)

@@ -1,4 +1,4 @@
-"""Builds the diagram to export (controller, plant or loop) and says what its ports are in C."""
+"""Builds the diagram to export (controller, plant or loop), and names and types its ports for C."""
 
 from __future__ import annotations
 

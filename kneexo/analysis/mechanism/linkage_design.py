@@ -468,7 +468,13 @@ def _linkage_of(problem: _Problem, x: Array) -> LinkageParameters:
 
 
 def _design(problem: _Problem, x: Array, finished: list[_Start]) -> LinkageDesign:
-    """Return the design with six points (12,). Its errors are those of the rounded linkage."""
+    """Return the design of the linkage with the six points ``x`` (12,), and its errors.
+
+    ``x`` has x and y in m of the joints O_A, O_B, A and B and of the two pins, with the knee
+    extended. Lengths in m and angles in rad of the linkage are rounded to ``_DIGITS`` decimals. The
+    errors are computed with the rounded linkage. ``finished`` has all finished starts, whose errors
+    are part of the design.
+    """
     link, motion = _linkage_of(problem, x), problem.motion
     strap = (linkage_motion(link, motion.knee_angle).translation - motion.translation) / motion.turn
     met = problem.errors(x)[2]

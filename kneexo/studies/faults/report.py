@@ -114,7 +114,11 @@ def _finite(value: float) -> float:
 
 
 def _absent(result: FaultsResult) -> list[str]:
-    """Return cause and place of each typical fault that the scenario cannot have."""
+    """Return the typical faults that this scenario cannot have, as texts for the report.
+
+    Each text is the cause that the fault stands for, and the place of the fault in brackets, such
+    as ``loose plug (encoder)``. The list is empty if the user has chosen the faults.
+    """
     if result.settings.faults:
         return []
     present = typical_faults(result.scenario)

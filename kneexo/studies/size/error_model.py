@@ -78,9 +78,10 @@ class ErrorModel(Result):
 
     @property
     def damping_s(self) -> float:
-        """2λκ − (1 − α) with κ = k/(Φ ω̂²): damping of the loop.
+        """2λκ − (1 − α) with κ = k/(Φ ω̂²): damping, the factor of de/dt in the loop's equation.
 
-        The error e diverges unless the damping is positive.
+        λ is the slope of the sliding variable, k/Φ is ``slope_per_s``, ω̂² is ``stiffness_per_s2``
+        and α is ``speed_ratio``. The error e diverges unless the damping is positive.
         """
         kappa = self.slope_per_s / self.stiffness_per_s2
         return 2.0 * self.lambda_per_s * kappa - (1.0 - self.speed_ratio)
