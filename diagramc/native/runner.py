@@ -39,10 +39,12 @@ With this step RK4 is accurate up to modes of 1e4 1/s, where h |λ| is 0.2, and 
 """
 
 LONGEST_TICK_S = 2e-3
-"""Longest tick of the exact hold in s.
+"""Longest tick of the exact hold in s. A longer time between two events is divided into ticks.
 
 The exact hold evaluates the derivatives at the start, the middle and the end of a tick. An input
-with a period of half a tick has the same value at these points, so it would look constant.
+with a period of half a tick has the same value at these points, so it would look constant. 2 ms is
+a choice: the sample time of the paper's controller, whose runs therefore have one tick a sample. An
+input with a period of 1 ms can still look constant.
 """
 
 TOLERANCE = 1e-8
@@ -56,7 +58,7 @@ order one: the knee has pressures in MPa and motor speeds in krad/s.
 """
 
 PIECE_S = 0.2
-"""Intended duration of one call of the machine code in s; Ctrl-C acts between two calls."""
+"""Intended duration in s of one call of the machine code. Ctrl-C ends a run between two calls."""
 
 _FIRST_PIECE = 160_000  # steps; a run of 30 s with the default step is a single piece
 
@@ -302,6 +304,9 @@ class Runner:
             if cancelled():
                 raise KeyboardInterrupt
             elapsed_s = perf_counter() - begin
+            # Below half of the intended duration the size at most doubles, because a short time
+            # says little about the next piece: a choice. The cost is some more calls at the start
+            # of a long run.
             if elapsed_s < 0.5 * PIECE_S:
                 piece = 2 * piece
             else:

@@ -253,9 +253,9 @@ class _UnknownParts(NamedTuple):
 
 
 def _unknown_parts(scenario: Scenario) -> _UnknownParts:
-    question = "read", known_text(scenario)
+    key = "read", known_text(scenario)
     with _lock:
-        return remembered(users_law(scenario), question, lambda: _read_controller(scenario))
+        return remembered(users_law(scenario), key, lambda: _read_controller(scenario))
 
 
 def _read_controller(scenario: Scenario) -> _UnknownParts:
