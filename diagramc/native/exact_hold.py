@@ -170,7 +170,10 @@ class _Step:
         """What ``worst`` of a driven step would be without g'. If it is small, driven steps end."""
 
     def replace(self, tick: Tick, lanes: Value, other: _Step) -> None:
-        """Emit code that copies the result of another step, which is not explicit, in ``lanes``."""
+        """Emit code that replaces the result in ``lanes`` by the result of another step.
+
+        The other step is not explicit.
+        """
         f = tick.function
         for i in f.each(tick.size):
             self.end[i] = f.select(lanes, other.end[i], self.end[i])

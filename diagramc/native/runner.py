@@ -74,7 +74,7 @@ def element_name(port: str, element: int, size: int) -> str:
 
 
 def output_elements(sizes: Mapping[str, int]) -> list[tuple[str, str]]:
-    """Return the name of each element of the outputs, and the name of its port.
+    """Return, for each element of the outputs in order, its name and the name of its port.
 
     ``sizes`` maps the name of a port to its number of elements.
     """
@@ -376,7 +376,10 @@ class Runner:
         return unstable_step(way, self._rates(lane), suspects, self._vectors)
 
     def fastest_per_s(self, snapshots: Snapshots, inputs: InputTable) -> float:
-        """Return the largest magnitude of a mode λ at the snapshots of a run in one lane."""
+        """Return the largest |λ| in 1/s of the modes λ of a model at the snapshots of a run.
+
+        The run has a single lane, and the open inputs ``inputs``.
+        """
         rates, largest = self._rates(0), 0.0
         times = self.timing.times(np.maximum(snapshots.ticks, 0))
         for t, d, x in zip(times, snapshots.d, snapshots.x, strict=True):
@@ -385,7 +388,10 @@ class Runner:
         return largest
 
     def _rates(self, lane: int) -> Rates:
-        """Return the rates of the states as a Python function, with the parameters of a lane."""
+        """Return a Python function that calls the machine code of dx/dt and its Jacobian.
+
+        The function has the parameters of the run in ``lane``: see `Rates`.
+        """
         compute_rates, size, c = self.code.rates_function(), self._vectors[0], self._lane_c[lane]
 
         def rates(d: Array, u: Array, t: float, x: Array) -> tuple[Array, Array]:

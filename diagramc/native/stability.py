@@ -91,9 +91,10 @@ def _reach(integrator: str) -> tuple[Array, Array]:
 
 
 def excess(integrator: str, h_lambda: Array) -> Array:
-    """Return |z| of each z = h λ (n,), divided by the largest stable |z| in the direction of z.
+    """Return by how much a step exceeds the longest stable step, for each of its z = h λ (n,).
 
-    The step h is unstable for the mode λ if the ratio exceeds 1.
+    The result is |z| divided by the largest stable |z| in the direction of z. The step h is
+    unstable for the mode λ if this ratio exceeds 1.
     """
     return np.abs(h_lambda) / np.interp(np.abs(np.angle(h_lambda)), *_reach(integrator))
 

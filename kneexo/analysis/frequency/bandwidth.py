@@ -194,10 +194,11 @@ def _first_fall_hz(
 
 
 def _expected_hz(scenario: Scenario) -> float:
-    """Return the smallest of three predictions of the bandwidth in Hz.
+    """Predict the bandwidth in Hz, so that the search for the measured bandwidth starts near it.
 
-    The predictions follow from the speed limit, the acceleration limit and, if there is one, the
-    loop that is linearized at the mean of the reference.
+    The result is the smallest of up to three predictions. They follow from the speed limit, the
+    acceleration limit and, if there is one, the loop that is linearized at the mean of the
+    reference.
     """
     speed, acceleration = rod_limits(scenario)
     amplitude = rod_amplitude_m(scenario)
