@@ -298,7 +298,7 @@ def verdict_of(scenario: Scenario, run: Run, *, step: tuple[bool, str] | None) -
 def _tracking(
     scenario: Scenario, run: Run, step: tuple[bool, str] | None
 ) -> tuple[dict[str, Any], list[str]]:
-    """Return the fields of the `Verdict` on tracking, and its line.
+    """Return the fields of the `Verdict` that describe tracking, and the line on tracking.
 
     With torque control there is no line. `verdict_of` describes ``step``.
     """
@@ -326,7 +326,7 @@ def _tracking(
 
 
 def _torques(scenario: Scenario, run: Run, stop: Stop | None) -> tuple[dict[str, Any], list[str]]:
-    """Return the fields of the `Verdict` on torques, and its lines.
+    """Return the fields of the `Verdict` that describe torques, and the lines on torques.
 
     If the run has the signals, one line describes the interaction with a wearer, and one line
     describes the error of the torque, unless the protection stops the run.
