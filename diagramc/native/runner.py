@@ -304,9 +304,9 @@ class Runner:
             if cancelled():
                 raise KeyboardInterrupt
             elapsed_s = perf_counter() - begin
-            # Below half of the intended duration the size at most doubles, because a short time
-            # says little about the next piece: a choice. The cost is some more calls at the start
-            # of a long run.
+            # The size at most doubles from one call to the next: at half of the intended duration
+            # the quotient below is 2 too. Doubling is a choice. It costs some more calls at the
+            # start of a long run.
             if elapsed_s < 0.5 * PIECE_S:
                 piece = 2 * piece
             else:

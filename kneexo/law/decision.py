@@ -195,9 +195,10 @@ def _decide_for_system(scenario: Scenario, law: Law) -> Decision:
     try:
         # A clone is read, because the loop contains a clone too: see `make_controller`.
         read_diagram(users_system(scenario, copied=True), inputs=inputs)
-    # With a difference the system contradicts itself: it forgets a value or an equation when it is
-    # copied or converted, or keeps a state in an attribute. To call it as Python would hide this
-    # fault. Any other error only says that there are no equations, and the law runs as Python.
+    # With a difference the system contradicts itself: its conversion or its copy forgets something,
+    # or it keeps a state in an attribute (``docs/compile_your_diagram.md``). To call such a system
+    # as Python would hide this fault. Any other error only says that there are no equations, and
+    # the law runs as Python.
     except DifferenceError as error:
         raise ParameterError(f"{subject}: {error}") from None
     except KneexoError as error:

@@ -217,9 +217,9 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return dict(value)
     if callable(value):
-        # A function enters the key by its name alone. The functions of the sweeps are kneexo's, and
-        # the version in the key stands for their code. The cost: a function that somebody edits
-        # at an unchanged version finds the old results.
+        # A function enters the key by its name alone. For a function of kneexo, the version in the
+        # key stands for its code. The cost: a function that is edited at an unchanged version, such
+        # as a function of the user, finds its old results.
         return f"{value.__module__}.{value.__qualname__}"
     raise TypeError(f"{type(value).__name__} cannot be part of a checkpointed piece of work")
 

@@ -129,8 +129,8 @@ def _policy(styles: Sequence[str], scripts: Sequence[str], worker: str | None, w
         "default-src": ["'none'"],
         "script-src": script_sources or ["'none'"],
         "style-src": [*map(_hash, styles)] or ["'none'"],
-        # Figures of a report are img elements with data URLs. No script or page makes an image of
-        # a blob URL; such a URL leads into the page itself, so it allows no connection either.
+        # Figures of a report are img elements with data URLs. No page of kneexo has an image with a
+        # blob URL. Both kinds of URL lead into the page itself, so neither allows a connection.
         "img-src": ["data:", "blob:"],
         # Notebooks in VS Code allow workers from data URLs only.
         "worker-src": ["'none'"] if worker is None else ["data:"],

@@ -162,8 +162,8 @@ class StiffnessInterval(Result):
         """Dynamic stiffness |jωZ| in N·m/rad of zero torque, at the leg's side of the cuff.
 
         The frequency is `kneexo.parameters.wearer.wearer.STIFFNESS_FREQUENCY_HZ`. A wearer cannot
-        feel a virtual spring that is much softer than the exoskeleton at zero torque. Raises
-        `ParameterError` without a wearer.
+        feel a virtual spring that is much softer than this stiffness. Raises `ParameterError`
+        without a wearer.
         """
         free = changed(self.scenario, {"controller.mode": "zero_torque"})
         f = STIFFNESS_FREQUENCY_HZ

@@ -55,13 +55,13 @@ def _similar_path(path: str | os.PathLike[str]) -> list[str]:
     directory, name = os.path.split(os.fspath(path))
     try:
         with os.scandir(directory or ".") as entries:
-            # 1000 is a choice, so that a directory with very many files costs no time. A similar
-            # name among its further files is not found.
+            # 1000 is a choice, which bounds the time in a directory with very many files. A similar
+            # name among the further files is not found.
             files = [entry.name for entry, _ in zip(entries, range(1000), strict=False)]
     except OSError:
         return []
-    # 0.8 is a choice: higher than the usual 0.6, because names of files in one directory resemble
-    # each other. The cost: a name with more typing errors gets no hint.
+    # 0.8 is a choice, stricter than the default 0.6 of `close_names`. The cost: a name with more
+    # typing errors gets no hint.
     similar_names = close_names(name, files, 0.8, most=1)
     return [shown(os.path.join(directory, similar_name)) for similar_name in similar_names]
 
