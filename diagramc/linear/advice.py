@@ -33,7 +33,7 @@ def advice(
 ) -> list[Obstacle]:
     """Return what spoils a linear model of a diagram at an operating point, in Drake's order.
 
-    The function reads the equations that the states and ``outputs`` depend on. It reports these
+    The function reads the equations on which the states and ``outputs`` depend, and reports these
     obstacles.
 
     - The derivative of a quantizer is zero.

@@ -143,7 +143,7 @@ class LeafwisePoint(Point):
     def time_varying(self, outputs: Sequence[str] = ()) -> list[str]:
         """Return the names of rates, updates and outputs whose derivatives change with the time.
 
-        They are compared with those at two later times.
+        The derivatives at this point are compared with the derivatives at two later times.
         """
         here = self.slopes(outputs)
         names = (*self.rate_names, *self.element_names(outputs))

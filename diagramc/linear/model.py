@@ -104,12 +104,12 @@ class LinearModel:
     state_names: tuple[str, ...]
     """Names of the states from path and element, such as ``pendulum.theta`` or ``hold.0[0]``."""
     input_names: tuple[str, ...]
-    """Names of the elements of the input ports, ``port``, or ``port[i]`` if it has several."""
+    """Names of the elements of the input ports: ``port``, or ``port[i]`` of several elements."""
     output_names: tuple[str, ...]
     """Names of the elements of the output ports."""
     operating_point: OperatingPoint
     ticks: tuple[TickModel, ...] = ()
-    """What happens within the period, from its begin to its end. Empty for a continuous model."""
+    """Updates and motion within the period, in the order of time; empty for a continuous model."""
 
     def __repr__(self) -> str:
         """Return a text with the kind of the model and the numbers of states, inputs, outputs."""

@@ -27,10 +27,10 @@ _MOST_BYTES = 4096 * MIB  # the results of some million runs
 class Checkpoint:
     """A file with one JSON line for each finished piece of work.
 
-    A piece of work is one call of a function. Its key contains the function, the input and kneexo's
-    version. A sweep therefore reads a result from the file only if it would compute the same
-    result. Results are plain JSON data, and floats are restored bit by bit. Each line has a
-    checksum. Damaged lines are skipped, and a warning says how many.
+    A piece of work is one call of a function. The key of a piece contains the name of the function,
+    the input and kneexo's version. A sweep reads a result from the file only if the key of its own
+    piece is the same. Results are plain JSON data, and floats are restored bit by bit. Each line
+    has a checksum. Damaged lines are skipped, and a warning says how many.
 
     Parameters
     ----------

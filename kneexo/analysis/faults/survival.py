@@ -3,9 +3,10 @@
 A detector and its reaction must end the fault within this time, the fault-tolerant time interval. A
 permanent fault and a shorter one give the same run until the shorter one ends. So the critical
 duration is shorter than the time from the start of the fault until the permanent fault exceeds the
-bound, or until its run fails. A bisection between zero and this limit finds it. The bisection
-assumes that a longer fault moves the knee farther. A permanent fault that stays within the bound
-says only that the critical duration is not shorter than the observed time: it is censored.
+bound, or until the run with the permanent fault fails. A bisection between zero and this time finds
+the critical duration. The bisection assumes that a longer fault moves the knee farther. A permanent
+fault that stays within the bound says only that the critical duration is not shorter than the
+observed time: the critical duration is censored.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ class FaultCase(Result):
 
 @dataclass(frozen=True, repr=False)
 class FaultSurvival(Result):
-    """Critical durations of faults at several times. `fault_survival` makes it."""
+    """Result of `fault_survival`: critical durations of faults that begin at several times."""
 
     bound_deg: float
     cases: tuple[FaultCase, ...]

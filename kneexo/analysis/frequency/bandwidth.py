@@ -1,9 +1,10 @@
 """Large-signal bandwidth of the closed loop, and the bounds that the motor sets on it.
 
 The bandwidth is the frequency at which the gain of the fundamental first falls below 1/√2. For a
-small sine it is the bandwidth of the linear loop. For a large sine the limits of the motor reduce
-the bandwidth. Let R be the largest speed and A the largest acceleration of the rod. Let a be the
-amplitude and ω the angular frequency of the rod's reference. Then every controller obeys
+small sine this frequency is the bandwidth of the linear loop. For a large sine the limits of the
+motor reduce the bandwidth. Let R be the largest speed and A the largest acceleration of the rod.
+Let a be the amplitude and ω the angular frequency of the rod's reference. Then every controller
+obeys
 
     gain <= (4/π) R/(aω) and gain <= (4/π) A/(aω²).
 

@@ -269,9 +269,9 @@ def align(
 ) -> Alignment:
     """Return the migration of the strap for a device at its best place, or at a given one.
 
-    The best place has the least mean square of the migration over ``knee_angle_deg``. It follows by
-    linear least squares, because the migration u = e^{−jθ}(p + t_device − t_knee) + q is linear in
-    the place p of the device and in the place q of the strap.
+    The best place has the least mean square of the migration over ``knee_angle_deg``. Linear least
+    squares give the best place, because the migration u = e^{−jθ}(p + t_device − t_knee) + q is
+    linear in the place p of the device and in the place q of the strap.
 
     Parameters
     ----------

@@ -45,7 +45,7 @@ _STEPS = (40, 80, 160)  # of damped least squares, of all starts, a third, and a
 _REFINED = 4
 _COARSE_DEG, _FINE_DEG = 5.0, 1.0  # steps of the knee angle, the second for the refined starts
 _MINOR = 1e-3
-"""Weight of the error that does not matter. It only decides between equally good linkages."""
+"""Weight of an error that is not to be minimized, which decides between equally good linkages."""
 
 _PENALTY_M = 3e-3  # error in m that weighs as much as one scaled unit of violation
 # Forward differences guide all starts at half the cost; the few that are finished get central ones.
@@ -94,8 +94,8 @@ class LinkageDesign(Result):
     finished_mm: Array
     """Rms migration and rms rod error of all finished starts within the limits (k, 2), in mm.
 
-    The rows are sorted by what the search minimizes. The first differences show how sure the
-    search is of its result.
+    The rows are sorted by what the search minimizes, the best first. Small differences between the
+    first rows show that several starts have ended with equally good linkages.
     """
 
     @property

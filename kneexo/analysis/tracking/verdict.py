@@ -212,8 +212,8 @@ class Verdict(Result):
     torque_error_rms_n_m: float = math.nan
     """Root mean square of desired minus actual torque of the actuator on the knee.
 
-    The mean is over the same samples as the metrics of the interaction (`whole_periods`). It is nan
-    without a torque controller.
+    The mean is over the same samples as the metrics of the interaction (`whole_periods`). The value
+    is nan without a torque controller.
     """
     limit_cycle: LimitCycle | None = None
     """Oscillation of the knee while the reference rests at the end of the run, or None."""
@@ -544,5 +544,5 @@ def _saturation(limits: Mapping[str, _Limit], stop: Stop | None) -> list[str]:
 
 
 def _two_digits(value: float) -> str:
-    """Return a number of two digits. From 100 on it has no exponent."""
+    """Return ``value``, rounded to two digits, as text. A number from 100 on has no exponent."""
     return f"{float(f'{value:.2g}'):g}"

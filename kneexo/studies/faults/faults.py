@@ -199,7 +199,7 @@ class EmergencyStop:
     knee_deg: float
     """Knee angle at the press."""
     safe_after_s: float
-    """Time from the press until the motor stands or its release is on; inf if it never is."""
+    """Time from the press until the motor stands or its release is on; inf without such a time."""
     turn_deg: float
     """Largest turn of the knee from the press on, before the motor reaches the safe state."""
     torque_n_m: float
@@ -571,9 +571,9 @@ def _signals(scenario: Scenario) -> tuple[str, ...]:
 
 
 def _run(scenario: Scenario, fault: FaultParameters) -> tuple[Run, bool]:
-    """Return the run with a fault, and whether it is complete.
+    """Return the run with a fault, and whether the run is complete.
 
-    A run that fails is repeated up to the sample before.
+    A run that fails is repeated up to the sample before the failure.
     """
     faulty = scenario.changed({"faults": (fault,)})
     try:

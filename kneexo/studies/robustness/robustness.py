@@ -202,9 +202,10 @@ def rank_correlation(
 ) -> Array:
     """Return how strongly each uncertain value acts on a figure of merit, (values,).
 
-    For an interval the strength is Spearman's rank correlation over ``assessments``. For options it
-    is the correlation ratio η ≥ 0: η² is the share of the ranks' variance between the options.
-    Failures have the worst rank. If the figure of merit is constant, all strengths are nan.
+    For an interval the strength is Spearman's rank correlation over ``assessments``. For options
+    the strength is the correlation ratio η ≥ 0: η² is the share of the ranks' variance between the
+    options. Failures have the worst rank. If the figure of merit is constant, all strengths are
+    nan.
     """
     ranks = scipy.stats.rankdata(merit_values(assessments, merit)) - 0.5 * (len(assessments) + 1)
     size = math.sqrt(ranks @ ranks)

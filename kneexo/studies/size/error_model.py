@@ -1,4 +1,4 @@
-"""Closed forms of the tracking error of the sliding-mode controller, to choose λ and k/Φ by them.
+"""Closed forms of the tracking error of the sliding-mode controller.
 
 The error has three causes: a wrong piston area, a motor with lag, and leakage.
 
