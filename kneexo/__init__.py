@@ -15,8 +15,8 @@ The short names for users, as in ``import kneexo as kx``:
 
 All but `design_linkage` accept a scenario or the path of a scenario file.
 
-The floors, from the ground up; each knows only those before it. ``diagramc`` turns Drake
-diagrams into machine code, C and FMU, and knows no knee.
+The packages of kneexo, in an order in which each imports only packages before it. ``diagramc``
+turns Drake diagrams into machine code, C and FMU, and imports nothing of kneexo.
 
 - `kneexo.common`: results, plots, progress, files, code of the user
 - `kneexo.parameters`: every physical number

@@ -121,8 +121,8 @@ class Interface:
         outputs then have their last values.
     accepts_inputs
         If True, the code accepts all inputs, also those that are not finite or out of their range:
-        the diagram replaces them. A step then fails only if the model itself is wrong, which
-        includes its parameters, and all further steps fail until the next start.
+        the diagram replaces them. Then a step can fail only because of the model or its
+        parameters. After such a failure every step fails until the code is started again.
 
     Raises `CompilationError` if a name is no C identifier, or if a range is empty or not finite, or
     a value after a failure is no number. `CSource` raises it if the diagram lacks a port or an

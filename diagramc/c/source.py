@@ -83,8 +83,8 @@ class CSource:
         the fastest mode at the start.
     look_up
         If True, the code looks up a costly value in a table if the value depends only on one
-        integer input that has a range. If only such values use a parameter, changing the parameter
-        in C has no effect.
+        integer input that has a range. The table is computed at export. A parameter that is used
+        only for the table therefore cannot be changed in C.
     subject
         Short description of the model, part of the first line of each file.
     checks_steps
@@ -94,7 +94,8 @@ class CSource:
         Name and text of the file from which the diagram was made. The export gets a copy of the
         text, in which ``#`` begins a comment.
     beside
-        Contents of other files, by name, which the export gets too because ``origin`` names them.
+        Other files that the file ``origin`` refers to: a dictionary from name to content. They are
+        copied into the export.
     tool
         Names and versions of the programs that make the code, such as ``kneexo 0.3.0, diagramc
         0.3.0``. The first line of each file has the first name, the manifest has all.

@@ -33,7 +33,7 @@ def advice(
 ) -> list[Obstacle]:
     """Return what spoils a linear model of a diagram at an operating point, in Drake's order.
 
-    The function reads the equations that the states and ``outputs`` depend on. It reports these
+    The function reads the equations on which the states and ``outputs`` depend, and reports these
     obstacles.
 
     - The derivative of a quantizer is zero.
@@ -97,9 +97,9 @@ def obstacles(point: Point, outputs: Iterable[str] = ()) -> list[Obstacle]:
 
 
 class _Survey:
-    """Finds obstacles by the values and derivatives of all nodes at a point.
+    """Finds obstacles to a linear model by the values and derivatives of nodes at a point.
 
-    The nodes are those that rates, updates and outputs depend on.
+    The nodes are those on which the rates, the updates and the outputs ``outputs`` depend.
     """
 
     def __init__(self, point: Point, outputs: Iterable[str]) -> None:
@@ -117,10 +117,11 @@ class _Survey:
         """The derivatives if all quantizers had the derivative 1."""
 
     def faults(self) -> Iterator[tuple[Section, str, str]]:
-        """Yield the section of each obstacle with reason and remedy, in the order of sections.
+        """Yield the section of the equations, the reason and the remedy of each obstacle.
 
-        The first pass finds quantizers. The second pass finds corners, as if these quantizers had
-        the derivative 1. Otherwise all derivatives behind a quantizer would be zero.
+        The obstacles come in the order of the sections. The first pass finds quantizers. The second
+        pass finds corners, as if these quantizers had the derivative 1. Otherwise all derivatives
+        behind a quantizer would be zero.
         """
         sections = list(self._sections())
         harmful = [self._harmful_quantizers(results, nodes) for _, results, nodes in sections]
@@ -134,9 +135,10 @@ class _Survey:
                     yield section, *fault
 
     def _sections(self) -> Iterator[tuple[Section, list[int], list[int]]]:
-        """Yield each section with its results, and with the nodes that no earlier section has.
+        """Yield each section of the equations, its results, and its own nodes.
 
-        Nodes without effect are left out, such as those of a branch that is not taken.
+        The own nodes are those that no earlier section has. Nodes without effect are left out, such
+        as the nodes of a branch that is not taken.
         """
         acting = set(self.graph.reachable(self.roots, self.acting_arguments))
         known: set[int] = set()
@@ -147,7 +149,10 @@ class _Survey:
             yield section, results, sorted(own_nodes)
 
     def acting_arguments(self, node: int) -> tuple[int, ...]:
-        """Return the arguments that act on the value of a node; for a choice, the taken branch."""
+        """Return the arguments that act on the value of a node.
+
+        The only such argument of a choice (``where``) is the branch that is taken.
+        """
         arguments = self.graph.arguments(node)
         if self.graph.nodes[node][0] == "where":
             condition, positive, otherwise = arguments
@@ -161,9 +166,9 @@ class _Survey:
         return np.asarray(self.gradients[self.place[node]])
 
     def _evaluated(self, smooth: Iterable[int]) -> tuple[Array, Array]:
-        """Return values and derivatives of all nodes. The quantizers ``smooth`` have derivative 1.
+        """Return values and derivatives of all nodes.
 
-        All other quantizers have the derivative 0.
+        The quantizers ``smooth`` get the derivative 1. All other quantizers have the derivative 0.
         """
         return self.derivatives.at(self.point.sources, smooth)
 
@@ -171,7 +176,10 @@ class _Survey:
         return [node for node in nodes if self.roles.get(node) is Role.ROUNDING]
 
     def _harmful_quantizers(self, results: list[int], own_nodes: list[int]) -> list[int]:
-        """Return the quantizers in a section if one of its results loses a derivative, else []."""
+        """Return the quantizers of a section if they spoil the derivative of one of its results.
+
+        ``own_nodes`` are the nodes of the section. Otherwise the list is empty.
+        """
         quantizers = self._quantizers_among(own_nodes)
         if quantizers and any(map(self._loses_derivative, results)):
             return quantizers
@@ -204,7 +212,7 @@ class _Survey:
     def _blocks(self, node: int, result: int) -> bool:
         """Return whether ``node`` can be the cause of zero derivatives of the node ``result``.
 
-        That is so if all derivatives of ``result`` are zero although it depends on ``node``.
+        It can if ``result`` depends on ``node`` and all derivatives of ``result`` are zero.
         """
         if self.gradient(result).any():
             return False
@@ -250,7 +258,7 @@ class _Survey:
         return abs(a - b) <= _AT_CORNER * max(1.0, abs(a), abs(b))
 
     def _is_constant(self, node: int) -> bool:
-        """Return whether a corner operation has the derivative zero, and a branch of it has not.
+        """Return whether a corner operation is constant here, although one of its branches is not.
 
         An example is a saturation at its limit.
         """

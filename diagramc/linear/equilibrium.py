@@ -101,10 +101,10 @@ def find_equilibrium(
 class _Problem:
     """The search for an equilibrium as equations for Newton's method.
 
-    The unknowns are the free states and inputs. Rates, changes and errors of required outputs must
-    become zero.
-
-    ``free`` has the indices of the unknowns among all states, followed by all inputs.
+    The unknowns are the free states and the free inputs. The rates of continuous states, the
+    changes of discrete states and the errors of ``outputs`` must become zero. ``required`` has the
+    values that these outputs must have. ``free`` has the indices of the unknowns among all states
+    followed by all inputs.
     """
 
     start: Point
@@ -118,14 +118,17 @@ class _Problem:
         return np.concatenate([self.start.state, self.start.inputs])
 
     def point(self, unknowns: Array) -> Point:
-        """Return the start with other values of the unknowns."""
+        """Return the point with these values of the unknowns; all else is as at the start."""
         values = self.start_values
         values[self.free] = unknowns
         state_count = self.start.state.size
         return self.start.at(values[:state_count], values[state_count:])
 
     def residual(self, unknowns: Array) -> tuple[Array, Array]:
-        """Return what must become zero, and its Jacobian by the unknowns."""
+        """Return the rates, changes and errors that must become zero, and their Jacobian.
+
+        The Jacobian has a column for each unknown.
+        """
         point = self.point(unknowns)
         slopes = point.slopes(self.outputs)
         jacobian = np.vstack([point.residual_jacobian(slopes), slopes.outputs_jacobian])
@@ -197,7 +200,10 @@ def _searches(function: Any, start: Array) -> Iterator[Array]:
 
 
 def _context_at(diagram: Any, context: Any, point: Point, in_names: Iterable[str]) -> Any:
-    """Return a copy of a Context with the state of a point, and its values of input ports."""
+    """Return a copy of ``context`` with the state and the inputs of a point.
+
+    ``in_names``: names of the input ports of the diagram whose values are set.
+    """
     context = context.Clone()
     count = len(point.read.state_names)
     set_state(point.read.root, context, State(point.state[:count], point.state[count:]))

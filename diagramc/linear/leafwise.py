@@ -42,9 +42,10 @@ _FLAT_STEPS = (1e-6, 1e-5, 1e-3, 1e-2, 0.1, 1.0)
 
 
 class LeafwiseEquations(DiagramEquations):
-    """A diagram of which only the names, sizes and sample periods are known as equations.
+    """A diagram without symbolic equations, of which a linear model can be made nevertheless.
 
-    The nodes in `equations` are placeholders. Parameters are as in `read_tree`.
+    `equations` has only names, sizes and sample periods. The nodes in it are placeholders. For the
+    arguments of the constructor see `read_tree`.
     """
 
     def __init__(self, root: Node, inputs: Mapping[str, Port], outputs: Mapping[str, Port]) -> None:
@@ -142,7 +143,7 @@ class LeafwisePoint(Point):
     def time_varying(self, outputs: Sequence[str] = ()) -> list[str]:
         """Return the names of rates, updates and outputs whose derivatives change with the time.
 
-        They are compared with those at two later times.
+        The derivatives at this point are compared with the derivatives at two later times.
         """
         here = self.slopes(outputs)
         names = (*self.rate_names, *self.element_names(outputs))
@@ -185,7 +186,7 @@ class LeafwisePoint(Point):
 
 
 class _Evaluation:
-    """The signals and the leaves of a diagram at a point, as far as they are called."""
+    """Computes the signals of a diagram at a point. Each leaf system is called only if required."""
 
     def __init__(self, point: LeafwisePoint) -> None:
         self.point = point
@@ -194,7 +195,11 @@ class _Evaluation:
         """Signal of each output port, or None while it is computed."""
 
     def signal(self, route: Sequence[Port]) -> Steps[_Signal]:
-        """Return the signal at the first port of a route: that of its source, and perturbations."""
+        """Return the signal at the first port of a route.
+
+        The signal is that of the source at the end of the route, plus the open inputs at the ports
+        of the route.
+        """
         point, open_inputs = self.point, self.point.read.open_inputs
         size, source = size_of(route[0]), route[-1]
         values, derivatives = np.zeros(size), np.zeros((size, point.width))
@@ -225,9 +230,10 @@ class _Evaluation:
     def result(
         self, node: Node, purpose: str, evaluate: Evaluate, output: int | None = None
     ) -> Steps[_Signal]:
-        """Return values and derivatives of a function of leaf and Context.
+        """Return values and derivatives of ``evaluate``, a function of a leaf and its Context.
 
-        They depend on the inputs of an output port, or on all if ``output`` is None.
+        ``output`` is the index of the output port that the function computes. Only the inputs on
+        which this port depends are computed. None: the function may depend on all inputs.
         """
         if node not in self._calls:
             self._calls[node] = _Call(self.point, self.point.read.leaves[node])
@@ -277,7 +283,11 @@ class _Call:
             self._auto = converted, context
 
     def result(self, purpose: str, evaluate: Evaluate) -> _Signal:
-        """Return the values that a function of leaf and Context has, and their derivatives."""
+        """Return the values of ``evaluate``, a function of the leaf and its Context.
+
+        The result also has their derivatives by the states and inputs of the whole diagram.
+        ``purpose`` names the values in messages.
+        """
         where = f"{self.node.name}: {purpose}"
         variables = self._variables()
         try:
@@ -317,7 +327,10 @@ class _Call:
         return values
 
     def _called(self, evaluate: Evaluate, variables: Any, auto: bool = False) -> Any:
-        """Return the values of a function at variables of the leaf."""
+        """Return the values of ``evaluate`` at these ``variables`` of the leaf.
+
+        ``auto``: the variables and the values are AutoDiffXd.
+        """
         system, context = (self.system, self._floats) if not auto else self._auto  # type: ignore[misc]
         end = self._continuous
         if end:

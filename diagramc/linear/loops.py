@@ -327,7 +327,7 @@ def complementary_sensitivity(loop: Any) -> Transfer:
 
 
 def _return_difference(transfer: Transfer) -> float:
-    """Return 1 + L at infinite frequency. Raise `ParameterError` if it is zero."""
+    """Return 1 + L at infinite frequency. Raise `ParameterError` if 1 + L is zero there."""
     if transfer.d == -1.0:
         raise ParameterError(
             "loop: L = -1 at infinite frequency: the closed loop has no solution; check the sign "

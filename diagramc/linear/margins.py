@@ -20,9 +20,12 @@ from .periodic import PeriodicLoop
 _NO_FACTOR = 1e-6  # a smaller gain margin is the rounding error of a pole at zero frequency
 _AT_MINUS_ONE = 1e-6  # |1 + L| below this at a marginal closed eigenvalue shows that L moves it
 _ON_CIRCLE = 1e-12  # rounding of |L| at zero and the highest frequency
-_EXACT_POINTS = 100  # of the grid, at which rounding is examined
-# Share of L or T that rounding may change. Of 400 random loops those below are right to 0.11 %. A
-# transfer function whose coefficients are rounding errors had gain margins such as 2e15.
+# About this number of points of the grid are examined for rounding errors. 100 is a choice: more
+# points cost time, and fewer points could miss a narrow range with large rounding errors.
+_EXACT_POINTS = 100
+# Share of L or T that rounding may change. Of 400 random loops, the loops below this share have
+# margins that are right to 0.11 %. A transfer function whose coefficients are rounding errors had
+# gain margins such as 2e15.
 _RUINED = 1e-3
 _WHOLE_PLANE = 1.0 - 1e-12  # a disk of this size or more is a half plane
 

@@ -1,4 +1,4 @@
-"""Linear models of diagrams, with the state space over a period and the motion between samples."""
+"""Linear models of diagrams: matrices from one sample to the next, and the motion in between."""
 
 from __future__ import annotations
 
@@ -104,12 +104,12 @@ class LinearModel:
     state_names: tuple[str, ...]
     """Names of the states from path and element, such as ``pendulum.theta`` or ``hold.0[0]``."""
     input_names: tuple[str, ...]
-    """Names of the elements of the input ports, ``port``, or ``port[i]`` if it has several."""
+    """Names of the elements of the input ports: ``port``, or ``port[i]`` of several elements."""
     output_names: tuple[str, ...]
     """Names of the elements of the output ports."""
     operating_point: OperatingPoint
     ticks: tuple[TickModel, ...] = ()
-    """What happens within the period, from its begin to its end. Empty for a continuous model."""
+    """Updates and motion within the period, in the order of time; empty for a continuous model."""
 
     def __repr__(self) -> str:
         """Return a text with the kind of the model and the numbers of states, inputs, outputs."""
@@ -267,10 +267,11 @@ class LinearModel:
     def frequency_response(self, frequencies_hz: ArrayLike) -> Complex:
         """Return C (λI − A)⁻¹ B + D at frequencies f in Hz, (frequencies, outputs, inputs).
 
-        λ is j2πf for a continuous model and e^{j2πfP} for a sampled one. So a sampled model has the
-        inputs held over the period, and the outputs at t = 0, P, 2P … For inputs and outputs in
-        continuous time see `sine_response`. Raises `LinearizationError` for a frequency that is not
-        finite, is a pole, or exceeds 1e9/P.
+        λ is j2πf for a continuous model and e^{j2πfP} for a sampled model. A sampled model holds
+        the inputs over the period P, and its outputs are those at t = 0, P, 2P … For inputs and
+        outputs in continuous time see `sine_response`.
+
+        Raises `LinearizationError` for a frequency that is not finite, is a pole, or exceeds 1e9/P.
         """
         frequencies = _frequencies(frequencies_hz, self.period_s)
         s = 2j * np.pi * frequencies

@@ -185,13 +185,17 @@ class PeriodicLoop:
 def _moved_within(
     basis: Complex, first: Complex, changes: Sequence[Complex], transposed: bool
 ) -> Complex | None:
-    """Return a smaller basis without the modes that no change of the loop moves, or None.
+    """Remove from ``basis`` unstable and marginal modes that no change of the loop influences.
 
-    The result has vectors in coordinates of ``basis``, normal to the eigenvectors of these modes.
-    The eigenvectors are those of ``first`` or, if ``transposed``, of its conjugate transpose. Only
-    eigenvalues on or outside the unit circle count. The result is None if there is no such
-    eigenvector. A chain of integrators has several modes but a single eigenvector, so the caller
-    repeats the call with the smaller basis until the result is None.
+    They are the modes that the signal of the loop does not show (unobservable) or, if
+    ``transposed``, does not excite (uncontrollable). Returns a smaller basis in coordinates of
+    ``basis``, or None if there is no such mode.
+
+    The vectors of the smaller basis are normal to the eigenvectors of these modes. The eigenvectors
+    are those of ``first``, the matrix of the unchanged loop or, if ``transposed``, of its conjugate
+    transpose. ``changes`` are differences from ``first``. A chain of integrators has several modes
+    but a single eigenvector, so the caller repeats the call with the smaller basis until the result
+    is None.
     """
     inner = [basis.conj().T @ matrix @ basis for matrix in (first, *changes)]
     if transposed:

@@ -246,7 +246,7 @@ def _chosen_directory() -> Path:
 
 
 def _refusal(directory: Path) -> str:
-    """Return the reason not to load machine code from a directory, or "" if no reason exists."""
+    """Return the reason not to load machine code from a directory, or an empty text."""
     try:
         status = directory.stat()
     except OSError:  # absent; `store` says why when it cannot be made

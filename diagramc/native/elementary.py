@@ -2,8 +2,9 @@
 
 For signed zeros, infinities, nan and subnormal numbers a function gives the same value as the C
 function of the same name. Its error is below 2 units in the last place. If lanes require different
-formulas, the code computes all formulas and selects a result in each lane. Only arguments that the
-C library serves cause a branch: large ones of sine and cosine, and rare ones of powers.
+formulas, the code computes all formulas and selects a result in each lane. There is a branch only
+for arguments that are passed to the C library: large angles of sine and cosine, and rare arguments
+of powers.
 ``benchmarks/fit_elementary.py`` computes and prints the coefficients.
 
 The methods are those of W. J. Cody and W. Waite, Software Manual for the Elementary Functions

@@ -1,8 +1,8 @@
 """The exact hold: an exponential integrator with error control, for one lane or several.
 
-It advances the states x by a tick, the unit of a run's time grid, in one step or in several. The
-method splits dx/dt = A x + g(t, x), where A is the Jacobian at some earlier state. A step h solves
-the linear part exactly, by the functions of z = A h
+The exact hold advances the states x by a tick, in one step or in several. A tick is the unit of the
+time grid of a run. The method splits dx/dt = A x + g(t, x), where A is the Jacobian at some earlier
+state. A step h solves the linear part exactly, by the functions of z = A h
 
     phi_1 = (e^z - 1)/z,  phi_2 = (phi_1 - 1)/z,  phi_3 = (phi_2 - 1/2)/z,
 
@@ -167,10 +167,13 @@ class _Step:
         self.rest = tick.vector()
         """Change of dx/dt from start to middle, minus the change that the step predicts."""
         self.undriven = f.variable(f.constant(0.0, tick.type))
-        """What ``worst`` of a driven step would be without g'. If it is small, driven steps end."""
+        """What ``worst`` of a driven step would be without g'. A small value ends driven steps."""
 
     def replace(self, tick: Tick, lanes: Value, other: _Step) -> None:
-        """Emit code that copies the result of another step, which is not explicit, in ``lanes``."""
+        """Emit code that replaces the result in ``lanes`` by the result of another step.
+
+        The other step is not explicit.
+        """
         f = tick.function
         for i in f.each(tick.size):
             self.end[i] = f.select(lanes, other.end[i], self.end[i])

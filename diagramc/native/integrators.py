@@ -118,7 +118,10 @@ class _Watch:
     """
 
     def __init__(self, tick: Tick, steps: Value) -> None:
-        """Emit a copy of the states at the start of the tick, which has ``steps`` steps or more."""
+        """Emit code that copies the states at the start of the tick.
+
+        The tick has ``steps`` steps or more.
+        """
         f = tick.function
         self.tick, self._start = tick, tick.vector()
         self._rank = self._sum()
@@ -136,7 +139,7 @@ class _Watch:
         self._stride = 1 if tick.number is None else STEPS_PER_CHECK
 
     def stop(self, count: Value) -> Value:
-        """Emit the number of the step after the next checked one, but at most ``count``."""
+        """Emit the number of the step after the next checked step, but at most ``count``."""
         after = self._next.get() + 1
         return self.tick.function.select(after < count, after, count)
 
@@ -159,7 +162,10 @@ class _Watch:
             self._rank.set(f.maximum(self._rank.get(), rank))
 
     def end(self, h: Value) -> None:
-        """Emit the report of the tick if one of its steps is suspected. A step has length h."""
+        """Emit the report of the tick, which logs it if one of its steps is suspected.
+
+        The steps of the tick have the length h in s.
+        """
         tick, f = self.tick, self.tick.function
         moved, limit = self._sum(), self._most_moved
         for i in f.each(tick.size):

@@ -149,9 +149,9 @@ def define_store_matrix(module: Module, size: int) -> Function:
     """Define the emitted function ``store_matrix(a, tables)``: see `Tables`.
 
     The function stores the matrix ``a``, which is given column by column, and its norm. No level is
-    filled yet. The norm is ||a⁴||^(1/4). It is at most the largest sum of magnitudes in a row, and
-    often far less, because the units of the states hardly change ||a⁴||^(1/4) (Al-Mohy and Higham
-    2009, SIAM J. Matrix Anal. Appl. 31).
+    filled yet. The norm is ||a⁴||^(1/4), which is at most the largest sum of magnitudes in a row,
+    and often far less, because the units of the states hardly change ||a⁴||^(1/4) (Al-Mohy and
+    Higham 2009, SIAM J. Matrix Anal. Appl. 31).
     """
     f = module.function("store_matrix", dict.fromkeys(("a", "tables"), POINTER))
     a, tables = (Array(f.arguments[name], DOUBLE) for name in ("a", "tables"))

@@ -175,9 +175,10 @@ class Printer:
 
     @contextmanager
     def _block(self) -> Iterator[None]:
-        """Context manager: at its end forget the values that its body emitted.
+        """Context manager around the code of a conditional block.
 
-        Code after a conditional block must not use values that were computed in the block.
+        The values that the block computes are forgotten at its end, because code after the block
+        must not use them.
         """
         before = dict(self._emitted)
         yield
@@ -239,10 +240,11 @@ class Printer:
         return emit()
 
     def _unless_zero(self, factor: int, emit: Callable[[], Operand]) -> Value:
-        """Emit the costly function of ``emit``. Runs in which a factor of it is zero skip it.
+        """Emit a costly function that the code skips if it is multiplied by zero in all lanes.
 
-        ``factor`` is a fixed node that multiplies the function. In lanes where the factor is zero,
-        the value of the function is 0 here, and its product stays right.
+        ``emit`` emits the function. ``factor`` is a node that multiplies the function and that
+        depends on parameters alone. In lanes where the factor is zero, the result is 0, which gives
+        the right product.
         """
         f, number = self.function, self.storage.load("constant", self.hoisted[factor])
         assert isinstance(number, Value)
@@ -253,7 +255,11 @@ class Printer:
         return result.get()
 
     def _sum(self, terms: Sequence[int], values: Mapping[int, Operand], fused: set[int]) -> Operand:
-        """Emit a sum. A fused multiply-add adds each term that is a product in ``fused``."""
+        """Emit the sum of the nodes ``terms``; return the sum.
+
+        ``values``: emitted value of each term; ``fused``: products that a fused multiply-add
+        computes and adds.
+        """
         total: Operand | None = None
         # Products come last, so that a fused multiply-add can add each of them to the rest.
         for term in terms:
@@ -276,7 +282,10 @@ class Printer:
         return total
 
     def _factors(self, node: int, values: Mapping[int, Operand]) -> tuple[int, list[Operand]]:
-        """Separate the factors -1 from a product; return their sign and the other factors."""
+        """Separate the factors -1 from the product ``node``.
+
+        Return the sign of their product, 1 or -1, and the values of the other factors.
+        """
         sign, factors = 1, []
         for argument in self.graph.arguments(node):
             if self.graph.value(argument) == -1.0:
@@ -327,7 +336,7 @@ class Printer:
 
 
 class _Row(Storage):
-    """Stores the values of a `Memo` at the whole number ``count`` in a row of each lane's table."""
+    """Row of the look-up table of a `Memo` in each lane, for one whole number ``count``."""
 
     def __init__(self, sources: Storage, count: Value, rows: Array, first: Sequence[Value]) -> None:
         """``rows``: values of the tables of all lanes; ``first``: index of each lane's row."""

@@ -138,13 +138,17 @@ class Reducer:
         """Accumulated value and previous sample, for each reduction and lane."""
 
     def restart(self, begins: Integers, bounds: Numbers) -> None:
-        """Prepare new runs: set the first row and the bound of each reduction (lanes, n)."""
+        """Prepare the arrays for new runs.
+
+        ``begins`` (lanes, reductions): row of the first sample that counts; ``bounds`` (lanes,
+        reductions): bound of each reduction: see `starts_and_bounds`.
+        """
         self.begins[self._place] = begins.T
         self.bounds[self._place] = bounds.T
         self.values[:, 0] = self._start[:, None]
 
     def results(self, rows: Integers, times: Numbers, period_s: float) -> Numbers:
-        """Return the reductions of the runs (lanes, n).
+        """Return the value of each reduction of the runs in all lanes, (lanes, reductions).
 
         ``rows`` (lanes,): number of samples of each run; ``times``: times of the samples in s;
         ``period_s``: time between two samples.
@@ -188,7 +192,11 @@ def starts_and_bounds(
 
 
 def _index(element: str | None, elements: Mapping[str, int]) -> int:
-    """Return the index of an element of the outputs; for None, of the zero behind the outputs."""
+    """Return the index of an element of the outputs in the array of all outputs.
+
+    None stands for no element: its index leads to a zero behind the outputs. Raises `ValueError`
+    for an unknown element.
+    """
     if element is None:
         return len(elements)
     if element not in elements:

@@ -39,10 +39,12 @@ With this step RK4 is accurate up to modes of 1e4 1/s, where h |λ| is 0.2, and 
 """
 
 LONGEST_TICK_S = 2e-3
-"""Longest tick of the exact hold in s.
+"""Longest tick of the exact hold in s. A longer time between two events is divided into ticks.
 
 The exact hold evaluates the derivatives at the start, the middle and the end of a tick. An input
-with a period of half a tick has the same value at these points, so it would look constant.
+with a period of half a tick has the same value at these points, so it would look constant. 2 ms is
+a choice: the sample time of the paper's controller, whose runs therefore have one tick a sample. An
+input with a period of 1 ms can still look constant.
 """
 
 TOLERANCE = 1e-8
@@ -56,7 +58,7 @@ order one: the knee has pressures in MPa and motor speeds in krad/s.
 """
 
 PIECE_S = 0.2
-"""Intended duration of one call of the machine code in s; Ctrl-C acts between two calls."""
+"""Intended duration in s of one call of the machine code. Ctrl-C ends a run between two calls."""
 
 _FIRST_PIECE = 160_000  # steps; a run of 30 s with the default step is a single piece
 
@@ -72,7 +74,7 @@ def element_name(port: str, element: int, size: int) -> str:
 
 
 def output_elements(sizes: Mapping[str, int]) -> list[tuple[str, str]]:
-    """Return the name of each element of the outputs, and the name of its port.
+    """Return, for each element of the outputs in order, its name and the name of its port.
 
     ``sizes`` maps the name of a port to its number of elements.
     """
@@ -302,6 +304,9 @@ class Runner:
             if cancelled():
                 raise KeyboardInterrupt
             elapsed_s = perf_counter() - begin
+            # The size at most doubles from one call to the next: at half of the intended duration
+            # the quotient below is 2 too. Doubling is a choice. It costs some more calls at the
+            # start of a long run.
             if elapsed_s < 0.5 * PIECE_S:
                 piece = 2 * piece
             else:
@@ -359,9 +364,10 @@ class Runner:
         return self._status
 
     def unstable_step(self, lane: int, integrator: str | None = None) -> UnstableStep | None:
-        """Return the first unstable step of the run in a lane since `restart`; None without one.
+        """Return the first step since `restart` that was too long for a mode of the model, or None.
 
-        ``integrator`` has the steps that are judged, by default the integrator of this runner.
+        ``lane``: the lane of the run. ``integrator``: the method whose stability limit is applied,
+        by default the integrator of this runner.
         """
         suspects = self._suspects[lane, self._suspects[lane, :, 0] > 0.0]
         if not suspects.size:
@@ -370,7 +376,10 @@ class Runner:
         return unstable_step(way, self._rates(lane), suspects, self._vectors)
 
     def fastest_per_s(self, snapshots: Snapshots, inputs: InputTable) -> float:
-        """Return the largest magnitude of a mode λ at the snapshots of a run in one lane."""
+        """Return the largest |λ| in 1/s of the modes λ of a model at the snapshots of a run.
+
+        The run has a single lane, and the open inputs ``inputs``.
+        """
         rates, largest = self._rates(0), 0.0
         times = self.timing.times(np.maximum(snapshots.ticks, 0))
         for t, d, x in zip(times, snapshots.d, snapshots.x, strict=True):
@@ -379,7 +388,10 @@ class Runner:
         return largest
 
     def _rates(self, lane: int) -> Rates:
-        """Return the rates of the states as a Python function, with the parameters of a lane."""
+        """Return a Python function that calls the machine code of dx/dt and its Jacobian.
+
+        The function has the parameters of the run in ``lane``: see `Rates`.
+        """
         compute_rates, size, c = self.code.rates_function(), self._vectors[0], self._lane_c[lane]
 
         def rates(d: Array, u: Array, t: float, x: Array) -> tuple[Array, Array]:

@@ -91,9 +91,10 @@ def _reach(integrator: str) -> tuple[Array, Array]:
 
 
 def excess(integrator: str, h_lambda: Array) -> Array:
-    """Return |z| of each z = h λ (n,), divided by the largest stable |z| in the direction of z.
+    """Return by how much a step exceeds the longest stable step, for each of its z = h λ (n,).
 
-    The step h is unstable for the mode λ if the ratio exceeds 1.
+    The result is |z| divided by the largest stable |z| in the direction of z. The step h is
+    unstable for the mode λ if this ratio exceeds 1.
     """
     return np.abs(h_lambda) / np.interp(np.abs(np.angle(h_lambda)), *_reach(integrator))
 
@@ -130,10 +131,11 @@ def unstable_step(
 def _suspected(
     integrator: str, rates: _StateRates, times: Array, x: Array, h: float
 ) -> tuple[float, list[_Point]]:
-    """Return start and stages of the first step of a tick whose ratio of rates is `CLEAR`.
+    """Return start and stages of the step of a tick that is most suspect of being unstable.
 
-    If there is none, it is the step with the largest ratio. ``times``: starts of the steps; x:
-    states at the start of the tick. There are no stages if the rates there are not finite.
+    This step is the first whose ratio of rates is `CLEAR`, or else the step with the largest ratio.
+    ``times``: starts of the steps; ``x``: states at the start of the tick. The list of stages is
+    empty if the rates at the start of the step are not finite.
     """
     largest, chosen = -1.0, (0.0, list[_Point]())
     for t in times.tolist():

@@ -195,13 +195,19 @@ class _Model:
                 self.u.cast(DOUBLE)[f.coerce(i, INT) * self.lanes + lane] = u[i]
 
     def rate(self, time: Operand, x: Array, out: Array) -> None:
-        """Emit code that sets the open inputs at ``time``, and then writes dx/dt to ``out``."""
+        """Emit code that writes dx/dt at the states ``x`` to ``out``.
+
+        The code first sets the open inputs to their values at ``time``.
+        """
         self.set_inputs(time)
         pointers = (array.pointer for array in (x, self.d, self.u, self.c, out))
         self.f.call(self.derivatives, self.f.coerce(time, self.type), *pointers)
 
     def second_rate(self, time: Operand, x: Array, out: Array) -> None:
-        """Emit code that writes dx/dt and then d²x/dt² to ``out``, with the inputs at ``time``."""
+        """Emit code that writes dx/dt and then d²x/dt² at the states ``x`` to ``out``.
+
+        The code first sets the open inputs and their rates to their values at ``time``.
+        """
         self.set_inputs(time, rates=True)
         make = partial(define_second_derivatives, self.f.module, self.program, self.lanes)
         function = self.f.module.shared("second_derivatives", make)
@@ -211,7 +217,11 @@ class _Model:
     def linear(
         self, entries: Sequence[tuple[int, int]], time: Operand, x: Array, out: Array
     ) -> None:
-        """Emit a call of the function of `define_linear`, with the inputs at ``time``."""
+        """Emit code that calls the function of `define_linear` at the states ``x``.
+
+        The code first sets the open inputs to their values at ``time``. ``entries`` is an argument
+        of `define_linear`.
+        """
         self.set_inputs(time, rates=bool(self.program.by_time))
         make = partial(define_linear, self.f.module, self.program, self.lanes, entries)
         function = self.f.module.shared("linear", make)
@@ -227,7 +237,11 @@ class _Model:
         return replace(tick, number=number, second_rate=second_rate)
 
     def _report(self, number: Value, lanes: Value, step: Sequence[Array]) -> None:
-        """Emit the log of the tick ``number``, with the inputs at the end of the tick."""
+        """Emit code that logs the step of tick ``number``, which may be unstable, in ``lanes``.
+
+        ``step``: ratio, start, end, h and x of the step, see `Report`. The log also gets the
+        discrete states and the inputs at the end of the tick.
+        """
         f = self.f
         flags = f.array(1, INT.of(self.lanes))
         flags[0] = f.flags(lanes)
@@ -438,7 +452,7 @@ class _Run:
         f.call(self._choose_slot, x.pointer, memory.pointer)
 
     def trace(self) -> None:
-        """Emit all instructions of the function."""
+        """Emit all instructions of the function ``run``."""
         f, a, model = self.f, self.arguments, self.model
         outer_x, outer_d = a.array("x", model.type), a.array("d", model.type)
         for i in f.each(self.program.size):
@@ -603,7 +617,7 @@ class _Run:
             self._fail(rough & self.alive.get(), TOO_ROUGH, now.number, index)
 
     def _worst(self, errors: Array) -> Value:
-        """Emit the index of the state whose error is nan, or else largest."""
+        """Emit the index of the state with the worst error in each lane: a nan, or the largest."""
         f = self.f
         worst = f.variable(f.constant(0.0, errors.type))
         index = f.variable(f.constant(0, INT.of(self.lanes)))

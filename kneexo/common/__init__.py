@@ -1,4 +1,4 @@
-"""What all floors use and what knows no knee: results, plots, progress, files, code of the user."""
+"""What all packages of kneexo use: results, plots, progress, files, code of the user."""
 
 from importlib.resources import files
 from pathlib import Path

@@ -1,6 +1,8 @@
 """Tables of the signals of the closed loop, with their output ports and columns in a run.
 
-A new signal needs an output port of a leaf system and an entry in these tables.
+A new signal needs an output port of a leaf system and an entry in `SIGNALS`. A signal of the plant
+needs an entry in `PLANT_OUTPUTS` or `OPTIONAL_OUTPUTS` too, and a signal of the controller an entry
+in `CONTROLLER_SIGNALS`. A signal that not every scenario has needs an entry in `NEEDED_SETTINGS`.
 """
 
 from __future__ import annotations
@@ -70,16 +72,22 @@ SIGNALS = {
     "safety_state": ("safety_state",),
     "safety_reason": ("safety_reason",),
 }
-"""For each signal of the closed loop, the names of its columns, which end with the unit."""
+"""Dictionary from each signal of the closed loop to the names of its columns in a run.
+
+The name of a column ends with the unit, except for a quantity without unit: ``bypass_opening``,
+``active_faults``, ``safety_state`` and ``safety_reason``. ``target_velocity_units`` is in velocity
+units of the bus.
+"""
 
 PLANT_OUTPUTS = {
     "knee": ("knee_angle", "encoder_angle", "moment_arm", "icr"),
     "cylinder": ("rod_extension", "rod_velocity", "rod_state", "load_pressure", "rod_force"),
     "motor": ("motor_speed", "load_flow", "shaft_torque", "shaft_power", "hydraulic_power"),
 }
-"""For each subsystem of the plant, the names of its output ports that the plant exports.
+"""For each subsystem of every plant, the names of its output ports that the plant exports.
 
-The plant's ports have the same names.
+The output ports of the plant have the same names. `OPTIONAL_OUTPUTS` has the output ports that only
+some plants have.
 """
 
 OPTIONAL_OUTPUTS = {
@@ -88,9 +96,9 @@ OPTIONAL_OUTPUTS = {
     "motor": ("motor", ("motor_current", "motor_voltage")),
     "thermal": ("temperature", ("motor_temperatures",)),
 }
-"""For each part of `PlantParameters` that can be left out: subsystem, and its further outputs.
+"""For each part of `PlantParameters` that can be left out: a subsystem and names of output ports.
 
-The plant exports these output ports too if it has the part.
+If the plant has the part, it also exports these output ports of the subsystem.
 """
 
 PROTECTION_OUTPUTS = ("residuals", "safety_state", "safety_reason")
@@ -113,7 +121,11 @@ NEEDED_SETTINGS = {
     "active_faults": "faults",
     **dict.fromkeys(PROTECTION_OUTPUTS, "protection"),
 }
-"""The setting of a scenario that a signal needs, by the name of the signal."""
+"""Dictionary from a signal that not every scenario has to the setting that the signal needs.
+
+Error messages show the text of the setting to a user who asks for a signal that is missing. A
+signal that is not listed here exists in every scenario, or depends on the kind of controller.
+"""
 
 CONTROLLER_SIGNALS = frozenset(
     ("measured_knee_angle", "measured_rod_extension", "rod_reference", "estimated_state")

@@ -22,9 +22,9 @@ MOMENT_INPUT = "biological_moment_input"
 
 
 def wearer_parts(scenario: Scenario) -> list[Part]:
-    """Return the leaf systems of wearer and load cell: leg, cuff and load cell.
+    """Return the parts that a wearer and a load cell add to the loop: leg, cuff and load cell.
 
-    The list is empty without a wearer and without a torque controller.
+    The list is empty if the scenario has neither a wearer nor a torque controller.
     """
     parts = []
     leg, load = scenario.wearer, scenario.plant.load
@@ -85,12 +85,16 @@ def moment_spline(moment: MomentTable) -> Any:
 
 
 def moment_of(scenario: Scenario) -> MomentTable | None:
-    """Return the biological moment of a scenario, or None."""
+    """Return the table of the wearer's biological moment, or None if the wearer has none."""
     return scenario.wearer.moment if isinstance(scenario.wearer, LegParameters) else None
 
 
 def moment_parts(scenario: Scenario, external: bool = False) -> Iterator[Part]:
-    """Yield the biological moment of the wearer, if the wearer has one: M(t), or an input."""
+    """Yield the part that supplies the biological moment of the wearer.
+
+    The part is a source of M(t). If the moment is ``external``, it is an open input port of the
+    loop. Nothing is yielded if the wearer has no biological moment.
+    """
     moment = moment_of(scenario)
     if moment is None:
         return

@@ -98,7 +98,8 @@ def make_firmware(
         other outputs need.
     run_options
         Options ``integrator`` and ``step_s`` of `CompiledModel.simulate` for the run that gives
-        the inputs of the test vectors. Software in the loop needs those of the plant in C.
+        the inputs of the test vectors. For software in the loop, give the integrator and step of
+        the exported plant.
 
     Raises
     ------

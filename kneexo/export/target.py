@@ -1,4 +1,4 @@
-"""Builds the diagram to export (controller, plant or loop) and says what its ports are in C."""
+"""Builds the diagram to export (controller, plant or loop), and names and types its ports for C."""
 
 from __future__ import annotations
 
@@ -108,30 +108,31 @@ def make_target(scenario: Scenario, what: str, *, counts: bool = False) -> Targe
 
 
 def largest_step_s(scenario: Scenario, what: str) -> float:
-    """Return the default step of RK4 in s of the exported code.
+    """Return the step of RK4 in s with which a part of a scenario is exported by default.
 
-    The step is the least `rk4_step_s` at the start and with each release that can act: the windings
-    are shorted, the motor has no torque, or the bypass is open. So the steps follow the modes of
-    all safety states. ``what`` is ``controller``, ``plant`` or ``loop``. Raises the errors of
-    `make_target`.
+    The step follows the fastest mode at the start, and the fastest mode in each state into which
+    a release can bring the plant. A release of the protection shorts the windings, takes the torque
+    from the motor, or opens the bypass. The result is the shortest of these `rk4_step_s`.
+    ``what`` is ``controller``, ``plant`` or ``loop``. Raises the errors of `make_target`.
     """
     target = make_target(scenario, what)
     return released_step_s(scenario, read_diagram(target.diagram, inputs=target.inputs))
 
 
 def released_step_s(scenario: Scenario, diagram: DiagramEquations) -> float:
-    """Return the default step of RK4 in s of a target, whose equations were read already.
+    """Return `largest_step_s` in s for a target whose equations are read already.
 
-    ``diagram`` has the equations. `largest_step_s` describes the step.
+    ``diagram`` has the equations of the target, with which `rk4_step_s` is evaluated.
     """
-    equations, parameters = diagram.equations, diagram.parameters()
-    ports = [name for name, size in equations.inputs.items() for _ in range(size)]
-    acting = set(ports) if scenario.protection is None else {*ports, scenario.protection.safe_state}
+    equations, parameters, protection = diagram.equations, diagram.parameters(), scenario.protection
+    port_of_element = [name for name, size in equations.inputs.items() for _ in range(size)]
+    acting = {*port_of_element, *([] if protection is None else [protection.safe_state])}
     steps = [rk4_step_s(equations, parameters, diagram.state())]
-    # A release makes faster modes: shorted windings stop the motor with k_t²/(R J), and an open
-    # bypass empties the chambers.
+    # A release acts if it is an input of the target (the plant), or if the protection inside the
+    # target uses it (the loop). A release makes faster modes: shorted windings stop the motor with
+    # k_t²/(R J), and an open bypass empties the chambers.
     for release in acting & {*RELEASES}:
-        state, inputs = diagram.state(), np.array([float(name == release) for name in ports])
+        state, inputs = diagram.state(), np.array([float(p == release) for p in port_of_element])
         is_valve = [name == "plant/bypass.x[0]" for name in equations.states]
         state.continuous[is_valve] = release == "bypass"
         is_number = [name == "controller/supervisor.0[0]" for name in equations.discrete]
@@ -161,8 +162,9 @@ def _controller(scenario: Scenario, counts: bool) -> Target:
     if protection is not None:
         outputs += ["residuals", "safety_state", "safety_reason", "release"]
         has_release = protection.safe_state in RELEASES
-        end = list(STATES).index("released" if has_release else "stopped")
-        failed |= {"safety_state": end, "release": float(has_release)}  # as at the end of a stop
+        failed_state = list(STATES).index("released" if has_release else "stopped")
+        # After a failed call the outputs are those at the end of a stop.
+        failed |= {"safety_state": failed_state, "release": float(has_release)}
     ranges = {}
     if "knee_reference" in inputs:
         ranges[_FIELDS["knee_reference"][0]] = reference_range_rad(scenario)
@@ -187,7 +189,7 @@ def _controller(scenario: Scenario, counts: bool) -> Target:
 
 
 def _fields_of(diagram: System) -> dict[str, tuple[str, ...]]:
-    """Return the names in C of the ports that a diagram has, out of `_FIELDS`."""
+    """Return the names in C of the elements of each port that a diagram has, by port."""
     return {
         port: names
         for port, names in _FIELDS.items()
@@ -196,14 +198,18 @@ def _fields_of(diagram: System) -> dict[str, tuple[str, ...]]:
 
 
 def count_range(scenario: Scenario) -> tuple[float, float]:
-    """Return the lowest and highest encoder count that the controller accepts.
+    """Return the lowest and highest encoder count that the exported controller accepts.
 
-    With protection the range is two turns wider, because the detectors judge the count.
+    Without protection they are the counts within the range of motion. With protection the range is
+    one turn wider at each end, because the fault detectors judge a count outside the range of
+    motion.
     """
     resolution = scenario.encoder.resolution_rad
     low, high = (reading / resolution for reading in reading_range_rad(scenario))
-    more = 0 if scenario.protection is None else scenario.encoder.counts_per_revolution
-    return low - more, high + more
+    # `FaultDetectors` too take a reading up to one turn beyond each end as it is. A reading further
+    # away counts as a reading without meaning.
+    one_turn = 0 if scenario.protection is None else scenario.encoder.counts_per_revolution
+    return low - one_turn, high + one_turn
 
 
 def _plant(scenario: Scenario) -> Target:
@@ -224,7 +230,7 @@ def _plant(scenario: Scenario) -> Target:
             builder.ExportOutput(ports[name], name)
             outputs.append(name)
     diagram = builder.Build()
-    diagram.set_name("plant")
+    diagram.set_name("plant")  # messages name the diagram
     tick = scenario.controller.sample_time_s
     return Target(
         "plant", diagram, tuple(inputs), tuple(outputs), Interface(_fields_of(diagram)), tick

@@ -44,8 +44,8 @@ def decide(scenario: Scenario) -> Decision:
     law = controller.function
     if law.is_system:
         known = known_text(scenario) if law.takes_scenario else ""
-        question = "system", known, controller.sample_time_s
-        return remembered(law, question, lambda: _decide_for_system(scenario, law))
+        key = "system", known, controller.sample_time_s
+        return remembered(law, key, lambda: _decide_for_system(scenario, law))
     traced = trace(law, len(controller.loaded().initial_state))
     return Decision(traced.why_not_compiled, law.arguments.inputs, traced)
 
@@ -77,8 +77,8 @@ def users_law(scenario: Scenario) -> Law:
 def users_system(scenario: Scenario, *, copied: bool = False) -> System:
     """Return the Drake system of a law that is a system, or a new one of a law that makes systems.
 
-    ``copied``: return a clone of a law that is a system. Raises `ParameterError` as
-    `Law.make_system` does.
+    If ``copied`` is True, a law that is a system gives a clone of this system. Raises
+    `ParameterError` as `Law.make_system` does.
     """
     controller = scenario.controller
     assert isinstance(controller, LawParameters)
@@ -92,31 +92,33 @@ def users_system(scenario: Scenario, *, copied: bool = False) -> System:
     )
 
 
-def remembered(law: Law, question: Hashable, answer: Callable[[], T]) -> T:
-    """Return ``answer()`` about a law of the user, or its earlier result.
+def remembered(law: Law, key: Hashable, answer: Callable[[], T]) -> T:
+    """Return ``answer()`` about a law of the user, or the earlier answer with the same ``key``.
 
-    A Drake system and the arguments of a function do not change. A class or function that makes a
-    system may make another one whenever a value that it reads has changed. So answers about it are
-    kept only while `makers_called_once` lasts.
+    Answers are kept on the law, because a Drake system and the arguments of a function do not
+    change. A law that makes systems is the exception: it may make another system whenever a value
+    that it reads has changed. Answers about such a law are kept only inside `makers_called_once`.
     """
-    memo = law.memo
-    if law.is_system and not isinstance(law.target, System):
-        answers = _answers.get()
-        memo = {} if answers is None else answers.setdefault(law, {})
-    if question not in memo:
-        memo[question] = answer()
-    return cast(T, memo[question])
+    answers, of_makers = law.memo, _answers.get()
+    makes_systems = law.is_system and not isinstance(law.target, System)
+    if makes_systems:
+        answers = {} if of_makers is None else of_makers.setdefault(law, {})
+    if key not in answers:
+        answers[key] = answer()
+    return cast(T, answers[key])
 
 
 _answers: ContextVar[dict[Law, dict[Any, Any]] | None] = ContextVar("answers", default=None)
-"""What is known of laws that make systems, within `makers_called_once`."""
+"""Answers about laws that make systems, by law and key; None outside `makers_called_once`."""
 
 
 @contextmanager
 def makers_called_once() -> Iterator[None]:
-    """Context manager, also a decorator: the body asks a law that makes systems each question once.
+    """Context manager and decorator: inside the body `remembered` keeps all its answers.
 
-    Making and reading a system takes some 10 ms. A body inside another shares its answers.
+    Outside, `remembered` forgets its answers about a law that makes systems at once, and so makes
+    and reads a system for each question. This takes some 10 ms. A body inside another body shares
+    the answers of the outer body.
     """
     token = _answers.set({} if (answers := _answers.get()) is None else answers)
     try:
@@ -143,19 +145,19 @@ def known_to_controller(scenario: Scenario) -> Scenario:
 
 
 def known_text(scenario: Scenario) -> str:
-    """Return `known_to_controller` as JSON, without the law.
+    """Return `known_to_controller` as JSON, without the law, for a key of `remembered`.
 
-    The text is part of a question to `remembered`: equal texts have equal answers.
+    If two scenarios have equal texts, an answer about the law for one is right for the other too.
     """
     without_law = {"controller": {"function"}}
     return known_to_controller(scenario).model_dump_json(exclude=without_law)
 
 
 def _require_periods(system: System, sample_time_s: float, subject: str) -> None:
-    """Raise `ParameterError` unless the system of a law keeps to the samples of the controller.
+    """Raise `ParameterError` unless the system of a law updates at the samples of the controller.
 
-    The command must change at each sample, and any other discrete state at every n-th. ``subject``
-    is the name of the law in the message.
+    The command must change at each sample. Another discrete state may change at every n-th sample.
+    ``subject`` is the name of the law in the message.
     """
     try:
         leaves = sampled_leaves(system, "motor_speed_command")
@@ -180,16 +182,23 @@ def _require_periods(system: System, sample_time_s: float, subject: str) -> None
 
 
 def _decide_for_system(scenario: Scenario, law: Law) -> Decision:
-    """Decide for a law that is or makes a Drake system.
+    """Return the `Decision` about a law that is or makes a Drake system.
 
-    Raises `ParameterError` if a port or a sample period of the system is wrong.
+    The law is compiled if the compiler can read the equations of the system. Raises
+    `ParameterError` if a port or a sample period of the system is wrong, or if the equations differ
+    from the system itself.
     """
     system, subject = users_system(scenario), f"law {law.short_name}"
     _require_ports(system, subject)
     _require_periods(system, scenario.controller.sample_time_s, subject)
     inputs = tuple(input_ports(system))
     try:
+        # A clone is read, because the loop contains a clone too: see `make_controller`.
         read_diagram(users_system(scenario, copied=True), inputs=inputs)
+    # With a difference the system contradicts itself: its conversion or its copy forgets something,
+    # or it keeps a state in an attribute (``docs/compile_your_diagram.md``). To call such a system
+    # as Python would hide this fault. Any other error only says that there are no equations, and
+    # the law runs as Python.
     except DifferenceError as error:
         raise ParameterError(f"{subject}: {error}") from None
     except KneexoError as error:

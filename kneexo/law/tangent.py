@@ -39,11 +39,14 @@ class LawTangent:
         """Numbers of continuous and of discrete states."""
 
     def linear_law(self) -> LinearLaw:
-        """Return a `LinearLaw` with the inputs of the law, and with equal numbers of states."""
+        """Return a `LinearLaw` with the inputs and the numbers of states of the law."""
         return LinearLaw(self._sample_time_s, self._inputs, *self.sizes)
 
     def start_in(self, diagram: Any, context: Any) -> None:
-        """Give the `LinearLaw` of a closed loop the states that the law has at the start."""
+        """Initialize the law, and give its states to the `LinearLaw` of a closed loop.
+
+        ``diagram`` is the closed loop. ``context`` is its Context, to which the states are written.
+        """
         self._fix_inputs(self._signals(diagram, context))
         with user_code(f"law {self._name}: the system fails"):
             Simulator(self._system, self._context).Initialize()
@@ -53,10 +56,11 @@ class LawTangent:
         subcontext.SetDiscreteState([0.0, *discrete])
 
     def set(self, diagram: Any, context: Any) -> None:
-        """Make the `LinearLaw` of a closed loop the tangent of the law at the state in ``context``.
+        """Linearize the law at the state in ``context``, and store the result in its `LinearLaw`.
 
-        Raises `LinearizationError` if the command or a state of the law is not finite near this
-        state.
+        ``diagram`` is the closed loop that contains the `LinearLaw`, and ``context`` is the Context
+        of the loop. The method writes the matrix of the `LinearLaw` to ``context``. Raises
+        `LinearizationError` if the command or a state of the law is not finite near this state.
         """
         linear_law = _linear_law(diagram)
         subcontext = linear_law.GetMyMutableContextFromRoot(context)
@@ -76,9 +80,10 @@ class LawTangent:
         linear_law.set_matrix(subcontext, np.column_stack([values - slopes @ point, slopes]))
 
     def _sample(self, point: Array) -> Array:
-        """Return the rates, the command and the next discrete states at a point (x, z, y).
+        """Call the law at a point (x, z, y), to compute its differences.
 
-        x and z are the continuous and discrete states, and y the signals that the law reads.
+        x and z are the continuous and discrete states of the law, and y the signals that the law
+        reads. Returns dx/dt, the command and the next z in one array.
         """
         system, context = self._system, self._context
         x, z, y = np.split(point, np.cumsum(self.sizes))

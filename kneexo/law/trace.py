@@ -44,7 +44,9 @@ _SCALES = (
 States can be flags, counters or integrals. Small inputs leave a command within its limits.
 """
 _SAMPLES = 300  # a difference in 1 % of the samples is missed by 5 % of such random choices
-_MOST_TIME_S = 0.012  # processor time of a pass through the points, for a slow function
+# Processor time of a pass through the points. 12 ms is a choice: a function that needs longer for
+# all points is compared at fewer of them, so a difference at rare points is found less surely.
+_MOST_TIME_S = 0.012
 _ZERO = Expression(0.0)
 _DIFFER = "the equations that were read off differ from calls with numbers"
 HIDES_STATE = "the object changes when it is called"
@@ -66,21 +68,22 @@ class Trace:
 
 
 def trace(law: Law, states: int) -> Trace:
-    """Trace the function of a law with symbolic variables, and compare it with calls with numbers.
+    """Read the equations off the function of a law, and compare them with calls of the function.
 
-    ``states`` is the number of elements of its argument ``state``. Values that the function reads
-    may change between two runs. So each call traces the function anew, and repeats the comparison
-    if the equations have changed. Raises `ParameterError` if the function hides state that cannot
-    be copied.
+    The equations result from one call with symbolic variables. They are compared with calls with
+    numbers. ``states`` is the number of elements of the function's argument ``state``. Values that
+    the function reads may change between two runs. So each call of ``trace`` reads the equations
+    anew, and repeats the comparison if the equations have changed. Raises `ParameterError` if the
+    function hides state that cannot be copied.
     """
-    memo, question = law.memo, ("trace", states)
-    if question not in memo:
+    memo, key = law.memo, ("trace", states)
+    if key not in memo:
         points = _points(law, states)
         if "if_then_else" in law.names:  # a copy apart finds whether pydrake wants Expressions
             _caller(law, law.copy_of_target(), states)(points[0])
         # With numbers first, because a function may keep what it is called with.
-        memo[question] = Trace(_fault(law, states, points, None))
-    known: Trace = memo[question]
+        memo[key] = Trace(_fault(law, states, points, None))
+    known: Trace = memo[key]
     if known.why_not_compiled == HIDES_STATE:
         return known
     variables = _variables(tuple(argument_sizes(law, states).items()))
@@ -93,20 +96,24 @@ def trace(law: Law, states: int) -> Trace:
     except (ParameterError, CompilationError) as error:
         return Trace(_reason(error))
     fault = _fault(law, states, _points(law, states), graph)
-    memo[question] = Trace(fault, graph, "" if fault else graph.key)
-    return memo[question]
+    memo[key] = Trace(fault, graph, "" if fault else graph.key)
+    return memo[key]
 
 
 @cache
 def _variables(sizes: tuple[tuple[str, int], ...]) -> dict[str, Any]:
-    """Return an array of symbolic variables for each argument of a function, (name, size)."""
+    """Return a dictionary from the name of an argument to its symbolic variables.
+
+    ``sizes`` has name and number of elements of each argument of the law's function.
+    """
     return {name: np.array([Variable(f"{name}{n}") for n in range(size)]) for name, size in sizes}
 
 
 def replay(law: Law, samples: Array, states: int) -> None:
     """Compare the equations of a law with calls of its function at samples of a run.
 
-    `trace` has read the equations, and knows the result of the comparison from then on.
+    A run reaches values at which `trace` has not compared them. If the equations differ from the
+    function there, the `Trace` of the law says so from then on.
 
     Parameters
     ----------
@@ -169,7 +176,10 @@ def _fault(
 
 
 def _caller(law: Law, function: Any, states: int) -> Callable[[Array], list[Any]]:
-    """Return a function of a point that calls the function of a law: command, next state or nan."""
+    """Return ``call(point)``, which calls ``function`` with the arguments in an array (size,).
+
+    The result is a list of the command and the next state. All are nan if the function fails.
+    """
     places, first = {}, 0
     for name, size in argument_sizes(law, states).items():
         places[name] = slice(first, first := first + size)
@@ -223,7 +233,10 @@ def _points(law: Law, states: int) -> Array:
 
 
 def _reason(error: Exception) -> str:
-    """Return in words why a call with variables failed, with the line."""
+    """Return in words why a call of the law's function with symbolic variables failed.
+
+    The text names the line of the function if this line is known.
+    """
     cause = error.__cause__
     if cause is None:
         return str(error)

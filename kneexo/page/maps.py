@@ -141,7 +141,11 @@ def _dropped(
     values: Mapping[str, float],
     unit: float,
 ) -> str:
-    """Return the number whose removal gives a formula, or else the least important number."""
+    """Choose a number to give up, because no formula represents the parameter ``index``.
+
+    Return the least important of the ``droppable`` numbers without which there is a formula. If
+    there is none, return the least important number.
+    """
     for name in reversed(droppable):
         centre = probe.centre.copy()
         probe.fix(name, values)
@@ -166,9 +170,17 @@ class _Probe:
             name: low + part * (high - low)
             for part, (name, (low, high)) in zip(share, ranges.items(), strict=True)
         }
+        """Value of each number that a point does not have: random, in the middle 60 % of its range.
+
+        ``fix`` replaces the random value by the present value of the number.
+        """
 
     def __call__(self, point: Mapping[str, float]) -> Array:
-        """Return the parameters at a point. Numbers that ``point`` lacks are at their centre."""
+        """Return the vector of all parameters for a point, which is evaluated at most once.
+
+        ``point`` is a dictionary from the name of a number to its value. A number that is not in
+        ``point`` gets its value in ``centre``.
+        """
         values = {**self.centre, **point}
         key = tuple(values.values())
         if key not in self._known:
@@ -176,7 +188,7 @@ class _Probe:
         return self._known[key]
 
     def fix(self, name: str, values: Mapping[str, float]) -> None:
-        """Keep the number ``name`` at its value in ``values`` in all further evaluations."""
+        """Give the number ``name`` its value in ``values`` at all points without this number."""
         self.centre[name] = values[name]
 
     def accepts(self, name: str) -> bool:
@@ -195,9 +207,9 @@ class _Probe:
         ).tolist()
 
     def points(self, names: Sequence[str]) -> list[dict[str, float]]:
-        """Return random points, the same for the same names.
+        """Return the random points at which a formula of the numbers ``names`` is checked.
 
-        Half of the coordinates lie at the ends of their ranges.
+        The same names get the same points. Half of the coordinates lie at the ends of their ranges.
         """
         if (key := tuple(names)) not in self._points:
             shares = self._random.uniform(-0.5, 1.5, (_POINTS, len(names))).clip(0.0, 1.0)
@@ -215,7 +227,11 @@ class _Probe:
 def _fits(
     probe: _Probe, names: Sequence[str], unit: float
 ) -> tuple[dict[int, Map], tuple[int, list[str]] | None]:
-    """Return the formulas and None, or the first parameter without formula, with its numbers."""
+    """Fit a formula to each parameter that depends on one of the numbers ``names``.
+
+    Returns the formulas by the index of the parameter, and None. If a parameter has no formula, the
+    second value is the index of this parameter and the names of the numbers on which it depends.
+    """
     numbers_of: dict[int, list[str]] = {}
     for name in names:
         for index in probe.affected(name):

@@ -123,9 +123,9 @@ def _structural_fields(kind: type[Parameters]) -> tuple[tuple[str, bool], ...]:
 
 
 def structure_key(scenario: Scenario) -> str:
-    """Return a text by which scenarios that can share a compiled model are recognized.
+    """Return a text that is the same for all scenarios that can share a compiled model.
 
-    Such scenarios have the same text. The text contains the structure and a digest of the source
+    The text contains the structure and a digest of the source
     files that make the equations.
     """
     fields = dict(structure(scenario))
@@ -242,7 +242,10 @@ def _diagram(key: str, scenario: Scenario) -> Any:
 
 
 class _UnknownParts(NamedTuple):
-    """Key of the equations of a controller with a Drake system of the user, and its numbers."""
+    """Key and numbers of a controller that contains a Drake system of the user.
+
+    kneexo does not know the parameters and states of such a system by name.
+    """
 
     key: str
     """Digest of the controller's equations."""
@@ -253,9 +256,9 @@ class _UnknownParts(NamedTuple):
 
 
 def _unknown_parts(scenario: Scenario) -> _UnknownParts:
-    question = "read", known_text(scenario)
+    key = "read", known_text(scenario)
     with _lock:
-        return remembered(users_law(scenario), question, lambda: _read_controller(scenario))
+        return remembered(users_law(scenario), key, lambda: _read_controller(scenario))
 
 
 def _read_controller(scenario: Scenario) -> _UnknownParts:
@@ -359,7 +362,10 @@ def scenario_inputs(scenario: Scenario) -> InputTable:
 
 @lru_cache(maxsize=64)
 def _joint_table(has_law_command: bool, reference: Any, moment: MomentTable | None) -> InputTable:
-    """Return one table of the command (zero), the reference and the moment, where they exist."""
+    """Return one input table of all inputs that a compiled model has.
+
+    They are the command of a law in Python (zero), the reference and the wearer's moment.
+    """
     tables = [_NO_INPUTS] if has_law_command else []
     if isinstance(reference, SampledReference):
         tables.append(reference_table(reference))

@@ -95,7 +95,11 @@ def serve_runs(requests: Mapping[int, RunRequest]) -> Iterator[tuple[int, Run | 
 def _repeated(
     requests: Mapping[int, RunRequest], index: int, signals: Any, run: Run | KneexoError
 ) -> Run | KneexoError:
-    """Repeat a run of RK4 as long as its steps are unstable; return the last run or its error."""
+    """Repeat a run of RK4 with shorter steps as long as its steps are unstable.
+
+    If RK4 would need too many steps, ``rosenbrock`` makes the run. Return the last run or its
+    error. ``index`` selects the request of the run.
+    """
     settings = requests[index].scenario.simulation
     sample_time_s = requests[index].scenario.controller.sample_time_s
     while isinstance(unstable := run, UnstableStepError):
@@ -146,7 +150,7 @@ def _records(request: RunRequest) -> float:
 
 
 def _width(request: RunRequest) -> int:
-    """Return the number of columns that a run logs; an unknown signal has no column."""
+    """Return the number of columns that a run logs. An unknown signal has no column."""
     names = request.signals
     if names is None:
         names = available_signals(request.scenario)
@@ -259,7 +263,10 @@ def simulate(
 
 @makers_called_once()
 def _run(request: RunRequest) -> Run:
-    """Return the answer to a request. An error says so if the law seems to have a wrong sign."""
+    """Return the run that answers a request.
+
+    If the run fails and the law seems to have a wrong sign, the message of the error says so.
+    """
     try:
         run: Run = ask(serve_runs, request)
         return run

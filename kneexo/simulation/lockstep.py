@@ -72,7 +72,10 @@ class _Question:
 # A greenlet, not a coroutine: no caller on the way needs `async` and `await`, and SciPy's root
 # finders, which cannot wait for a coroutine, call a function that asks for runs.
 class _Call(greenlet):
-    """A call in lockstep. It works until it asks, and then returns a `_Question` to its parent."""
+    """A call in lockstep, which works until it needs an answer, such as a run.
+
+    Then the call returns a ``_Question`` to its parent, and waits.
+    """
 
 
 def map_in_lockstep(

@@ -37,8 +37,8 @@ def digest(paths: Iterable[Path]) -> str:
 def sources(folder: Path) -> list[Path]:
     """Return the files of kneexo that the loop of a scenario imports, directly or through others.
 
-    ``folder`` contains the package. ``kneexo/__init__.py`` is left out: the file names modules
-    of all floors and imports none of them.
+    ``folder`` is the folder that contains the package. ``kneexo/__init__.py`` is left out: it lists
+    names from all layers of the package, but imports a module only when its name is used.
     """
     found: dict[str, Path] = {}
     modules = [_START]

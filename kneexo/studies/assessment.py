@@ -25,7 +25,7 @@ def assess(
 ) -> dict[str, Any]:
     """Return a dictionary from the name of a metric of a scenario to its value.
 
-    Each of these arguments adds a group of metrics if it is True:
+    Each argument that is True adds a group of metrics:
 
     - ``tracking``: the `TRACKING_METRICS` of a simulated run, and ``tracking_failure``. A scenario
       with a wearer adds the `INTERACTION_METRICS` of the samples that count for the error.

@@ -11,8 +11,8 @@ Cell = str | tuple[str, str] | Callable[[Any], str]
 
 If the rule is a name, the text is the item's value at this key or attribute. Names with dots
 between them lead to a value inside a value. If the rule is a pair (name, format), the value is
-printed as a number, or in whole percent if the format is ``%``. If it is a function, it returns the
-text for the item.
+printed as a number, or in whole percent if the format is ``%``. If the rule is a function, the
+function returns the text for the item.
 """
 
 

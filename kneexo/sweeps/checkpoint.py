@@ -27,10 +27,10 @@ _MOST_BYTES = 4096 * MIB  # the results of some million runs
 class Checkpoint:
     """A file with one JSON line for each finished piece of work.
 
-    A piece of work is one call of a function. Its key contains the function, the input and kneexo's
-    version. A sweep therefore reads a result from the file only if it would compute the same
-    result. Results are plain JSON data, and floats are restored bit by bit. Each line has a
-    checksum. Damaged lines are skipped, and a warning says how many.
+    A piece of work is one call of a function. The key of a piece contains the name of the function,
+    the input and kneexo's version. A sweep reads a result from the file only if the key of its own
+    piece is the same. Results are plain JSON data, and floats are restored bit by bit. Each line
+    has a checksum. Damaged lines are skipped, and a warning says how many.
 
     Parameters
     ----------
@@ -63,11 +63,13 @@ class Checkpoint:
                 raise
 
     def _read(self) -> None:
-        """Read the undamaged lines of the file into ``_results``; warn of damaged lines."""
+        """Read the results in the undamaged lines of the file; warn of damaged lines."""
         data = self._file.read(_MOST_BYTES)
         self._torn = not data.endswith(b"\n") and bool(data)
         damaged = 0
-        # A line is empty if `keep` began anew after a torn line of which nothing was written.
+        # After a failed write, ``keep`` begins its next line with a line end, so that the torn line
+        # is a damaged line of its own. If nothing of the torn line was written, an empty line is
+        # left.
         for line in filter(None, data.splitlines()):
             payload = line[_PAYLOAD_START:-1]
             try:
@@ -81,7 +83,7 @@ class Checkpoint:
             warnings.warn(
                 f"checkpoint {shown(self.path)}: {damaged} damaged "
                 f"{'line is' if damaged == 1 else 'lines are'} skipped",
-                stacklevel=4,  # the line that opens the sweep
+                stacklevel=4,  # the warning names the line of the caller of Checkpoint(…)
             )
 
     def __len__(self) -> int:
@@ -98,9 +100,10 @@ class Checkpoint:
         return result
 
     def keep(self, key: str, result: Any) -> Any:
-        """Store the result of the piece of work with the key ``key``.
+        """Append the result of the piece of work with the key ``key`` to the file.
 
-        Returns the result after conversion to JSON and back.
+        Returns the result after conversion to JSON and back, so that a sweep that continues from
+        the file gets the same data. Raises `OutputError` if the file cannot be written.
         """
         payload = json.dumps([key, result])
         start = b"\n" if self._torn else b""
@@ -116,10 +119,11 @@ class Checkpoint:
         self._file.close()
 
     def remove(self) -> int:
-        """Delete the file after a complete sweep and return the number of unused pieces.
+        """Close the file after a complete sweep; delete the file if all its results were used.
 
-        An unused piece is a piece of work whose result this sweep did not use, such as a run with
-        other settings. If there are unused pieces, the file is closed but not deleted.
+        Returns the number of unused pieces. An unused piece is a piece of work in the file whose
+        result this sweep did not use, such as a run with other settings. If there are unused
+        pieces, the file stays, so that a sweep with those settings can continue.
         """
         unused = len(self._results.keys() - self._used)
         if not unused:
@@ -129,7 +133,7 @@ class Checkpoint:
 
     @contextmanager
     def _output_errors(self) -> Iterator[None]:
-        """Context manager: turn an `OSError` of the file into an `OutputError`."""
+        """Context manager: raise an `OutputError` for an `OSError` of the file in the body."""
         try:
             yield
         except OSError as error:
@@ -143,24 +147,32 @@ class Checkpoint:
 
 
 class UnknownLawError(KneexoError):
-    """A later process could not recognize a law, which is called as Python and in no file."""
+    """A law is called as Python, and its name leads to no file: a checkpoint has no key for it.
+
+    A later process could not decide whether its law is the same one.
+    """
 
 
-# A damaged digit is still JSON, with a wrong result. So each line has a checksum, and a damaged
-# line costs its own piece only.
+# A line with a damaged digit is still JSON, but with a wrong result. The checksum finds such a
+# line. Only the piece of work of this line is lost, and the others are kept.
 def _sealed(payload: bytes) -> bytes:
-    """Return a line of the file, made of a checksum and ``payload``, the JSON of key and result."""
+    """Return a line of the file without line end: a checksum, and then ``payload``.
+
+    ``payload`` is the JSON of a list of key and result.
+    """
     seal = hashlib.sha256(payload).hexdigest().encode()
     return b'{"sha256": "' + seal + b'", "piece": ' + payload + b"}"
 
 
-_PAYLOAD_START = len(_sealed(b"")) - len(b"}")  # index at which the payload of a line begins
+_PAYLOAD_START = len(_sealed(b"")) - len(b"}")
+"""Index at which the payload of a line begins. All lines begin with equally many characters."""
 
 
 def piece_keys(function: Any, items: Iterable[Any]) -> list[str]:
-    """Return the key of each piece of work ``function(item)``.
+    """Return the key of each piece of work ``function(item)``, by which a later sweep finds it.
 
-    The key is a digest of kneexo's version, the function with its bound arguments, and the item.
+    The key is a digest of kneexo's version, the name of the function with its bound arguments, and
+    the item.
     Raises `UnknownLawError` for an item with a law that another process cannot recognize: see
     `kneexo.simulation.compiled.users_code_key`.
     """
@@ -174,11 +186,15 @@ def piece_keys(function: Any, items: Iterable[Any]) -> list[str]:
 
 
 def _text(value: Any) -> bytes:
+    """Return a function or an item as JSON. Equal values have equal texts."""
     return _ENCODER.encode(value).encode()
 
 
 def _plain(value: Any) -> Any:
-    """Return JSON-compatible data that stands for a value that JSON cannot write."""
+    """Return data for JSON that stands for a value in a key, such as a scenario or a function.
+
+    Raises `UnknownLawError` as `piece_keys` does, and `TypeError` for a value of another type.
+    """
     if isinstance(value, Scenario) and (code := value.users_code()):
         if (key := users_code_key(value)) is None:
             raise UnknownLawError(
@@ -188,8 +204,9 @@ def _plain(value: Any) -> Any:
             )
         makers = {place: {"make"} for place in value.parts.chosen()}
         numbers = value.model_dump_json(exclude={"controller": {"function"}, "parts": makers})
-        # The key has the equations of the law, not its text: a law that is written otherwise finds
-        # its pieces again, and the same text that reads other values does not.
+        # The key contains the equations of the law, not the text of the law. A law with the same
+        # equations in another text finds its pieces again. A law with the same text that reads
+        # other values has other equations, and so does not find these pieces.
         return [type(value).__name__, numbers, key]
     if isinstance(value, BaseModel):
         return [type(value).__name__, value.model_dump_json()]
@@ -200,6 +217,9 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return dict(value)
     if callable(value):
+        # A function enters the key by its name alone. For a function of kneexo, the version in the
+        # key stands for its code. The cost: a function that is edited at an unchanged version, such
+        # as a function of the user, finds its old results.
         return f"{value.__module__}.{value.__qualname__}"
     raise TypeError(f"{type(value).__name__} cannot be part of a checkpointed piece of work")
 

@@ -89,7 +89,7 @@ class Cuff(NamedLeaf):
         return [torque * self._leg.Eval(context)[1], torque * self._knee_rate(context)]
 
     def DoCalcTimeDerivatives(self, context: Any, derivatives: Any) -> None:
-        """Set the rate of the slip. Raises `SimulationError` when the rate is not finite."""
+        """Set the rate of the slip of the cuff. Raises `SimulationError` if it is not finite."""
         if not self._slides:
             return
         p = self.parameters(context)

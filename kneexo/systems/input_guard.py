@@ -1,4 +1,4 @@
-"""Guard before the fault detectors: replaces inputs that no sensor and no reference can have."""
+"""Guard before the fault detectors: replaces input values that no sensor or reference can give."""
 
 from __future__ import annotations
 

@@ -20,9 +20,10 @@ _LICENCES = {
 
 
 def web_text(name: str) -> str:
-    """Return the text of a file of the package, such as ``view/web/stage.js``.
+    """Return the text of a file in the package ``kneexo``, such as ``view/web/stage.js``.
 
-    The text of a library of others has its licence in front, as a comment.
+    The text of a vendored library, such as three.js, begins with the library's licence as a
+    comment.
     """
     folder = resources.files("kneexo")
     text = (folder / name).read_text(encoding="utf-8")
@@ -33,7 +34,10 @@ def web_text(name: str) -> str:
 
 
 def require_page_name(path: Path) -> None:
-    """Raise `OutputError` unless the name of a page ends in .html; other files are not replaced."""
+    """Raise `OutputError` unless the name of a page ends in .html or .htm.
+
+    A misspelt name therefore cannot replace a file that is no page.
+    """
     if path.suffix not in (".html", ".htm"):
         raise OutputError(f"{shown(path)}: the name of a page must end in .html")
 
@@ -58,7 +62,8 @@ def self_contained_page(
     title
         Plain text.
     body_html
-        HTML of the page's body. The caller escapes names of users.
+        HTML of the page's body. The caller escapes texts that come from the user, such as names of
+        files and scenarios.
     styles, scripts
         Texts of style sheets and classic scripts. The scripts run in this order, after the body
         exists.
@@ -66,15 +71,17 @@ def self_contained_page(
         Dictionary from the ``id`` of an element to JSON data. A script reads the data by
         ``JSON.parse(document.getElementById(id).textContent)``.
     worker
-        Text of a worker's script. A script starts the worker from a data URL of the text, which is
-        the JSON data of the element ``worker``.
+        Text of the script of a web worker, or None for a page without worker. The page holds the
+        text as JSON in the element with the id ``worker``, so ``data`` must not use this id. A
+        script of ``scripts`` makes a data URL of the text and starts the worker.
     wasm
         Whether scripts and worker may compile WebAssembly.
 
     Raises
     ------
     ValueError
-        A script or style contains the end tag of its element.
+        A script or style contains the end tag of its element or ``<!--``, or ``data`` contains a
+        number that is not finite.
     """
     styles = [_as_parsed(text, "style") for text in styles]
     scripts = [_as_parsed(text, "script") for text in scripts]
@@ -103,9 +110,10 @@ def self_contained_page(
 
 
 def _as_parsed(text: str, element: str) -> str:
-    """Return ``text`` with the line ends that a browser makes of it, so that its hash fits.
+    """Return a script or style as a browser reads it, so that the hash in the policy fits.
 
-    Raises `ValueError` if the text would end its ``element`` early.
+    A browser replaces the line ends ``\\r\\n`` and ``\\r`` by ``\\n``. Raises `ValueError` if
+    ``text`` would end its ``element``, ``script`` or ``style``, too early.
     """
     if f"</{element}" in text.lower() or "<!--" in text:
         raise ValueError(f"a {element} must not contain </{element} or <!--")
@@ -121,8 +129,10 @@ def _policy(styles: Sequence[str], scripts: Sequence[str], worker: str | None, w
         "default-src": ["'none'"],
         "script-src": script_sources or ["'none'"],
         "style-src": [*map(_hash, styles)] or ["'none'"],
+        # Figures of a report are img elements with data URLs. No page of kneexo has an image with a
+        # blob URL. Both kinds of URL lead into the page itself, so neither allows a connection.
         "img-src": ["data:", "blob:"],
-        # Cells of VS Code allow workers from data URLs only.
+        # Notebooks in VS Code allow workers from data URLs only.
         "worker-src": ["'none'"] if worker is None else ["data:"],
         "base-uri": ["'none'"],
         "form-action": ["'none'"],

@@ -3,9 +3,10 @@
 A detector and its reaction must end the fault within this time, the fault-tolerant time interval. A
 permanent fault and a shorter one give the same run until the shorter one ends. So the critical
 duration is shorter than the time from the start of the fault until the permanent fault exceeds the
-bound, or until its run fails. A bisection between zero and this limit finds it. The bisection
-assumes that a longer fault moves the knee farther. A permanent fault that stays within the bound
-says only that the critical duration is not shorter than the observed time: it is censored.
+bound, or until the run with the permanent fault fails. A bisection between zero and this time finds
+the critical duration. The bisection assumes that a longer fault moves the knee farther. A permanent
+fault that stays within the bound says only that the critical duration is not shorter than the
+observed time: the critical duration is censored.
 """
 
 from __future__ import annotations
@@ -32,9 +33,9 @@ from kneexo.sweeps.parallel import parallel_map
 
 @dataclass(frozen=True, repr=False)
 class FaultCase(Result):
-    """Effect of one fault that begins at ``start_s``, or later by a signal.
+    """Effect of one fault that begins at ``start_s``, or later when a signal triggers the fault.
 
-    The deviations are differences from the run without the fault.
+    The deviations are differences of the knee angle from the run without the fault.
     """
 
     name: str
@@ -43,20 +44,21 @@ class FaultCase(Result):
     largest_deviation_deg: float
     """Largest deviation of the knee with the permanent fault; inf if the run fails."""
     critical_duration_s: float
-    """Longest duration for which a run stays within the bound.
+    """Longest duration of the fault with which the knee stays within the bound.
 
-    It is 0 if one sample is too long, and nan if no signal starts the fault. If it is ``censored``,
-    it is the time for which the fault was observed.
+    The critical duration is 0 if a fault of one sample is too long, and nan if no signal starts the
+    fault. If ``censored`` is True, the critical duration is the time for which the fault was
+    observed.
     """
     censored: bool
-    """Whether the permanent fault stays within the bound as long as it is observed."""
+    """Whether the knee stays within the bound as long as the permanent fault is observed."""
     failing_duration_s: float
     """Critical duration plus one sample; nan if the critical duration is censored or nan."""
 
 
 @dataclass(frozen=True, repr=False)
 class FaultSurvival(Result):
-    """Critical durations of faults at several times. `fault_survival` makes it."""
+    """Result of `fault_survival`: critical durations of faults that begin at several times."""
 
     bound_deg: float
     cases: tuple[FaultCase, ...]
@@ -115,7 +117,10 @@ def _by_name(cases: Sequence[FaultCase]) -> Iterator[tuple[str, list[FaultCase]]
 
 
 def _worst(cases: Sequence[FaultCase]) -> FaultCase:
-    """Return the case with the shortest critical duration; one without a number comes last."""
+    """Return the case with the shortest critical duration.
+
+    A case whose critical duration is nan is returned only if all cases are of this kind.
+    """
     return min(cases, key=lambda c: (math.isnan(c.critical_duration_s), c.critical_duration_s))
 
 
@@ -221,7 +226,10 @@ def fault_case(
     """
 
     def run_with(samples: int | None) -> Run | None:
-        """Return the run if the fault lasts a number of samples, or for ever; None if it fails."""
+        """Return the run with the fault for ``samples`` samples, or for ever if None.
+
+        The result is None if the run fails.
+        """
         faulty = _faulty(scenario, fault, samples)
         try:
             return simulate(faulty, signals=_signals(faulty))
@@ -229,7 +237,7 @@ def fault_case(
             return None
 
     def deviation_deg(run: Run | None) -> Array:
-        """Return the deviation of the knee; inf for a run that fails."""
+        """Return the deviation of the knee at each sample; a single inf for a run that fails."""
         if run is None:
             return np.array([math.inf])
         return np.degrees(np.abs(run["knee_angle_rad"] - healthy["knee_angle_rad"]))
@@ -265,7 +273,10 @@ def _signals(scenario: Scenario) -> tuple[str, ...]:
 
 
 def fault_name(fault: FaultParameters) -> str:
-    """Return place, kind, size, seed and trigger of a fault, as far as it has them."""
+    """Return the name of a fault in reports: its place and kind, and its size, seed and trigger.
+
+    A part that the fault does not have is left out.
+    """
     parts = [fault.place, fault.kind]
     if fault.kind != "frozen":
         parts.append(f"{fault.size:g} {fault.size_unit}".rstrip())
@@ -278,7 +289,7 @@ def fault_name(fault: FaultParameters) -> str:
 
 
 def _faulty(scenario: Scenario, fault: FaultParameters, samples: int | None) -> Scenario:
-    """Return the scenario with one more fault that lasts a number of samples, or for ever."""
+    """Return the scenario with one more fault for ``samples`` samples, or for ever if None."""
     period = scenario.controller.sample_time_s
     duration_s = None if samples is None else samples * period
     faults = (*scenario.faults, fault.changed({"duration_s": duration_s}))

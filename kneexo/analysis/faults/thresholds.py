@@ -24,43 +24,56 @@ from kneexo.simulation import needs_runs, simulate
 from kneexo.sweeps.parallel import parallel_map
 
 MARGIN = 1.5
-"""Proposed threshold divided by the largest level of a healthy run."""
+"""Proposed threshold divided by the largest level of a healthy run.
+
+The factor is a choice. A larger factor gives fewer false alarms, but a fault is detected later or
+not at all. It applies to the proposal that ``print`` shows, and not to the default thresholds.
+"""
 
 _SIGNALS = ("residuals", "safety_reason")
-_LATER = ("speed", "following")  # detectors that are not watched during the start
+_AFTER_START = ("speed", "following")
+"""Names of the detectors whose residuals count only after the start of a run."""
 
 
 @dataclass(frozen=True, repr=False)
 class DetectorThresholds(Result):
-    """False alarms and levels of the residuals in healthy runs. `detector_thresholds` makes it.
+    """Result of `detector_thresholds`: false alarms, and levels of the residuals in healthy runs.
 
-    The level of a detector in a run is the largest threshold at which the detector would have
-    detected a fault. ``levels`` maps the name of a detector to the levels (trips, runs) in the unit
-    of its threshold, with a row for each of ``trips_s``. The first of ``trips_s`` is that of the
-    protection.
+    A detector detects a fault if its residual exceeds the threshold long enough: see
+    ``protection.trip_s``, the trip time. The level of a detector in a run is the largest threshold
+    at which the detector would have detected a fault. ``levels`` maps the name of a detector to the
+    levels (trip times, runs) in the unit of the detector's threshold, with a row for each trip time
+    in ``trips_s``. The first trip time is that of the protection.
     """
 
     protection: ProtectionParameters
     runs: int
     failed: int
-    """Number of runs that ended with an error. They have no levels."""
+    """Number of runs that ended with an error. These runs have no levels."""
     hours: float
     """Simulated time of all runs that did not fail."""
     alarms: Mapping[str, int]
-    """Number of runs that the protection stopped, by the reason; empty without a false alarm."""
+    """Number of runs that the protection stopped, by the reason of the stop.
+
+    The dictionary is empty without a false alarm.
+    """
     trips_s: tuple[float, ...]
     levels: Mapping[str, Array]
 
     def largest(self, name: str) -> float:
-        """Return the largest level of a detector with the first of ``trips_s``."""
+        """Return the largest level of the detector ``name``, with the protection's trip time."""
         return float(np.max(self.levels[name][0]))
 
     def false_alarms(self, name: str, threshold: float) -> int:
-        """Return the number of runs in which a detector with a threshold detects a fault."""
+        """Return the number of runs in which the detector ``name`` would detect a fault.
+
+        ``threshold`` is in the unit of the detector's threshold. The trip time is that of the
+        protection.
+        """
         return int(np.sum(self.levels[name][0] > threshold))
 
     def __str__(self) -> str:
-        """Return a line for each detector."""
+        """Return a table with a line for each detector: levels, thresholds and false alarms."""
         lines = [
             f"{self.runs} healthy runs, {self.hours:.3g} h, {self.failed} failed, "
             f"{sum(self.alarms.values())} false alarms",
@@ -114,11 +127,11 @@ def detector_thresholds(
     trips_s: Sequence[float] = (),
     workers: int | None = 1,
 ) -> DetectorThresholds:
-    """Return the levels that the residuals of a scenario reach in healthy runs.
+    """Simulate healthy runs, to choose the thresholds of the fault detectors above their residuals.
 
     Each run has the protection of the scenario. If the protection stops the motor, which is a false
-    alarm, the run is repeated with thresholds out of reach. The levels of ``speed`` and
-    ``following`` count from ``protection.overdue_s`` on, when the start has ended.
+    alarm, the run is repeated with thresholds out of reach. The levels of the detectors ``speed``
+    and ``following`` count from ``protection.overdue_s`` on, when the start has ended.
 
     Parameters
     ----------
@@ -131,7 +144,7 @@ def detector_thresholds(
     seed
         Seed of the samples.
     trips_s
-        More values of ``protection.trip_s`` in s, whose levels are computed too.
+        Further trip times in s, beside ``protection.trip_s``, for which levels are computed.
     workers
         Number of worker processes, as in `kneexo.sweeps.parallel_map`.
 
@@ -146,23 +159,23 @@ def detector_thresholds(
     given = ThresholdArguments.model_validate(
         {"uncertainty": uncertainty, "runs": runs, "seed": seed, "trips_s": trips_s}
     )
-    kept, _ = applicable(scenario, given.uncertainty)
+    used_uncertainty, _ = applicable(scenario, given.uncertainty)
     protection = scenario.protection
     if protection is None:
         raise ParameterError("protection: is missing; add protection: {}")
     trips = (protection.trip_s, *given.trips_s)
-    own = {f"protection.{name}": getattr(protection, name) for name in ("overdue_s", "trip_s")}
-    for name, time_s in (*own.items(), *(("trips_s", time_s) for time_s in given.trips_s)):
+    times = [(f"protection.{name}", getattr(protection, name)) for name in ("overdue_s", "trip_s")]
+    for name, time_s in (*times, *(("trips_s", time_s) for time_s in given.trips_s)):
         if not time_s < scenario.duration_s:
             raise ParameterError(
                 f"{name} = {time_s:g} s: must be < {scenario.duration_s:g} s, the "
                 f"duration of a run; reduce it, or extend simulation.duration_s"
             )
-    watched = scenario.changed({"push": None, "faults": ()})
-    observing = watched.changed({"protection": _observing(watched)})
-    healthy = partial(_healthy_run, watched, observing, kept, trips)
-    found = parallel_map(healthy, draw(kept, runs, seed), workers=workers)
-    succeeded = [run for run in found if run is not None]
+    protected = scenario.changed({"push": None, "faults": ()})
+    never_stopped = protected.changed({"protection": _out_of_reach(protected)})
+    healthy = partial(_healthy_run, protected, never_stopped, used_uncertainty, trips)
+    results = parallel_map(healthy, draw(used_uncertainty, runs, seed), workers=workers)
+    succeeded = [result for result in results if result is not None]
     if not succeeded:
         raise ParameterError(f"all {runs} runs fail; simulate one of them to see why")
     levels = np.stack([level for _, level in succeeded], axis=-1)
@@ -178,61 +191,70 @@ def detector_thresholds(
     )
 
 
-def _observing(scenario: Scenario) -> ProtectionParameters:
-    """Return the protection of a scenario, with thresholds that stop no run.
+def _out_of_reach(scenario: Scenario) -> ProtectionParameters:
+    """Return the protection of a scenario with its thresholds at their largest allowed values.
 
-    So the residuals of the whole run are seen. One threshold is within reach: that of the load
-    cell, at the end of its range.
+    A run with this protection is not stopped, so it has the residuals of the whole run. Only the
+    load cell can reach its threshold, at the end of its range.
     """
     assert scenario.protection is not None
     fields = ProtectionParameters.model_fields
     limits = {d.field: limits_of(fields[d.field])[1] for d in DETECTORS.values()}
+    # A scenario must have this threshold below the range of its load cell. 0.999 is a choice: of
+    # the readings that the load cell can give, only the last thousandth of the range is above.
     limits["load_cell_n"] = 0.999 * scenario.load_cell.range_n
     return scenario.protection.model_copy(update=limits)
 
 
 @needs_runs
 def _healthy_run(
-    watched: Scenario,
-    observing: Scenario,
+    protected: Scenario,
+    never_stopped: Scenario,
     uncertainty: UncertaintySet,
     trips_s: Sequence[float],
     values: Mapping[str, Any],
 ) -> tuple[int, Array] | None:
-    """Return the reason of a false alarm, or 0, and the levels (trips, detectors).
+    """Simulate one healthy run, whose uncertain ``values`` are a sample from ``uncertainty``.
 
+    Returns the reason of the false alarm (0: none) and the levels (trip times, detectors). A level
+    is the largest threshold at which the detector would have given an alarm with the trip time.
     The result is None if the run fails.
     """
     try:
-        run = simulate(realize(watched, uncertainty, values), signals=_SIGNALS)
+        run = simulate(realize(protected, uncertainty, values), signals=_SIGNALS)
         reason = int(run["safety_reason"].max())
         # Again, with thresholds out of reach: a run that the protection stops shows no levels after
         # the stop.
         if reason:
-            run = simulate(realize(observing, uncertainty, values), signals=_SIGNALS)
+            run = simulate(realize(never_stopped, uncertainty, values), signals=_SIGNALS)
     except SimulationError:
         return None
-    assert watched.protection is not None
-    period_s = watched.controller.sample_time_s
-    started = int(watched.protection.overdue_s / period_s)
+    assert protected.protection is not None
+    period_s = protected.controller.sample_time_s
+    started = int(protected.protection.overdue_s / period_s)
     levels = np.zeros((len(trips_s), len(DETECTORS)))
     for index, (name, column) in enumerate(zip(DETECTORS, columns(["residuals"]), strict=True)):
-        residual = run[column][started if name in _LATER else 0 :] / DETECTORS[name].factor
+        residual = run[column][started if name in _AFTER_START else 0 :] / DETECTORS[name].factor
         for row, trip_s in enumerate(trips_s):
             levels[row, index] = level_of(residual, max(1, round(trip_s / period_s)))
     return reason, levels
 
 
 def level_of(residual: Array, trip_samples: int) -> float:
-    """Return the largest threshold at which a counter of a residual (n,) reaches its end.
+    """Return the largest threshold at which a detector would detect a fault in a residual (n,).
 
-    The counter goes up by one above the threshold, else down by one, but not below zero. The result
-    is 0 if the residual has fewer samples than ``trip_samples``.
+    The counter of the detector goes up by one at each sample above the threshold, and down by one
+    at each other sample, but not below zero. The detector detects a fault when the counter reaches
+    ``trip_samples``. The result is 0 if the residual has fewer samples than ``trip_samples``.
     """
+    # A threshold just below values[i] counts all samples >= values[i]. Bisect for the largest such
+    # i at which the detector still detects a fault: the indices below `low` do, those from `high`
+    # on do not.
     values = np.unique(residual)
-    low, high = 0, values.size  # the counter trips below values[low − 1], and not from values[high]
+    low, high = 0, values.size
     while low < high:
         middle = (low + high) // 2
+        # The counter is the sum of all steps, minus the lowest sum so far if this is below zero.
         sums = np.cumsum(np.where(residual >= values[middle], 1, -1))
         counts = sums - np.minimum(np.minimum.accumulate(sums), 0)
         if counts.max() >= trip_samples:

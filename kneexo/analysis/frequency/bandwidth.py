@@ -1,9 +1,10 @@
 """Large-signal bandwidth of the closed loop, and the bounds that the motor sets on it.
 
 The bandwidth is the frequency at which the gain of the fundamental first falls below 1/√2. For a
-small sine it is the bandwidth of the linear loop. For a large sine the limits of the motor reduce
-the bandwidth. Let R be the largest speed and A the largest acceleration of the rod. Let a be the
-amplitude and ω the angular frequency of the rod's reference. Then every controller obeys
+small sine this frequency is the bandwidth of the linear loop. For a large sine the limits of the
+motor reduce the bandwidth. Let R be the largest speed and A the largest acceleration of the rod.
+Let a be the amplitude and ω the angular frequency of the rod's reference. Then every controller
+obeys
 
     gain <= (4/π) R/(aω) and gain <= (4/π) A/(aω²).
 
@@ -194,10 +195,11 @@ def _first_fall_hz(
 
 
 def _expected_hz(scenario: Scenario) -> float:
-    """Return the smallest of three predictions of the bandwidth in Hz.
+    """Predict the bandwidth in Hz, so that the search for the measured bandwidth starts near it.
 
-    The predictions follow from the speed limit, the acceleration limit and, if there is one, the
-    loop that is linearized at the mean of the reference.
+    The result is the smallest of up to three predictions. They follow from the speed limit, the
+    acceleration limit and, if there is one, the loop that is linearized at the mean of the
+    reference.
     """
     speed, acceleration = rod_limits(scenario)
     amplitude = rod_amplitude_m(scenario)

@@ -38,7 +38,7 @@ _TRIALS = "assumption: spread of the five repetitions of Fig. 13, which the pape
 
 
 def _end(path: str, end: int, unit: str, ge: float, le: float, source: str = _TRIALS) -> Any:
-    """Return the field for an end of the range of a value that varies by trial."""
+    """Return a field of `SinestreamSettings`: an end of the range of a value that trials vary."""
     return quantity(UNCERTAINTY.values[path].levels[end], unit, source, ge=ge, le=le)
 
 
@@ -258,9 +258,9 @@ def crossing(frequencies_hz: Array, gain: Array) -> float:
 
 @needs_runs
 def _measure(settings: SinestreamSettings, work: tuple[float, Scenario]) -> complex:
-    """Simulate one sine and return its complex response θ_p/θ_d.
+    """Simulate one sine of the reference; return the complex response θ_p/θ_d at its frequency.
 
-    ``work`` is the frequency in Hz and the scenario.
+    ``work`` is the frequency in Hz and the scenario of the trial.
     """
     frequency, scenario = work
     cycles = settings.transient_cycles + settings.measured_cycles

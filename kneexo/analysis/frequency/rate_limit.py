@@ -9,9 +9,9 @@ let the amplitude a be the unit of length. Then the slope of the follower over �
   4ρ/π. The triangle has its peak πρ/2 where it meets the sine. If the triangle lags by ψ, the peak
   lies at φ = π/2 + ψ, so that cos ψ = πρ/2.
 - Otherwise: The follower leaves the sine at φ_a = π − arccos ρ, where the slope of the sine falls
-  below −ρ. The follower moves along the line sin φ_a − ρ(φ − φ_a) until it meets the sine again at
-  φ_b. Then it follows the sine to φ_a + π, where the opposite half period begins. The gain is the
-  Fourier integral over a half period.
+  below −ρ. The follower moves along the line sin φ_a − ρ(φ − φ_a) until this line meets the sine
+  again at φ_b. Then the follower equals the sine up to φ_a + π, where the opposite half period
+  begins. The gain is the Fourier integral over a half period.
 """
 
 from __future__ import annotations

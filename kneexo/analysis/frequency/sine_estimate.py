@@ -85,8 +85,10 @@ class SineEstimate(Result):
     cycles: int
     """Number of simulated cycles after the ramp."""
     mean_deg: float
-    """Mean knee angle of the averaged cycles. Limits of the motor can make it differ from the mean
-    of the reference."""
+    """Mean knee angle of the averaged cycles.
+
+    While the motor is at its limits, this mean can differ from the mean of the reference.
+    """
     speed_limited_share: float
     acceleration_limited_share: float
 

@@ -86,9 +86,10 @@ motion, where the search gets stuck.
 
 
 def _shared_equations(scenario: Scenario, law: LawTangent | None) -> DiagramEquations:
-    """Return the equations of the closed loop of a scenario, with an open reference.
+    """Return the equations of the closed loop of a scenario, with an open input for the reference.
 
-    Scenarios that differ only in numbers share them.
+    Reading equations takes long, so scenarios that differ only in numbers share the equations.
+    ``law`` replaces a law that runs as Python, or is None.
     """
     key = structure_key(scenario)
 
@@ -106,22 +107,29 @@ def _shared_equations(scenario: Scenario, law: LawTangent | None) -> DiagramEqua
             inputs.append("biological_moment")
         return read_diagram(diagram, inputs=dict.fromkeys(inputs), outputs=[command])
 
-    if law is not None:  # such laws share a structure, but for the numbers of states
+    if law is not None:  # loops with such laws are alike, except for the laws' numbers of states
         return recent_equations.of(f"{key} {law.sizes}", read)
-    if has_unknown_parts(scenario):  # whose Context parameters cannot be set by name
+    if has_unknown_parts(scenario):  # the Context parameters of such parts have no known names
         key += f"{known_text(scenario)} {users_code_key(scenario)}"
     return recent_equations.of(key, read)
 
 
 def _reference_port(diagram: Any) -> str:
-    """Return the port by which the reference reaches the controller, but not the wearer."""
+    """Return the name of the port by which the reference reaches the controller.
+
+    A wearer's leg that follows the reference does not read this port. If the controller has no such
+    port, the result is the port of the whole loop.
+    """
     if diagram.GetSubsystemByName("controller").HasInputPort("knee_reference"):
         return "controller:knee_reference"
     return "knee_reference"
 
 
 def _command_port(diagram: Any) -> str:
-    """Return the port inside a closed loop with the signal of its port ``motor_speed_command``."""
+    """Return the name of the port inside a closed loop whose signal is the motor speed command.
+
+    The closed loop only exports this signal. A loop can be broken at the port inside.
+    """
     port = diagram.GetOutputPort("motor_speed_command")
     system, index = diagram.get_output_port_locator(port.get_index())
     return f"{system.get_name()}:{system.get_output_port(index).get_name()}"
@@ -205,7 +213,8 @@ def find_equilibrium(scenario: Scenario, *, knee_angle_deg: float = MID_RANGE_DE
 def _rest(equations: DiagramEquations, start: Any, law: LawTangent | None) -> Any:
     """Return a Context in which a loop rests. Raise `NoEquilibriumError` if there is none.
 
-    A law that runs as Python is replaced by its linear form, until the loop rests where it holds.
+    The linear form ``law`` replaces a law that runs as Python. The linear form is computed anew at
+    each state at which the loop rests with it, until the state no longer changes.
     """
     if law is None:
         return diagramc.find_equilibrium(equations, start)
@@ -222,9 +231,9 @@ def _rest(equations: DiagramEquations, start: Any, law: LawTangent | None) -> An
 
 
 def _without_motor_limits(scenario: Scenario) -> Scenario:
-    """Return a scenario whose command and motor have no limits.
+    """Return a scenario without limits of command, motor speed and motor acceleration.
 
-    While a command is clipped, it does not depend on the state, and Newton's method gets stuck.
+    A clipped command does not depend on the state of the loop, so Newton's method would get stuck.
     """
 
     def unlimited(plant: PlantParameters | None) -> PlantParameters | None:
@@ -247,7 +256,8 @@ def _require_one_sample_time(diagram: Any) -> None:
 def _require_linear(diagram: Any, context: Any, scenario: Scenario) -> None:
     """Raise `LinearizationError` if there is no linear loop at the state of ``context``.
 
-    The command is then at its limit, or the sliding variable is outside the boundary layer.
+    There is no linear loop if the command is at its limit, or if the sliding variable is outside
+    the boundary layer.
     """
     command = abs(float(diagram.GetOutputPort("motor_speed_command").Eval(context)[0]))
     limit = scenario.command_limit_rad_s

@@ -19,10 +19,10 @@ recent_equations = Recent()
 def context_with(
     diagram: Any, values: Iterable[tuple[str, dict[str, float]]], continuous_state: Sequence[float]
 ) -> Any:
-    """Return a new Context of a diagram with Context parameters and continuous states.
+    """Return a new Context of a diagram, with given Context parameters and continuous states.
 
-    ``values`` are paths of systems with the values of their parameters by name. States that
-    ``continuous_state`` does not contain are zero.
+    ``values`` maps the path of a system to a dictionary from the name of a parameter to its value.
+    States that ``continuous_state`` does not contain are zero.
     """
     context = diagram.CreateDefaultContext()
     set_parameters(diagram, context, values)

@@ -114,7 +114,10 @@ class Alignment(Result):
         return np.asarray(self._rest_mm(limit_mm) / np.sqrt(square) * direction)
 
     def _rest_mm(self, limit_mm: float) -> float:
-        """Return the rms in mm that the error of a place may add."""
+        """Return the rms of the migration in mm that an error of the device's place may add.
+
+        Raises `ParameterError` if the best place exceeds the limit.
+        """
         if not self.rms_mm < limit_mm:
             raise ParameterError(
                 f"limit_mm = {limit_mm:g} mm: must exceed {self.rms_mm:.4g} mm, which the best "
@@ -123,7 +126,11 @@ class Alignment(Result):
         return float(np.sqrt(limit_mm**2 - self.rms_mm**2))
 
     def _square_per_error(self) -> Array:
-        """Return the matrix S (2, 2): an error d of the place, backwards and up, adds d·S·d."""
+        """Return the matrix S (2, 2) by which an error of the device's place adds to the migration.
+
+        An error d (2,) in mm, backwards and up, adds d·S·d in mm² to the mean square. Raises
+        `ParameterError` if the place is not the best one.
+        """
         if not self.is_best:
             raise ParameterError(
                 "placement: is not the best one, so that a wrong place has no known effect; call "
@@ -262,9 +269,9 @@ def align(
 ) -> Alignment:
     """Return the migration of the strap for a device at its best place, or at a given one.
 
-    The best place has the least mean square of the migration over ``knee_angle_deg``. It follows by
-    linear least squares, because the migration u = e^{−jθ}(p + t_device − t_knee) + q is linear in
-    the place p of the device and in the place q of the strap.
+    The best place has the least mean square of the migration over ``knee_angle_deg``. Linear least
+    squares give the best place, because the migration u = e^{−jθ}(p + t_device − t_knee) + q is
+    linear in the place p of the device and in the place q of the strap.
 
     Parameters
     ----------
@@ -328,10 +335,11 @@ def align(
 
 @dataclass(frozen=True)
 class _Fit:
-    """Least squares of the migration u = e^{−jθ}(p + e^{jτ} t_device − t_knee) + q for a turn τ.
+    """Finds the place of a device on the leg with the least mean square of the migration u.
 
-    The unknowns are the place p of the device, unless it is given, and q, the place of the strap
-    beside the cuff.
+    u = e^{−jθ}(p + e^{jτ} t_device − t_knee) + q for a turn τ of the device. The unknowns are the
+    place p of the device, unless ``position`` is this place, and q, the place of the strap beside
+    the cuff.
     """
 
     device_motion: ShankMotion
@@ -341,7 +349,10 @@ class _Fit:
     counts: str
 
     def placement(self, turn_rad: float) -> Placement:
-        """Return the best placement at a turn; if all places are equal, the shortest placement."""
+        """Return the placement with the least mean square at the turn ``turn_rad``.
+
+        If several places are equally good, the result is the one with the shortest vector.
+        """
         turn = np.exp(1j * turn_rad)
         inverse_turn = np.conj(self.knee_motion.turn)
         gap = turn * self.device_motion.translation - self.knee_motion.translation
@@ -354,7 +365,10 @@ class _Fit:
         return Placement(p, turn_rad, complex(np.conj(turn) * (q - 1j * self.distance_m)))
 
     def best_turn_rad(self) -> float:
-        """Return the turn with the least mean square, a multiple of 0.1°; 0 if it has no effect."""
+        """Return the turn of the device with the least mean square, a multiple of 0.1°.
+
+        The result is 0 if the turn has no effect, as for a hinge.
+        """
         inverse_turn = np.conj(self.knee_motion.turn)
         device = self.device_motion.translation * inverse_turn
         wanted = (self.knee_motion.translation - (self.position or 0.0)) * inverse_turn
@@ -379,7 +393,11 @@ class _Fit:
         return self._rows(np.stack([*places, one, 1j * one], axis=1))
 
     def _rows(self, columns: Points) -> Array:
-        """Return the real equations of complex ones: the parts of the migration that count."""
+        """Return the parts of complex migrations that count, as rows of real equations.
+
+        They are the real parts and, unless only the migration ``across`` counts, the imaginary
+        parts.
+        """
         if self.counts == "across":
             return np.asarray(columns.real)
         return np.concatenate([columns.real, columns.imag])

@@ -45,7 +45,7 @@ _STEPS = (40, 80, 160)  # of damped least squares, of all starts, a third, and a
 _REFINED = 4
 _COARSE_DEG, _FINE_DEG = 5.0, 1.0  # steps of the knee angle, the second for the refined starts
 _MINOR = 1e-3
-"""Weight of the error that does not matter. It only decides between equally good linkages."""
+"""Weight of an error that is not to be minimized, which decides between equally good linkages."""
 
 _PENALTY_M = 3e-3  # error in m that weighs as much as one scaled unit of violation
 # Forward differences guide all starts at half the cost; the few that are finished get central ones.
@@ -75,8 +75,8 @@ _SHORTEST = {
 class LinkageDesign(Result):
     """A linkage found by `design_linkage`, and its errors.
 
-    The linkage's frame is the frame of the knee: the device is placed on the thigh without offset
-    and turn. The strap is put on where its migration is least.
+    The frame of the linkage is the frame of the knee, because the device is placed on the thigh
+    without offset and turn. The strap is put on where the migration of the strap is least.
     """
 
     linkage: LinkageParameters
@@ -94,8 +94,8 @@ class LinkageDesign(Result):
     finished_mm: Array
     """Rms migration and rms rod error of all finished starts within the limits (k, 2), in mm.
 
-    The rows are sorted by what the search minimizes. The first differences show how sure the
-    search is of its result.
+    The rows are sorted by what the search minimizes, the best first. Small differences between the
+    first rows show that several starts have ended with equally good linkages.
     """
 
     @property
@@ -188,7 +188,11 @@ class _Problem:
 
     @cached_property
     def _angles(self) -> tuple[Points, Any, Any, Any]:
-        """Rotations of all knee angles, and the indices of motion, rod map and checks in them."""
+        """Rotations e^{jθ} of all knee angles that are used, each angle once.
+
+        The other three values are the indices in this array for the motion, the rod map and the
+        checks of the limits.
+        """
         parts = [self.motion.knee_angle, self.rod_angle, self._checked]
         angle, index = np.unique(np.concatenate(parts).round(12), return_inverse=True)
         motion, rod, check = np.split(index, np.cumsum([part.size for part in parts[:2]]))
@@ -196,7 +200,7 @@ class _Problem:
 
     @cached_property
     def thinned(self) -> _Problem:
-        """The same problem with fewer knee angles of motion and rod map."""
+        """The same problem with fewer knee angles of motion and rod map, for a fast search."""
         motion = self.motion
         some, few = (
             slice(None, None, max(1, n.size // 18)) for n in (motion.knee_angle, self.rod_angle)
@@ -290,7 +294,10 @@ class _Problem:
         return np.concatenate(parts, -1)
 
     def cost_and_constraints(self, x: Array) -> Array:
-        """Return the cost in mm², and all constraints (..., 1 + c)."""
+        """Return what sequential quadratic programming minimizes and observes, (..., 1 + c).
+
+        The first number is the cost in mm². The others are the constraints, which must be >= 0.
+        """
         migration, rod, met = self.errors(x)
         rod_weight = self.weights[1] if self.limits.rod_error_mm is None else _MINOR
         cost = (self.weights[0] * 1e3) ** 2 * np.mean(abs(migration) ** 2, -1, keepdims=True)
@@ -298,11 +305,11 @@ class _Problem:
         return np.concatenate([cost, *met.values()], -1)
 
     def guide(self, x: Array) -> Array:
-        """Return the sum of the squares of the residuals (...), in m²."""
+        """Return the sum of the squares of the residuals (...) in m², which ranks the starts."""
         return np.asarray(np.sum(self.residuals(x) ** 2, -1))
 
     def cost(self, x: Array, allowed: float) -> float:
-        """Return the cost in mm², infinite if a constraint is violated by more than ``allowed``."""
+        """Return the cost of a linkage in mm², or inf if a limit is violated by > ``allowed``."""
         cost, *constraints = self.cost_and_constraints(x)
         return float(cost) if min(constraints) >= -allowed else math.inf
 
@@ -325,7 +332,10 @@ _Start = tuple[_Problem, Array]
 
 
 def _drawn(problem: _Problem, seed: int, count: int) -> list[_Start]:
-    """Return the best ``count`` of many random linkages."""
+    """Return the ``count`` random linkages with the least sums of squares, to start from.
+
+    ``_DRAWN`` linkages are drawn at random for each start.
+    """
     limits = problem.limits
     radius, height = 0.9 * limits.pin_radius_m, limits.cylinder_height_m
     offset = min(limits.pin_offset_m, radius)
@@ -345,7 +355,10 @@ def _best(starts: list[_Start], count: int, rank: Callable[[_Problem, Array], An
 
 
 def _selected(starts: list[_Start]) -> list[_Start]:
-    """Return the best starts after damped least squares, in which better starts get more steps."""
+    """Improve the starts by damped least squares, and return the best of them.
+
+    All starts get some steps, the better third more steps, and the best ninth most.
+    """
     for steps in _STEPS:
         problems = {id(problem): problem for problem, _ in starts}.values()
         moved = [
@@ -358,7 +371,7 @@ def _selected(starts: list[_Start]) -> list[_Start]:
 
 
 def _improved(problem: _Problem, x: Array, steps: int) -> Array:
-    """Return the points (s, 12) of all starts after steps of damped least squares.
+    """Return the points (s, 12) of s linkages after some steps of damped least squares from ``x``.
 
     The damping follows Nielsen's rule (Madsen, Nielsen and Tingleff, Methods for Non-Linear Least
     Squares Problems, 2004, algorithm 3.16). The largest slope of a variable is its scale.
@@ -387,7 +400,7 @@ def _improved(problem: _Problem, x: Array, steps: int) -> Array:
 
 
 def _finished(problem: _Problem, x: Array, rounds: int) -> Array:
-    """Return the points (12,) at which the cost is least within the constraints.
+    """Return the points (12,) of the linkage near ``x`` with the least cost within the limits.
 
     The variables are scaled so that the Gauss-Newton Hessian of the residuals is the identity, from
     which sequential quadratic programming starts. Each round renews the scale.
@@ -409,7 +422,7 @@ def _finished(problem: _Problem, x: Array, rounds: int) -> Array:
 
 
 def _minimum(problem: _Problem, x: Array, scale: Array) -> Array:
-    """Return the y (12,) for which the points x + scale y have the least cost."""
+    """Return the step y (12,) for which the points x + scale y have the least cost."""
 
     @lru_cache(maxsize=1)
     def values(key: bytes) -> Array:
@@ -468,7 +481,13 @@ def _linkage_of(problem: _Problem, x: Array) -> LinkageParameters:
 
 
 def _design(problem: _Problem, x: Array, finished: list[_Start]) -> LinkageDesign:
-    """Return the design with six points (12,). Its errors are those of the rounded linkage."""
+    """Return the design of the linkage with the six points ``x`` (12,), and its errors.
+
+    ``x`` has x and y in m of the joints O_A, O_B, A and B and of the two pins, with the knee
+    extended. Lengths in m and angles in rad of the linkage are rounded to ``_DIGITS`` decimals. The
+    errors are computed with the rounded linkage. ``finished`` has all finished starts, whose errors
+    are part of the design.
+    """
     link, motion = _linkage_of(problem, x), problem.motion
     strap = (linkage_motion(link, motion.knee_angle).translation - motion.translation) / motion.turn
     met = problem.errors(x)[2]
@@ -487,9 +506,10 @@ def _design(problem: _Problem, x: Array, finished: list[_Start]) -> LinkageDesig
 
 
 def _excluding(improved: list[_Start]) -> str:
-    """Return a message with the names of the limits that no linkage meets together.
+    """Return the message for a search without result: limits that no linkage meets together.
 
-    Errors do not count here. The least violations that remain belong to the limits in conflict.
+    The violations alone are made least, whatever the errors of the linkage. The limits that are
+    still violated then are in conflict.
     """
     near = _best(improved, _REFINED, lambda p, x: p.thinned.guide(x))
     free = [(replace(problem, weights=(0.0, 0.0)), x) for problem, x in near]
@@ -507,7 +527,10 @@ def _excluding(improved: list[_Start]) -> str:
 
 
 def _target(rod: RodTarget) -> tuple[Array, Array]:
-    """Return knee angles in rad and rod extensions in m of a rod map."""
+    """Return knee angles in rad and rod extensions in m of the rod map that the user gives.
+
+    Raises `ParameterError` for a rod map with wrong numbers.
+    """
     if isinstance(rod, RodPolynomialParameters):
         angle_deg = np.arange(91.0)
         return np.radians(angle_deg), 1e-3 * np.polyval(rod.p_mm_deg, angle_deg)

@@ -31,7 +31,7 @@ _METERED = tuple(f"plant.{part}." for part in ("pump", "cylinder", "full_order",
 
 @dataclass(frozen=True, repr=False)
 class EnergyBalance(Result):
-    """Energies since t = 0 at the times of the records. `energy_balance` computes them.
+    """Result of `energy_balance`: energies since t = 0 at the times of the records.
 
     ``energies`` maps the names in `SUPPLIED` and `SPENT` to arrays (n,) in J. The wearer's energy
     is the work of the cuff on the exoskeleton. ``load_j`` is the work on weight, constant torque
@@ -43,7 +43,7 @@ class EnergyBalance(Result):
 
     @property
     def residual_j(self) -> Array:
-        """Supplied minus spent energy in J, (n,). It is zero for an exact solution."""
+        """Supplied minus spent energy in J, (n,), which is zero for an exact solution."""
         supplied = sum(self.energies[name] for name in SUPPLIED)
         return np.asarray(supplied - sum(self.energies[name] for name in SPENT))
 

@@ -98,7 +98,7 @@ _EFFECTS_OF = {
 def model_lines(scenario: Scenario, notes: Iterable[str]) -> list[str]:
     """Return one line that names the `omissions` of a scenario, and a line for each of ``notes``.
 
-    A line of more than `line_width` characters goes on below, indented.
+    A line of more than `line_width` characters is broken, and its further lines are indented.
     """
     left_out = ", ".join(omissions(scenario)) or "nothing that kneexo can compute"
     return [wrapped(line) for line in (f"Left out: {left_out}.", *(f"Note: {n}." for n in notes))]
@@ -186,7 +186,7 @@ def _reference_notices(scenario: Scenario) -> Iterator[str]:
 
 
 def _unit_notices(reference: SampledReference) -> Iterator[str]:
-    """Yield a line if the samples seem to be in rad, or their times in ms."""
+    """Yield a line if the samples of a reference seem to be in rad, or their times in ms."""
     changes = np.abs(np.diff(reference.angles_deg))
     if changes.any() and (largest := np.max(np.abs(reference.angles_deg))) < LARGEST_IN_RAD_DEG:
         yield f"the reference stays within {largest:.3g}°; if it is in rad, multiply it by 57.3"
@@ -196,7 +196,10 @@ def _unit_notices(reference: SampledReference) -> Iterator[str]:
 
 
 def _stiffness_notice(scenario: Scenario) -> Iterator[str]:
-    """Yield a line with both ends of the interval if a virtual stiffness is unstable."""
+    """Yield a line if knee and wearer are unstable with the virtual stiffness of the controller.
+
+    The line has both ends of the interval of stable stiffnesses.
+    """
     law, angle = scenario.controller, run_middle_deg(scenario)
     if not (law.kind == "torque" and law.mode in ("impedance", "assist_as_needed")):
         return
@@ -223,8 +226,8 @@ def _stiffness_notice(scenario: Scenario) -> Iterator[str]:
 def _torque_control_notice(scenario: Scenario) -> Iterator[str]:
     """Yield a line if knee and wearer are unstable at an end of the reference's range.
 
-    The verdict has the stability in the middle of the range. The moment arm, the oil and an inertia
-    at the rod change with the angle.
+    The verdict has the stability in the middle of the range alone. The moment arm, the oil and an
+    inertia at the rod change with the knee angle, and so does stability.
     """
     if scenario.controller.kind != "torque" or scenario.wearer.kind == "none":
         return
@@ -256,12 +259,16 @@ def _load_cell_notice(scenario: Scenario) -> Iterator[str]:
 def model_notices(scenario: Scenario) -> Iterator[str]:
     """Yield a line for each contradiction in the model of ``scenario``.
 
-    1. The mass that moves with the rod is beyond the bounds of the sliding-mode controller.
-    2. The mass of the rod looks like a load of the knee, but has no weight.
-    3. The mass of the rod has no effect, because the load has an inertia.
-    4. The nominal plant differs from the plant.
-    5. The controller's polynomial misses the linkage by more than `LARGEST_MISFIT_MM`, or is fitted
-       to it.
+    The lines have this order. If a part of the user replaces cylinder or load, kneexo knows nothing
+    of the masses, and lines 2 to 5 are left out.
+
+    1. A part of the user replaces a part of kneexo, but the controller believes kneexo's numbers.
+    2. The mass that moves with the rod is beyond the bounds of the sliding-mode controller.
+    3. The mass of the rod looks like a load of the knee, but has no weight.
+    4. The mass of the rod has no effect, because the load has an inertia.
+    5. The nominal plant differs from the plant.
+    6. The controller's polynomial misses the linkage by more than `LARGEST_MISFIT_MM`, or is fitted
+       to the linkage.
 
     Raises `LinkageError` when the linkage cannot be assembled.
     """
@@ -304,7 +311,10 @@ def model_notices(scenario: Scenario) -> Iterator[str]:
 
 
 def _nominal_notice(plant: PlantParameters, nominal: PlantParameters) -> Iterator[str]:
-    """Yield a line about the first number in which the plant differs from the nominal plant."""
+    """Yield a line about the first number in which the plant differs from the nominal plant.
+
+    The line also says how many further numbers differ.
+    """
     differing = []
     for part in ("cylinder", "pump", "linkage"):
         believed, true = getattr(nominal, part), getattr(plant, part)

@@ -37,7 +37,7 @@ class Stop(Result):
     reason: str
     """One of `REASONS`."""
     residual: float
-    """Residual of the detector at the sample that made it trip; nan for another reason."""
+    """Residual at the sample at which the detector detected the fault; nan for another reason."""
     threshold: float
     """Threshold of the detector in the same unit; nan for another reason."""
     fault_s: float
@@ -46,7 +46,7 @@ class Stop(Result):
     """Largest turn of the knee from ``fault_s`` on until the motor is safe."""
     safe_state: SafeState
     safe_s: float
-    """Time at which the motor is safe, as in `safe_sample`; nan if it never is."""
+    """Time at which the motor is safe, as in `safe_sample`; nan if the motor never is safe."""
     safe_turn_deg: float
     """Largest turn of the knee from the safe motor on, until a reset or the end of the run."""
     safe_torque_n_m: float

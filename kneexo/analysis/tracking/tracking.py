@@ -172,7 +172,10 @@ class StepMetrics(Result):
     overshoot_percent: float
     """Largest excess over the end of the step in % of the step, at least 0."""
     settling_time_s: float
-    """First sample after which the response stays within `SETTLING_BAND`; nan if it leaves last."""
+    """First time after which the response stays within `SETTLING_BAND`.
+
+    The settling time is nan if the response is outside the band at the end of the run.
+    """
     final_error_deg: float
     """End of the step minus knee angle, at the last sample."""
 

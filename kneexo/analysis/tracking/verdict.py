@@ -212,8 +212,8 @@ class Verdict(Result):
     torque_error_rms_n_m: float = math.nan
     """Root mean square of desired minus actual torque of the actuator on the knee.
 
-    The mean is over the same samples as the metrics of the interaction (`whole_periods`). It is nan
-    without a torque controller.
+    The mean is over the same samples as the metrics of the interaction (`whole_periods`). The value
+    is nan without a torque controller.
     """
     limit_cycle: LimitCycle | None = None
     """Oscillation of the knee while the reference rests at the end of the run, or None."""
@@ -298,7 +298,7 @@ def verdict_of(scenario: Scenario, run: Run, *, step: tuple[bool, str] | None) -
 def _tracking(
     scenario: Scenario, run: Run, step: tuple[bool, str] | None
 ) -> tuple[dict[str, Any], list[str]]:
-    """Return the fields of the `Verdict` on tracking, and its line.
+    """Return the fields of the `Verdict` that describe tracking, and the line on tracking.
 
     With torque control there is no line. `verdict_of` describes ``step``.
     """
@@ -326,7 +326,7 @@ def _tracking(
 
 
 def _torques(scenario: Scenario, run: Run, stop: Stop | None) -> tuple[dict[str, Any], list[str]]:
-    """Return the fields of the `Verdict` on torques, and its lines.
+    """Return the fields of the `Verdict` that describe torques, and the lines on torques.
 
     If the run has the signals, one line describes the interaction with a wearer, and one line
     describes the error of the torque, unless the protection stops the run.
@@ -544,5 +544,5 @@ def _saturation(limits: Mapping[str, _Limit], stop: Stop | None) -> list[str]:
 
 
 def _two_digits(value: float) -> str:
-    """Return a number of two digits. From 100 on it has no exponent."""
+    """Return ``value``, rounded to two digits, as text. A number from 100 on has no exponent."""
     return f"{float(f'{value:.2g}'):g}"

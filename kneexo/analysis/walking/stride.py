@@ -42,7 +42,7 @@ class StrideLoad(Result):
     rod_force_n: Array
     rod_speed_m_s: Array
     knee_power_w: Array
-    """Power of the actuator into the knee. It is negative where the knee drives the actuator."""
+    """Power of the actuator into the knee, negative where the knee drives the actuator."""
     load_pressure_pa: Array
     """Load pressure P_L of the reduced order."""
     cap_pressure_pa: Array
@@ -232,7 +232,10 @@ def _pressures(scenario: Scenario, force: Array) -> tuple[Array, Array]:
 
 
 def _overrun_pressure(scenario: Scenario, speed: Array) -> Array:
-    """Return the pressure in Pa, (n,), of the growing chamber; −inf if it has no make-up valve."""
+    """Return the pressure in Pa, (n,), of the growing chamber, which the make-up valve fills too.
+
+    Where the pump delivers less than this chamber takes, the pressure is −inf without the valve.
+    """
     cylinder, valves = scenario.plant.cylinder, _valves(scenario)
     area = np.where(speed > 0.0, cylinder.cap_area_m2, cylinder.rod_side_area_m2)
     most = rod_limits(scenario)[0] * cylinder.mean_area_m2

@@ -2,8 +2,8 @@
 
 Knee, cuff and leg are one sampled loop (`kneexo.analysis.linearize_loop`). The loop is stable if
 all its eigenvalues λ for one sample have |λ| < 1. In all functions a constant torque carries the
-weight of the shank, so that the loop rests at the given knee angle. An active leg replaces a
-passive one, which has the same linear equations. Stability holds for small motions, without
+weight of the shank, so that the loop rests at the given knee angle. An active leg takes the place
+of a passive leg, which has the same linear equations. Stability holds for small motions, without
 quantizers, slip and limits of the motor.
 """
 
@@ -34,20 +34,30 @@ from kneexo.parameters.paths import changed, value_at
 from kneexo.parameters.wearer.wearer import STIFFNESS_FREQUENCY_HZ, WEARERS
 
 _STIFFNESS = "controller.stiffness_n_m_per_rad"
-_STIFFNESSES = np.append(0.0, np.geomspace(1.0, 1e6, 21))  # N·m/rad, by factors of 2
-_PROBE_STIFFNESS = 1e3  # N·m/rad, of the second of two loops on a straight line of loops
-_ALIKE = [
+_STIFFNESSES = np.append(0.0, np.geomspace(1.0, 1e6, 21))
+"""Virtual stiffnesses in N·m/rad at which stability is computed: 0, and 1 … 1e6 by factors of 2.
+
+The range and the factor are a choice. An interval of stability between two neighbouring values is
+not found. Above 1e6 N·m/rad stability is not computed.
+"""
+
+_PROBE_STIFFNESS = 1e3
+"""Virtual stiffness in N·m/rad of the second of the two loops that give all loops."""
+
+_SAME_NAME_IN_SEVERAL_PARTS = [
     f"{part}.{name}"
     for part in ("wearer", "wearer.cuff", "controller")
     for name in ("stiffness_n_m_per_rad", "damping_n_m_s_per_rad")
-]  # so that a label names the part
+]
+"""Paths of parameters with equal names. Among these paths, `labels` gives a label with the part."""
 
 
 def coupled_loop(scenario: Scenario, knee_angle_deg: float = MID_RANGE_DEG) -> SampledLoop:
-    """Return the linear loop of a scenario with its wearer, at rest at a knee angle in deg.
+    """Return the linear loop of knee and wearer of a scenario, at rest at a knee angle in deg.
 
     Raises `LinearizationError` if the loop does not rest at the angle.
     """
+    # The motion of a prescribed leg does not depend on the exoskeleton. The leg rests here.
     held = value_at(scenario, "wearer.motion") == "prescribed"
     scenario = posed(scenario, knee_angle_deg, "prescribed" if held else "active")
     return linearize_loop(scenario, knee_angle_deg=knee_angle_deg)
@@ -98,14 +108,19 @@ def stable_interval(
 
 
 def _growth(monodromy: Array) -> float:
-    """Return max|λ| − 1."""
+    """Return max|λ| − 1, negative for a stable loop, from the matrix of the loop for one sample."""
     return float(np.abs(np.linalg.eigvals(monodromy)).max()) - 1.0
 
 
 def _interval(
     growth: Callable[[float], float], values: ArrayLike, given: float
 ) -> tuple[float, float]:
-    """Return the ends of the interval with negative growth, as `stable_interval` describes it."""
+    """Return the ends of the interval of a parameter in which the loop is stable.
+
+    ``growth`` is a function of the value of the parameter that is negative where the loop is
+    stable. `stable_interval` describes ``values`` and the result. ``given`` is the value of the
+    scenario.
+    """
     grid = np.union1d(np.asarray(values, dtype=float), given)
     stable = np.array([growth(value) < 0.0 for value in grid])
     if not stable.any():
@@ -114,13 +129,13 @@ def _interval(
     unstable = np.flatnonzero(~stable)
     below, above = unstable[unstable < start], unstable[unstable > start]
     return (
-        _border(growth, *grid[below[-1] :][:2]) if below.size else float(grid[0]),
-        _border(growth, *grid[above[0] - 1 :][:2]) if above.size else float(grid[-1]),
+        _border(growth, *grid[[below[-1], below[-1] + 1]]) if below.size else float(grid[0]),
+        _border(growth, *grid[[above[0] - 1, above[0]]]) if above.size else float(grid[-1]),
     )
 
 
 def _border(growth: Callable[[float], float], low: float, high: float) -> float:
-    """Return the value between two others at which the growth changes its sign."""
+    """Return the value between ``low`` and ``high`` at which the growth changes its sign."""
     return float(scipy.optimize.brentq(growth, low, high, rtol=1e-6))
 
 
@@ -129,9 +144,9 @@ class StiffnessInterval(Result):
     """Interval of the virtual stiffness in N·m/rad in which knee and wearer are stable together.
 
     Both ends are nan if no stiffness is stable. ``high_n_m_per_rad`` is 1e6 if the loop is stable
-    there. Without virtual damping a large stiffness controls the position, and the lags of motor
-    and hold limit it. A low end above zero means that the loop is unstable at a stiffness just
-    below. `stable_interval` says which of several intervals counts.
+    at 1e6 N·m/rad. Without virtual damping a large stiffness controls the position, and the lags of
+    motor and hold limit the stiffness. A low end above zero means that the loop is unstable at a
+    stiffness just below. `stable_interval` says which of several intervals counts.
 
     The interval is valid for small motions without encoder counts. A count of the encoder times a
     large stiffness is a large torque, for example 57 N·m for 0.088° times 37 kN·m/rad.
@@ -147,7 +162,8 @@ class StiffnessInterval(Result):
         """Dynamic stiffness |jωZ| in N·m/rad of zero torque, at the leg's side of the cuff.
 
         The frequency is `kneexo.parameters.wearer.wearer.STIFFNESS_FREQUENCY_HZ`. A wearer cannot
-        feel a virtual spring that is much softer. Raises `ParameterError` without a wearer.
+        feel a virtual spring that is much softer than this stiffness. Raises `ParameterError`
+        without a wearer.
         """
         free = changed(self.scenario, {"controller.mode": "zero_torque"})
         f = STIFFNESS_FREQUENCY_HZ
@@ -176,7 +192,8 @@ def stiffness_interval(
     )
 
     def growth(value: float) -> float:
-        # At a fixed angle the monodromy is affine in the stiffness, so that two loops give all.
+        # At a fixed knee angle the matrix is an affine function of the stiffness. So two loops give
+        # the matrix for each stiffness.
         return _growth(free + value / _PROBE_STIFFNESS * (stiff - free))
 
     ends = _interval(growth, _STIFFNESSES, law.stiffness_n_m_per_rad)
@@ -319,16 +336,17 @@ def stability_map(
     def loop_of(row: float, column: float) -> SampledLoop:
         return coupled_loop(changed(scenario, {row_path: row, column_path: column}), knee_angle_deg)
 
-    names = labels([*values, *_ALIKE])
+    names = labels([*values, *_SAME_NAME_IN_SEVERAL_PARTS])
     return _survey({names[path]: values[path] for path in values}, loop_of)
 
 
 def _survey(
     axes: Mapping[str, Sequence[Any]], loop_of: Callable[[Any, float], SampledLoop]
 ) -> CoupledStability:
-    """Return the stability of the loops at all pairs of row and column.
+    """Return the stability of the loops at all pairs of a row and a column.
 
-    ``axes`` maps the labels of rows and columns to their values.
+    ``axes`` has two entries, from the label of an axis to its values: rows first, then columns.
+    ``loop_of(row, column)`` returns the loop at a pair.
     Raises `ParameterError` for an axis without values.
     """
     for label, values in axes.items():

@@ -2,9 +2,9 @@
 
 The rod's flow balance has the admittance Y(s) = s/k_q + C_t + k_p + k_i/s, with k_q = 4 β_e/V_t.
 The gains k = K D_m Ā/gear are flows per pressure. The leakage C_t is the damping. The output
-impedance is Z ≈ r² (Ā² (1 − γ)/Y + m s), with lags in γ, k_p and k_i. It leaves out the damping B
-of the cylinder, which control reduces. The limits below follow from Re Z ≥ 0 at low and at high
-frequency. They are necessary for a passive port, but not sufficient (see
+impedance is Z ≈ r² (Ā² (1 − γ)/Y + m s), with lags in γ, k_p and k_i. This formula leaves out the
+damping B of the cylinder, which control reduces. The limits below follow from Re Z ≥ 0 at low and
+at high frequency. The limits are necessary for a passive port, but not sufficient (see
 `kneexo.analysis.OutputImpedance`).
 """
 

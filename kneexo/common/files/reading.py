@@ -39,27 +39,31 @@ def read_text(path: str | os.PathLike[str], most_bytes: int) -> str:
         message = f"is not UTF-8: byte 0x{byte:02x}; save it as UTF-8"
         raise file_error(path, line, message) from None
     except FileNotFoundError as error:
-        similar = question(_similar(path))
-        raise file_error(path, None, f"cannot be read: {error.strerror}{similar}") from error
+        hint = question(_similar_path(path))
+        raise file_error(path, None, f"cannot be read: {error.strerror}{hint}") from error
     except (OSError, ValueError) as error:  # ValueError: a null byte in the name
         reason = getattr(error, "strerror", None) or error
         raise file_error(path, None, f"cannot be read: {reason}") from error
 
 
-def _similar(path: str | os.PathLike[str]) -> list[str]:
-    """Return the path of the file in the same directory whose name is most like that of ``path``.
+def _similar_path(path: str | os.PathLike[str]) -> list[str]:
+    """Return the path that a user may have meant by ``path``, as text for a message.
 
-    The list is empty if no name is similar, or if the directory is missing or cannot be read.
+    The path belongs to the file in the same directory whose name is most similar. The list has this
+    path alone. It is empty if no name is similar, or if the directory cannot be read.
     """
     directory, name = os.path.split(os.fspath(path))
     try:
         with os.scandir(directory or ".") as entries:
+            # 1000 is a choice, which bounds the time in a directory with very many files. A similar
+            # name among the further files is not found.
             files = [entry.name for entry, _ in zip(entries, range(1000), strict=False)]
     except OSError:
         return []
-    return [
-        shown(os.path.join(directory, close)) for close in close_names(name, files, 0.8, most=1)
-    ]
+    # 0.8 is a choice, stricter than the default 0.6 of `close_names`. The cost: a name with more
+    # typing errors gets no hint.
+    similar_names = close_names(name, files, 0.8, most=1)
+    return [shown(os.path.join(directory, similar_name)) for similar_name in similar_names]
 
 
 def file_error(path: str | os.PathLike[str], line: int | None, message: str) -> ScenarioError:

@@ -496,12 +496,14 @@ def _words(file: Path, time_ns: int) -> frozenset[str]:
 
 @lru_cache(maxsize=64)
 def _module(file: Path, sources: tuple[tuple[str, bytes], ...]) -> ModuleType:
-    """Execute a file as a module and return the module. ``sources`` are its `_sources`.
+    """Execute the file of a law as a module and return the module.
 
-    The modules that the file imports from its folder are imported from there, also if another law
-    has modules of the same names, and anew if one of them has changed. The folder stays on the path
-    of modules, also for worker processes. All are pickled by value. The script that is running is
-    not executed again.
+    ``sources`` has name and content of the file, and then of each module that the file imports from
+    its folder. These modules are imported from this folder, also if the folder of another law has
+    modules of the same names. They are imported again if one of them has changed. The folder stays
+    on Python's search path, because functions may import later. The file and the modules from its
+    folder are pickled by value, so worker processes need no file. If the file is the script that is
+    running, it is not executed again: the result is the module ``__main__``.
     """
     main = sys.modules["__main__"]
     if Path(getattr(main, "__file__", None) or "").resolve() == file:

@@ -84,7 +84,7 @@ FAILED = ("made worse", "missed", "late")
 
 @dataclass(frozen=True)
 class Peaks:
-    """Largest values from the start of a fault on."""
+    """Largest values in the part of a run that begins with a fault."""
 
     deviation_deg: float
     """Deviation of the knee from the run without the fault."""
@@ -98,28 +98,33 @@ class Peaks:
 
 @dataclass(frozen=True)
 class Rest:
-    """Largest values from the safe motor on, until ``observed_s`` after the start.
+    """Largest values from the time when the motor is safe until the end of the observation.
 
-    They are nan if the motor is not safe before.
+    The observation ends ``observed_s`` after the start of the fault. All values are nan if the
+    motor does not become safe before the end.
     """
 
     turn_deg: float
     """Turn of the knee since the motor became safe."""
     torque_n_m: float
-    """Torque, as in `Peaks`."""
+    """Torque of the wearer or of the actuator, as in `Peaks`."""
     complete: bool
-    """False if the run ends before."""
+    """False if the run ends before the end of the observation."""
 
 
 @dataclass(frozen=True)
 class FaultRow:
-    """Effect of a permanent fault that begins at ``start_s``, with a safe state."""
+    """Effect of a permanent fault that begins at ``start_s``, if the protection has a safe state.
+
+    ``safe_state`` is this safe state, ``cause`` is the usual cause of the fault, and ``controller``
+    is the kind of the controller.
+    """
 
     controller: str
     safe_state: str
     cause: str
     fault: str
-    """Place, kind and size."""
+    """Place, kind and size of the fault."""
     start_s: float
     alone: Peaks
     """Largest values without protection."""
@@ -145,10 +150,11 @@ class FaultRow:
 
     @property
     def margin_s(self) -> float:
-        """Critical duration minus time to the safe state; at least this if it is censored.
+        """Time that the protection has left: critical duration minus time to the safe state, in s.
 
-        The margin is nan if the trigger of the fault never occurs, and if the critical duration is
-        censored and the motor never safe.
+        If the critical duration is censored, the true margin is at least as large. The margin is
+        nan if the trigger of the fault never occurs, and if the critical duration is censored and
+        the motor never becomes safe.
         """
         if self.censored and math.isinf(self.safe_after_s):
             return math.nan
@@ -158,11 +164,13 @@ class FaultRow:
     def verdict(self) -> str:
         """One of ``never active, not seen within … s, in time, late, missed, made worse``.
 
-        Without a detection the harm of a fault is not seen within ``observed_s`` if the knee stays
-        within the bound, else the fault is missed. After a detection the protection is in time if
-        the deviation stays within the bound until the motor is safe. Otherwise it makes the fault
-        worse if the deviation is larger than without protection, else it is late. So it is also
-        late if the motor never becomes safe.
+        - The trigger of the fault never occurs: never active.
+        - No detector detects the fault: the harm is not seen within ``observed_s`` if the knee
+          stays within the bound, else the fault is missed.
+        - A detector detects the fault: the protection is in time if the deviation stays within the
+          bound until the motor is safe. Otherwise the protection makes the fault worse if the
+          deviation is larger than without protection, and is late if not. The protection is late
+          too if the motor never becomes safe.
         """
         if math.isnan(self.critical_duration_s) and not self.detector:
             return "never active"
@@ -183,7 +191,7 @@ class FaultRow:
 
 @dataclass(frozen=True)
 class EmergencyStop:
-    """A press of ``emergency_stop`` at ``start_s``, in a run without a fault."""
+    """Effect of a press of ``emergency_stop`` at ``start_s``, in a run without a fault."""
 
     controller: str
     safe_state: str
@@ -191,7 +199,7 @@ class EmergencyStop:
     knee_deg: float
     """Knee angle at the press."""
     safe_after_s: float
-    """Time from the press until the motor stands or its release is on; inf if it never is."""
+    """Time from the press until the motor stands or its release is on; inf without such a time."""
     turn_deg: float
     """Largest turn of the knee from the press on, before the motor reaches the safe state."""
     torque_n_m: float
@@ -204,14 +212,17 @@ _ROW, _STOP = TypeAdapter(FaultRow), TypeAdapter(EmergencyStop)  # from the data
 
 @dataclass(frozen=True, repr=False)
 class FaultsResult(Result):
-    """Rows of all faults, stops, false alarms of healthy runs, and the worst case as curves."""
+    """Result of ``kneexo study faults``: rows of all faults, emergency stops and false alarms.
+
+    The worst row also has the curves of its runs, ``traces``.
+    """
 
     scenario: Scenario
     settings: FaultsSettings
     safe_states: tuple[str, ...]
     """The safe states that are compared; the first one is assessed in detail."""
     all_rows: tuple[FaultRow, ...]
-    """Faults by controller, safe state, cause, size and time."""
+    """A row for each controller, safe state, cause, size and start of a fault, in this order."""
     stops: tuple[EmergencyStop, ...]
     """Emergency stops at the times of the faults, for each controller and safe state."""
     alarms: dict[str, int]
@@ -228,9 +239,10 @@ class FaultsResult(Result):
 
     @property
     def worst(self) -> FaultRow:
-        """The one of `rows` with the largest deviation in spite of the protection.
+        """The row of `rows` with the largest deviation in spite of the protection.
 
-        If the protection acts in time on each fault, it is the row with the least margin.
+        If the protection acts in time on each fault, the worst row is the row with the least
+        margin.
         """
         return min(self.rows, key=urgency)
 
@@ -262,7 +274,11 @@ class FaultsResult(Result):
 
 
 def _flat(row: FaultRow | EmergencyStop) -> dict[str, Any]:
-    """Return the values of a row, those of `Peaks` and `Rest` with their names before."""
+    """Return the values of a row by name, for a table.
+
+    The name of a value of `Peaks` or `Rest` begins with the name of their field, such as
+    ``alone_deviation_deg``.
+    """
     flat: dict[str, Any] = {}
     for name, value in asdict(row).items():
         if isinstance(value, dict):
@@ -364,20 +380,31 @@ def faults_study(
 
 
 def _controlled(scenario: Scenario, kind: str) -> Scenario:
-    """Return the scenario with a controller of this kind, which is its own if it has one."""
+    """Return the scenario with a controller of the kind ``kind``.
+
+    If the controller of the scenario is of this kind, it is kept with its numbers.
+    """
     same = scenario.controller.kind == kind
     return scenario if same else scenario.changed({"controller": kind})
 
 
 def urgency(row: FaultRow) -> tuple[float, float, float]:
-    """Return a key that is less for a worse row: the deviation of failures, then the margin."""
+    """Return a key by which ``min`` and ``sorted`` put the worst row first.
+
+    The worst row is the failure with the largest deviation. Rows without failure are compared by
+    their margins, and then by the deviation without protection.
+    """
     deviation_deg = row.protected.deviation_deg if row.has_failed else 0.0
     margin_s = math.inf if math.isnan(row.margin_s) else row.margin_s
     return -deviation_deg, margin_s, -row.alone.deviation_deg
 
 
 def _safe_states(scenario: Scenario, settings: FaultsSettings) -> tuple[SafeState, ...]:
-    """Return the safe states to compare; raise `ParameterError` for one that the plant refuses."""
+    """Return the safe states to compare, by default all that the plant allows.
+
+    The first one is then the safe state of the scenario. Raises `ParameterError` if a safe state of
+    ``settings`` does not suit the plant.
+    """
     if settings.safe_states:
         for safe_state in settings.safe_states:
             _ending(scenario, safe_state)
@@ -392,12 +419,12 @@ def _safe_states(scenario: Scenario, settings: FaultsSettings) -> tuple[SafeStat
 
 
 def _ending(scenario: Scenario, safe_state: str) -> Scenario:
-    """Return the scenario with another safe state."""
+    """Return the scenario whose protection ends a stop in ``safe_state``."""
     return scenario.changed({"protection.safe_state": safe_state})
 
 
 def _observed(scenario: Scenario, settings: FaultsSettings, start_s: float) -> Scenario:
-    """Return the scenario whose run ends ``observed_s`` after a start."""
+    """Return the scenario whose run ends ``observed_s`` after the start of a fault."""
     return scenario.changed({"simulation.duration_s": start_s + settings.observed_s})
 
 
@@ -422,7 +449,7 @@ def _starts(scenario: Scenario, settings: FaultsSettings) -> tuple[Scenario, lis
 
 
 def _require_quiet(scenario: Scenario) -> None:
-    """Raise `ParameterError` if the protection stops the run without a fault."""
+    """Raise `ParameterError` if the protection stops the run although there is no fault."""
     run = simulate(scenario, signals=("safety_reason",))
     stopped = np.flatnonzero(run["safety_reason"])
     if stopped.size:
@@ -435,7 +462,10 @@ def _require_quiet(scenario: Scenario) -> None:
 
 
 def _structure(item: tuple[str, FaultParameters]) -> tuple[str, str]:
-    """Return what decides the equations of a run with a fault."""
+    """Return place and kind of a fault, on which the equations of a run with the fault depend.
+
+    Runs of equal equations can share a batch.
+    """
     _, fault = item
     return fault.place, fault.kind
 
@@ -477,7 +507,10 @@ def _assess(
 def _protected(
     scenario: Scenario, settings: FaultsSettings, healthy: Run, fault: FaultParameters
 ) -> dict[str, Any]:
-    """Return the effect of a fault with protection as plain data."""
+    """Return the fields of a `FaultRow` that depend on the protection, as plain data.
+
+    ``healthy`` is the run without fault, from which the deviation is measured.
+    """
     assert scenario.protection is not None
     run, complete = _run(scenario, fault)
     found: dict[str, Any] = {"safe_state": scenario.protection.safe_state}
@@ -524,7 +557,7 @@ def _rest(run: Run, end: int | None, end_s: float) -> dict[str, Any]:
 
 
 def _index(run: Run, time_s: float) -> int:
-    """Return the index of the sample at a time, which rounding may have changed a little."""
+    """Return the index of the sample at ``time_s``, which rounding may have changed a little."""
     return int(np.searchsorted(run.time_s, time_s - 1e-9))
 
 
@@ -538,9 +571,9 @@ def _signals(scenario: Scenario) -> tuple[str, ...]:
 
 
 def _run(scenario: Scenario, fault: FaultParameters) -> tuple[Run, bool]:
-    """Return the run with a fault, and whether it is complete.
+    """Return the run with a fault, and whether the run is complete.
 
-    A run that fails is repeated up to the sample before.
+    A run that fails is repeated up to the sample before the failure.
     """
     faulty = scenario.changed({"faults": (fault,)})
     try:

@@ -77,7 +77,7 @@ def report(result: FaultsResult) -> str:
 
 
 def _by_fault(rows: Iterable[FaultRow]) -> dict[tuple[str, str, str], list[FaultRow]]:
-    """Return rows by controller, cause and fault."""
+    """Group the rows of equal controller, cause and fault, which differ in start or safe state."""
     groups: dict[tuple[str, str, str], list[FaultRow]] = {}
     for row in rows:
         groups.setdefault((row.controller, row.cause, row.fault), []).append(row)
@@ -97,7 +97,11 @@ def _line(row: FaultRow) -> dict[str, Any]:
 
 
 def _peak(path: str) -> Callable[[dict[str, Any]], str]:
-    """Return a cell rule for a value of `Peaks` or `Rest`; an incomplete one has the sign >."""
+    """Return the function that writes one value of `Peaks` or `Rest` into a cell of a table.
+
+    ``path`` is the field of the row and the field of the value, such as ``rest.turn_deg``. The text
+    begins with > if the run ended early, because the value could have become larger.
+    """
     part, name = path.split(".")
 
     def text(line: dict[str, Any]) -> str:
@@ -114,7 +118,11 @@ def _finite(value: float) -> float:
 
 
 def _absent(result: FaultsResult) -> list[str]:
-    """Return cause and place of each typical fault that the scenario cannot have."""
+    """Return the typical faults that this scenario cannot have, as texts for the report.
+
+    Each text is the cause that the fault stands for, and the place of the fault in brackets, such
+    as ``loose plug (encoder)``. The list is empty if the user has chosen the faults.
+    """
     if result.settings.faults:
         return []
     present = typical_faults(result.scenario)
@@ -122,7 +130,7 @@ def _absent(result: FaultsResult) -> list[str]:
 
 
 def _by_phase(result: FaultsResult) -> list[dict[str, Any]]:
-    """Return a line for each time and safe state, over all faults and controllers."""
+    """Return a line of a table for each start and safe state, over all faults and controllers."""
     lines = []
     for start_s, safe_state in product(
         dict.fromkeys(stop.start_s for stop in result.stops), result.safe_states
@@ -173,7 +181,7 @@ def _differing(result: FaultsResult) -> list[dict[str, str]]:
 
 
 def _safe(cases: list[Case]) -> list[Case]:
-    """Return the cases with a turn in the safe state, or all if there is none."""
+    """Return the cases in which the motor becomes safe, or all cases if it never does."""
     return [case for case in cases if not math.isnan(case.rest.turn_deg)] or cases
 
 
@@ -216,7 +224,7 @@ def _evidence(result: FaultsResult) -> list[dict[str, str]]:
 
 
 def _hazards(result: FaultsResult) -> list[dict[str, str]]:
-    """Return a line of the table of hazards for each cause whose harm is seen."""
+    """Return a line of the table of hazards for each cause of a fault whose harm is seen."""
     unseen = not_seen(result.settings.observed_s)
     causes: dict[str, list[FaultRow]] = {}
     for row in result.rows:

@@ -11,10 +11,10 @@ from kneexo.parameters.task.fault import FAULTY_SIGNALS, FaultParameters, Kind
 
 @dataclass(frozen=True)
 class TypicalFault:
-    """A place and a kind of fault, as in `FaultParameters`, with some sizes.
+    """A place and a kind of fault, as in `FaultParameters`, with some sizes and the usual cause.
 
-    The sizes of the kind ``value`` are factors of the healthy value, except for a value that is
-    zero in a healthy knee.
+    The sizes of the kind ``value`` are factors of the healthy value. If the healthy value is zero
+    (``healthy_is_zero``), they are the faulty values themselves.
     """
 
     place: str
@@ -78,7 +78,10 @@ def typical_faults(scenario: Scenario) -> dict[str, tuple[FaultParameters, ...]]
 
 
 def _factor(scenario: Scenario, typical: TypicalFault) -> float:
-    """Return the factor of the sizes of a typical fault, or 0 if the scenario cannot have it."""
+    """Return the number by which the sizes of a typical fault are multiplied in a scenario.
+
+    The result is 0 if the scenario cannot have the fault.
+    """
     if typical.place == "load_cell":
         return float(scenario.has_load_cell)
     if typical.kind == "bit_flip":

@@ -60,7 +60,10 @@ class MechanismSettings(Parameters):
 
 @dataclass(frozen=True, repr=False)
 class Device(Result):
-    """What a device does to the leg. It is at its best place, not turned, unless said otherwise."""
+    """What a device does to the leg of the wearer.
+
+    Unless a field says otherwise, the device is at its best place and not turned.
+    """
 
     alignment: Alignment
     turned: Alignment
@@ -173,8 +176,8 @@ def mechanism_study(
 ) -> MechanismResult:
     """Compare the linkage of a scenario, a hinge and the paper's linkages on a wearer's leg.
 
-    The study makes no runs. It takes a fraction of a second, in this process, and some 15 s more
-    with the trade-off.
+    The study makes no runs. The comparison takes a fraction of a second, in this process. The
+    trade-off takes some 15 s more.
 
     Parameters
     ----------

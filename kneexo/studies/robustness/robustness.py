@@ -202,9 +202,10 @@ def rank_correlation(
 ) -> Array:
     """Return how strongly each uncertain value acts on a figure of merit, (values,).
 
-    For an interval the strength is Spearman's rank correlation over ``assessments``. For options it
-    is the correlation ratio η ≥ 0: η² is the share of the ranks' variance between the options.
-    Failures have the worst rank. If the figure of merit is constant, all strengths are nan.
+    For an interval the strength is Spearman's rank correlation over ``assessments``. For options
+    the strength is the correlation ratio η ≥ 0: η² is the share of the ranks' variance between the
+    options. Failures have the worst rank. If the figure of merit is constant, all strengths are
+    nan.
     """
     ranks = scipy.stats.rankdata(merit_values(assessments, merit)) - 0.5 * (len(assessments) + 1)
     size = math.sqrt(ranks @ ranks)
@@ -274,9 +275,10 @@ class RobustnessResult(Result):
         }
 
     def spread(self, merit: str, path: str) -> float:
-        """Return the largest less the smallest figure of merit while one value takes its levels.
+        """Return by how much a figure of merit varies while one uncertain value takes its levels.
 
-        The nominal value is one of them. The result is inf if a run fails.
+        The result is the largest less the smallest figure of merit. The nominal value is one of the
+        levels. The result is inf if a run fails.
         """
         values = [*self.effects(merit)[path], merit_value(self.nominal, merit)]
         return float(np.max(values) - np.min(values)) if np.isfinite(values).all() else math.inf
@@ -296,7 +298,11 @@ class RobustnessResult(Result):
         return slope * (span.high - span.low)
 
     def correlations(self) -> dict[str, dict[str, float]]:
-        """Return a dictionary from merit to path to the `rank_correlation` over the samples."""
+        """Return the `rank_correlation` of each figure of merit and uncertain value.
+
+        The result maps the figure of merit to a dictionary from the path of the uncertain value to
+        the correlation over the samples.
+        """
         return {
             merit: dict(
                 zip(

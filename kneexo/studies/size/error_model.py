@@ -3,7 +3,7 @@
 The error has three causes: a wrong piston area, a motor with lag, and leakage.
 
 Below the hydraulic resonance the oil is stiff, and the pump's flow determines the rod speed.
-Notation:
+Notation, in which the numbers of equations are those of Lee et al. 2020:
 
 - e = x − x_d: error of the rod extension x, whose reference is x_d. P_L: load pressure.
 - s: sliding variable, with slope λ. Φ: width of the boundary layer |s| <= Φ. k: switching gain
@@ -31,7 +31,7 @@ For a slow reference the left side is κ λ² e, so that
 
 The left side also decides stability. A loaded area below Ā acts as negative damping. The loop is
 stable only if 2λ k/Φ > ω̂² (1 − α). With the default observer and λ = 20 1/s the loop requires
-1.4 times this k/Φ.
+1.4 times this k/Φ (``docs/controllers.md``: 1.37 times with the chamber of P_2 loaded).
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ Chamber = Literal["cap", "rod_side"]
 class ErrorModel(Result):
     """Closed form of the rod's error e = x − x_d, inside the boundary layer and the speed limit.
 
-    The docstring of `kneexo.studies.size.error_model` defines the symbols.
+    `error_model` makes it. The docstring of `kneexo.studies.size.error_model` defines the symbols.
     """
 
     lambda_per_s: float
@@ -78,9 +78,10 @@ class ErrorModel(Result):
 
     @property
     def damping_s(self) -> float:
-        """2λκ − (1 − α) with κ = k/(Φ ω̂²): damping of the loop.
+        """2λκ − (1 − α) with κ = k/(Φ ω̂²): damping, the factor of de/dt in the loop's equation.
 
-        The error e diverges unless the damping is positive.
+        λ is the slope of the sliding variable, k/Φ is ``slope_per_s``, ω̂² is ``stiffness_per_s2``
+        and α is ``speed_ratio``. The error e diverges unless the damping is positive.
         """
         kappa = self.slope_per_s / self.stiffness_per_s2
         return 2.0 * self.lambda_per_s * kappa - (1.0 - self.speed_ratio)
@@ -127,14 +128,15 @@ def error_model(
         Rod speed at which k is evaluated. The speed changes k only if the controller's
         uncertainty of area, stiffness or damping is above zero.
 
-    The term |1 − β||x⃛_d − 2λë − λ²ė| of k is neglected. Raises `ParameterError` if the controller
-    is no sliding-mode controller or ``loaded_chamber`` does not match the order of the plant.
+    The term |1 − β||x⃛_d − 2λë − λ²ė| of k is neglected, with β of Eq. 23. Raises `ParameterError`
+    if the controller is no sliding-mode controller or ``loaded_chamber`` does not match the order
+    of the plant.
     """
     law, plant, believed_plant = sliding_mode(scenario), scenario.plant, scenario.believed_plant
     believed = believed_plant.cylinder
     stiffness_per_s2 = 4.0 * believed.bulk_modulus_pa * believed.mean_area_m2**2
     stiffness_per_s2 /= law.mass_estimate_kg * believed.total_volume_m3
-    # k = β η + the bounds of what the controller does not know, Eq. 27.
+    # k = β η + the bounds of what the controller does not know, Eq. 27, with β of Eq. 23.
     k = law.gain_ratio * law.eta_m_s3 + law.area_uncertainty * stiffness_per_s2 * rod_speed_m_s
     force_rate = law.stiffness_uncertainty_n_per_m * rod_speed_m_s
     force_rate += law.load_rate_uncertainty_n_per_s

@@ -311,10 +311,10 @@ def _meets(result: Mapping[str, Any], settings: SizeSettings, asked_change_rpm: 
 
 
 def _best(gains: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
-    """Return the gains of least error among the gains whose row has ``meets``.
+    """Choose gains: return the gains of least error among the gains that meet the requirements.
 
-    If there are none, return the gains of least error among all that let the knee walk. Raises
-    `ParameterError` if no gains let the knee walk.
+    The row of such gains has ``meets``. If there are none, return the gains of least error among
+    all gains that let the knee walk. Raises `ParameterError` if no gains let the knee walk.
     """
     walk_at_all = [row for row in gains if not math.isnan(row["max_error_deg"])]
     if not walk_at_all:

@@ -52,8 +52,8 @@ def figures(result: WearerResult) -> dict[str, Figure]:
 def _cycle(row: WearerRow) -> tuple[Array, Any]:
     """Return abscissa and order of the samples of a trace.
 
-    For walking the abscissa is the gait cycle in % from heel contact. For rising it is the time
-    in s.
+    For walking the abscissa is the gait cycle in % from heel contact. For rising the abscissa is
+    the time in s.
     """
     time = np.asarray(row.trace.time_s)
     if np.isnan(row.cadence_hz):

@@ -181,7 +181,7 @@ class WearerRow:
     """Largest deviation of the leg from its path."""
     saturated_share: float = math.nan
     lowest_pressure_pa: float = math.nan
-    """Lowest pressure of both chambers relative to the atmosphere. It is nan in reduced order."""
+    """Lowest pressure of both chambers relative to the atmosphere; nan in reduced order."""
     failure: str = ""
     trace: WearerTrace = WearerTrace()
 
