@@ -315,7 +315,7 @@ class _Check:
         for (number, point), fresh in zip(self.way, self.fresh, strict=True):
             name, _, _, write = self.leaf.sources[number]
             if number < 0:
-                context, before = self.leaf.context(point, stores=True), fresh
+                context, before = self.leaf.context(point), fresh
             else:
                 write(context, point[self.leaf.places[number]])
             try:
@@ -345,7 +345,7 @@ class _Check:
             self.note("has not exactly one sample time, so its update is seen in runs alone")
         sample = offset + period * math.ceil((self.points[0, 0] - offset) / period)
         times = sample + period * (np.arange(3)[:, None] + [0.4, 0.401, 0.402, 0.403]).ravel()
-        context = self.leaf.context(self.points[0], stores=True)
+        context = self.leaf.context(self.points[0])
         try:
             first, second = (self._run(c, times, period) for c in (context.Clone(), context))
         except (Exception, SystemExit) as error:

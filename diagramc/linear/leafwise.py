@@ -9,9 +9,9 @@ floats does not spoil the derivatives of the others. The chain rule joins the le
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from pydrake.autodiffutils import AutoDiffXd
@@ -20,7 +20,15 @@ from pydrake.systems.framework import PortDataType
 
 from ..arguments import quoted
 from ..diagram_equations import DiagramEquations
-from ..equations.comparison import Evaluate, rates_of, update_of
+from ..equations.comparison import (
+    CalledLeaf,
+    Evaluate,
+    Function,
+    central_differences,
+    rates_of,
+    update_of,
+    values_and_gradients,
+)
 from ..equations.equations import Equations, Update
 from ..equations.events import reason_of, refuse_witness_functions
 from ..equations.names import numbered_names, state_names
@@ -36,9 +44,8 @@ _EQUAL = 1e-9  # relative difference of values of floats and of AutoDiffXd that 
 _STEP = 1e-3
 # The error of central differences with one extrapolation is about _STEP⁴ by truncation and
 # 1e-16/_STEP by rounding, so that both are about 1e-12.
-_JUMP = 1e-2  # relative difference of two differences that no smooth function has
-_FLAT_STEPS = (1e-6, 1e-5, 1e-3, 1e-2, 0.1, 1.0)
-"""Relative changes at which a value with the derivative zero is asked whether it changes."""
+_ROUGH_STEPS = (1e-6, 1e-5, 1e-3, 1e-2, 0.1, 1.0)
+"""Relative changes of variables at which a value is compared with its linear model."""
 
 
 class LeafwiseEquations(DiagramEquations):
@@ -91,19 +98,24 @@ class LeafwiseEquations(DiagramEquations):
         super().__init__(root.system, equations, root)
 
 
-class _Leaf(NamedTuple):
+@dataclass
+class _Leaf:
     """A leaf system with the indices of its states among all states of each kind."""
 
     node: Node
     continuous: range
     discrete: range
+    why: str = "does not convert to AutoDiffXd"
+    """Why `converted` is None."""
 
-
-class _Signal(NamedTuple):
-    """Values (size,) and their derivatives (size, n + m) by n states and m inputs."""
-
-    values: Array
-    derivatives: Array
+    @cached_property
+    def converted(self) -> Any:
+        """The leaf of AutoDiffXd, or None."""
+        try:
+            return self.node.system.ToAutoDiffXdMaybe()
+        except Exception as error:  # a user's conversion may raise any error
+            self.why += f" ({reason_of(error)})"
+            return None
 
 
 @dataclass(frozen=True)
@@ -128,16 +140,17 @@ class LeafwisePoint(Point):
 
     def _slopes(self, outputs: tuple[str, ...]) -> Slopes:
         evaluation = _Evaluation(self)
-        rates, updates = [], []
+        rates, updates = [np.empty(0)], []
         for leaf in self.read.leaves.values():
-            if leaf.continuous:
-                steps = evaluation.result(leaf.node, "time derivatives", rates_of)
-                rates.append(completed(steps))
-            if leaf.discrete:
-                steps = evaluation.result(leaf.node, "discrete update", update_of)
+            if size := len(leaf.continuous):
+                rates.append(completed(evaluation.result(leaf, "time derivatives", rates_of, size)))
+            if size := len(leaf.discrete):
+                steps = evaluation.result(leaf, "discrete update", update_of, size)
                 updates.append(completed(steps))
         signals = [completed(evaluation.signal(self.read.routes[name])) for name in outputs]
-        return Slopes(*_joined([*rates, *updates], self.width), *_joined(signals, self.width))
+        parts = ([*rates, *updates], [np.empty(0), *signals])
+        slopes = [values_and_gradients(np.concatenate(part), self.width) for part in parts]
+        return Slopes(*slopes[0], *slopes[1])
 
     def time_varying(self, outputs: Sequence[str] = ()) -> list[str]:
         """Return the names of rates, updates and outputs whose derivatives change with the time.
@@ -185,242 +198,177 @@ class LeafwisePoint(Point):
 
 
 class _Evaluation:
-    """The signals and the leaves of a diagram at a point, as far as they are called."""
+    """The signals and the leaves of a diagram at a point, as far as they are called.
+
+    Signals are arrays of AutoDiffXd, whose derivatives are by all states and open inputs.
+    """
 
     def __init__(self, point: LeafwisePoint) -> None:
         self.point = point
-        self._calls: dict[Node, _Call] = {}
-        self._signals: dict[Port, _Signal | None] = {}
+        variables = zip([*point.state, *point.inputs], np.eye(point.width), strict=True)
+        self._variables = np.array([AutoDiffXd(*pair) for pair in variables], dtype=object)
+        """The states, and then the elements of all open inputs."""
+        self._signals: dict[Port, Any] = {}
         """Signal of each output port, or None while it is computed."""
 
-    def signal(self, route: Sequence[Port]) -> Steps[_Signal]:
+    def signal(self, route: Sequence[Port]) -> Steps[Any]:
         """Return the signal at the first port of a route: that of its source, and perturbations."""
-        point, open_inputs = self.point, self.point.read.open_inputs
-        size, source = size_of(route[0]), route[-1]
-        values, derivatives = np.zeros(size), np.zeros((size, point.width))
+        open_inputs, source = self.point.read.open_inputs, route[-1]
+        signal = np.zeros(size_of(route[0]))
         if source[1] == "output":
-            of_source = yield self._output(source)
-            values, derivatives = (part.copy() for part in of_source)
+            signal = yield self._output(source)
         elif source not in open_inputs:
-            raise point.no_value(source)
+            raise self.point.no_value(source)
         for port in route:
             if port in open_inputs:
-                first = open_inputs[port]
-                values += point.inputs[first : first + size]
-                column = point.state.size + first
-                derivatives[:, column : column + size] += np.eye(size)
-        return _Signal(values, derivatives)
+                first = self.point.state.size + open_inputs[port]
+                signal = signal + self._variables[first : first + signal.size]
+        return signal
 
-    def _output(self, port: Port) -> Steps[_Signal]:
-        node, _, index = port
-        where = f"output port {node.system.get_output_port(index).get_name()}"
-        if port not in self._signals:
-            self._signals[port] = None
-            self._signals[port] = yield self.result(node, where, _output(index), index)
-        found = self._signals[port]
+    def _output(self, source: Port) -> Steps[Any]:
+        node, _, index = source
+        port = node.system.get_output_port(index)
+        where = f"output port {port.get_name()}"
+        if source not in self._signals:
+            self._signals[source] = None
+            leaf = self.point.read.leaves[node]
+            _require_vector(port, f"{node.name}: {where}")
+            self._signals[source] = yield self.result(
+                leaf,
+                where,
+                lambda system, context: system.get_output_port(index).Eval(context),
+                port.size(),
+                index,
+            )
+        found = self._signals[source]
         if found is None:
             raise CompilationError(f"{node.name}: {where}: depends on itself (algebraic loop)")
         return found
 
     def result(
-        self, node: Node, purpose: str, evaluate: Evaluate, output: int | None = None
-    ) -> Steps[_Signal]:
-        """Return values and derivatives of a function of leaf and Context.
+        self, leaf: _Leaf, purpose: str, evaluate: Evaluate, size: int, output: int | None = None
+    ) -> Steps[Any]:
+        """Return the values (size,) of a function of leaf and Context, as AutoDiffXd.
 
         They depend on the inputs of an output port, or on all if ``output`` is None.
         """
-        if node not in self._calls:
-            self._calls[node] = _Call(self.point, self.point.read.leaves[node])
-        call = self._calls[node]
-        for index, route in _routes(node, purpose, output):
-            if index not in call.inputs and self.point.is_known(route):
-                call.inputs[index] = yield self.signal(route)
-        return call.result(purpose, evaluate)
+        _refuse_abstract_state(leaf.node)
+        signals = {}
+        for index, route in _routes(leaf.node, purpose, output):
+            if self.point.is_known(route):
+                signals[index] = yield self.signal(route)
+        count = len(self.point.read.state_names)
+        rows = [*leaf.continuous, *(count + index for index in leaf.discrete)]
+        variables = np.concatenate([self._variables[rows], *signals.values()])
+        call = _Call(self.point, leaf, purpose, [*signals], variables)
+        return call.result(evaluate, size)
 
 
 class _Call:
-    """Calls of one leaf at a point: Contexts of floats and of AutoDiffXd, with states and inputs.
+    """A call of one leaf at a point, of floats, and its derivatives.
 
-    The variables of the leaf are its states, and then all elements of its vector inputs.
+    The variables of the leaf are its states, and then the elements of its inputs.
     """
 
-    def __init__(self, point: LeafwisePoint, leaf: _Leaf) -> None:
-        node, system = leaf.node, leaf.node.system
-        self.point, self.node, self.system = point, node, system
-        _refuse_abstract_state(node)
-        count = len(point.read.state_names)
-        rows = [*leaf.continuous, *(count + index for index in leaf.discrete)]
-        self._states, self._continuous = point.state[rows], len(leaf.continuous)
-        self._of_states = np.eye(point.state.size, point.width)[rows]
-        ports = [system.get_input_port(index) for index in range(system.num_input_ports())]
-        self._first: dict[int, int] = {}
-        """Index of the first variable of each vector input."""
-        self.size = self._states.size
-        for index, port in enumerate(ports):
-            if port.get_data_type() == PortDataType.kVectorValued:
-                self._first[index] = self.size
-                self.size += port.size()
-        self.inputs: dict[int, _Signal] = {}
-        """Signal of each vector input that has a source, as far as it is needed."""
-        self._floats = system.CreateDefaultContext()
-        self._floats.SetTimeStateAndParametersFrom(node.context(point.context))
-        self._auto: tuple[Any, Any] | None = None
-        try:
-            converted = system.ToAutoDiffXdMaybe()
-        except Exception as error:  # a user's conversion may raise any error
-            self._why = f"does not convert to AutoDiffXd ({reason_of(error)})"
-            return
-        self._why = "does not convert to AutoDiffXd"
-        if converted is not None:
-            context = converted.CreateDefaultContext()
-            context.SetTimeStateAndParametersFrom(self._floats)
-            self._auto = converted, context
+    def __init__(
+        self, point: LeafwisePoint, leaf: _Leaf, purpose: str, inputs: list[int], variables: Array
+    ) -> None:
+        self.point, self.leaf, self.node, self.purpose = point, leaf, leaf.node, purpose
+        self.inputs, self.variables = inputs, variables
+        self.numbers, self.gradients = values_and_gradients(variables, point.width)
+        self.moving = np.diag(np.maximum(1.0, np.abs(self.numbers)))[self.gradients.any(axis=1)]
+        """Changes of each variable that has a derivative, as large as the variable."""
 
-    def result(self, purpose: str, evaluate: Evaluate) -> _Signal:
-        """Return the values that a function of leaf and Context has, and their derivatives."""
-        where = f"{self.node.name}: {purpose}"
-        variables = self._variables()
-        try:
-            values = self._called(evaluate, variables)
-        except (Exception, SystemExit) as error:
+    def _leaf(self, system: Any) -> CalledLeaf:
+        return CalledLeaf(system, self.inputs, self.node.context(self.point.context))
+
+    def result(self, evaluate: Evaluate, size: int) -> Any:
+        """Return the values (size,) of a function of leaf and Context, as AutoDiffXd."""
+        where, floats = f"{self.node.name}: {self.purpose}", self._leaf(self.node.system)
+        function = floats.function(evaluate, size)
+        values = np.array(function(self.numbers))
+        if (error := floats.error) is not None:
             self._require_inputs(str(error))
             raise CompilationError(f"{where}: fails at this point ({reason_of(error)})") from error
-        local = self._gradients(where, evaluate, variables, values)
-        if local is None:
-            local = self._differences(where, evaluate, variables, values)
+        gradients, why = self._gradients(where, evaluate, values)
+        local = np.zeros((size, self.numbers.size))
+        if gradients is None:
+            local = self._differences(function, local)
+            if (error := floats.error) is not None:
+                raise CompilationError(
+                    f"{self.node.name}: cannot be called beside this point, for differences "
+                    f"({reason_of(error)})"
+                ) from error
             self._note(
-                self.node.type_name,
-                f"{self._why}: its derivatives are central differences",
-                _TEMPLATE,
+                self.node.type_name, f"{why}: its derivatives are central differences", _TEMPLATE
             )
-        self._note_flat(purpose, evaluate, variables, values, local)
-        if isinstance(self.system, MultibodyPlant) and (
-            self.system.num_positions() != self.system.num_velocities()
-        ):
+            gradients = local @ self.gradients
+            self._note_rough(function, values, local, np.full(size, True))
+        else:
+            self._note_rough(function, values, local, ~gradients.any(axis=1))
+        plant = self.node.system
+        if isinstance(plant, MultibodyPlant) and plant.num_positions() != plant.num_velocities():
             self._note(
                 "state",
                 "has a quaternion: the model has one more eigenvalue for its length",
                 "leave out the eigenvalue 0 of a continuous or 1 of a sampled model",
             )
-        derivatives = local[:, : self._states.size] @ self._of_states
-        for index, signal in self.inputs.items():
-            first = self._first[index]
-            derivatives += local[:, first : first + signal.values.size] @ signal.derivatives
-        return _Signal(values, derivatives)
+        return np.array([*map(AutoDiffXd, values, gradients)], dtype=object)
 
-    def _variables(self) -> Array:
-        values = np.zeros(self.size)
-        values[: self._states.size] = self._states
-        for index, signal in self.inputs.items():
-            first = self._first[index]
-            values[first : first + signal.values.size] = signal.values
-        return values
-
-    def _called(self, evaluate: Evaluate, variables: Any, auto: bool = False) -> Any:
-        """Return the values of a function at variables of the leaf."""
-        system, context = (self.system, self._floats) if not auto else self._auto  # type: ignore[misc]
-        end = self._continuous
-        if end:
-            context.SetContinuousState(variables[:end])
-        for group in range(context.num_discrete_state_groups()):
-            vector = context.get_mutable_discrete_state(group)
-            vector.SetFromVector(variables[end : end + vector.size()])
-            end += vector.size()
-        for index, signal in self.inputs.items():
-            first = self._first[index]
-            port = system.get_input_port(index)
-            port.FixValue(context, variables[first : first + signal.values.size])
-        values = evaluate(system, context)
-        return values if auto else np.array(values, dtype=float).reshape(-1)
-
-    def _gradients(
-        self, where: str, evaluate: Evaluate, variables: Array, values: Array
-    ) -> Array | None:
-        """Return the derivatives by AutoDiffXd; None if the leaf has none at this point.
+    def _gradients(self, where: str, evaluate: Evaluate, values: Array) -> tuple[Any, str]:
+        """Return the derivatives by AutoDiffXd, or None and why the leaf has none at this point.
 
         Raises `DifferenceError` if the values are not those of floats.
         """
-        if self._auto is None:
-            return None
-        seeds = np.eye(variables.size)
-        seeded = np.array([AutoDiffXd(v, s) for v, s in zip(variables, seeds, strict=True)])
-        try:
-            results = list(np.ravel(self._called(evaluate, seeded, auto=True)))
-        except (Exception, SystemExit) as error:
-            self._why = f"fails with AutoDiffXd ({reason_of(error)})"
-            return None
-        found = np.array([result.value() for result in results])
-        if not np.allclose(found, values, _EQUAL, _EQUAL, equal_nan=True):
-            element = int(np.argmax(~np.isclose(found, values, _EQUAL, _EQUAL, equal_nan=True)))
+        if self.leaf.converted is None:
+            return None, self.leaf.why
+        duals = self._leaf(self.leaf.converted)
+        results = duals.function(evaluate, values.size)(self.variables)
+        if duals.error is not None:
+            return None, f"fails with AutoDiffXd ({reason_of(duals.error)})"
+        found, gradients = values_and_gradients(results, self.point.width)
+        are_close = np.isclose(found, values, _EQUAL, _EQUAL, equal_nan=True)
+        if not are_close.all():
+            element = int(np.argmin(are_close))
             raise DifferenceError(
                 f"{where}: AutoDiffXd gives {found[element]:.9g} where floats give "
                 f"{values[element]:.9g}; the conversion of {self.node.type_name} must keep "
                 f"attributes and parameters"
             )
-        rows = [result.derivatives() for result in results]
-        rows = [row if row.size else np.zeros(variables.size) for row in rows]
-        return np.array(rows).reshape(values.size, variables.size)
+        return gradients, ""
 
-    def _differences(
-        self, where: str, evaluate: Evaluate, variables: Array, values: Array
-    ) -> Array:
+    def _differences(self, function: Function, local: Array) -> Array:
         """Return the derivatives by central differences, extrapolated once (Richardson)."""
-        columns = []
-        for index, value in enumerate(variables):
-            step = _STEP * max(1.0, abs(value))
-            up, down, near_up, near_down = (
-                self._moved(evaluate, variables, index, change)
-                for change in (step, -step, step / 2.0, -step / 2.0)
-            )
-            wide, narrow = (up - down) / (2.0 * step), (near_up - near_down) / step
-            far_bend, near_bend = up + down - 2.0 * values, near_up + near_down - 2.0 * values
-            # At a jump the two differ. At a corner they do not, but the bend is halved with the
-            # step, where that of a smooth function is a quarter.
-            jumps = np.abs(wide - narrow)
-            corners = np.where(np.abs(near_bend) > 0.4 * np.abs(far_bend), near_bend / step, 0.0)
-            change = np.maximum(jumps, np.abs(corners))
-            if (change > _JUMP * np.maximum(np.abs(wide), np.abs(narrow)) + _EQUAL).any():
-                purpose = where.removeprefix(f"{self.node.name}: ")
-                self._note(purpose, "jumps or bends near this point", "choose another point")
-            columns.append((4.0 * narrow - wide) / 3.0)
-        return np.array(columns).T.reshape(values.size, variables.size)
+        local = local.copy()
+        for change in self.moving:
+            wide, half = central_differences(function, self.numbers, _STEP * change)
+            local[:, change.argmax()] = (4.0 * half - wide) / (3.0 * _STEP * change.max())
+        return local
 
-    def _moved(self, evaluate: Evaluate, variables: Array, index: int, change: float) -> Array:
-        moved = variables.copy()
-        moved[index] += change
-        try:
-            return np.asarray(self._called(evaluate, moved))
-        except (Exception, SystemExit) as error:
-            raise CompilationError(
-                f"{self.node.name}: cannot be called beside this point, for differences "
-                f"({reason_of(error)})"
-            ) from error
+    def _note_rough(self, function: Function, values: Array, local: Array, rows: Array) -> None:
+        """Note values in ``rows`` that have no derivative near the point, as those of a quantizer.
 
-    def _note_flat(
-        self, purpose: str, evaluate: Evaluate, variables: Array, values: Array, local: Array
-    ) -> None:
-        """Note a value that changes although its derivatives are zero, as that of a quantizer.
-
-        A smooth value with the derivative zero, such as a cosine at 0, changes with the square of a
-        small step. A quantizer does not change at all, or jumps.
+        The error of the linear model with the derivatives ``local`` grows with the square of the
+        change for a smooth value, in proportion to the change at a corner, and not at all after a
+        jump. A quantizer does not change at first, and jumps then.
         """
-        flat = ~local.any(axis=1)
-        if not flat.any():
+        if not rows.any() or not self.moving.size:
             return
-        changes = np.zeros((len(_FLAT_STEPS), values.size))
-        for number, step in enumerate(_FLAT_STEPS):
-            for index, value in enumerate(variables):
-                for change in (step * max(1.0, abs(value)), -step * max(1.0, abs(value))):
-                    with suppress(Exception):  # such as for a quaternion of length 0
-                        moved = self._moved(evaluate, variables, index, change)
-                        changes[number] = np.fmax(changes[number], np.abs(moved - values))
-        least, next_, *_ = changes
-        rests = (least == 0.0) & (changes > 0.0).any(axis=0)
-        jumps = (least > 0.0) & (next_ < 5.0 * least)
-        if (flat & (rests | jumps)).any():
+        largest = []
+        for step in _ROUGH_STEPS:
+            changes = np.vstack([step * self.moving, -step * self.moving])
+            moved = [function(self.numbers + change) - values for change in changes]
+            # A leaf can fail beside the point, such as for a quaternion of length 0.
+            errors = np.abs(moved - changes @ local.T)
+            largest.append(np.fmax.reduce(errors))
+        near, next_, *far = largest
+        scale = 1.0 + np.abs(values) + np.abs(local) @ np.maximum(1.0, np.abs(self.numbers))
+        jumps = (near > _EQUAL * scale) & (next_ < 50.0 * near)
+        rests = (near == 0.0) & ~local.any(axis=1) & (np.array(far) > 0.0).any(axis=0)
+        if (rows & (jumps | rests)).any():
             self._note(
-                purpose,
-                "changes without a derivative, as a quantizer or at a limit",
+                self.purpose,
+                "has no derivative near this point, as a quantizer, at a limit or at a corner",
                 "choose another operating point",
             )
 
@@ -433,7 +381,7 @@ class _Call:
 
         ``text`` is the message of the failure.
         """
-        for index in range(self.system.num_input_ports()):
+        for index in range(self.node.system.num_input_ports()):
             route = list(self.node.route(index))
             if f"InputPort[{index}]" in text and not self.point.is_known(route):
                 raise self.point.no_value(route[-1])
@@ -453,20 +401,12 @@ def _refuse_abstract_state(node: Node) -> None:
         )
 
 
-def _output(index: int) -> Evaluate:
-    return lambda system, context: system.get_output_port(index).Eval(context)
-
-
-def _routes(
-    node: Node, purpose: str, output: int | None = None
-) -> Iterator[tuple[int, list[Port]]]:
+def _routes(node: Node, purpose: str, output: int | None) -> Iterator[tuple[int, list[Port]]]:
     """Yield index and route of each vector input that an output port, or anything, depends on.
 
-    Raises `CompilationError` if the output port, or a signal that it can depend on, is no vector.
+    Raises `CompilationError` if a signal that it can depend on is no vector.
     """
     system, where = node.system, f"{node.name}: {purpose}"
-    if output is not None:
-        _require_vector(system.get_output_port(output), where)
     for index in range(system.num_input_ports()):
         port, route = system.get_input_port(index), list(node.route(index))
         if output is not None and not system.HasDirectFeedthrough(index, output):
@@ -489,8 +429,3 @@ def _is_without_contact(system: Any, port: Any) -> bool:
         and port.get_name() == system.get_geometry_query_input_port().get_name()
         and not system.num_collision_geometries()
     )
-
-
-def _joined(signals: Sequence[_Signal], width: int) -> tuple[Array, Array]:
-    values = np.concatenate([np.empty(0), *(signal.values for signal in signals)])
-    return values, np.vstack([np.empty((0, width)), *(signal.derivatives for signal in signals)])
