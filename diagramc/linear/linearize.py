@@ -57,9 +57,8 @@ def linearize(
     context
         Its Context with parameters, state and time, by default the default Context. Values of input
         ports come from the Context too. An input port in ``inputs`` without a value has the value
-        zero. A value fixed at a port inside takes the place of its connection, as in Drake's
-        Simulator, and so opens a loop there. (Drake's own `Linearize` keeps the connection, and
-        so does a ``diagram`` from `read_diagram`, whose connections are known already.)
+        zero. A port inside that nothing drives has its value in the Context too. A value fixed at a
+        connected port inside does not count, as in Drake's own `Linearize`: see `loop_at`.
     inputs
         Names of input ports of the diagram, by default of all its vector ports. A name
         ``path/of/system:port`` stands for a port inside the diagram. The input is then a

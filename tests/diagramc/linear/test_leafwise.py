@@ -31,11 +31,9 @@ from pydrake.systems.sensors import RotaryEncoders
 
 from diagramc import (
     CompilationError,
-    ParameterError,
     advice,
     find_equilibrium,
     linearize,
-    linearize_at,
     loop_at,
     margins,
 )
@@ -343,26 +341,6 @@ class Root(LeafSystem):
 
     def _output(self, context, output):
         output.SetFromVector([math.sqrt(self.get_input_port().Eval(context)[0])])
-
-
-@pytest.mark.parametrize("form", [FloatGain, MatrixGain])
-def test_a_value_fixed_inside_opens_the_loop_there(form):
-    period_s = 0.01
-    gain = form(-gains_of(1))
-    diagram = sampled_loop(hanging_arm(1, MultibodyPlant(0.0)), gain, period_s)
-    context = diagram.CreateDefaultContext()
-    port = gain.get_input_port()
-    name = f"gain:{port.get_name()}"
-    # The value that the signal has.
-    port.FixValue(gain.GetMyMutableContextFromRoot(context), [0.0, 0.0])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # central differences
-        model = linearize(diagram, context, inputs=[name])
-    a, b = stepped(1, period_s)
-    np.testing.assert_allclose(model.a[:2], np.hstack([a, np.zeros((2, 2))]), atol=1e-10)
-    np.testing.assert_allclose(model.b[:2], -b @ gains_of(1), atol=1e-10)
-    with pytest.raises(ParameterError, match=f"'{name}' has a value of its own in some of them"):
-        linearize_at(diagram, [context, diagram.CreateDefaultContext()])
 
 
 def test_a_torque_fixed_inside_moves_the_equilibrium():
