@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from functools import partial
-from itertools import compress, product
+from itertools import chain, compress, pairwise, product
 from types import MappingProxyType
 from typing import Any
 
@@ -18,12 +19,16 @@ from pydrake.systems.framework import PortDataType, System
 from .arguments import names, quoted
 from .equations.comparison import (
     CalledLeaf,
+    Evaluate,
     called_twice,
+    central_differences,
     differ,
     margin_of,
+    output_of,
     points_around,
     rates_of,
     update_of,
+    values_and_gradients,
 )
 from .equations.events import reason_of, symbolic_value
 from .equations.names import parameter_groups, state_names
@@ -75,7 +80,7 @@ def check_leaf(
 
     Returns notes, one line each, which are no faults: a port without a name of its own, a
     conversion that the leaf does not have, an input that an output is declared to depend on and
-    does not, what follows from an input of nan, an attribute that changes during calls.
+    does not, what follows from an input of nan.
 
     Parameters
     ----------
@@ -163,6 +168,16 @@ def _are_equal(first: Any, second: Any) -> bool:
     return kind.__eq__ is object.__eq__ or bool(first == second or are_nan)
 
 
+def _evaluate(functions: list[Evaluate], leaf: CalledLeaf, system: Any, context: Any) -> list[Any]:
+    """Return what a leaf computes, and then what its Context has, in any scalar type."""
+    for port in _ports(system, "input"):
+        if not _is_vector(port) and not port.HasValue(context):
+            port.FixValue(context, port.Allocate())
+    values = [function(system, context) for function in functions]
+    vectors = [value for value in values if isinstance(value, list | np.ndarray)]  # not abstract
+    return [*chain(*vectors), *leaf.point(context)]
+
+
 class _Check:
     """The checks of one leaf, with their findings and notes."""
 
@@ -174,7 +189,6 @@ class _Check:
         is_open = {p.get_name(): ranges.get(p.get_name(), ()) is None for p in inputs}
         ranges = {name: given for name, given in ranges.items() if not is_open.get(name)}
         self.inputs = [port for port in inputs if not is_open[port.get_name()]]
-        self.outputs = [port for port in _ports(system, "output") if _is_vector(port)]
         self.leaf = self._called(system)
         self.timing = system.GetUniquePeriodicDiscreteUpdateAttribute()
         context, node, sources = system.CreateDefaultContext(), Node(system), self.leaf.sources
@@ -195,16 +209,16 @@ class _Check:
                 raise ParameterError(f"{setting}: {text}")
         self.units = {i: f" {unit}" for name, unit in units.items() for i in self.places[name]}
         self.points = self._points(np.array(self.leaf.point(context)), ranges)
-        sizes = {f"output {port.get_name()}": port.size() for port in self.outputs}
-        sizes["time derivatives"] = context.num_continuous_states()
-        held = self.own.get("discrete_state", slice(0))
-        sizes["discrete update"] = held.stop - held.start if self.timing else 0
-        sizes["margin"] = int(callable(getattr(system, "margin", None)))
-        self.parts = [part for part, size in sizes.items() for _ in range(size)]
+        self.parts: list[str] = []
+        """Name of each value: first of those that the leaf computes, then of the Context's."""
+        functions: list[Evaluate] = []
+        for name, size, function in self._functions(context):
+            self.parts += [name] * size
+            functions.append(function)
         self.computed = len(self.parts)
         self.parts += self.elements
-        """Name of each value: first of those that the leaf computes, then of the Context's."""
-        self.function = self.leaf.function(partial(self._values, self.leaf), len(self.parts))
+        self.evaluate = partial(_evaluate, functions)
+        self.function = self.leaf.function(partial(self.evaluate, self.leaf), len(self.parts))
 
     def find(self, text: str, wrong: Any = None) -> None:
         """Add a finding, or one about each part of which a value is ``wrong``."""
@@ -218,12 +232,25 @@ class _Check:
     def _called(self, system: Any) -> CalledLeaf:
         return CalledLeaf(system, [int(port.get_index()) for port in self.inputs])
 
+    def _functions(self, context: Any) -> Iterator[tuple[str, int, Evaluate]]:
+        """Yield what the leaf computes: name, size and function."""
+        for port in _ports(self.system, "output"):
+            # Abstract ports too, of size 0: the call may change something.
+            yield f"output {port.get_name()}", port.size(), output_of(int(port.get_index()))
+        if size := context.num_continuous_states():
+            yield "time derivatives", size, rates_of
+        if self.timing:
+            held = self.own["discrete_state"]
+            yield "discrete update", held.stop - held.start, update_of
+        if callable(getattr(self.system, "margin", None)):
+            yield "margin", 1, margin_of
+
     def _points(self, default: Array, ranges: Mapping[str, Any]) -> Array:
         """Return nine points in the ranges, (9, size)."""
         random = np.random.default_rng(0)  # a fixed seed: an equal leaf passes or fails each time
-        points = points_around(default, random)
-        parameters = self.own.get("parameters", slice(0))
-        points[parameters] = points_around(default[parameters], random, scale=0.0)
+        scale = np.ones((default.size, 1))
+        scale[self.own.get("parameters", slice(0))] = 0.0
+        points = points_around(default, random, scale)
         points[0] = np.abs(points[0])  # the time
         for name, given in ranges.items():
             indices = self.places[name]
@@ -240,23 +267,6 @@ class _Check:
                 )
         return points.T
 
-    def _values(self, leaf: CalledLeaf, system: Any, context: Any) -> list[Any]:
-        """Return what the leaf computes, and then what its Context has, in any scalar type."""
-        for port in _ports(system, "input"):
-            if not _is_vector(port) and not port.HasValue(context):
-                port.FixValue(context, port.Allocate())
-        values = []
-        for port in _ports(system, "output"):
-            value = port.Eval(context)  # of an abstract port too: the call may change something
-            values += list(value) if _is_vector(port) else []
-        if context.num_continuous_states():
-            values += rates_of(system, context)
-        if self.timing:
-            values += update_of(system, context)
-        if callable(getattr(system, "margin", None)):
-            values += margin_of(system, context)
-        return values + leaf.point(context)
-
     def _value(self, column: int, point: Array) -> list[float]:
         return [self.function(point)[column]]
 
@@ -271,22 +281,16 @@ class _Check:
 
         Points where the leaf fails are left out of all that follows.
         """
-        for port in (*self.inputs, *self.outputs):
+        for port in (*self.inputs, *_ports(self.system, "output")):
             index = int(port.get_index())
             if port.get_name() in (f"u{index}", f"y{index}"):
                 self.note(f"port {port.get_name()} has only Drake's default name")
         before = {name: repr(value) for name, value in _attributes(self.system).items()}
-        self.way = [*self._way()]
-        points = np.array([*self.points, *(point for _, point in self.way)])
-        numbers, repeats = called_twice(self.function, self.function, points)
-        after = _attributes(self.system).items()
-        changed = [f"self.{name}" for name, value in after if before.get(name) != repr(value)]
-        if changed:
-            self.note(f"{', '.join(changed)} changes during calls")
+        self.numbers, repeats = called_twice(self.function, self.function, self.points)
         if not repeats:
-            hint = f" ({', '.join(changed)})" if changed else ""
-            self.find(f"a second call gives other values: {_OUTSIDE}{hint}")
-        self.numbers, self.fresh = np.split(numbers, [len(self.points)])
+            after = _attributes(self.system).items()
+            changed = ", ".join(f"self.{n}" for n, value in after if before.get(n) != repr(value))
+            self.find(f"a second call gives other values: {_OUTSIDE}{changed and f' ({changed})'}")
         reached = ~np.isnan(self.numbers[:, self.computed])  # the time, which is never nan
         if self.leaf.error is not None:
             text = f"at {np.sum(~reached)} of {reached.size} points: {reason_of(self.leaf.error)}"
@@ -299,52 +303,44 @@ class _Check:
         self.find("changes in a call", np.pad(changes, (self.computed, 0)))
         return not self.findings
 
-    def _way(self) -> Iterator[tuple[int, Array]]:
-        """Yield the way between some points: the source that changes, first −1, and the point."""
-        for start, end in ((0, 4), (4, 5), (5, 8)):
-            point = self.points[start].copy()
-            yield -1, point.copy()
-            for number, place in enumerate(self.leaf.places):
-                point[place] = self.points[end, place]
-                yield number, point.copy()
-
     def stored_values(self) -> None:
-        """Compare values that Drake stores in a Context with fresh ones, on the way."""
+        """Compare values that Drake stores in a Context with fresh ones, on ways between points.
+
+        One source changes at a time.
+        """
         felt: set[tuple[str, str]] = set()
-        context, before = None, self.fresh[0]
-        for (number, point), fresh in zip(self.way, self.fresh, strict=True):
-            name, _, _, write = self.leaf.sources[number]
-            if number < 0:
-                context, before = self.leaf.context(point), fresh
-            else:
-                write(context, point[self.leaf.places[number]])
-            try:
-                stored = self._values(self.leaf, self.system, context)
-            except (Exception, SystemExit):  # a point that does not count
+        for start, end in pairwise(self.points[::2]):
+            context, point = self.leaf.context(start), start.copy()
+            before = np.array(self.function(start))
+            self.evaluate(self.leaf, self.system, context)
+            for source, place in zip(self.leaf.sources, self.leaf.places, strict=True):
+                point[place] = end[place]
+                source.write(context, end[place])
+                fresh = np.array(self.function(point))
                 stored = fresh
-            changes = ~np.isnan(fresh) & (fresh != before)
-            felt |= {(self.parts[index], name) for index in np.nonzero(changes)[0]}
-            text = f"its stored value stays after a change of {name}; add {name} to its "
-            self.find(f"{text}prerequisites_of_calc", changes & (stored != fresh))
-            before = fresh
-        for source, port in product(self.inputs, self.outputs):
+                with suppress(Exception, SystemExit):  # a point that does not count
+                    stored = np.array(self.evaluate(self.leaf, self.system, context))
+                changes = ~np.isnan(fresh) & (fresh != before)
+                felt |= {(self.parts[index], source.name) for index in np.nonzero(changes)[0]}
+                text = f"its stored value stays after a change of {source.name}; add {source.name}"
+                self.find(f"{text} to its prerequisites_of_calc", changes & (stored != fresh))
+                before = fresh
+        for source, port in product(self.inputs, _ports(self.system, "output")):
             pair = f"output {port.get_name()}", source.get_name()
             try:
                 declared = self.system.HasDirectFeedthrough(source.get_index(), port.get_index())
             except RuntimeError:  # Drake looks at the Expression, which `conversion` tells about
                 continue
-            if declared and pair not in felt:
+            if declared and port.size() and pair not in felt:
                 self.note("{} is declared to depend on {}, and does not".format(*pair))
 
     def runs(self) -> None:
-        """Compare runs of two clones of a Context, with short steps between the samples."""
+        """Compare runs of two clones of a Context, and the discrete state between its samples."""
         period, offset = _PERIOD_S, 0.0
         if self.timing:
             period, offset = self.timing.period_sec(), self.timing.offset_sec()
-        elif "discrete_state" in self.own:
-            self.note("has not exactly one sample time, so its update is seen in runs alone")
         sample = offset + period * math.ceil((self.points[0, 0] - offset) / period)
-        times = sample + period * (np.arange(3)[:, None] + [0.4, 0.401, 0.402, 0.403]).ravel()
+        times = sample + period * (np.arange(3)[:, None] + [0.4, 0.401]).ravel()
         context = self.leaf.context(self.points[0])
         try:
             first, second = (self._run(c, times, period) for c in (context.Clone(), context))
@@ -353,26 +349,20 @@ class _Check:
             return
         if not np.array_equal(first, second, equal_nan=True):
             self.find(f"runs of two clones of a Context differ: {_OUTSIDE}")
-        sizes = np.abs(first).max(axis=0)
-        most = np.zeros(len(sizes))
-        state = np.arange(len(self.elements))[self.own.get("continuous_state", slice(0))]
-        state += self.computed
-        rates = [index for index, part in enumerate(self.parts) if part == "time derivatives"]
-        most[state] = 2e-3 * period * sizes[rates] + 1e-9 * (1.0 + sizes[state])
-        jumps = (np.abs(np.diff(first.reshape(3, 4, -1), axis=1)) > most).any(axis=(0, 1))
-        jumps[: self.computed + 1] = False  # those of the Context alone, without the time
-        self.find("jumps between samples", jumps)
+        held = first[:, self.computed :][:, self.own.get("discrete_state", slice(0))]
+        if (held[::2] != held[1::2]).any():
+            self.find("discrete_state: jumps between samples")
 
     def _run(self, context: Any, times: Array, period: float) -> Array:
         """Return all values of a run at some times, (times, values)."""
-        self._values(self.leaf, self.system, context)  # gives values to abstract input ports
+        self.evaluate(self.leaf, self.system, context)  # gives values to abstract input ports
         simulator = Simulator(self.system, context)
         ResetIntegratorFromFlags(simulator, "runge_kutta2", 0.1 * period)
         simulator.Initialize()
         rows = []
         for time in times.tolist():
             simulator.AdvanceTo(time)
-            rows.append(self._values(self.leaf, self.system, context))
+            rows.append(self.evaluate(self.leaf, self.system, context))
         return np.array(rows)
 
     def _structure(self, system: Any) -> dict[str, Any]:
@@ -415,23 +405,23 @@ class _Check:
         leaf = self._called(converted)
 
         def called(point: Iterable[Any]) -> Any:
-            values = np.array([*point])
-            evaluate = lambda: self._values(leaf, converted, leaf.context(values))  # noqa: E731
+            context = leaf.context(np.array([*point]))
+            evaluate = partial(self.evaluate, leaf, converted, context)
             return symbolic_value("outputs, derivatives, update", evaluate, scalar)
 
-        size = len(self.elements)
         if scalar == "Expression":
             variables = [Variable(name) for name in self.elements]
             expressions = called(map(Expression, variables))
             here = [dict(zip(variables, point, strict=True)) for point in self.points]
             found = np.array([[_number(e, values) for e in expressions] for values in here])
         else:
-            zero = AutoDiffXd(0.0, np.zeros(size))  # Drake leaves out gradients of zero
-            rows = [called(map(AutoDiffXd, point, np.eye(size))) for point in self.points]
-            duals = [[zero + value for value in row] for row in rows]
-            found = np.array([[dual.value() for dual in row] for row in duals])
-            for row in range(min(1, len(duals) - 1), len(duals), 4):
-                self._differentiate(row, np.array([dual.derivatives() for dual in duals[row]]))
+            seeds = np.eye(len(self.elements))
+            rows = [called(map(AutoDiffXd, point, seeds)) for point in self.points]
+            found, gradients = map(
+                np.array, zip(*(values_and_gradients(row, len(seeds)) for row in rows), strict=True)
+            )
+            for row in range(min(1, len(rows) - 1), len(rows), 4):
+                self._differentiate(self.points[row], gradients[row])
         for column in range(self.computed):
             numbers, others = self.numbers[:, [column]], found[:, [column]]
             if differ(partial(self._value, column), self.points, others, numbers):
@@ -441,37 +431,29 @@ class _Check:
                     f"{numbers[row, 0]:.9g} by float {self._at(self.points[row])}"
                 )
 
-    def _differentiate(self, row: int, gradient: Array) -> None:
+    def _differentiate(self, point: Array, gradient: Array) -> None:
         """Compare gradients (values, size) at a point with central differences."""
-        point, scale = self.points[row], np.nan_to_num(np.ptp(self.points, axis=0))
-        scaled = gradient * scale
+        scale = np.nan_to_num(np.ptp(self.points, axis=0))
+        scaled, wrong = gradient * scale, np.isfinite(gradient) & (scale > 0.0)
+        slopes = np.zeros(scaled.shape)
         finite = np.where(np.isfinite(self.numbers), self.numbers, 0.0)
         largest = np.abs(finite).max(axis=0) + np.abs(scaled).max(axis=1)
-        for column in np.nonzero(scale)[0].tolist():
-            wrong = np.isfinite(scaled[:, column])
-            near = 1e-3 * abs(point[column]) / scale[column]  # far from a limit at zero
-            for step in (*_STEPS, near or _STEPS[-1]):
-                if not wrong.any():
-                    break
-                change = step * scale[column] * np.eye(len(scale))[column]
-                one, half = (
-                    np.subtract(
-                        self.function(point + h * change), self.function(point - h * change)
-                    )
-                    / (2.0 * h * step)
-                    for h in (1.0, 0.5)
-                )
-                slope = half + (half - one) / 3.0
+        for step in _STEPS:
+            for column in np.nonzero(wrong.any(axis=0))[0].tolist():
+                change = step * scale * (np.arange(scale.size) == column)
+                effects = central_differences(self.function, point, change)
+                wide, half = (effect / step for effect in effects)
+                slope = slopes[:, column] = half + (half - wide) / 3.0
                 # Of rounding, 1e-16 of the largest term over the step, with a factor of 1000.
-                # Over a jump J at the point one is J/2, half is J and slope 7/6 J, over the step.
-                slack = 1e-6 * np.abs(slope) + 1e-13 / step * largest + 4.0 * np.abs(half - one)
-                wrong &= np.abs(scaled[:, column] - slope) > slack
-            for value in np.nonzero(wrong)[0].tolist():
-                self.find(
-                    f"{self.parts[value]}: derivative with respect to {self.elements[column]} "
-                    f"{gradient[value, column]:.6g} by AutoDiffXd, "
-                    f"{slope[value] / scale[column]:.6g} by differences {self._at(point)}"
-                )
+                # Over a jump J at the point wide is J/2, half is J and slope 7/6 J, over the step.
+                slack = 1e-6 * np.abs(slope) + 1e-13 / step * largest + 4.0 * np.abs(half - wide)
+                wrong[:, column] &= np.abs(scaled[:, column] - slope) > slack
+        for value, column in np.argwhere(wrong).tolist():
+            self.find(
+                f"{self.parts[value]}: derivative with respect to {self.elements[column]} "
+                f"{gradient[value, column]:.6g} by AutoDiffXd, "
+                f"{slopes[value, column] / scale[column]:.6g} by differences {self._at(point)}"
+            )
 
     def nan_inputs(self) -> None:
         """Note what follows from an input of nan."""

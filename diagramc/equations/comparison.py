@@ -107,6 +107,11 @@ def margin_of(system: Any, context: Any) -> list[Any]:
     return [system.margin(context)]
 
 
+def output_of(index: int) -> Evaluate:
+    """Return the function of a leaf system and its Context that gives an output port's value."""
+    return lambda system, context: system.get_output_port(index).Eval(context)
+
+
 def values_and_gradients(duals: Iterable[Any], width: int) -> tuple[Array, Array]:
     """Return the values (size,) of scalars of AutoDiffXd, and their gradients (size, width)."""
     zero = AutoDiffXd(0.0, np.zeros(width))  # Drake leaves out gradients of zero
@@ -142,10 +147,11 @@ def is_compared(system: Any) -> bool:
     return not all(file.startswith(tuple(_trusted)) for file in files)
 
 
-def points_around(values: Array, random: np.random.Generator, scale: float = 1.0) -> Array:
+def points_around(values: Array, random: np.random.Generator, scale: float | Array = 1.0) -> Array:
     """Return values (size,) at the Context, and at eight points around it, (size, 9).
 
-    With the ``scale`` 0 the values change by a tenth at most, so that a zero stays zero.
+    With the ``scale`` 0 the values change by a tenth at most, so that a zero stays zero. An array
+    (size, 1) has a scale for each value.
     """
     pairs = random.uniform(-1.0, 1.0, (2, values.size, len(_SCALES) // 2))
     changes = np.zeros((2, values.size, len(_SCALES)))

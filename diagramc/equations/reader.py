@@ -33,6 +33,7 @@ from .comparison import (
     differs_from_leaf,
     is_compared,
     margin_of,
+    output_of,
     points_around,
     rates_of,
     update_of,
@@ -180,11 +181,8 @@ class _Reader:
                     f"the input port that it feeds, keep that open by inputs=[...], and pass "
                     f"input_table(trajectory)"
                 )
-            leaf.outputs[index] = yield self._evaluated(
-                f"output port {port.get_name()}",
-                leaf,
-                lambda system, context: system.get_output_port(index).Eval(context),
-            )
+            purpose = f"output port {port.get_name()}"
+            leaf.outputs[index] = yield self._evaluated(purpose, leaf, output_of(index))
         nodes = leaf.outputs[index]
         if nodes is None:
             raise CompilationError(f"{where}: depends on itself (algebraic loop)")

@@ -25,6 +25,7 @@ from ..equations.comparison import (
     Evaluate,
     Function,
     central_differences,
+    output_of,
     rates_of,
     update_of,
     values_and_gradients,
@@ -234,11 +235,7 @@ class _Evaluation:
             leaf = self.point.read.leaves[node]
             _require_vector(port, f"{node.name}: {where}")
             self._signals[source] = yield self.result(
-                leaf,
-                where,
-                lambda system, context: system.get_output_port(index).Eval(context),
-                port.size(),
-                index,
+                leaf, where, output_of(index), port.size(), index
             )
         found = self._signals[source]
         if found is None:
