@@ -14,9 +14,10 @@ import numpy as np
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.symbolic import Expression, Variable
 from pydrake.systems.analysis import ResetIntegratorFromFlags, Simulator
-from pydrake.systems.framework import PortDataType, System
+from pydrake.systems.framework import System
 
 from .arguments import names, quoted
+from .diagram_equations import ExpressionGraph
 from .equations.comparison import (
     CalledLeaf,
     Evaluate,
@@ -32,6 +33,7 @@ from .equations.comparison import (
 )
 from .equations.events import reason_of, symbolic_value
 from .equations.names import parameter_groups, state_names
+from .equations.ports import is_vector, ports_of
 from .equations.tree import Node
 from .errors import CompilationError, ParameterError, shortened
 from .run_data import Array
@@ -131,27 +133,14 @@ def check_leaf(
     return tuple(f"{leaf}: {note}" for note in check.notes)
 
 
-def _ports(system: Any, kind: str) -> list[Any]:
-    """Return the ``input`` or ``output`` ports of a system."""
-    count = getattr(system, f"num_{kind}_ports")()
-    return [getattr(system, f"get_{kind}_port")(index) for index in range(count)]
-
-
-def _is_vector(port: Any) -> bool:
-    return bool(port.get_data_type() == PortDataType.kVectorValued)
-
-
 def _attributes(system: Any) -> dict[str, Any]:
     return {name: v for name, v in vars(system).items() if not name.startswith("_pydrake")}
 
 
-def _number(value: Any, environment: Any = None) -> Any:
+def _number(value: Any) -> Any:
     """Return the number of a scalar of Drake, and anything else unchanged."""
     if isinstance(value, Expression):
-        try:
-            return value.Evaluate(environment or {})
-        except (RuntimeError, ValueError):  # Drake refuses nan, as for the root of −1
-            return math.nan
+        return value.Evaluate()
     return value.value() if isinstance(value, AutoDiffXd) else value
 
 
@@ -170,8 +159,8 @@ def _are_equal(first: Any, second: Any) -> bool:
 
 def _evaluate(functions: list[Evaluate], leaf: CalledLeaf, system: Any, context: Any) -> list[Any]:
     """Return what a leaf computes, and then what its Context has, in any scalar type."""
-    for port in _ports(system, "input"):
-        if not _is_vector(port) and not port.HasValue(context):
+    for port in ports_of(system, "input"):
+        if not is_vector(port) and not port.HasValue(context):
             port.FixValue(context, port.Allocate())
     values = [function(system, context) for function in functions]
     vectors = [value for value in values if isinstance(value, list | np.ndarray)]  # not abstract
@@ -185,7 +174,7 @@ class _Check:
         self.system = system
         self.findings: dict[str, None] = {}  # as a set, in order
         self.notes: dict[str, None] = {}
-        inputs = [port for port in _ports(system, "input") if _is_vector(port)]
+        inputs = [port for port in ports_of(system, "input") if is_vector(port)]
         is_open = {p.get_name(): ranges.get(p.get_name(), ()) is None for p in inputs}
         ranges = {name: given for name, given in ranges.items() if not is_open.get(name)}
         self.inputs = [port for port in inputs if not is_open[port.get_name()]]
@@ -234,7 +223,7 @@ class _Check:
 
     def _functions(self, context: Any) -> Iterator[tuple[str, int, Evaluate]]:
         """Yield what the leaf computes: name, size and function."""
-        for port in _ports(self.system, "output"):
+        for port in ports_of(self.system, "output"):
             # Abstract ports too, of size 0: the call may change something.
             yield f"output {port.get_name()}", port.size(), output_of(int(port.get_index()))
         if size := context.num_continuous_states():
@@ -281,7 +270,7 @@ class _Check:
 
         Points where the leaf fails are left out of all that follows.
         """
-        for port in (*self.inputs, *_ports(self.system, "output")):
+        for port in (*self.inputs, *ports_of(self.system, "output")):
             index = int(port.get_index())
             if port.get_name() in (f"u{index}", f"y{index}"):
                 self.note(f"port {port.get_name()} has only Drake's default name")
@@ -325,7 +314,7 @@ class _Check:
                 text = f"its stored value stays after a change of {source.name}; add {source.name}"
                 self.find(f"{text} to its prerequisites_of_calc", changes & (stored != fresh))
                 before = fresh
-        for source, port in product(self.inputs, _ports(self.system, "output")):
+        for source, port in product(self.inputs, ports_of(self.system, "output")):
             pair = f"output {port.get_name()}", source.get_name()
             try:
                 declared = self.system.HasDirectFeedthrough(source.get_index(), port.get_index())
@@ -370,8 +359,8 @@ class _Check:
         timing = system.GetUniquePeriodicDiscreteUpdateAttribute()
         values = self._called(system).point(system.CreateDefaultContext())
         return {
-            **{f"input {port.get_name()}": port.size() for port in _ports(system, "input")},
-            **{f"output {port.get_name()}": port.size() for port in _ports(system, "output")},
+            **{f"input {port.get_name()}": port.size() for port in ports_of(system, "input")},
+            **{f"output {port.get_name()}": port.size() for port in ports_of(system, "output")},
             "sample time": timing and (timing.period_sec(), timing.offset_sec()),
             **{f"default of {n}": x for n, x in zip(self.elements, values, strict=False)},
             **{f"attribute {name}": value for name, value in _attributes(system).items()},
@@ -412,8 +401,7 @@ class _Check:
         if scalar == "Expression":
             variables = [Variable(name) for name in self.elements]
             expressions = called(map(Expression, variables))
-            here = [dict(zip(variables, point, strict=True)) for point in self.points]
-            found = np.array([[_number(e, values) for e in expressions] for values in here])
+            found = ExpressionGraph(expressions, variables).values(self.points)
         else:
             seeds = np.eye(len(self.elements))
             rows = [called(map(AutoDiffXd, point, seeds)) for point in self.points]

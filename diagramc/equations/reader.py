@@ -23,7 +23,6 @@ from typing import Any
 
 import numpy as np
 from pydrake.symbolic import Expression, Variable
-from pydrake.systems.framework import PortDataType
 from pydrake.systems.primitives import TrajectorySource
 
 from ..errors import CompilationError, DifferenceError
@@ -39,12 +38,12 @@ from .comparison import (
     update_of,
 )
 from .contexts import discrete_values, parameters_of, state_of
-from .equations import Equations, Limit, Section, Update
+from .equations import Equations, Limit, Section
 from .events import refuse_witness_functions, symbolic_value, to_symbolic
 from .graph_values import values_at
 from .names import numbered_names, parameter_groups, state_names
 from .periods import timing_of
-from .ports import find_port, route_of, size_of
+from .ports import find_port, is_vector, open_inputs, output_routes, size_of
 from .symbolic import Conversion, Steps, completed
 from .tree import Node, Port
 
@@ -105,7 +104,7 @@ class _Leaf:
             port = self.system.get_input_port(index)
             *inner, source = node.route(index)
             has_source = source[1] == "output" or source in open_inputs
-            if port.get_data_type() != PortDataType.kVectorValued or not has_source:
+            if not is_vector(port) or not has_source:
                 continue
             elements: list[Any] = [(index, i) for i in range(port.size())]
             is_open = source[1] == "input" and source in open_inputs
@@ -133,10 +132,7 @@ class _Reader:
 
     def __init__(self, root: Node, inputs: Mapping[str, Port]) -> None:
         self.equations = Equations()
-        self._open_inputs: dict[Port, int] = {}
-        for name, port in inputs.items():
-            self._open_inputs[port] = sum(self.equations.inputs.values())
-            self.equations.inputs[name] = size_of(port)
+        self._open_inputs = open_inputs(self.equations, inputs)
         self.leaves: dict[str, _Leaf] = {}
         paths = set()
         for leaf in root.leaves():
@@ -146,9 +142,9 @@ class _Reader:
             if leaf.has_equations:
                 self.leaves[leaf.path] = _Leaf(leaf, self.equations, self._open_inputs)
 
-    def signal(self, route: Iterable[Port]) -> list[int]:
+    def signal(self, route: list[Port]) -> list[int]:
         """Return the nodes of the elements of the signal at the first port of a route."""
-        return completed(self._signal(list(route)))
+        return completed(self._signal(route))
 
     def _signal(self, route: list[Port]) -> Steps[list[int]]:
         """Return the nodes of a signal: the source's signal plus the perturbations on the way."""
@@ -173,7 +169,7 @@ class _Reader:
         where = f"{node.name}: output port {port.get_name()}"
         if index not in leaf.outputs:
             leaf.outputs[index] = None
-            if port.get_data_type() != PortDataType.kVectorValued:
+            if not is_vector(port):
                 raise CompilationError(f"{where}: is not a vector; only vectors compile")
             if isinstance(node.system, TrajectorySource):
                 raise CompilationError(
@@ -196,7 +192,7 @@ class _Reader:
         if context.num_discrete_state_groups():
             timing = timing_of(leaf.node)
             nodes = completed(self._evaluated("discrete update", leaf, update_of))
-            self._add_update(timing, list(enumerate(nodes, leaf.first_discrete)))
+            equations.add_update(timing, enumerate(nodes, leaf.first_discrete))
         if callable(getattr(leaf.system, "margin", None)):
             (node,) = completed(self._evaluated("margin", leaf, margin_of))
             equations.limits.append(Limit(leaf.node.path, node))
@@ -223,14 +219,6 @@ class _Reader:
             raise CompilationError(f"{where}: changes the continuous state; only discrete ones may")
         values = discrete_values(context.get_discrete_state())
         self.equations.initial_discrete += completed(self._section(where, leaf, values))
-
-    def _add_update(self, timing: Any, values: list[tuple[int, int]]) -> None:
-        period, offset = timing.period_sec(), timing.offset_sec()
-        for number, update in enumerate(self.equations.updates):
-            if (update.period_s, update.offset_s) == (period, offset):
-                self.equations.updates[number] = Update(period, offset, (*update.values, *values))
-                return
-        self.equations.updates.append(Update(period, offset, tuple(values)))
 
     def _evaluated(self, purpose: str, leaf: _Leaf, evaluate: Evaluate) -> Steps[list[int]]:
         """Add the expressions that ``evaluate`` returns as a `Section`; return their nodes.
@@ -339,17 +327,12 @@ def read_tree(root: Node, inputs: Mapping[str, Port], outputs: Mapping[str, Port
 
     Errors: see `read_equations`.
     """
-    routes = {name: list(route_of(port)) for name, port in outputs.items()}
-    root.observed = [route[-1][0] for route in routes.values() if route[-1][1] == "output"]
+    routes = output_routes(root, outputs)
     reader = _Reader(root, inputs)
     # Exported C has the statements in the order of reading: first those of the leaves, in the order
     # of the diagram, then the outputs that no leaf has read.
     for leaf in reader.leaves.values():
         reader.read(leaf)
-    for index in range(root.system.num_output_ports()):
-        port = root.system.get_output_port(index)
-        if port.get_data_type() == PortDataType.kVectorValued:
-            reader.equations.outputs[port.get_name()] = reader.signal(root.output_route(index))
     for name, route in routes.items():
         reader.equations.outputs[name] = reader.signal(route)
     reader.compare(root)

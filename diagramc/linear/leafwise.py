@@ -8,6 +8,7 @@ floats does not spoil the derivatives of the others. The chain rule joins the le
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -16,7 +17,6 @@ from typing import Any
 import numpy as np
 from pydrake.autodiffutils import AutoDiffXd
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.systems.framework import PortDataType
 
 from ..arguments import quoted
 from ..diagram_equations import DiagramEquations
@@ -30,11 +30,11 @@ from ..equations.comparison import (
     update_of,
     values_and_gradients,
 )
-from ..equations.equations import Equations, Update
+from ..equations.equations import Equations
 from ..equations.events import reason_of, refuse_witness_functions
 from ..equations.names import numbered_names, state_names
 from ..equations.periods import timing_of
-from ..equations.ports import route_of, size_of
+from ..equations.ports import is_vector, open_inputs, output_routes, size_of
 from ..equations.symbolic import Steps, completed
 from ..equations.tree import Node, Port
 from ..errors import CompilationError, DifferenceError
@@ -56,23 +56,11 @@ class LeafwiseEquations(DiagramEquations):
     """
 
     def __init__(self, root: Node, inputs: Mapping[str, Port], outputs: Mapping[str, Port]) -> None:
-        exported = map(root.system.get_output_port, range(root.system.num_output_ports()))
-        self.routes = {
-            port.get_name(): list(root.output_route(int(port.get_index())))
-            for port in exported
-            if port.get_data_type() == PortDataType.kVectorValued
-        } | {name: list(route_of(port)) for name, port in outputs.items()}
+        self.routes = output_routes(root, outputs)
         """Ports from each output of the model back to the source of its signal."""
-        ends = [route[-1] for route in self.routes.values()]
-        root.observed = [node for node, kind, _ in ends if kind == "output"]
         equations = Equations()
-        self.open_inputs: dict[Port, int] = {}
-        """Index of the first element of each open input among the elements of all open inputs."""
-        for name, port in inputs.items():
-            self.open_inputs[port] = sum(equations.inputs.values())
-            equations.inputs[name] = size_of(port)
+        self.open_inputs = open_inputs(equations, inputs)
         self.leaves: dict[Node, _Leaf] = {}
-        updates: dict[tuple[float, float], list[int]] = {}
         for node in root.equation_leaves:
             context = node.system.CreateDefaultContext()
             refuse_witness_functions(node, context)
@@ -89,12 +77,7 @@ class LeafwiseEquations(DiagramEquations):
             )
             if leaf.discrete:
                 _refuse_abstract_state(node)
-                timing = timing_of(node)
-                key = timing.period_sec(), timing.offset_sec()
-                updates.setdefault(key, []).extend(leaf.discrete)
-        equations.updates = [
-            Update(*key, tuple((index, 0) for index in indices)) for key, indices in updates.items()
-        ]
+                equations.add_update(timing_of(node), [(index, 0) for index in leaf.discrete])
         equations.outputs = {name: [0] * size_of(route[0]) for name, route in self.routes.items()}
         super().__init__(root.system, equations, root)
 
@@ -106,17 +89,11 @@ class _Leaf:
     node: Node
     continuous: range
     discrete: range
-    why: str = "does not convert to AutoDiffXd"
-    """Why `converted` is None."""
 
     @cached_property
     def converted(self) -> Any:
         """The leaf of AutoDiffXd, or None."""
-        try:
-            return self.node.system.ToAutoDiffXdMaybe()
-        except Exception as error:  # a user's conversion may raise any error
-            self.why += f" ({reason_of(error)})"
-            return None
+        return self.node.system.ToAutoDiffXdMaybe()
 
 
 @dataclass(frozen=True)
@@ -156,17 +133,17 @@ class LeafwisePoint(Point):
     def time_varying(self, outputs: Sequence[str] = ()) -> list[str]:
         """Return the names of rates, updates and outputs whose derivatives change with the time.
 
-        They are compared with those at two later times.
+        They are compared with those at one later time.
         """
-        here = self.slopes(outputs)
+        context = self.context.Clone()
+        context.SetTime(self.time_s + 1.0 / math.pi)  # no whole period of a sine of so many Hz
+        later = replace(self, time_s=context.get_time(), context=context)
+        here, there = (
+            np.vstack([slopes.rates_jacobian, slopes.outputs_jacobian])
+            for slopes in (self.slopes(outputs), later.slopes(outputs))
+        )
+        varies = ~np.isclose(here, there, _EQUAL, _EQUAL).all(axis=1)
         names = (*self.rate_names, *self.element_names(outputs))
-        jacobian = np.vstack([here.rates_jacobian, here.outputs_jacobian])
-        varies = np.zeros(len(names), dtype=bool)
-        for later_s in (0.1, 1.0 / 3.0):
-            other = self._at_time(self.time_s + later_s).slopes(outputs)
-            change = np.vstack([other.rates_jacobian, other.outputs_jacobian]) - jacobian
-            largest = np.abs(jacobian).max(axis=1, initial=0.0)
-            varies |= np.abs(change).max(axis=1, initial=0.0) > _EQUAL * (1.0 + largest)
         return [name for name, does in zip(names, varies, strict=True) if does]
 
     @property
@@ -191,11 +168,6 @@ class LeafwisePoint(Point):
             f"input port {name} has no value: FixValue it in the Context, or name it in "
             f"{self.setting}"
         )
-
-    def _at_time(self, time_s: float) -> LeafwisePoint:
-        context = self.context.Clone()
-        context.SetTime(time_s)
-        return replace(self, time_s=time_s, context=context)
 
 
 class _Evaluation:
@@ -317,12 +289,12 @@ class _Call:
 
         Raises `DifferenceError` if the values are not those of floats.
         """
-        if self.leaf.converted is None:
-            return None, self.leaf.why
-        duals = self._leaf(self.leaf.converted)
-        results = duals.function(evaluate, values.size)(self.variables)
-        if duals.error is not None:
-            return None, f"fails with AutoDiffXd ({reason_of(duals.error)})"
+        try:
+            if (converted := self.leaf.converted) is None:
+                return None, "does not convert to AutoDiffXd"
+            results = evaluate(converted, self._leaf(converted).context(self.variables))
+        except (Exception, SystemExit) as error:  # a user's code may raise any; Drake exits
+            return None, f"fails with AutoDiffXd ({reason_of(error)})"
         found, gradients = values_and_gradients(results, self.point.width)
         are_close = np.isclose(found, values, _EQUAL, _EQUAL, equal_nan=True)
         if not are_close.all():
@@ -408,14 +380,14 @@ def _routes(node: Node, purpose: str, output: int | None) -> Iterator[tuple[int,
         port, route = system.get_input_port(index), list(node.route(index))
         if output is not None and not system.HasDirectFeedthrough(index, output):
             continue
-        if port.get_data_type() == PortDataType.kVectorValued:
+        if is_vector(port):
             yield index, route
         elif route[-1][1] == "output" and not _is_without_contact(system, port):
             _require_vector(port, f"{where}: its input {port.get_name()}")
 
 
 def _require_vector(port: Any, where: str) -> None:
-    if port.get_data_type() != PortDataType.kVectorValued:
+    if not is_vector(port):
         raise CompilationError(f"{where}: is no vector and has no derivative")
 
 

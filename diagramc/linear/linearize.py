@@ -9,10 +9,10 @@ from itertools import chain
 from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import PortDataType
 
 from ..arguments import names, positive
 from ..equations.equations import Update
+from ..equations.ports import vector_names
 from ..errors import LinearizationError, ParameterError
 from ..native.timing import timing
 from ..run_data import Array
@@ -147,9 +147,9 @@ def _models(
 ) -> list[LinearModel]:
     system = system_of(diagram)
     if inputs is None:
-        inputs = _vector_ports(map(system.get_input_port, range(system.num_input_ports())))
+        inputs = vector_names(system, "input")
     if outputs is None:
-        outputs = _vector_ports(map(system.get_output_port, range(system.num_output_ports())))
+        outputs = vector_names(system, "output")
     in_names, out_names = names("inputs", inputs), names("outputs", outputs)
     require_tolerance(equilibrium_tolerance)
     points = read_points(diagram, chain(contexts, beside), in_names, out_names, bypass)
@@ -159,11 +159,6 @@ def _models(
     for point in points[:count]:
         models.append(_model(point, near, in_names, out_names, period_s, equilibrium_tolerance))
     return models
-
-
-def _vector_ports(ports: Iterable[Any]) -> tuple[str, ...]:
-    vector = PortDataType.kVectorValued
-    return tuple(port.get_name() for port in ports if port.get_data_type() == vector)
 
 
 def _model(

@@ -7,11 +7,10 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import PortDataType
 
 from ..arguments import names, quoted
 from ..diagram_equations import DiagramEquations, equations_of, require_system
-from ..equations.ports import bypass as bypass_system, find_port
+from ..equations.ports import bypass as bypass_system, find_port, is_vector
 from ..equations.tree import Node, Port
 from ..errors import CompilationError, DifferenceError, ParameterError, shown
 from ..run_data import Array
@@ -73,10 +72,7 @@ def read_points(
             bypass_system(root, path)
         in_ports = {name: find_port(root, name, "input") for name in inputs}
         in_ports |= {name: undriven[name] for name in itertools.chain(*values)}
-        ports = map(system.get_output_port, range(system.num_output_ports()))
-        exported = {port.get_name() for port in ports}
-        inner = [name for name in outputs if name not in exported]
-        read = _read(root, in_ports, {name: find_port(root, name, "output") for name in inner})
+        read = _read(root, in_ports, {name: find_port(root, name, "output") for name in outputs})
     sizes = read.equations.inputs
     states = [read.state(context) for context in contexts]
     points: list[Point] = []
@@ -131,7 +127,7 @@ def _open_ports(root: Node) -> dict[str, Port]:
     ports: dict[str, Port] = {}
     for node, kind, index in ends:
         port = getattr(node.system, f"get_{kind}_port")(index)
-        if kind == "input" and port.get_data_type() == PortDataType.kVectorValued:
+        if kind == "input" and is_vector(port):
             name = port.get_name() if node.parent is None else f"{node.path}:{port.get_name()}"
             ports[name] = node, kind, index
     return ports
