@@ -256,18 +256,12 @@ class _Call:
         where, floats = f"{self.node.name}: {self.purpose}", self._leaf(self.node.system)
         function = floats.function(evaluate, size)
         values = np.array(function(self.numbers))
-        if (error := floats.error) is not None:
-            self._require_inputs(str(error))
-            raise CompilationError(f"{where}: fails at this point ({reason_of(error)})") from error
+        self._require_called(floats, "at this point")
         gradients, why = self._gradients(where, evaluate, values)
         local = np.zeros((size, self.numbers.size))
         if gradients is None:
             local = self._differences(function, local)
-            if (error := floats.error) is not None:
-                raise CompilationError(
-                    f"{self.node.name}: cannot be called beside this point, for differences "
-                    f"({reason_of(error)})"
-                ) from error
+            self._require_called(floats, "beside this point, for differences")
             self._note(
                 self.node.type_name, f"{why}: its derivatives are central differences", _TEMPLATE
             )
@@ -345,15 +339,19 @@ class _Call:
         key = self.node.name, port
         self.point.gaps.setdefault(key, Obstacle(*key, reason, remedy))
 
-    def _require_inputs(self, text: str) -> None:
-        """Raise `CompilationError` if an input without a value can be why a call failed.
+    def _require_called(self, floats: CalledLeaf, where: str) -> None:
+        """Raise `CompilationError` if a call of the leaf has failed.
 
-        ``text`` is the message of the failure.
+        The message names an input without a value if this can be why.
         """
+        if (error := floats.error) is None:
+            return
         for index in range(self.node.system.num_input_ports()):
             route = list(self.node.route(index))
-            if f"InputPort[{index}]" in text and not self.point.is_known(route):
+            if f"InputPort[{index}]" in str(error) and not self.point.is_known(route):
                 raise self.point.no_value(route[-1])
+        reason = f"fails {where} ({reason_of(error)})"
+        raise CompilationError(f"{self.node.name}: {self.purpose}: {reason}") from error
 
 
 _TEMPLATE = "their error is about 1e-11; write the leaf with Drake's TemplateSystem for exact ones"
@@ -382,19 +380,15 @@ def _routes(node: Node, purpose: str, output: int | None) -> Iterator[tuple[int,
             continue
         if is_vector(port):
             yield index, route
-        elif route[-1][1] == "output" and not _is_without_contact(system, port):
+        elif route[-1][1] == "output" and not (
+            # Nothing can collide.
+            isinstance(system, MultibodyPlant)
+            and port.get_name() == system.get_geometry_query_input_port().get_name()
+            and not system.num_collision_geometries()
+        ):
             _require_vector(port, f"{where}: its input {port.get_name()}")
 
 
 def _require_vector(port: Any, where: str) -> None:
     if not is_vector(port):
         raise CompilationError(f"{where}: is no vector and has no derivative")
-
-
-def _is_without_contact(system: Any, port: Any) -> bool:
-    """Return whether a port is the geometry query of a plant that has nothing to collide."""
-    return (
-        isinstance(system, MultibodyPlant)
-        and port.get_name() == system.get_geometry_query_input_port().get_name()
-        and not system.num_collision_geometries()
-    )

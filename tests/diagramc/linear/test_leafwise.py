@@ -363,7 +363,7 @@ def test_a_torque_fixed_inside_moves_the_equilibrium():
         ),
         (
             lambda: leaf_loop(Forgetful_[None](), Root()),
-            r"middle: cannot be called beside this point, for differences \(.*test_leafwise.py",
+            r"middle: output port y: fails beside this point, for differences \(.*test_leafwise.py",
         ),
         (
             lambda: leaf_loop(Forgetful_[None](forgets=True)),
