@@ -137,24 +137,17 @@ def _attributes(system: Any) -> dict[str, Any]:
     return {name: v for name, v in vars(system).items() if not name.startswith("_pydrake")}
 
 
-def _number(value: Any) -> Any:
-    """Return the number of a scalar of Drake, and anything else unchanged."""
-    if isinstance(value, Expression):
-        return value.Evaluate()
-    return value.value() if isinstance(value, AutoDiffXd) else value
-
-
-def _are_equal(first: Any, second: Any) -> bool:
-    """Return whether two attributes are equal, as far as they can be compared."""
-    first, second = _number(first), _number(second)
-    if first is second or callable(first) or type(first).__module__.startswith("pydrake"):
-        return True
-    if isinstance(first, dict | list | tuple | np.ndarray) and type(first) is type(second):
-        items = (v.items() if isinstance(v, dict) else v for v in (first, second))
-        return len(first) == len(second) and all(map(_are_equal, *items))
-    kind: Any = type(first)
-    are_nan = first != first and second != second
-    return kind.__eq__ is object.__eq__ or bool(first == second or are_nan)
+def _plain(value: Any) -> Any:
+    """Return an attribute with numbers for scalars, and None for what cannot be compared."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | np.ndarray):
+        return [_plain(item) for item in value]
+    if isinstance(value, AutoDiffXd | Expression):
+        return value.value() if isinstance(value, AutoDiffXd) else value.Evaluate()
+    kind: Any = type(value)
+    is_drakes = kind.__module__.startswith("pydrake")
+    return None if callable(value) or is_drakes or kind.__eq__ is object.__eq__ else value
 
 
 def _evaluate(functions: list[Evaluate], leaf: CalledLeaf, system: Any, context: Any) -> list[Any]:
@@ -358,13 +351,14 @@ class _Check:
         """Return ports, sample time, default values and attributes, which conversions keep."""
         timing = system.GetUniquePeriodicDiscreteUpdateAttribute()
         values = self._called(system).point(system.CreateDefaultContext())
-        return {
+        structure = {
             **{f"input {port.get_name()}": port.size() for port in ports_of(system, "input")},
             **{f"output {port.get_name()}": port.size() for port in ports_of(system, "output")},
             "sample time": timing and (timing.period_sec(), timing.offset_sec()),
             **{f"default of {n}": x for n, x in zip(self.elements, values, strict=False)},
             **{f"attribute {name}": value for name, value in _attributes(system).items()},
         }
+        return {name: _plain(value) for name, value in structure.items()}
 
     def conversion(self, scalar: str, tell: Callable[[str], None]) -> None:
         """Compare the leaf in another scalar type with the leaf of floats.
@@ -379,11 +373,11 @@ class _Check:
                 return
             count, own = len(self.findings), self._structure(self.system)
             other = symbolic_value("conversion", partial(self._structure, converted), scalar)
-            for name in dict.fromkeys([*own, *other]):
-                values = [_number(kept.get(name, "missing")) for kept in (other, own)]
-                if name not in own or name not in other or not _are_equal(*values):
-                    now, expected = (shortened(str(value)) for value in values)
-                    self.find(f"as {scalar}, {name} is {now}, not {expected}")
+            for name in own | other:
+                now, expected = (kept.get(name, "missing") for kept in (other, own))
+                if now != expected and repr(now) != repr(expected):  # nan is unequal
+                    texts = shortened(str(now)), shortened(str(expected))
+                    self.find("as {}, {} is {}, not {}".format(scalar, name, *texts))
             if len(self.findings) == count:
                 self._compare(scalar, converted)
         except CompilationError as error:

@@ -28,6 +28,7 @@ from pydrake.systems.primitives import TrajectorySource
 from ..errors import CompilationError, DifferenceError
 from ..run_data import Array
 from .comparison import (
+    CalledLeaf,
     Evaluate,
     differs_from_leaf,
     is_compared,
@@ -41,9 +42,9 @@ from .contexts import discrete_values, parameters_of, state_of
 from .equations import Equations, Limit, Section
 from .events import refuse_witness_functions, symbolic_value, to_symbolic
 from .graph_values import values_at
-from .names import numbered_names, parameter_groups, state_names
+from .names import discrete_names, parameter_groups, state_names
 from .periods import timing_of
-from .ports import find_port, is_vector, open_inputs, output_routes, size_of
+from .ports import find_port, is_vector, open_inputs, output_routes, ports_of, size_of
 from .symbolic import Conversion, Steps, completed
 from .tree import Node, Port
 
@@ -62,65 +63,54 @@ class _Leaf:
         context_of_floats = node.system.CreateDefaultContext()
         refuse_witness_functions(node, context_of_floats)
         self.system = to_symbolic(node)
-        self.context = context = self.system.CreateDefaultContext()
-        self.meaning: dict[int, int | tuple[int, int]] = {}
-        """Dictionary from the id of a variable to its meaning: the node of a source, or an element
-        of an input port of the leaf, as (index of the port, index of the element)."""
         self.outputs: dict[int, list[int] | None] = {}
         """Dictionary from the index of an output port to its nodes, or to None during reading."""
         self.inputs: dict[int, list[int]] = {}
         """Dictionary from the index of an input port to its nodes; only ports read so far."""
-        self.own: list[int] = []
-        """Nodes of the time, of all parameters and of all states of the leaf, in this order."""
         self.parts: dict[str, tuple[Evaluate, list[int]]] = {}
         """What was read of the leaf, by its name: a function of leaf and Context, and the nodes."""
         graph = equations.graph
-
-        def add(kind: str, vector: Any, names: Iterable[str], known: list[str]) -> None:
-            """Fill a vector with variables of new sources, and add their names to all ``known``."""
-            sources = [graph.source(kind, len(known) + i) for i in range(vector.size())]
-            vector.SetFromVector(self._variables(kind, sources))
-            known += names
-
-        if context.num_abstract_states() or context.num_abstract_parameters():
+        if self.system.num_abstract_states() or context_of_floats.num_abstract_parameters():
             raise CompilationError(
                 f"{node.name}: {node.type_name} has an abstract state or parameter; only vectors "
                 f"compile"
             )
-        context.SetTime(self._variables("time", [graph.source("time")])[0])
-        for group, names in enumerate(parameter_groups(node, context_of_floats)):
-            vector = context.get_mutable_numeric_parameter(group)
-            add("parameter", vector, names, equations.parameters)
-        if context.num_continuous_states():
-            vector = context.get_mutable_continuous_state_vector()
-            add("state", vector, state_names(node, context_of_floats), equations.states)
+
+        def added(kind: str, names: list[str], known: list[str]) -> list[int]:
+            """Return new sources of a kind, and add their names to all ``known``."""
+            known += names
+            return [graph.source(kind, i) for i in range(len(known) - len(names), len(known))]
+
+        parameters = list(chain(*parameter_groups(node, context_of_floats)))
         self.first_discrete = len(equations.discrete)
-        for group in range(context.num_discrete_state_groups()):
-            vector = context.get_mutable_discrete_state(group)
-            names = numbered_names(node.path, group, vector.size())
-            add("discrete", vector, names, equations.discrete)
-        self.own = [*self.meaning.values()]  # type: ignore[list-item]
-        for index in range(self.system.num_input_ports()):
-            port = self.system.get_input_port(index)
+        self.own = [
+            graph.source("time"),
+            *added("parameter", parameters, equations.parameters),
+            *added("state", state_names(node, context_of_floats), equations.states),
+            *added("discrete", discrete_names(node, context_of_floats), equations.discrete),
+        ]
+        """Nodes of the time, of all parameters and of all states of the leaf, in this order."""
+        meanings: list[Any] = [*self.own]
+        known = []
+        for index, port in enumerate(ports_of(self.system, "input")):
             *inner, source = node.route(index)
-            has_source = source[1] == "output" or source in open_inputs
-            if not is_vector(port) or not has_source:
+            is_open = source[1] == "input" and source in open_inputs
+            if not is_vector(port) or not (is_open or source[1] == "output"):
                 continue
             elements: list[Any] = [(index, i) for i in range(port.size())]
-            is_open = source[1] == "input" and source in open_inputs
             if is_open and open_inputs.keys().isdisjoint(inner):
                 first = open_inputs[source]
                 elements = [graph.source("input", first + i) for i in range(port.size())]
                 self.inputs[index] = elements
-            port.FixValue(context, self._variables("input", elements))
-
-    def _variables(self, name: str, meanings: Sequence[Any]) -> Any:
-        variables = [Variable(f"{name}{i}") for i in range(len(meanings))]
-        self.meaning.update(
-            (variable.get_id(), meaning)
-            for variable, meaning in zip(variables, meanings, strict=True)
-        )
-        return np.array([Expression(variable) for variable in variables])
+            meanings += elements
+            known.append(index)
+        variables = [Variable(f"v{i}") for i in range(len(meanings))]
+        ids = [variable.get_id() for variable in variables]
+        self.meaning: dict[int, int | tuple[int, int]] = dict(zip(ids, meanings, strict=True))
+        """Dictionary from the id of a variable to its meaning: the node of a source, or an element
+        of an input port of the leaf, as (index of the port, index of the element)."""
+        point = np.array([*map(Expression, variables)])
+        self.context = CalledLeaf(self.system, known).context(point)
 
 
 class _Reader:

@@ -32,7 +32,7 @@ from ..equations.comparison import (
 )
 from ..equations.equations import Equations
 from ..equations.events import reason_of, refuse_witness_functions
-from ..equations.names import numbered_names, state_names
+from ..equations.names import discrete_names, state_names
 from ..equations.periods import timing_of
 from ..equations.ports import is_vector, open_inputs, output_routes, size_of
 from ..equations.symbolic import Steps, completed
@@ -65,11 +65,8 @@ class LeafwiseEquations(DiagramEquations):
             context = node.system.CreateDefaultContext()
             refuse_witness_functions(node, context)
             states, discrete = len(equations.states), len(equations.discrete)
-            if context.num_continuous_states():
-                equations.states += state_names(node, context)
-            for group in range(context.num_discrete_state_groups()):
-                size = context.get_discrete_state(group).size()
-                equations.discrete += numbered_names(node.path, group, size)
+            equations.states += state_names(node, context)
+            equations.discrete += discrete_names(node, context)
             leaf = self.leaves[node] = _Leaf(
                 node,
                 range(states, len(equations.states)),

@@ -219,7 +219,7 @@ OTHER = {"gain": 5.0, "initial": 0.4, "period": 0.2, "parameter": 2.0, "name": "
 KEPT = {
     "gain": "attribute gain is 2.0, not 5.0",
     "initial": "default of continuous_state is 0.1, not 0.4",
-    "period": r"sample time is \(0.1, 0.0\), not \(0.2, 0.0\)",
+    "period": r"sample time is \[0.1, 0.0\], not \[0.2, 0.0\]",
     "parameter": "default of parameters is 3.0, not 2.0",
     "name": "output z is missing, not 1",
 }
