@@ -155,14 +155,10 @@ class LeafwisePoint(Point):
     def no_value(self, source: Port) -> CompilationError:
         """Return the error for an input port without a value."""
         node, _, index = source
+        where = node.path and f"{node.path}: "
         name = quoted(node.system.get_input_port(index).get_name())
-        if node.parent is not None:
-            return CompilationError(
-                f"{node.name}: input port {name} is not connected; connect it, or name the "
-                f"diagram's port in inputs"
-            )
         return CompilationError(
-            f"input port {name} has no value: FixValue it in the Context, or name it in "
+            f"{where}input port {name} has no value: FixValue it in the Context, or name it in "
             f"{self.setting}"
         )
 

@@ -18,27 +18,6 @@ from .leafwise import LeafwiseEquations, LeafwisePoint
 from .point import Point
 
 
-def read_point(
-    diagram: Any,
-    context: Any,
-    inputs: Iterable[str] = (),
-    outputs: Iterable[str] = (),
-    bypass: Iterable[str] = (),
-    setting: str = "inputs",
-) -> Point:
-    """Read the equations of a diagram of floats, and the values of a Context.
-
-    The open inputs are ``inputs`` and then all other input ports of the diagram that have a value
-    in the Context, and all ports inside that have a value and no connection. An input without a
-    value has the value zero. For the names and errors see `linearize`. ``setting`` is the name of
-    ``inputs`` in the caller's arguments, for the message about an input that has no value.
-
-    ``diagram`` may be a diagram with its equations, which are then not read again. The open inputs
-    of these equations are then the open inputs of the point.
-    """
-    return read_points(diagram, [context], inputs, outputs, bypass, setting)[0]
-
-
 def read_points(
     diagram: Any,
     contexts: Iterable[Any],
@@ -47,9 +26,15 @@ def read_points(
     bypass: Iterable[str] = (),
     setting: str = "inputs",
 ) -> list[Point]:
-    """Read the equations of a diagram once, and the values of several Contexts; see `read_point`.
+    """Read the equations of a diagram of floats once, and the values of several Contexts.
 
-    An input is open if it has a value in at least one of the Contexts.
+    The open inputs are ``inputs``, then all other input ports of the diagram that have a value in
+    one of the Contexts, and all ports inside that have a value and no connection. An input without
+    a value has the value zero. For the names and errors see `linearize`. ``setting`` is the name of
+    ``inputs`` in the caller's arguments, for the message about an input that has no value.
+
+    ``diagram`` may be a diagram with its equations, which are then not read again. The open inputs
+    of these equations are then the open inputs of the points.
     """
     system = system_of(diagram)
     try:
@@ -93,6 +78,11 @@ def read_points(
             point = Point(read, *numbers)
         points.append(point)
     return points
+
+
+def read_point(diagram: Any, context: Any, *ports: Any, **options: Any) -> Point:
+    """Read the equations of a diagram of floats, and the values of a Context; see `read_points`."""
+    return read_points(diagram, [context], *ports, **options)[0]
 
 
 def system_of(diagram: Any) -> Any:
