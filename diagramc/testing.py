@@ -168,38 +168,32 @@ class _Check:
         self.findings: dict[str, None] = {}  # as a set, in order
         self.notes: dict[str, None] = {}
         inputs = [port for port in ports_of(system, "input") if is_vector(port)]
-        is_open = {p.get_name(): ranges.get(p.get_name(), ()) is None for p in inputs}
-        ranges = {name: given for name, given in ranges.items() if not is_open.get(name)}
-        self.inputs = [port for port in inputs if not is_open[port.get_name()]]
+        self.inputs = [port for port in inputs if ranges.get(port.get_name(), ()) is not None]
         self.leaf = self._called(system)
         self.timing = system.GetUniquePeriodicDiscreteUpdateAttribute()
         context, node, sources = system.CreateDefaultContext(), Node(system), self.leaf.sources
         self.elements = [
             f"{s.name}[{i}]" if s.size > 1 else s.name for s in sources for i in range(s.size)
         ]
-        known = [name for group in parameter_groups(node, context) for name in group]
-        for index, name in enumerate([*known, *state_names(node, context)], 1):  # after the time
+        known = chain(*parameter_groups(node, context), state_names(node, context))
+        for index, name in enumerate(known, 1):  # after the time
             if name[1:].isidentifier():
                 self.elements[index] = name[1:]
-        pairs = [(s.name, place) for s, place in zip(sources, self.leaf.places, strict=True)]
-        self.own = dict(pairs[: len(pairs) - len(self.inputs)])
-        self.places = {name: [index] for index, name in enumerate(self.elements)}
-        self.places |= {name: [*range(place.start, place.stop)] for name, place in pairs}
+        self.places: dict[str, list[int]] = {port.get_name(): [] for port in inputs}  # if open
+        self.places |= {name: [index] for index, name in enumerate(self.elements)}
+        for source, place in zip(sources, self.leaf.places, strict=True):
+            self.places[source.name] = [*range(place.start, place.stop)]
         for setting, given in (("ranges", ranges), ("units", units)):
             if unknown := [name for name in given if name not in self.places]:
                 text = f"unknown {quoted(unknown[0])}; known: {', '.join(self.places)}"
                 raise ParameterError(f"{setting}: {text}")
         self.units = {i: f" {unit}" for name, unit in units.items() for i in self.places[name]}
         self.points = self._points(np.array(self.leaf.point(context)), ranges)
-        self.parts: list[str] = []
+        functions = [*self._functions(context)]
+        self.computed = sum(size for _, size, _ in functions)
+        self.parts = [name for name, size, _ in functions for _ in range(size)] + self.elements
         """Name of each value: first of those that the leaf computes, then of the Context's."""
-        functions: list[Evaluate] = []
-        for name, size, function in self._functions(context):
-            self.parts += [name] * size
-            functions.append(function)
-        self.computed = len(self.parts)
-        self.parts += self.elements
-        self.evaluate = partial(_evaluate, functions)
+        self.evaluate = partial(_evaluate, [function for *_, function in functions])
         self.function = self.leaf.function(partial(self.evaluate, self.leaf), len(self.parts))
 
     def find(self, text: str, wrong: Any = None) -> None:
@@ -222,8 +216,7 @@ class _Check:
         if size := context.num_continuous_states():
             yield "time derivatives", size, rates_of
         if self.timing:
-            held = self.own["discrete_state"]
-            yield "discrete update", held.stop - held.start, update_of
+            yield "discrete update", len(self.places["discrete_state"]), update_of
         if callable(getattr(self.system, "margin", None)):
             yield "margin", 1, margin_of
 
@@ -231,7 +224,7 @@ class _Check:
         """Return nine points in the ranges, (9, size)."""
         random = np.random.default_rng(0)  # a fixed seed: an equal leaf passes or fails each time
         scale = np.ones((default.size, 1))
-        scale[self.own.get("parameters", slice(0))] = 0.0
+        scale[self.places.get("parameters", [])] = 0.0
         points = points_around(default, random, scale)
         points[0] = np.abs(points[0])  # the time
         for name, given in ranges.items():
@@ -309,12 +302,10 @@ class _Check:
                 before = fresh
         for source, port in product(self.inputs, ports_of(self.system, "output")):
             pair = f"output {port.get_name()}", source.get_name()
-            try:
+            with suppress(RuntimeError):  # of the Expression, which `conversion` tells about
                 declared = self.system.HasDirectFeedthrough(source.get_index(), port.get_index())
-            except RuntimeError:  # Drake looks at the Expression, which `conversion` tells about
-                continue
-            if declared and port.size() and pair not in felt:
-                self.note("{} is declared to depend on {}, and does not".format(*pair))
+                if declared and port.size() and pair not in felt:
+                    self.note("{} is declared to depend on {}, and does not".format(*pair))
 
     def runs(self) -> None:
         """Compare runs of two clones of a Context, and the discrete state between its samples."""
@@ -331,7 +322,7 @@ class _Check:
             return
         if not np.array_equal(first, second, equal_nan=True):
             self.find(f"runs of two clones of a Context differ: {_OUTSIDE}")
-        held = first[:, self.computed :][:, self.own.get("discrete_state", slice(0))]
+        held = first[:, self.computed :][:, self.places.get("discrete_state", [])]
         if (held[::2] != held[1::2]).any():
             self.find("discrete_state: jumps between samples")
 
@@ -439,10 +430,9 @@ class _Check:
 
     def nan_inputs(self) -> None:
         """Note what follows from an input of nan."""
-        places = self.leaf.places[len(self.own) :]
-        for port, place in zip(self.inputs, places, strict=True):
+        for port in self.inputs:
             point = self.points[0].copy()
-            point[place] = math.nan
+            point[self.places[port.get_name()]] = math.nan
             self.leaf.error = None
             are_nan = np.isnan(self.function(point))[: self.computed]
             text = f"reaches {', '.join(dict.fromkeys(compress(self.parts, are_nan))) or 'nothing'}"

@@ -404,7 +404,7 @@ BAD = {
     "system = .*: must be a leaf system": lambda: check_leaf(diagram()),
     "system = 3: must be a leaf system": lambda: check_leaf(3),
     "scalars: unknown 'float'; known: Auto": lambda: check_leaf(MyAdder(), scalars="float"),
-    "ranges: unknown 'c'; known: time, a": lambda: check_leaf(MyAdder(), {"c": (0.0, 1.0)}),
+    "ranges: unknown 'c'; known: a, b, time": lambda: check_leaf(MyAdder(), {"c": (0.0, 1.0)}),
     r"ranges: a = \(1, 0\): must be": lambda: check_leaf(MyAdder(), {"a": (1, 0)}),
     r"ranges: a = \(0, inf\): must be": lambda: check_leaf(MyAdder(), {"a": (0, math.inf)}),
     "ranges: a = 'all': must be": lambda: check_leaf(MyAdder(), {"a": "all"}),
