@@ -164,7 +164,7 @@ else:
         "fmu.parameters": ("context_parameters", "initial_states"),
         "fmu.variables": ("FmuParameter",),
         "interruption": ("interrupt_later",),
-        "linear.advice": ("advice",),
+        "linear.advice": ("Obstacle", "advice"),
         "linear.equilibrium": ("find_equilibrium",),
         "linear.linearize": ("linearize", "linearize_at"),
         "linear.loop_at": ("loop_at",),
@@ -172,7 +172,6 @@ else:
         "linear.margins": ("LoopMargins", "margins"),
         "linear.model": ("LinearModel", "OperatingPoint", "TickModel"),
         "linear.periodic": ("PeriodicLoop",),
-        "linear.point": ("Obstacle",),
         "model": (
             *("CompiledModel", "DiagramModel", "Simulation", "compile_by_key", "compile_diagram"),
         ),

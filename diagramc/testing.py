@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from functools import partial
-from itertools import chain, compress, pairwise, product
+from itertools import chain, pairwise
 from types import MappingProxyType
 from typing import Any
 
@@ -81,8 +81,7 @@ def check_leaf(
     get their model values; abstract values are not compared.
 
     Returns notes, one line each, which are no faults: a port without a name of its own, a
-    conversion that the leaf does not have, an input that an output is declared to depend on and
-    does not, what follows from an input of nan.
+    conversion that the leaf does not have, a point or run that fails.
 
     Parameters
     ----------
@@ -126,7 +125,6 @@ def check_leaf(
             check.runs()
             for scalar in wanted:
                 check.conversion(scalar, check.note if scalars is None else check.find)
-            check.nan_inputs()
     leaf = Node(system).type_name
     if check.findings:
         raise AssertionError("\n".join(f"{leaf}: {finding}" for finding in check.findings))
@@ -242,9 +240,6 @@ class _Check:
                 )
         return points.T
 
-    def _value(self, column: int, point: Array) -> list[float]:
-        return [self.function(point)[column]]
-
     def _at(self, point: Array) -> str:
         """Return the numbers at a point as text."""
         units = [self.units.get(index, "") for index in range(len(point))]
@@ -283,7 +278,6 @@ class _Check:
 
         One source changes at a time.
         """
-        felt: set[tuple[str, str]] = set()
         for start, end in pairwise(self.points[::2]):
             context, point = self.leaf.context(start), start.copy()
             before = np.array(self.function(start))
@@ -296,16 +290,9 @@ class _Check:
                 with suppress(Exception, SystemExit):  # a point that does not count
                     stored = np.array(self.evaluate(self.leaf, self.system, context))
                 changes = ~np.isnan(fresh) & (fresh != before)
-                felt |= {(self.parts[index], source.name) for index in np.nonzero(changes)[0]}
                 text = f"its stored value stays after a change of {source.name}; add {source.name}"
                 self.find(f"{text} to its prerequisites_of_calc", changes & (stored != fresh))
                 before = fresh
-        for source, port in product(self.inputs, ports_of(self.system, "output")):
-            pair = f"output {port.get_name()}", source.get_name()
-            with suppress(RuntimeError):  # of the Expression, which `conversion` tells about
-                declared = self.system.HasDirectFeedthrough(source.get_index(), port.get_index())
-                if declared and port.size() and pair not in felt:
-                    self.note("{} is declared to depend on {}, and does not".format(*pair))
 
     def runs(self) -> None:
         """Compare runs of two clones of a Context, and the discrete state between its samples."""
@@ -397,7 +384,8 @@ class _Check:
                 self._differentiate(self.points[row], gradients[row])
         for column in range(self.computed):
             numbers, others = self.numbers[:, [column]], found[:, [column]]
-            if differ(partial(self._value, column), self.points, others, numbers):
+            value = partial(lambda column, point: [self.function(point)[column]], column)
+            if differ(value, self.points, others, numbers):
                 row = int(np.argmax(np.where(np.isfinite(numbers), abs(others - numbers), 0.0)))
                 self.find(
                     f"{self.parts[column]}: {others[row, 0]:.9g} by {scalar}, "
@@ -427,15 +415,3 @@ class _Check:
                 f"{gradient[value, column]:.6g} by AutoDiffXd, "
                 f"{slopes[value, column] / scale[column]:.6g} by differences {self._at(point)}"
             )
-
-    def nan_inputs(self) -> None:
-        """Note what follows from an input of nan."""
-        for port in self.inputs:
-            point = self.points[0].copy()
-            point[self.places[port.get_name()]] = math.nan
-            self.leaf.error = None
-            are_nan = np.isnan(self.function(point))[: self.computed]
-            text = f"reaches {', '.join(dict.fromkeys(compress(self.parts, are_nan))) or 'nothing'}"
-            if self.leaf.error is not None:
-                text = f"raises {reason_of(self.leaf.error)}"
-            self.note(f"nan at {port.get_name()} {text}")

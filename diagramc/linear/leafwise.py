@@ -353,11 +353,9 @@ _TEMPLATE = "their error is about 1e-11; write the leaf with Drake's TemplateSys
 def _refuse_abstract_state(node: Node) -> None:
     """Raise `CompilationError` if a leaf has an abstract state."""
     if node.system.num_abstract_states():
-        is_plant = isinstance(node.system, MultibodyPlant)
-        remedy = "; call SetUseSampledOutputPorts(False) before its Finalize()"
         raise CompilationError(
-            f"{node.name or node.type_name}: has an abstract state, which has no derivative"
-            f"{remedy if is_plant else ''}"
+            f"{node.name or node.type_name}: has an abstract state, which has no derivative; for a "
+            f"MultibodyPlant call SetUseSampledOutputPorts(False) before its Finalize()"
         )
 
 

@@ -38,9 +38,10 @@ def read_points(
     """
     system = system_of(diagram)
     try:
-        contexts = list(contexts)
+        given = list(contexts)
     except TypeError:
         raise ParameterError(f"contexts = {quoted(contexts)}: must be a list of Contexts") from None
+    contexts = [system.CreateDefaultContext() if each is None else each for each in given]
     root = diagram.root if isinstance(diagram, DiagramEquations) else Node(system)
     undriven = _open_ports(root)
     values = [_input_values(root, undriven, context) for context in contexts]
@@ -57,13 +58,19 @@ def read_points(
             bypass_system(root, path)
         in_ports = {name: find_port(root, name, "input") for name in inputs}
         in_ports |= {name: undriven[name] for name in itertools.chain(*values)}
-        read = _read(root, in_ports, {name: find_port(root, name, "output") for name in outputs})
+        out_ports = {name: find_port(root, name, "output") for name in outputs}
+        try:  # equations first, because they tell more: see `advice`
+            read = equations_of(root, in_ports, out_ports)
+        except DifferenceError:  # a leaf whose forms disagree has no right derivative
+            raise
+        except CompilationError:
+            read = LeafwiseEquations(root, in_ports, out_ports)
     sizes = read.equations.inputs
     states = [read.state(context) for context in contexts]
     points: list[Point] = []
     for context, of_port, state in zip(contexts, values, states, strict=True):
         numbers = (
-            0.0 if context is None else float(context.get_time()),
+            float(context.get_time()),
             read.parameters(context),
             np.concatenate([state.continuous, state.discrete]),
             np.concatenate(
@@ -71,8 +78,7 @@ def read_points(
             ),
         )
         if isinstance(read, LeafwiseEquations):
-            base = system.CreateDefaultContext() if context is None else context
-            point: Point = LeafwisePoint(read, *numbers, base, setting)
+            point: Point = LeafwisePoint(read, *numbers, context, setting)
             point.slopes(tuple(outputs))  # so that a leaf that cannot be called is told here
         else:
             point = Point(read, *numbers)
@@ -96,19 +102,6 @@ def system_of(diagram: Any) -> Any:
     return diagram
 
 
-def _read(root: Node, inputs: Mapping[str, Port], outputs: Mapping[str, Port]) -> DiagramEquations:
-    """Return the equations of a diagram; only their names and sizes if a leaf has no equations.
-
-    Equations come first, because they tell more: see `advice`.
-    """
-    try:
-        return equations_of(root, inputs, outputs)
-    except DifferenceError:  # a leaf whose forms disagree has no right derivative
-        raise
-    except CompilationError:
-        return LeafwiseEquations(root, inputs, outputs)
-
-
 def _open_ports(root: Node) -> dict[str, Port]:
     """Return the input ports of vectors of a diagram, and those inside that nothing drives."""
     ends = [(root, "input", index) for index in range(root.system.num_input_ports())]
@@ -125,8 +118,6 @@ def _open_ports(root: Node) -> dict[str, Port]:
 
 def _input_values(root: Node, ports: Mapping[str, Port], context: Any) -> dict[str, Array]:
     """Return the value of each port that has a value in a Context, by its name."""
-    if context is None:
-        return {}
     try:
         root.system.ValidateContext(context)
     except (RuntimeError, TypeError):

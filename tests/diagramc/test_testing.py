@@ -120,13 +120,10 @@ def test_leaves_of_floats_as_in_the_tutorials_pass_unless_a_conversion_is_asked_
         check_leaf(system, scalars="AutoDiffXd")
 
 
-def test_leaves_that_convert_pass_and_tell_what_nan_does():
+def test_leaves_that_convert_pass():
     ranges = {"torque": (-5.0, 5.0), "continuous_state": [(-3, 3), (-9, 9)], "mass_kg": (0.5, 2.0)}
-    notes = check_leaf(DampedPendulum_[None](0.3), ranges, scalars=["AutoDiffXd", "Expression"])
-    assert notes == ("DampedPendulum: nan at torque reaches time derivatives",)
-    assert check_leaf(PendulumPlant(), {"mass": (0.5, 2.0), "theta": (-3.0, 3.0)})
-    notes = check_leaf(MyAdder())
-    assert "MyAdder: nan at a reaches output sum" in notes
+    assert not check_leaf(DampedPendulum_[None](0.3), ranges, scalars=["AutoDiffXd", "Expression"])
+    assert not check_leaf(PendulumPlant(), {"mass": (0.5, 2.0), "theta": (-3.0, 3.0)})
 
 
 # ------------------------------------------------------------------- leaves with one mistake each
@@ -293,8 +290,7 @@ def test_a_finding_tells_the_point_with_its_units():
 
 
 def test_the_leaf_without_a_mistake_passes():
-    reached = "output z, time derivatives, discrete update"
-    assert check_leaf(Leaf_[None](**OTHER)) == (f"Leaf: nan at u reaches {reached}",)
+    assert check_leaf(Leaf_[None](**OTHER)) == ()
 
 
 @pytest.mark.parametrize(
@@ -358,15 +354,13 @@ def test_a_leaf_that_fails_or_is_not_finite_everywhere_is_found():
     text = r"^Rough: fails at 9 of 9 points: .*; test_testing.py, line \d+$"
     with pytest.raises(AssertionError, match=text):
         check_leaf(Rough(math.sqrt, "y"), {"u": (-3, -2)})
-    assert "Rough: nan at u reaches output y" in check_leaf(Rough(math.sqrt, "y"), {"u": (0, 1)})
+    assert check_leaf(Rough(math.sqrt, "y"), {"u": (0, 1)})
 
 
-def test_a_port_without_a_name_and_an_input_that_an_output_does_not_feel_are_notes():
+def test_a_port_without_a_name_is_a_note_and_one_without_a_value_is_found():
     with pytest.raises(AssertionError, match=r"^Rough: fails at 9 of 9 points: .*InputPort"):
         check_leaf(Rough(abs), {"u": None})
     assert "Rough: port y0 has only Drake's default name" in check_leaf(Rough(abs))
-    notes = check_leaf(Rough(lambda u: 3.0, "y"))
-    assert "Rough: output y is declared to depend on u, and does not" in notes
 
 
 @TemplateSystem.define("Branch_")
@@ -391,7 +385,7 @@ def test_a_branch_that_no_expression_can_take_is_found_unless_only_duals_are_ask
     text = r"has no Expression form \(the code branches on a symbolic value; test_testing.py, line"
     with pytest.raises(AssertionError, match=text):
         check_leaf(Branch_[None]())
-    assert check_leaf(Branch_[None](), scalars="AutoDiffXd")
+    assert not check_leaf(Branch_[None](), scalars="AutoDiffXd")
 
 
 def diagram():

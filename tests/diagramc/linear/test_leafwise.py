@@ -372,7 +372,7 @@ def test_a_torque_fixed_inside_moves_the_equilibrium():
         ),
         (
             lambda: hanging_arm(1, MultibodyPlant(0.01)),
-            "MultibodyPlant: has an abstract state, which has no derivative; call "
+            "MultibodyPlant: has an abstract state, which has no derivative; for .* call "
             r"SetUseSampledOutputPorts\(False\) before its Finalize\(\)",
         ),
         (
