@@ -206,29 +206,3 @@ class CalledLeaf:
                 return [math.nan] * size
 
         return values
-
-
-def differs_from_leaf(
-    evaluate: Evaluate, system: Any, points: Array, inputs: Iterable[int], found: Array
-) -> bool:
-    """Return whether a leaf of floats computes otherwise than its equations, or hides state.
-
-    The leaf is called in a new Context at each point. A point where it fails or is not finite
-    does not count.
-
-    Parameters
-    ----------
-    evaluate
-        Function of the leaf and its Context that returns the values.
-    system
-        The leaf system of floats.
-    points
-        Points of a `CalledLeaf`, (points, size).
-    inputs
-        Indices of the input ports that have a value.
-    found
-        Values of the equations, (points, values).
-    """
-    values = CalledLeaf(system, inputs).function(evaluate, found.shape[1])
-    numbers, repeats = called_twice(values, values, points)
-    return not repeats or differ(values, points, found, numbers)

@@ -30,7 +30,8 @@ from ..run_data import Array
 from .comparison import (
     CalledLeaf,
     Evaluate,
-    differs_from_leaf,
+    called_twice,
+    differ,
     is_compared,
     margin_of,
     output_of,
@@ -132,11 +133,7 @@ class _Reader:
             if leaf.has_equations:
                 self.leaves[leaf.path] = _Leaf(leaf, self.equations, self._open_inputs)
 
-    def signal(self, route: list[Port]) -> list[int]:
-        """Return the nodes of the elements of the signal at the first port of a route."""
-        return completed(self._signal(route))
-
-    def _signal(self, route: list[Port]) -> Steps[list[int]]:
+    def signal(self, route: list[Port]) -> Steps[list[int]]:
         """Return the nodes of a signal: the source's signal plus the perturbations on the way."""
         graph = self.equations.graph
         leaf, kind, index = source = route[-1]
@@ -238,13 +235,14 @@ class _Reader:
             return meaning
         index, element = meaning
         if index not in leaf.inputs:
-            leaf.inputs[index] = yield self._signal(list(leaf.node.route(index)))
+            leaf.inputs[index] = yield self.signal(list(leaf.node.route(index)))
         return leaf.inputs[index][element]
 
     def compare(self, root: Node) -> None:
         """Compare the equations of each leaf that is written in Python with the leaf of floats.
 
-        Raises `DifferenceError`, which names the leaf and the port.
+        The leaf of floats is called in a new Context at each point. A point where it fails or is
+        not finite does not count. Raises `DifferenceError`, which names the leaf and the port.
         """
         leaves = [v for v in self.leaves.values() if is_compared(v.node.system)]
         if not leaves:
@@ -266,9 +264,11 @@ class _Reader:
 
         for leaf in leaves:
             points = values([*leaf.own, *chain(*leaf.inputs.values())])
+            called = CalledLeaf(leaf.node.system, leaf.inputs)
             for purpose, (evaluate, nodes) in leaf.parts.items():
-                system, found = leaf.node.system, values(nodes)
-                if differs_from_leaf(evaluate, system, points, leaf.inputs, found):
+                function = called.function(evaluate, len(nodes))
+                numbers, repeats = called_twice(function, function, points)
+                if not repeats or differ(function, points, values(nodes), numbers):
                     raise DifferenceError(
                         f"{leaf.node.name}: {purpose}: the equations that were read off differ "
                         f"from {leaf.node.type_name} called with numbers; its symbolic form must "
@@ -324,7 +324,7 @@ def read_tree(root: Node, inputs: Mapping[str, Port], outputs: Mapping[str, Port
     for leaf in reader.leaves.values():
         reader.read(leaf)
     for name, route in routes.items():
-        reader.equations.outputs[name] = reader.signal(route)
+        reader.equations.outputs[name] = completed(reader.signal(route))
     reader.compare(root)
     for leaf in reader.leaves.values():
         reader.read_initial(leaf)
