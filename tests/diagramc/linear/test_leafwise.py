@@ -71,17 +71,22 @@ def arm_matrices(count):
     return a, np.vstack([zero, np.linalg.inv(mass)])
 
 
-class FloatGain(LeafSystem):
-    """y = K u, for floats only."""
+class Floats(LeafSystem):
+    """y = f(u), for floats only."""
 
-    def __init__(self, gains):
+    def __init__(self, function, inputs=1, outputs=1):
         super().__init__()
-        self.gains = gains
-        self.DeclareVectorInputPort("u", gains.shape[1])
-        self.DeclareVectorOutputPort("y", gains.shape[0], self._output)
+        self.function = function
+        self.DeclareVectorInputPort("u", inputs)
+        self.DeclareVectorOutputPort("y", outputs, self._output)
 
     def _output(self, context, output):
-        output.SetFromVector(self.gains @ self.get_input_port().Eval(context))
+        output.SetFromVector(self.function(self.get_input_port().Eval(context)))
+
+
+def float_gain(gains):
+    """Return the leaf y = K u."""
+    return Floats(lambda u: gains @ u, *gains.shape[::-1])
 
 
 def sampled_loop(plant, gain, period_s, delay_s=0.0):
@@ -116,7 +121,7 @@ def stepped(count, period_s):
     return both[:n, :n], both[:n, n:]
 
 
-@pytest.mark.parametrize("form", [MatrixGain, FloatGain])
+@pytest.mark.parametrize("form", [MatrixGain, float_gain])
 @pytest.mark.parametrize("period_s", [0.001, 0.005, 0.02])
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_a_sampled_arm_against_its_own_equations(count, period_s, form):
@@ -229,10 +234,6 @@ def test_the_torques_that_hold_an_arm_are_found():
     )
 
 
-def _text():
-    return AbstractValue.Make("text")
-
-
 @TemplateSystem.define("Forgetful_", T_list=[float, AutoDiffXd])
 def Forgetful_(T):
     class Impl(LeafSystem_[T]):
@@ -244,7 +245,8 @@ def Forgetful_(T):
             self.DeclareVectorInputPort("u", 1)
             self.DeclareContinuousState(1)
             self.DeclareVectorOutputPort("y", 1, self._output, {self.all_state_ticket()})
-            self.DeclareAbstractOutputPort("message", _text, lambda c, out: out.set_value("x"))
+            text = lambda: AbstractValue.Make("text")  # noqa: E731
+            self.DeclareAbstractOutputPort("message", text, lambda c, out: out.set_value("x"))
 
         def _construct_copy(self, other, converter=None):
             Impl._construct(self, 1.0 if other.forgets else other.gain, other.forgets, converter)
@@ -301,14 +303,9 @@ def propelled_body():
     builder = DiagramBuilder()
     plant = builder.AddNamedSystem("plant", MultibodyPlant(0.0))
     body = plant.AddRigidBody("body", SpatialInertia.SolidBoxWithMass(1.0, 0.1, 0.1, 0.1))
-    joint = PrismaticJoint("z", plant.world_frame(), body.body_frame(), [0.0, 0.0, 1.0])
-    plant.AddJoint(joint)
     plant.Finalize()
     propeller = builder.AddNamedSystem("propeller", Propeller(body.index()))
-    law = builder.AddNamedSystem("law", MatrixGain([[-3.0, -1.0]]))
     for source, target in (
-        (plant.get_state_output_port(), law.get_input_port()),
-        (law.get_output_port(), propeller.get_command_input_port()),
         (plant.get_body_poses_output_port(), propeller.get_body_poses_input_port()),
         (
             propeller.get_spatial_forces_output_port(),
@@ -317,30 +314,6 @@ def propelled_body():
     ):
         builder.Connect(source, target)
     return builder.Build()
-
-
-class Hinge(LeafSystem):
-    """y = |u|, which has a corner at 0."""
-
-    def __init__(self):
-        super().__init__()
-        self.DeclareVectorInputPort("u", 1)
-        self.DeclareVectorOutputPort("y", 1, self._output)
-
-    def _output(self, context, output):
-        output.SetFromVector([abs(self.get_input_port().Eval(context)[0])])
-
-
-class Root(LeafSystem):
-    """y = √u, which ends at u = 0."""
-
-    def __init__(self):
-        super().__init__()
-        self.DeclareVectorInputPort("u", 1)
-        self.DeclareVectorOutputPort("y", 1, self._output)
-
-    def _output(self, context, output):
-        output.SetFromVector([math.sqrt(self.get_input_port().Eval(context)[0])])
 
 
 def test_a_torque_fixed_inside_moves_the_equilibrium():
@@ -362,7 +335,7 @@ def test_a_torque_fixed_inside_moves_the_equilibrium():
             "plant: time derivatives: its input applied_spatial_force: is no vector",
         ),
         (
-            lambda: leaf_loop(Forgetful_[None](), Root()),
+            lambda: leaf_loop(Forgetful_[None](), Floats(lambda u: [math.sqrt(u[0])])),
             r"middle: output port y: fails beside this point, for differences \(.*test_leafwise.py",
         ),
         (
@@ -394,13 +367,13 @@ def test_a_leaf_without_a_right_derivative_is_refused(make, line):
             "middle: output port y0: has no derivative near this point",
         ),
         (
-            lambda: leaf_loop(Forgetful_[None](), Hinge()),
+            lambda: leaf_loop(Forgetful_[None](), Floats(np.abs)),
             "middle: output port y: has no derivative near this point",
         ),
         (floating_body, "has a quaternion: the model has one more eigenvalue"),
         (
-            lambda: leaf_loop(Forgetful_[None](), FloatGain(np.eye(1))),
-            "middle: FloatGain: does not convert to AutoDiffXd: its derivatives are central",
+            lambda: leaf_loop(Forgetful_[None](), float_gain(np.eye(1))),
+            "middle: Floats: does not convert to AutoDiffXd: its derivatives are central",
         ),
     ],
 )
