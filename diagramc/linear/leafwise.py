@@ -3,7 +3,8 @@
 A linear model needs values and derivatives at one point only. Each leaf system is called in a
 Context of its own, first with floats, then with Drake's AutoDiffXd, whose values must be those of
 the floats. A leaf without an AutoDiffXd form has central differences instead, so that one leaf of
-floats does not spoil the derivatives of the others. The chain rule joins the leaves at their ports.
+floats does not spoil the derivatives of the others. The signals between the leaves are AutoDiffXd
+too, so the chain rule joins the leaves at their ports.
 """
 
 from __future__ import annotations
@@ -60,6 +61,7 @@ class LeafwiseEquations(DiagramEquations):
         """Ports from each output of the model back to the source of its signal."""
         equations = Equations()
         self.open_inputs = open_inputs(equations, inputs)
+        """Index of the first element of each open input among the elements of all open inputs."""
         self.leaves: dict[Node, _Leaf] = {}
         for node in root.equation_leaves:
             context = node.system.CreateDefaultContext()
