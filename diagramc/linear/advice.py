@@ -13,7 +13,13 @@ from ..equations.operations import OPERATIONS, Role
 from ..equations.ports import can_bypass
 from ..run_data import Array
 from .leafwise import LeafwisePoint
-from .point import EQUILIBRIUM_TOLERANCE, Obstacle, Point, Slopes, require_tolerance
+from .point import (
+    EQUILIBRIUM_TOLERANCE,
+    Obstacle as Obstacle,
+    Point,
+    Slopes,
+    require_tolerance,
+)
 from .reading import read_point
 
 _AT_CORNER = 1e-9  # relative distance of two numbers that counts as equal
