@@ -94,7 +94,7 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
     )
     from .fmu.variables import FmuParameter as FmuParameter
     from .interruption import interrupt_later as interrupt_later
-    from .linear.advice import advice as advice
+    from .linear.advice import Obstacle as Obstacle, advice as advice
     from .linear.equilibrium import find_equilibrium as find_equilibrium
     from .linear.linearize import linearize as linearize, linearize_at as linearize_at
     from .linear.loop_at import loop_at as loop_at
@@ -111,7 +111,6 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
         TickModel as TickModel,
     )
     from .linear.periodic import PeriodicLoop as PeriodicLoop
-    from .linear.point import Obstacle as Obstacle
     from .model import (
         CompiledModel as CompiledModel,
         DiagramModel as DiagramModel,
@@ -164,7 +163,7 @@ else:
         "fmu.parameters": ("context_parameters", "initial_states"),
         "fmu.variables": ("FmuParameter",),
         "interruption": ("interrupt_later",),
-        "linear.advice": ("advice",),
+        "linear.advice": ("Obstacle", "advice"),
         "linear.equilibrium": ("find_equilibrium",),
         "linear.linearize": ("linearize", "linearize_at"),
         "linear.loop_at": ("loop_at",),
@@ -172,7 +171,6 @@ else:
         "linear.margins": ("LoopMargins", "margins"),
         "linear.model": ("LinearModel", "OperatingPoint", "TickModel"),
         "linear.periodic": ("PeriodicLoop",),
-        "linear.point": ("Obstacle",),
         "model": (
             *("CompiledModel", "DiagramModel", "Simulation", "compile_by_key", "compile_diagram"),
         ),

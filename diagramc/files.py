@@ -162,7 +162,7 @@ def require_empty(folder: Path) -> None:
 def temporary_in(directory: Path) -> Iterator[Path]:
     """Context manager: give a temporary directory in ``directory``, which this process locks.
 
-    The given path ends in ``new``. Beside it lie the file `_LOCK`, and ``old`` for the files that
+    The given path ends in ``new``. Beside it lie the file of the lock, and ``old`` for the files that
     new ones replace. Raises `OSError` if the temporary directory cannot be made.
     """
     with ExitStack() as stack:

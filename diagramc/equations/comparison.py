@@ -11,6 +11,7 @@ from time import process_time
 from typing import Any, TypeAlias
 
 import numpy as np
+from pydrake.autodiffutils import AutoDiffXd
 
 from ..run_data import Array
 from .contexts import discrete_values, sources_of
@@ -106,6 +107,30 @@ def margin_of(system: Any, context: Any) -> list[Any]:
     return [system.margin(context)]
 
 
+def output_of(index: int) -> Evaluate:
+    """Return the function of a leaf system and its Context that gives an output port's value."""
+    return lambda system, context: system.get_output_port(index).Eval(context)
+
+
+def values_and_gradients(duals: Iterable[Any], width: int) -> tuple[Array, Array]:
+    """Return the values (size,) of scalars of AutoDiffXd, and their gradients (size, width)."""
+    zero = AutoDiffXd(0.0, np.zeros(width))  # Drake leaves out gradients of zero
+    full = [zero + dual for dual in duals]
+    gradients = np.array([dual.derivatives() for dual in full])
+    return np.array([dual.value() for dual in full]), gradients.reshape(-1, width)
+
+
+def central_differences(function: Function, point: Array, change: Array) -> tuple[Array, Array]:
+    """Return the effects of a change (size,) by central differences over the change and half of it.
+
+    The extrapolation of Richardson is (4 half − wide)/3. The results have the shape (values,).
+    """
+    wide, half = (
+        np.subtract(function(point + near), function(point - near)) for near in (change, change / 2)
+    )
+    return wide / 2.0, half
+
+
 _trusted = [f"{Path(__file__).parents[1]}{sep}"]
 
 
@@ -122,10 +147,11 @@ def is_compared(system: Any) -> bool:
     return not all(file.startswith(tuple(_trusted)) for file in files)
 
 
-def points_around(values: Array, random: np.random.Generator, scale: float = 1.0) -> Array:
+def points_around(values: Array, random: np.random.Generator, scale: float | Array = 1.0) -> Array:
     """Return values (size,) at the Context, and at eight points around it, (size, 9).
 
-    With the ``scale`` 0 the values change by a tenth at most, so that a zero stays zero.
+    With the ``scale`` 0 the values change by a tenth at most, so that a zero stays zero. An array
+    (size, 1) has a scale for each value.
     """
     pairs = random.uniform(-1.0, 1.0, (2, values.size, len(_SCALES) // 2))
     changes = np.zeros((2, values.size, len(_SCALES)))
@@ -137,22 +163,30 @@ class CalledLeaf:
     """A leaf system of any scalar type as a function of points.
 
     A point has the time, parameters, continuous and discrete states, and inputs, (size,).
+
+    Parameters
+    ----------
+    system
+        The leaf system.
+    inputs
+        Indices of the input ports that have a value, which must be vectors.
+    base
+        Context of floats with the time and all parameters. A point then has neither.
     """
 
-    def __init__(self, system: Any, inputs: Iterable[int]) -> None:
-        """``inputs``: indices of the input ports that have a value, which must be vectors."""
-        self.system = system
+    def __init__(self, system: Any, inputs: Iterable[int], base: Any = None) -> None:
+        self.system, self.base = system, base
         self.error: BaseException | None = None
         """What the leaf raised when it was last called in vain."""
-        self.sources = sources_of(system, inputs)
+        self.sources = sources_of(system, inputs, states_only=base is not None)
         ends = np.cumsum([source.size for source in self.sources]).tolist()
         self.places = [slice(e - s.size, e) for s, e in zip(self.sources, ends, strict=True)]
 
-    def context(self, point: Any, *, stores: bool = False) -> Any:
-        """Return a Context at a point; ``stores``: whether Drake keeps computed values in it."""
+    def context(self, point: Any) -> Any:
+        """Return a new Context at a point."""
         context = self.system.CreateDefaultContext()
-        if not stores:
-            context.DisableCaching()
+        if self.base is not None:
+            context.SetTimeStateAndParametersFrom(self.base)
         for source, place in zip(self.sources, self.places, strict=True):
             source.write(context, point[place])
         return context
@@ -172,29 +206,3 @@ class CalledLeaf:
                 return [math.nan] * size
 
         return values
-
-
-def differs_from_leaf(
-    evaluate: Evaluate, system: Any, points: Array, inputs: Iterable[int], found: Array
-) -> bool:
-    """Return whether a leaf of floats computes otherwise than its equations, or hides state.
-
-    The leaf is called at each point without cached values. A point where it fails or is not finite
-    does not count.
-
-    Parameters
-    ----------
-    evaluate
-        Function of the leaf and its Context that returns the values.
-    system
-        The leaf system of floats.
-    points
-        Points of a `CalledLeaf`, (points, size).
-    inputs
-        Indices of the input ports that have a value.
-    found
-        Values of the equations, (points, values).
-    """
-    values = CalledLeaf(system, inputs).function(evaluate, found.shape[1])
-    numbers, repeats = called_twice(values, values, points)
-    return not repeats or differ(values, points, found, numbers)

@@ -44,11 +44,11 @@ class Source(NamedTuple):
     """Function of a Context and scalars (size,), which writes this part of the Context alone."""
 
 
-def sources_of(leaf: Any, inputs: Iterable[int]) -> list[Source]:
+def sources_of(leaf: Any, inputs: Iterable[int], states_only: bool = False) -> list[Source]:
     """Return the time, the parameters, both states and input ports of a leaf, in this order.
 
     Of the parameters and states, those without elements are left out. ``inputs``: indices of the
-    input ports, which must be vectors.
+    input ports, which must be vectors. ``states_only`` leaves out the time and parameters too.
     """
     root, default = Node(leaf), leaf.CreateDefaultContext()
 
@@ -68,7 +68,7 @@ def sources_of(leaf: Any, inputs: Iterable[int]) -> list[Source]:
         part("discrete_state", _discrete),
     ]
     ports = map(input_port, map(leaf.get_input_port, inputs))
-    return [*(source for source in own if source.size), *ports]
+    return [*(source for source in own[2 * states_only :] if source.size), *ports]
 
 
 def discrete_values(values: Any) -> list[Any]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import Any
 
 from .graph import Graph
 
@@ -63,3 +65,12 @@ class Equations:
     limits: list[Limit] = field(default_factory=list)
     sections: list[Section] = field(default_factory=list)
     """All sections; each section comes after the sections whose nodes it depends on."""
+
+    def add_update(self, timing: Any, values: Iterable[tuple[int, int]]) -> None:
+        """Add an update of discrete states at the times of Drake's ``timing``."""
+        period, offset = timing.period_sec(), timing.offset_sec()
+        for number, update in enumerate(self.updates):
+            if (update.period_s, update.offset_s) == (period, offset):
+                self.updates[number] = Update(period, offset, (*update.values, *values))
+                return
+        self.updates.append(Update(period, offset, tuple(values)))

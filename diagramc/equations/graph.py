@@ -221,10 +221,6 @@ class Graph:
             return positive
         return self._node("where", condition, positive, otherwise)
 
-    def logic(self, name: str, *conditions: int) -> int:
-        """Make ``and``, ``or`` or ``not`` of conditions, as ``name`` says."""
-        return self._node(name, *conditions)
-
     def reachable(
         self, roots: Iterable[int], arguments: Callable[[int], Iterable[int]] | None = None
     ) -> list[int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import Any
 
 from pydrake.systems.framework import BasicVector
@@ -33,6 +34,13 @@ def parameter_groups(leaf: Node, context: Any) -> list[list[str]]:
 def state_names(leaf: Node, context: Any) -> list[str]:
     """Return the names of a leaf's continuous states: Drake's names if any, otherwise numbers."""
     return _accessor_names(leaf.path, "x", context.get_continuous_state_vector())
+
+
+def discrete_names(leaf: Node, context: Any) -> list[str]:
+    """Return the names of a leaf's discrete states: numbers of the group and of the element."""
+    vectors = map(context.get_discrete_state, range(context.num_discrete_state_groups()))
+    groups = (numbered_names(leaf.path, g, vector.size()) for g, vector in enumerate(vectors))
+    return list(chain(*groups))
 
 
 def numbered_names(path: str, group: int | str, size: int) -> list[str]:

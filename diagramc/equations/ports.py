@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
 from typing import Any
 
@@ -10,6 +10,7 @@ from pydrake.systems.framework import PortDataType
 
 from ..arguments import quoted
 from ..errors import CompilationError, shown
+from .equations import Equations
 from .tree import Node, Port
 
 
@@ -35,7 +36,7 @@ def find_port(root: Node, name: str, kind: str) -> Port:
     port = _inner_port(root, name) if index is None else (root, kind, index)
     if port is None:
         raise CompilationError(_unknown(root, name, kind))
-    if _drake_port(port).get_data_type() != PortDataType.kVectorValued:
+    if not is_vector(_drake_port(port)):
         raise CompilationError(f"{kind} {quoted(name)}: is not a vector; only vectors compile")
     return port
 
@@ -69,7 +70,7 @@ def can_bypass(root: Node, path: str) -> bool:
     if node is None or node.system.num_input_ports() < 1 or node.system.num_output_ports() != 1:
         return False
     ports = node.system.get_input_port(0), node.system.get_output_port(0)
-    if any(port.get_data_type() != PortDataType.kVectorValued for port in ports):
+    if not all(map(is_vector, ports)):
         return False
     return ports[0].size() == ports[1].size() and node.system.CreateDefaultContext().is_stateless()
 
@@ -78,6 +79,47 @@ def route_of(port: Port) -> Iterator[Port]:
     """Yield the ports from a port back to the source of its signal: see `Node.route`."""
     node, kind, index = port
     return node.route(index) if kind == "input" else node.output_route(index)
+
+
+def output_routes(root: Node, outputs: Mapping[str, Port]) -> dict[str, list[Port]]:
+    """Return the routes from the outputs of a model back to their sources, by name.
+
+    The outputs are the output ports of the root that are vectors, and then ``outputs``, whose
+    sources become leaves with equations: see `Node.observed`.
+    """
+    more = {name: list(route_of(port)) for name, port in outputs.items()}
+    root.observed = [route[-1][0] for route in more.values() if route[-1][1] == "output"]
+    ports = enumerate(ports_of(root.system, "output"))
+    own = {p.get_name(): list(root.output_route(i)) for i, p in ports if is_vector(p)}
+    return own | more
+
+
+def open_inputs(equations: Equations, inputs: Mapping[str, Port]) -> dict[Port, int]:
+    """Add open inputs to equations.
+
+    Returns the index of the first element of each among the elements of all open inputs.
+    """
+    first = {}
+    for name, port in inputs.items():
+        first[port] = sum(equations.inputs.values())
+        equations.inputs[name] = size_of(port)
+    return first
+
+
+def ports_of(system: Any, kind: str) -> list[Any]:
+    """Return a system's ``input`` or ``output`` ports, as ``kind`` says."""
+    count = getattr(system, f"num_{kind}_ports")()
+    return [getattr(system, f"get_{kind}_port")(index) for index in range(count)]
+
+
+def is_vector(port: Any) -> bool:
+    """Return whether the signal of one of Drake's ports is a vector."""
+    return bool(port.get_data_type() == PortDataType.kVectorValued)
+
+
+def vector_names(system: Any, kind: str) -> tuple[str, ...]:
+    """Return the names of a system's ``input`` or ``output`` ports that are vectors."""
+    return tuple(port.get_name() for port in ports_of(system, kind) if is_vector(port))
 
 
 def size_of(port: Port) -> int:
@@ -92,9 +134,7 @@ def _drake_port(port: Port) -> Any:
 
 def _ports(system: Any, kind: str) -> dict[str, int]:
     """Return {name: index} of a system's input ports, or of its output ports, as ``kind`` says."""
-    count = getattr(system, f"num_{kind}_ports")()
-    ports = (getattr(system, f"get_{kind}_port")(index) for index in range(count))
-    return {port.get_name(): index for index, port in enumerate(ports)}
+    return {port.get_name(): index for index, port in enumerate(ports_of(system, kind))}
 
 
 def _systems(node: Node) -> Iterator[Node]:

@@ -23,27 +23,29 @@ from typing import Any
 
 import numpy as np
 from pydrake.symbolic import Expression, Variable
-from pydrake.systems.framework import PortDataType
 from pydrake.systems.primitives import TrajectorySource
 
 from ..errors import CompilationError, DifferenceError
 from ..run_data import Array
 from .comparison import (
+    CalledLeaf,
     Evaluate,
-    differs_from_leaf,
+    called_twice,
+    differ,
     is_compared,
     margin_of,
+    output_of,
     points_around,
     rates_of,
     update_of,
 )
 from .contexts import discrete_values, parameters_of, state_of
-from .equations import Equations, Limit, Section, Update
+from .equations import Equations, Limit, Section
 from .events import refuse_witness_functions, symbolic_value, to_symbolic
 from .graph_values import values_at
-from .names import numbered_names, parameter_groups, state_names
+from .names import discrete_names, parameter_groups, state_names
 from .periods import timing_of
-from .ports import find_port, route_of, size_of
+from .ports import find_port, is_vector, open_inputs, output_routes, ports_of, size_of
 from .symbolic import Conversion, Steps, completed
 from .tree import Node, Port
 
@@ -62,65 +64,54 @@ class _Leaf:
         context_of_floats = node.system.CreateDefaultContext()
         refuse_witness_functions(node, context_of_floats)
         self.system = to_symbolic(node)
-        self.context = context = self.system.CreateDefaultContext()
-        self.meaning: dict[int, int | tuple[int, int]] = {}
-        """Dictionary from the id of a variable to its meaning: the node of a source, or an element
-        of an input port of the leaf, as (index of the port, index of the element)."""
         self.outputs: dict[int, list[int] | None] = {}
         """Dictionary from the index of an output port to its nodes, or to None during reading."""
         self.inputs: dict[int, list[int]] = {}
         """Dictionary from the index of an input port to its nodes; only ports read so far."""
-        self.own: list[int] = []
-        """Nodes of the time, of all parameters and of all states of the leaf, in this order."""
         self.parts: dict[str, tuple[Evaluate, list[int]]] = {}
         """What was read of the leaf, by its name: a function of leaf and Context, and the nodes."""
         graph = equations.graph
-
-        def add(kind: str, vector: Any, names: Iterable[str], known: list[str]) -> None:
-            """Fill a vector with variables of new sources, and add their names to all ``known``."""
-            sources = [graph.source(kind, len(known) + i) for i in range(vector.size())]
-            vector.SetFromVector(self._variables(kind, sources))
-            known += names
-
-        if context.num_abstract_states() or context.num_abstract_parameters():
+        if self.system.num_abstract_states() or context_of_floats.num_abstract_parameters():
             raise CompilationError(
                 f"{node.name}: {node.type_name} has an abstract state or parameter; only vectors "
                 f"compile"
             )
-        context.SetTime(self._variables("time", [graph.source("time")])[0])
-        for group, names in enumerate(parameter_groups(node, context_of_floats)):
-            vector = context.get_mutable_numeric_parameter(group)
-            add("parameter", vector, names, equations.parameters)
-        if context.num_continuous_states():
-            vector = context.get_mutable_continuous_state_vector()
-            add("state", vector, state_names(node, context_of_floats), equations.states)
+
+        def added(kind: str, names: list[str], known: list[str]) -> list[int]:
+            """Return new sources of a kind, and add their names to all ``known``."""
+            known += names
+            return [graph.source(kind, i) for i in range(len(known) - len(names), len(known))]
+
+        parameters = list(chain(*parameter_groups(node, context_of_floats)))
         self.first_discrete = len(equations.discrete)
-        for group in range(context.num_discrete_state_groups()):
-            vector = context.get_mutable_discrete_state(group)
-            names = numbered_names(node.path, group, vector.size())
-            add("discrete", vector, names, equations.discrete)
-        self.own = [*self.meaning.values()]  # type: ignore[list-item]
-        for index in range(self.system.num_input_ports()):
-            port = self.system.get_input_port(index)
+        self.own = [
+            graph.source("time"),
+            *added("parameter", parameters, equations.parameters),
+            *added("state", state_names(node, context_of_floats), equations.states),
+            *added("discrete", discrete_names(node, context_of_floats), equations.discrete),
+        ]
+        """Nodes of the time, of all parameters and of all states of the leaf, in this order."""
+        meanings: list[Any] = [*self.own]
+        known = []
+        for index, port in enumerate(ports_of(self.system, "input")):
             *inner, source = node.route(index)
-            has_source = source[1] == "output" or source in open_inputs
-            if port.get_data_type() != PortDataType.kVectorValued or not has_source:
+            is_open = source[1] == "input" and source in open_inputs
+            if not is_vector(port) or not (is_open or source[1] == "output"):
                 continue
             elements: list[Any] = [(index, i) for i in range(port.size())]
-            is_open = source[1] == "input" and source in open_inputs
             if is_open and open_inputs.keys().isdisjoint(inner):
                 first = open_inputs[source]
                 elements = [graph.source("input", first + i) for i in range(port.size())]
                 self.inputs[index] = elements
-            port.FixValue(context, self._variables("input", elements))
-
-    def _variables(self, name: str, meanings: Sequence[Any]) -> Any:
-        variables = [Variable(f"{name}{i}") for i in range(len(meanings))]
-        self.meaning.update(
-            (variable.get_id(), meaning)
-            for variable, meaning in zip(variables, meanings, strict=True)
-        )
-        return np.array([Expression(variable) for variable in variables])
+            meanings += elements
+            known.append(index)
+        variables = [Variable(f"v{i}") for i in range(len(meanings))]
+        ids = [variable.get_id() for variable in variables]
+        self.meaning: dict[int, int | tuple[int, int]] = dict(zip(ids, meanings, strict=True))
+        """Dictionary from the id of a variable to its meaning: the node of a source, or an element
+        of an input port of the leaf, as (index of the port, index of the element)."""
+        point = np.array([*map(Expression, variables)])
+        self.context = CalledLeaf(self.system, known).context(point)
 
 
 class _Reader:
@@ -132,10 +123,7 @@ class _Reader:
 
     def __init__(self, root: Node, inputs: Mapping[str, Port]) -> None:
         self.equations = Equations()
-        self._open_inputs: dict[Port, int] = {}
-        for name, port in inputs.items():
-            self._open_inputs[port] = sum(self.equations.inputs.values())
-            self.equations.inputs[name] = size_of(port)
+        self._open_inputs = open_inputs(self.equations, inputs)
         self.leaves: dict[str, _Leaf] = {}
         paths = set()
         for leaf in root.leaves():
@@ -145,11 +133,7 @@ class _Reader:
             if leaf.has_equations:
                 self.leaves[leaf.path] = _Leaf(leaf, self.equations, self._open_inputs)
 
-    def signal(self, route: Iterable[Port]) -> list[int]:
-        """Return the nodes of the elements of the signal at the first port of a route."""
-        return completed(self._signal(list(route)))
-
-    def _signal(self, route: list[Port]) -> Steps[list[int]]:
+    def signal(self, route: list[Port]) -> Steps[list[int]]:
         """Return the nodes of a signal: the source's signal plus the perturbations on the way."""
         graph = self.equations.graph
         leaf, kind, index = source = route[-1]
@@ -172,7 +156,7 @@ class _Reader:
         where = f"{node.name}: output port {port.get_name()}"
         if index not in leaf.outputs:
             leaf.outputs[index] = None
-            if port.get_data_type() != PortDataType.kVectorValued:
+            if not is_vector(port):
                 raise CompilationError(f"{where}: is not a vector; only vectors compile")
             if isinstance(node.system, TrajectorySource):
                 raise CompilationError(
@@ -180,11 +164,8 @@ class _Reader:
                     f"the input port that it feeds, keep that open by inputs=[...], and pass "
                     f"input_table(trajectory)"
                 )
-            leaf.outputs[index] = yield self._evaluated(
-                f"output port {port.get_name()}",
-                leaf,
-                lambda system, context: system.get_output_port(index).Eval(context),
-            )
+            purpose = f"output port {port.get_name()}"
+            leaf.outputs[index] = yield self._evaluated(purpose, leaf, output_of(index))
         nodes = leaf.outputs[index]
         if nodes is None:
             raise CompilationError(f"{where}: depends on itself (algebraic loop)")
@@ -198,7 +179,7 @@ class _Reader:
         if context.num_discrete_state_groups():
             timing = timing_of(leaf.node)
             nodes = completed(self._evaluated("discrete update", leaf, update_of))
-            self._add_update(timing, list(enumerate(nodes, leaf.first_discrete)))
+            equations.add_update(timing, enumerate(nodes, leaf.first_discrete))
         if callable(getattr(leaf.system, "margin", None)):
             (node,) = completed(self._evaluated("margin", leaf, margin_of))
             equations.limits.append(Limit(leaf.node.path, node))
@@ -225,14 +206,6 @@ class _Reader:
             raise CompilationError(f"{where}: changes the continuous state; only discrete ones may")
         values = discrete_values(context.get_discrete_state())
         self.equations.initial_discrete += completed(self._section(where, leaf, values))
-
-    def _add_update(self, timing: Any, values: list[tuple[int, int]]) -> None:
-        period, offset = timing.period_sec(), timing.offset_sec()
-        for number, update in enumerate(self.equations.updates):
-            if (update.period_s, update.offset_s) == (period, offset):
-                self.equations.updates[number] = Update(period, offset, (*update.values, *values))
-                return
-        self.equations.updates.append(Update(period, offset, tuple(values)))
 
     def _evaluated(self, purpose: str, leaf: _Leaf, evaluate: Evaluate) -> Steps[list[int]]:
         """Add the expressions that ``evaluate`` returns as a `Section`; return their nodes.
@@ -262,13 +235,14 @@ class _Reader:
             return meaning
         index, element = meaning
         if index not in leaf.inputs:
-            leaf.inputs[index] = yield self._signal(list(leaf.node.route(index)))
+            leaf.inputs[index] = yield self.signal(list(leaf.node.route(index)))
         return leaf.inputs[index][element]
 
     def compare(self, root: Node) -> None:
         """Compare the equations of each leaf that is written in Python with the leaf of floats.
 
-        Raises `DifferenceError`, which names the leaf and the port.
+        The leaf of floats is called in a new Context at each point. A point where it fails or is
+        not finite does not count. Raises `DifferenceError`, which names the leaf and the port.
         """
         leaves = [v for v in self.leaves.values() if is_compared(v.node.system)]
         if not leaves:
@@ -290,9 +264,11 @@ class _Reader:
 
         for leaf in leaves:
             points = values([*leaf.own, *chain(*leaf.inputs.values())])
+            called = CalledLeaf(leaf.node.system, leaf.inputs)
             for purpose, (evaluate, nodes) in leaf.parts.items():
-                system, found = leaf.node.system, values(nodes)
-                if differs_from_leaf(evaluate, system, points, leaf.inputs, found):
+                function = called.function(evaluate, len(nodes))
+                numbers, repeats = called_twice(function, function, points)
+                if not repeats or differ(function, points, values(nodes), numbers):
                     raise DifferenceError(
                         f"{leaf.node.name}: {purpose}: the equations that were read off differ "
                         f"from {leaf.node.type_name} called with numbers; its symbolic form must "
@@ -341,19 +317,14 @@ def read_tree(root: Node, inputs: Mapping[str, Port], outputs: Mapping[str, Port
 
     Errors: see `read_equations`.
     """
-    routes = {name: list(route_of(port)) for name, port in outputs.items()}
-    root.observed = [route[-1][0] for route in routes.values() if route[-1][1] == "output"]
+    routes = output_routes(root, outputs)
     reader = _Reader(root, inputs)
     # Exported C has the statements in the order of reading: first those of the leaves, in the order
     # of the diagram, then the outputs that no leaf has read.
     for leaf in reader.leaves.values():
         reader.read(leaf)
-    for index in range(root.system.num_output_ports()):
-        port = root.system.get_output_port(index)
-        if port.get_data_type() == PortDataType.kVectorValued:
-            reader.equations.outputs[port.get_name()] = reader.signal(root.output_route(index))
     for name, route in routes.items():
-        reader.equations.outputs[name] = reader.signal(route)
+        reader.equations.outputs[name] = completed(reader.signal(route))
     reader.compare(root)
     for leaf in reader.leaves.values():
         reader.read_initial(leaf)

@@ -32,8 +32,6 @@ class Node:
         self._exported: dict[tuple[str, int], int] = {}
         self.observed: list[Node] = []
         """Leaves of the root that have equations although nothing may depend on them."""
-        self.fixed: set[int] = set()
-        """Indices of the input ports whose value is fixed, so that no source reaches them."""
         self.is_bypassed = False
         """True if readers of the output port get the signal of the first input port."""
         if not hasattr(system, "connection_map"):
@@ -136,7 +134,7 @@ class Node:
         is not connected.
         """
         yield self, "input", index
-        if self.parent is None or index in self.fixed:
+        if self.parent is None:
             return
         key = (self.system.get_name(), index)
         if (source := self.parent._drivers.get(key)) is not None:

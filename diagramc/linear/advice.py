@@ -13,7 +13,13 @@ from ..equations.operations import OPERATIONS, Role
 from ..equations.ports import can_bypass
 from ..run_data import Array
 from .leafwise import LeafwisePoint
-from .point import EQUILIBRIUM_TOLERANCE, Obstacle, Point, Slopes, require_tolerance
+from .point import (
+    EQUILIBRIUM_TOLERANCE,
+    Obstacle as Obstacle,
+    Point,
+    Slopes,
+    require_tolerance,
+)
 from .reading import read_point
 
 _AT_CORNER = 1e-9  # relative distance of two numbers that counts as equal
@@ -272,15 +278,14 @@ def _moving_state(point: Point, slopes: Slopes, tolerance: float) -> list[Obstac
         return []
     if not (moving := point.motion(slopes, tolerance)):
         return []
-    name = point.state_names[int(np.nanargmax(np.abs(point.residual(slopes.rates))))]
-    return [
-        Obstacle(
-            name.rpartition(".")[0] or name,
-            f"state {name}",
-            f"is not at rest: {moving}",
-            "use find_equilibrium, or equilibrium_tolerance=math.inf",
-        )
-    ]
+    index = int(np.nanargmax(np.abs(point.residual(slopes.rates))))
+    remedy = "use find_equilibrium, or equilibrium_tolerance=math.inf"
+    return [_of_state(point, index, f"is not at rest: {moving}", remedy)]
+
+
+def _of_state(point: Point, index: int, reason: str, remedy: str) -> Obstacle:
+    name = point.state_names[index]
+    return Obstacle(name.rpartition(".")[0] or name, f"state {name}", reason, remedy)
 
 
 def _blocked_states(point: Point, slopes: Slopes, tolerance: float) -> Iterator[Obstacle]:
@@ -301,11 +306,10 @@ def _blocked_states(point: Point, slopes: Slopes, tolerance: float) -> Iterator[
         if abs(weights @ (residual / scale)) <= tolerance * np.max(np.abs(weights) / scale):
             continue
         index = int(np.argmax(np.abs(weights * residual / scale)))
-        name = point.state_names[index]
         rate = "per s" if index < len(point.read.state_names) else "per update"
-        yield Obstacle(
-            name.rpartition(".")[0] or name,
-            f"state {name}",
+        yield _of_state(
+            point,
+            index,
             f"changes by {residual[index]:.6g} {rate}, and no state brings this to zero",
             "close a loop around it, set its input to zero, or pass equilibrium_tolerance=math.inf",
         )

@@ -9,10 +9,10 @@ from itertools import chain
 from typing import Any
 
 import numpy as np
-from pydrake.systems.framework import PortDataType
 
 from ..arguments import names, positive
 from ..equations.equations import Update
+from ..equations.ports import vector_names
 from ..errors import LinearizationError, ParameterError
 from ..native.timing import timing
 from ..run_data import Array
@@ -39,7 +39,7 @@ def linearize(
     """Linearize a continuous, sampled, mixed or multirate diagram of floats at an equilibrium.
 
     The derivatives are exact, from the symbolic equations of the leaf systems. If a leaf has none,
-    such as a `MultibodyPlant`, the derivatives are those of Drake's AutoDiffXd, and for a leaf of
+    such as Drake's ``MultibodyPlant``, the derivatives are those of Drake's AutoDiffXd, and for a leaf of
     floats they are central differences, which a warning names. A diagram with sample periods
     becomes a discrete model over their least common multiple. The matrix exponential moves its
     continuous states between the updates. See `LinearModel` for the definitions.
@@ -57,9 +57,8 @@ def linearize(
     context
         Its Context with parameters, state and time, by default the default Context. Values of input
         ports come from the Context too. An input port in ``inputs`` without a value has the value
-        zero. A value fixed at a port inside takes the place of its connection, as in Drake's
-        Simulator, and so opens a loop there. (Drake's own `Linearize` keeps the connection, and
-        so does a ``diagram`` from `read_diagram`, whose connections are known already.)
+        zero. A port inside that nothing drives has its value in the Context too. A value fixed at a
+        connected port inside does not count, as in Drake's own `Linearize`: see `loop_at`.
     inputs
         Names of input ports of the diagram, by default of all its vector ports. A name
         ``path/of/system:port`` stands for a port inside the diagram. The input is then a
@@ -148,9 +147,9 @@ def _models(
 ) -> list[LinearModel]:
     system = system_of(diagram)
     if inputs is None:
-        inputs = _vector_ports(map(system.get_input_port, range(system.num_input_ports())))
+        inputs = vector_names(system, "input")
     if outputs is None:
-        outputs = _vector_ports(map(system.get_output_port, range(system.num_output_ports())))
+        outputs = vector_names(system, "output")
     in_names, out_names = names("inputs", inputs), names("outputs", outputs)
     require_tolerance(equilibrium_tolerance)
     points = read_points(diagram, chain(contexts, beside), in_names, out_names, bypass)
@@ -160,11 +159,6 @@ def _models(
     for point in points[:count]:
         models.append(_model(point, near, in_names, out_names, period_s, equilibrium_tolerance))
     return models
-
-
-def _vector_ports(ports: Iterable[Any]) -> tuple[str, ...]:
-    vector = PortDataType.kVectorValued
-    return tuple(port.get_name() for port in ports if port.get_data_type() == vector)
 
 
 def _model(

@@ -7,14 +7,15 @@ from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
-from pydrake.systems.framework import PortDataType, System
 
+from ..equations.ports import vector_names
 from ..errors import ParameterError, shown
 from .linearize import linearize
 from .loops import Transfer
 from .model import over_period
 from .periodic import PeriodicLoop, opened, updates_last
 from .point import EQUILIBRIUM_TOLERANCE
+from .reading import system_of
 
 
 def loop_at(
@@ -59,7 +60,7 @@ def loop_at(
     model = linearize(
         diagram,
         context,
-        inputs=dict.fromkeys([name, *_vector_inputs(diagram)]),
+        inputs=dict.fromkeys([name, *vector_names(system_of(diagram), "input")]),
         outputs=[name],
         bypass=bypass,
         equilibrium_tolerance=equilibrium_tolerance,
@@ -70,15 +71,6 @@ def loop_at(
         return Transfer(model.a - b @ c, b, -c, 0.0, None)  # d = v − y in ẋ = A x + B d
     loop = PeriodicLoop(opened(model.ticks, index, c), c, model.period_s)
     return _transfer(loop) or loop
-
-
-def _vector_inputs(diagram: Any) -> Iterator[str]:
-    """Yield the names of the input ports of a diagram that are vectors."""
-    if isinstance(diagram, System):  # else linearize raises its error
-        for index in range(diagram.num_input_ports()):
-            port = diagram.get_input_port(index)
-            if port.get_data_type() == PortDataType.kVectorValued:
-                yield port.get_name()
 
 
 def _name_and_element(port: str) -> tuple[str, int | None]:

@@ -260,11 +260,8 @@ def as_transfer(loop: Any) -> Transfer:
     else:
         matrices, period_s = _control_matrices(loop)
     try:
-        if any(map(np.iscomplexobj, matrices)):
-            raise TypeError("complex")
-        a, b, c, d = (np.atleast_2d(np.asarray(matrix, dtype=float)) for matrix in matrices)
-        period_s = None if period_s is None else float(period_s)
-    except (TypeError, ValueError):
+        a, b, c, d = (np.atleast_2d(np.asarray(matrix)) for matrix in matrices)
+    except ValueError:  # rows of unequal length
         raise ParameterError(_NO_NUMBERS) from None
     n = a.shape[0] if a.size else 0
     if d.shape != (1, 1):
@@ -274,7 +271,7 @@ def as_transfer(loop: Any) -> Transfer:
         )
     if (a.size, b.size, c.size) == (n * n, n, n):
         a, b, c = a.reshape(n, n), b.reshape(n, 1), c.reshape(1, n)
-    return Transfer(a, b, c, float(d[0, 0]), period_s)
+    return Transfer(a, b, c, d[0, 0], period_s)
 
 
 def _control_matrices(system: Any) -> tuple[list[Any], float | None]:

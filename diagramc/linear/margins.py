@@ -147,19 +147,30 @@ def _transfer_margins(system: Transfer) -> LoopMargins:
         delay = (0.0, math.inf)  # the delayed loop has crossings at all high frequencies
     disk, frequency = _disk(system, grid, values, ends)
     _require_exact(system, grid, [f for _, f in (upper, lower) if 0.0 < f < math.inf])
-    return LoopMargins(
-        stable=system.closed_is_stable(),
-        gain_margin=upper[0],
-        gain_margin_frequency_hz=upper[1],
-        lower_gain_margin=lower[0],
-        phase_margin_deg=lag[0],
-        phase_margin_frequency_hz=lag[1],
-        phase_lead_margin_deg=lead[0],
-        phase_lead_margin_frequency_hz=lead[1],
-        delay_margin_s=delay[0],
-        delay_margin_frequency_hz=delay[1],
-        **_disk_values(0.5 * disk, frequency),
-    )
+    stable = system.closed_is_stable()
+    return _loop_margins(stable, upper, lower[0], lag, lead, delay, (0.5 * disk, frequency))
+
+
+def _loop_margins(
+    stable: bool,
+    upper: tuple[float, float],
+    lower: float,
+    lag_deg: tuple[float, float],
+    lead_deg: tuple[float, float],
+    delay_s: tuple[float, float],
+    disk: tuple[float, float],
+) -> LoopMargins:
+    """Return the margins from pairs of a change and its frequency in Hz.
+
+    The change of ``disk`` is half the disk margin.
+    """
+    reach, frequency = disk
+    whole = reach >= _WHOLE_PLANE
+    factor = math.inf if whole else (1.0 + reach) / (1.0 - reach)
+    phase_deg = math.degrees(2.0 * math.atan(reach))
+    # In the order of the fields.
+    changes = (*upper, lower, *lag_deg, *lead_deg, *delay_s, 2.0 * reach, frequency)
+    return LoopMargins(stable, *changes, factor, phase_deg)
 
 
 def _require_exact(system: Transfer, grid: Array, gain_frequencies: list[float]) -> None:
@@ -205,49 +216,16 @@ def _marginal_frequency(system: Transfer) -> float | None:
 
 def _no_margins(frequency: float) -> LoopMargins:
     """Return the margins of a loop with L = −1 at a frequency in Hz."""
-    return LoopMargins(
-        stable=False,
-        gain_margin=1.0,
-        gain_margin_frequency_hz=frequency,
-        lower_gain_margin=1.0,
-        phase_margin_deg=0.0,
-        phase_margin_frequency_hz=frequency,
-        phase_lead_margin_deg=0.0,
-        phase_lead_margin_frequency_hz=frequency,
-        delay_margin_s=0.0,
-        delay_margin_frequency_hz=frequency,
-        **_disk_values(0.0, frequency),
-    )
+    none, unchanged = (0.0, frequency), (1.0, frequency)
+    return _loop_margins(False, unchanged, 1.0, none, none, none, none)
 
 
 def _periodic_margins(loop: PeriodicLoop) -> LoopMargins:
     """Return the margins of a loop without transfer function, by factors on its signal."""
     more, less, turn = loop.gain_change(1.0), loop.gain_change(-1.0), loop.turn_change()
-    reach, frequency = loop.disk_change()
-    return LoopMargins(
-        stable=loop.stable(),
-        gain_margin=more[0],
-        gain_margin_frequency_hz=more[1],
-        lower_gain_margin=less[0],
-        phase_margin_deg=math.degrees(turn[0]),
-        phase_margin_frequency_hz=turn[1],
-        phase_lead_margin_deg=math.degrees(turn[0]),
-        phase_lead_margin_frequency_hz=turn[1],
-        delay_margin_s=math.nan,
-        delay_margin_frequency_hz=math.nan,
-        **_disk_values(reach, frequency),
-    )
-
-
-def _disk_values(reach: float, frequency: float) -> dict[str, float]:
-    """Return the four disk margin fields of `LoopMargins`; ``reach`` is half the disk margin."""
-    whole = reach >= _WHOLE_PLANE
-    return {
-        "disk_margin": 2.0 * reach,
-        "disk_margin_frequency_hz": frequency,
-        "disk_gain_margin": math.inf if whole else (1.0 + reach) / (1.0 - reach),
-        "disk_phase_margin_deg": math.degrees(2.0 * math.atan(reach)),
-    }
+    turn_deg = math.degrees(turn[0]), turn[1]
+    none = (math.nan, math.nan)
+    return _loop_margins(loop.stable(), more, less[0], turn_deg, turn_deg, none, loop.disk_change())
 
 
 def _limit(system: Transfer, frequency: float) -> complex:

@@ -195,7 +195,7 @@ def _graphs(draw, kinds=EXACT, *, nodes=25, roots=6, constants=EDGES, sizes=None
         elif kind == "logic":
             name = draw(st.sampled_from(("and", "or", "not")))
             count = 1 if name == "not" else draw(st.integers(2, 3))
-            conditions.append(graph.logic(name, *(pick(conditions) for _ in range(count))))
+            conditions.append(graph.simplified(name, *(pick(conditions) for _ in range(count))))
         elif kind == "where":
             arguments = pick(conditions), pick(numbers), pick(numbers)
             numbers.append(graph.operation("where", *arguments))

@@ -97,8 +97,8 @@ def test_every_operation_has_the_value_of_the_interpreter(interpreted):
     roots += [g.operation(name, g.unary("exp", x), p) for name in ("min", "max", "add", "multiply")]
     for name in ("gt", "ge", "le", "eq"):
         roots.append(g.where(g.compare(name, x, p), g.unary("sin", x), g.unary("exp", x)))
-    for condition in (g.logic("and", smaller, unequal), g.logic("or", smaller, unequal)):
-        roots.append(g.where(g.logic("not", condition), g.unary("sin", x), g.unary("exp", x)))
+    for condition in (g.simplified("and", smaller, unequal), g.simplified("or", smaller, unequal)):
+        roots.append(g.where(g.simplified("not", condition), g.unary("sin", x), g.unary("exp", x)))
     counts = np.arange(1.0, 8.0)
     tables = tables_of(g, roots, {0: (1, 7)}, np.array([0.4]))
     values = {table.node: table.values for table in tables}

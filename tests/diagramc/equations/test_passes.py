@@ -287,10 +287,10 @@ def test_a_condition_on_parameters_is_computed_where_it_is_used(printed):
     graph = Graph()
     x = graph.source("state")
     p, q = sources(graph, "parameter", 2)
-    condition = graph.logic(
+    condition = graph.simplified(
         "and",
         graph.compare("gt", p, graph.zero),
-        graph.logic("not", graph.compare("gt", graph.multiply(p, q), q)),
+        graph.simplified("not", graph.compare("gt", graph.multiply(p, q), q)),
     )
     root = graph.where(condition, x, graph.negate(x))
     sizes = {"parameter": 2, "state": 1, "discrete": 0, "input": 0}

@@ -56,21 +56,10 @@ def test_an_input_that_is_neither_named_nor_fixed_is_an_error():
         find_equilibrium(plant, context)
 
 
-def test_the_input_without_a_value_is_named_among_others():
-    builder = DiagramBuilder()
-    integrator = builder.AddNamedSystem("integrator", Integrator(1))
-    unused = builder.AddNamedSystem("unused", Gain(1.0, 1))
-    ports = {"idle": unused.get_input_port(), "r": integrator.get_input_port()}
-    for name, port in ports.items():
-        builder.ExportInput(port, name)
-    with pytest.raises(CompilationError, match=r"\Ainput port 'r' has no value"):
-        read_point(builder.Build(), None)
-
-
 def test_an_input_inside_that_is_open_is_no_input_of_the_diagram():
     builder = DiagramBuilder()
     builder.AddNamedSystem("integrator", Integrator(1))
-    with pytest.raises(CompilationError, match=r"\Aintegrator: .*is not connected.*; connect it"):
+    with pytest.raises(CompilationError, match="integrator: input port 'u0' has no value: Fix"):
         read_point(builder.Build(), None)
 
 
