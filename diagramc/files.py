@@ -162,8 +162,8 @@ def require_empty(folder: Path) -> None:
 def temporary_in(directory: Path) -> Iterator[Path]:
     """Context manager: give a temporary directory in ``directory``, which this process locks.
 
-    The given path ends in ``new``. Beside it lie the file of the lock, and ``old`` for the files that
-    new ones replace. Raises `OSError` if the temporary directory cannot be made.
+    The given path ends in ``new``. Beside it lie the file of the lock, and ``old`` for the files
+    that new ones replace. Raises `OSError` if the temporary directory cannot be made.
     """
     with ExitStack() as stack:
         with interrupt_later():

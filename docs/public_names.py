@@ -65,7 +65,8 @@ def imported(module: str) -> dict[str, str]:
     for node in top_level(module):
         if isinstance(node, ast.ImportFrom):
             source = "." * node.level + (node.module or "")
-            source = importlib.util.resolve_name(source, module)
+            package = importlib.import_module(module).__package__
+            source = importlib.util.resolve_name(source, package)
             if source.startswith(("diagramc", "kneexo.")):
                 names |= {alias.asname or alias.name: source for alias in node.names}
     return names

@@ -45,7 +45,6 @@ def reason_of(error: BaseException) -> str:
     # str(error) could raise an error itself.
     text = format_exception_only(error)[0].strip().partition(": ")[2]
     reason = (text.splitlines() or [type(error).__name__])[0]
-    reason = reason.partition(". The following argument types")[0]  # pybind11's list of signatures
     if "`__bool__`" in reason:  # also of a Formula, whose own text does not help
         reason = "the code branches on a symbolic value"
     frames = extract_tb(error.__traceback__)

@@ -39,8 +39,8 @@ def linearize(
     """Linearize a continuous, sampled, mixed or multirate diagram of floats at an equilibrium.
 
     The derivatives are exact, from the symbolic equations of the leaf systems. If a leaf has none,
-    such as Drake's ``MultibodyPlant``, the derivatives are those of Drake's AutoDiffXd, and for a leaf of
-    floats they are central differences, which a warning names. A diagram with sample periods
+    such as Drake's ``MultibodyPlant``, the derivatives are those of Drake's AutoDiffXd. For a leaf
+    of floats they are central differences, which a warning names. A diagram with sample periods
     becomes a discrete model over their least common multiple. The matrix exponential moves its
     continuous states between the updates. See `LinearModel` for the definitions.
 
