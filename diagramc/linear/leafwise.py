@@ -141,9 +141,9 @@ class LeafwisePoint(Point):
             np.vstack([slopes.rates_jacobian, slopes.outputs_jacobian])
             for slopes in (self.slopes(outputs), later.slopes(outputs))
         )
-        varies = ~np.isclose(here, there, _EQUAL, _EQUAL).all(axis=1)
+        keeps = np.isclose(here, there, _EQUAL, _EQUAL).all(axis=1).tolist()
         names = (*self.rate_names, *self.element_names(outputs))
-        return [name for name, does in zip(names, varies, strict=True) if does]
+        return [name for name, does in zip(names, keeps, strict=True) if not does]
 
     @property
     def width(self) -> int:
