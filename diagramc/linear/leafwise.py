@@ -141,9 +141,9 @@ class LeafwisePoint(Point):
             np.vstack([slopes.rates_jacobian, slopes.outputs_jacobian])
             for slopes in (self.slopes(outputs), later.slopes(outputs))
         )
-        keeps = np.isclose(here, there, _EQUAL, _EQUAL).all(axis=1).tolist()
+        varying = np.flatnonzero(~np.isclose(here, there, _EQUAL, _EQUAL).all(axis=1))
         names = (*self.rate_names, *self.element_names(outputs))
-        return [name for name, does in zip(names, keeps, strict=True) if not does]
+        return [names[index] for index in varying.tolist()]
 
     @property
     def width(self) -> int:
