@@ -187,8 +187,8 @@ def test_a_number_must_be_finite_and_in_its_range_whose_ends_are_exact(key: str)
 
 
 COUPLED = (
-    *("must be below", "must not exceed", "must be at least", "must be 0 or >="),
-    *("must be at most", "must be <", "must be more than", "seed must be given"),
+    *("must be below", "must not exceed", "must be at least", "must be less than"),
+    *("must be 0 or >=", "must be at most", "must be <", "must be more than", "seed must be given"),
 )
 
 
