@@ -54,11 +54,16 @@ def sources_of(leaf: Any, inputs: Iterable[int], states_only: bool = False) -> l
 
     def part(name: str, vectors: Callable[..., Iterator[Any]]) -> Source:
         size = sum(vector.size() for vector in vectors(root, default))
-        read = lambda context: _numbers(vectors(root, context))  # noqa: E731
+
+        def read(context: Any) -> Any:
+            return _numbers(vectors(root, context))
+
         return Source(name, size, read, lambda context, x: _fill(vectors(root, context, _WRITE), x))
 
     def input_port(port: Any) -> Source:
-        read = lambda c: port.Eval(c) if port.HasValue(c) else np.zeros(port.size())  # noqa: E731
+        def read(context: Any) -> Any:
+            return port.Eval(context) if port.HasValue(context) else np.zeros(port.size())
+
         return Source(port.get_name(), port.size(), read, port.FixValue)
 
     own = [

@@ -75,6 +75,8 @@ def test_energy_is_the_integral_of_power_and_delivered_energy_leaves_out_returns
     assert m.shaft_energy_j == pytest.approx(0.0, abs=1e-4)
     assert m.shaft_energy_delivered_j == pytest.approx(4.0 / math.pi, abs=1e-4)
     assert m.peak_shaft_power_w == pytest.approx(1.0, abs=1e-4)
+    braking = metrics(0 * TIME, power=np.where(TIME < 1.0, -3.0, 1.0))
+    assert braking.peak_shaft_power_w == 3.0
 
 
 def test_a_run_of_one_sample_is_refused():
