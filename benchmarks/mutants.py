@@ -1,4 +1,4 @@
-"""Change the package at random places, one at a time, and show the changes that no test notices.
+"""Change the package at random places, one at a time, and show those that its own tests miss.
 
     python benchmarks/mutants.py [--count 60] [--seed TEXT] [--most N]
 
@@ -7,8 +7,8 @@ seed, spread over the folders of the package by their numbers of places. Each mu
 of the tree, with an empty cache, until a test fails: the fast tests of the file that mirrors the
 module and of the files that import the module, then the slow tests of the mirror that the gate
 runs, then its other slow tests. The exit code is 1 if more than ``--most`` mutants survive. A
-survivor is a gap in the tests, or a change that changes nothing. `benchmarks/mutation.py` makes
-every change of one module.
+survivor is a gap in these tests, which other tests may fill, or a change that changes nothing.
+`benchmarks/mutation.py` makes every change of one module.
 """
 
 from __future__ import annotations

@@ -61,7 +61,7 @@ def users_part(
     given = {"scenario": scenario, "start": start, **chosen.values}
     numbers = repr((start, sorted(chosen.values.items())))
     text = scenario.model_dump_json() if scenario and chosen.make.takes_scenario else ""
-    # Names in `start` and `needed` tell the template, which so need not be a part of the key.
+    # `start` and `needed` together determine the template, so the key leaves it out.
     found = remembered(
         chosen.make,
         (replaced.name, needed, period_s, numbers, text),

@@ -69,7 +69,7 @@ def test_a_kernel_shows_the_mechanism_of_a_scenario():
     pytest.importorskip("ipykernel")
     cell = nbformat.v4.new_code_cell("import kneexo as kx\nkx.Scenario.preset('leg')")
     book = nbformat.v4.new_notebook(cells=[cell])
-    nbclient.NotebookClient(book, kernel_name="python3").execute()
+    nbclient.NotebookClient(book, kernel_name="python3", timeout=60).execute()  # else: for ever
     (output,) = book.cells[0].outputs
     assert output.data["text/html"].count("<svg ") == 1
     assert output.data["text/plain"].startswith("Scenario(plant=")
