@@ -200,7 +200,8 @@ class CalledLeaf:
 
         def values(point: Array) -> Sequence[float]:
             try:
-                return evaluate(self.system, self.context(point))
+                with np.errstate(all="ignore"):  # points without a finite value do not count
+                    return evaluate(self.system, self.context(point))
             except (Exception, SystemExit) as error:  # a user's code may raise any; Drake exits
                 self.error = error
                 return [math.nan] * size

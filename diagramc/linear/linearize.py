@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import sys
 import warnings
 from collections.abc import Iterable, Sequence
 from itertools import chain
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +23,7 @@ from .model import LinearModel, OperatingPoint, TickModel, over_period
 from .point import EQUILIBRIUM_TOLERANCE, Point, mean_slopes, require_tolerance
 from .reading import read_points, system_of
 
+_PACKAGE = Path(__file__).parents[1]
 _MOST_TICKS = 100_000  # each has a matrix J of its own: 0.3 GB for 20 states
 _MOST_TIME_CONSTANTS = 1e9  # seven digits of the matrix exponential are left
 
@@ -226,14 +229,16 @@ def _require_period(a: Array, b: Array, rates: Array, period_s: float, sampled: 
 
 def _warn(point: Point, out_names: tuple[str, ...]) -> None:
     """Warn of obstacles, and of derivatives that depend on the time."""
-    # Level 5 of the stack is the caller of `linearize`.
+    level, frame = 1, sys._getframe()
+    while frame.f_back and Path(frame.f_code.co_filename).is_relative_to(_PACKAGE):
+        level, frame = level + 1, frame.f_back  # up to the line of the user, also from `loop_at`
     for obstacle in obstacles(point, out_names):
-        warnings.warn(str(obstacle), stacklevel=5)
+        warnings.warn(str(obstacle), stacklevel=level)
     if varying := point.time_varying(out_names):
         warnings.warn(
             f"the derivatives of {varying[0]} depend on the time: the model has those of "
             f"t = {point.time_s:g} s",
-            stacklevel=5,
+            stacklevel=level,
         )
 
 

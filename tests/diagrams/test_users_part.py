@@ -3,8 +3,10 @@
 import math
 import pickle
 import re
+from functools import partial
 
 import numpy as np
+import pydrake.math as drake_math
 import pytest
 import scipy
 from pydrake.systems.framework import BasicVector_, LeafSystem, LeafSystem_
@@ -114,21 +116,113 @@ def test_both_engines_and_a_hand_wired_plant_have_the_part():
     assert start == pytest.approx(math.radians(10.0), abs=1e-9)
 
 
+@TemplateSystem.define("Slack_")
+def Slack_(T):
+    class Impl(LeafSystem_[T]):
+        """A motor whose drive has a dead band and a lag, and a shaft with a lag of its own."""
+
+        def _construct(self, converter=None):
+            LeafSystem_[T].__init__(self, converter)
+            self.command = self.DeclareVectorInputPort("motor_speed_command", 1)
+            self.pressure = self.DeclareVectorInputPort("load_pressure", 1)
+            self.DeclareContinuousState(2)
+            speed, pressure = {self.all_state_ticket()}, {self.pressure.ticket()}
+            for name, needs in {
+                "motor_speed": speed,
+                "load_flow": speed | pressure,
+                "shaft_torque": pressure,
+                "shaft_power": speed | pressure,
+                "hydraulic_power": speed | pressure,
+            }.items():
+                self.DeclareVectorOutputPort(name, 1, partial(self.output, name), needs)
+
+        def _construct_copy(self, other, converter=None):
+            Impl._construct(self, converter=converter)
+
+        def output(self, name, context, output):
+            pump = PAPER.plant.pump
+            ratio = pump.displacement_m3_per_rad / pump.gear_ratio
+            speed, _ = context.get_continuous_state_vector().CopyToVector()
+            if name == "motor_speed":
+                output.SetFromVector([speed])
+                return
+            pressure = self.pressure.Eval(context)[0]
+            flow = ratio * speed - pump.leakage_m3_per_s_pa * pressure
+            output[0] = {
+                "load_flow": flow,
+                "shaft_torque": ratio * pressure,
+                "shaft_power": ratio * pressure * speed,
+                "hydraulic_power": flow * pressure,
+            }[name]
+
+        def DoCalcTimeDerivatives(self, context, rates):
+            speed, drive = context.get_continuous_state_vector().CopyToVector()
+            command = self.command.Eval(context)[0]
+            beyond = drake_math.max(command - 3.0, 0.0) + drake_math.min(command + 3.0, 0.0)
+            rates.get_mutable_vector().SetFromVector(
+                [(drive - speed) / 0.008, (beyond - drive) / 0.004]
+            )
+
+    return Impl
+
+
+@TemplateSystem.define("Springs_")
+def Springs_(T):
+    class Impl(LeafSystem_[T]):
+        """A spring of 4 N·m/rad around 20°, and one of 30 N·m/rad beyond 10.05°."""
+
+        def _construct(self, converter=None):
+            LeafSystem_[T].__init__(self, converter)
+            self.angle = self.DeclareVectorInputPort("knee_angle", 1)
+            self.arm = self.DeclareVectorInputPort("moment_arm", 1)
+            needs = {self.angle.ticket(), self.arm.ticket()}
+            self.DeclareVectorOutputPort("load_force", 1, self.force, needs)
+
+        def _construct_copy(self, other, converter=None):
+            Impl._construct(self, converter=converter)
+
+        def force(self, context, output):
+            angle = self.angle.Eval(context)[0]
+            torque = 4.0 * (math.radians(20.0) - angle)
+            torque -= 30.0 * drake_math.max(angle - math.radians(10.05), 0.0)
+            output[0] = torque / self.arm.Eval(context)[0]
+
+    return Impl
+
+
+TABLE_1 = (1.571e-8, -4.164e-6, 0.0004789, -0.03192, -0.6195, 148.0)
+"""Coefficients of the rod extension in mm for the knee angle in deg, Lee et al. 2020."""
+
+PARTS = {"cylinder": rubbing, "motor": lambda: Slack_[None](), "load": lambda: Springs_[None]()}
+
+
 @pytest.mark.slow
-def test_the_friction_of_a_part_against_an_own_integration():
-    scenario = PAPER.with_part("cylinder", rubbing)
+@pytest.mark.parametrize("place", PARTS)
+def test_a_part_against_an_own_integration(place):
+    scenario = PAPER.with_part(place, PARTS[place])
     run = simulate(scenario.changed({"simulation.tolerance": 1e-12}))
-    cylinder, pump = PAPER.plant.cylinder, PAPER.plant.pump
+    plant = PAPER.plant
+    cylinder, pump = plant.cylinder, plant.pump
     area, stiffness = cylinder.mean_area_m2, 4 * cylinder.bulk_modulus_pa / cylinder.total_volume_m3
     ratio = pump.displacement_m3_per_rad / pump.gear_ratio
-    state = np.array([run["rod_extension_m"][0], 0.0, 0.0, 0.0])
+    start = run["load_pressure_pa"][0]
+    state = np.array([run["rod_extension_m"][0], 0.0, start, 0.0, 0.0, run["knee_angle_rad"][0]])
 
     def rates(_, x, command):
+        slope = 0.18 / math.pi * np.polyval(np.polyder(TABLE_1), math.degrees(x[5]))
         force = area * x[2] - cylinder.damping_n_s_per_m * x[1]
-        force -= 20.0 * x[1] / math.sqrt(x[1] ** 2 + 1e-4)
+        shaft = (command - x[3]) / pump.lag_s
+        drive = 0.0
+        if place == "cylinder":
+            force -= 20.0 * x[1] / math.sqrt(x[1] ** 2 + 1e-4)
+        elif place == "motor":
+            shaft = (x[4] - x[3]) / 0.008
+            drive = (command - min(max(command, -3.0), 3.0) - x[4]) / 0.004
+        else:
+            torque = 4.0 * (math.radians(20.0) - x[5])
+            force += (torque - 30.0 * max(x[5] - math.radians(10.05), 0.0)) / slope
         oil = stiffness * (ratio * x[3] - pump.leakage_m3_per_s_pa * x[2] - area * x[1])
-        lag = (command - x[3]) / pump.lag_s
-        return [x[1], force / cylinder.mass_kg, oil, lag]
+        return [x[1], force / cylinder.mass_kg, oil, shaft, drive, x[1] / slope]
 
     for k, command in enumerate(run["motor_speed_command_rad_s"][1:]):
         given = (command,)

@@ -42,6 +42,7 @@ RIGHT = {
     "choice": lambda x: if_then_else(x > 0.5, x, 2.0 * x) if isinstance(x, Expression) else (
         x if x > 0.5 else 2.0 * x),
     "fails for many numbers": lambda x: drake_math.sqrt(x - 0.5),
+    "warns of nan": by_type(lambda x: np.sqrt(x - 0.5), lambda x: drake_math.sqrt(x - 0.5)),
     "nan": by_type(lambda x: math.nan, lambda x: x),
 }  # fmt: skip
 WRONG = {
@@ -94,8 +95,9 @@ PARTS = "output port y", "discrete update", "time derivatives"
 
 @pytest.mark.parametrize("part", PARTS)
 @pytest.mark.parametrize("function", RIGHT.values(), ids=RIGHT)
-def test_a_right_leaf_compiles(part, function):
+def test_a_right_leaf_compiles(part, function, recwarn):
     read_diagram(Leaf_[None](part, function), inputs=["u"])
+    assert [str(warning.message) for warning in recwarn] == []
 
 
 @pytest.mark.parametrize("part", PARTS)

@@ -7,6 +7,7 @@ import control
 import numpy as np
 import pytest
 from pydrake.examples import PendulumPlant
+from pydrake.symbolic import Variable
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import (
     Adder,
@@ -17,6 +18,7 @@ from pydrake.systems.primitives import (
     LinearSystem,
     MatrixGain,
     Multiplexer,
+    SymbolicVectorSystem,
     ZeroOrderHold,
 )
 
@@ -309,3 +311,11 @@ def test_the_loops_of_a_random_diagram_close_again(random_diagram, kind):
 def test_the_loops_of_ten_random_diagrams_close_again(random_diagram, kind):
     for seed in range(10):
         assert_loops_close(random_diagram(seed, kind))
+
+
+def test_a_warning_points_at_the_line_that_asks_for_the_loop():
+    x, u = Variable("x"), Variable("u")
+    plant = SymbolicVectorSystem(state=[x], input=[u], dynamics=[u - abs(x)], output=[x])
+    with pytest.warns(UserWarning, match="corner") as caught:
+        loop_at(ring(("plant", plant), ("gain", Gain(-1.0, 1))), "gain:y0")
+    assert caught[0].filename == __file__
