@@ -116,6 +116,26 @@ def units_of(kind):
             yield name, unit
 
 
+def needs(system, wanted):
+    """Whether an output, the rates or the update fail while this input alone is open."""
+    context = system.CreateDefaultContext()
+    for n in range(system.num_input_ports()):
+        port = system.get_input_port(n)
+        if port is not wanted:
+            port.FixValue(context, port.Allocate())
+    outputs = [system.get_output_port(n) for n in range(system.num_output_ports())]
+    calls = [*(port.Eval for port in outputs), system.EvalTimeDerivatives]
+    if system.GetUniquePeriodicDiscreteUpdateAttribute():
+        calls.append(system.EvalUniquePeriodicDiscreteUpdate)
+    for call in calls:
+        try:
+            call(context)
+        except Exception as error:  # such as the range of a mechanism
+            if "is not connected" in str(error):
+                return True
+    return False
+
+
 def structure(system):
     """Ports with sizes, the inputs that an output feels at once, states, period, parameters."""
     units = UNITS | dict(itertools.chain(*map(units_of, CLASSES.values())))
@@ -140,7 +160,8 @@ def structure(system):
         assert timing.offset_sec() == 0.0
         states.append(f"{discrete} discrete, every {timing.period_sec():g} s")
     names = ", ".join(f"`{name}`" for name in system.parameter_names)
-    columns = map("<br>".join, (map(shown, inputs), outputs, states))
+    entries = [shown(port) + ("" if needs(system, port) else ", optional") for port in inputs]
+    columns = map("<br>".join, (entries, outputs, states))
     return " | ".join([*columns, names])
 
 
