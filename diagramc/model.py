@@ -142,8 +142,9 @@ class CompiledModel(ModelBase):
             `VectorLogSink`, a record at t sees the state before the updates at t.
         record_times_s
             Ascending times of the records in s, in place of a record period. A record between two
-            ticks is computed from the earlier tick by RK4 with steps of 20 µs. These extra steps do
-            not change the run.
+            ticks is computed from the earlier tick by RK4 with steps of 20 µs. These steps are
+            accurate for modes up to 1e4 1/s, and become shorter where a mode is too fast for RK4.
+            The extra steps do not change the run.
         integrator
             ``exact_hold`` is an exponential integrator whose error control uses ``tolerance``.
             ``rk4`` and ``runge_kutta3`` are Runge-Kutta integrators with steps of at most
@@ -171,7 +172,7 @@ class CompiledModel(ModelBase):
                 (run,) = self._run_lanes(runner, batch, [0])
             else:
                 times = np.array(record_times_s, dtype=float)
-                end = duration_s * (1.0 + 1e-12)
+                end = duration_s * (1.0 + 1e-12)  # a last time that was rounded upwards counts
                 if times.ndim != 1 or not (np.diff(times, prepend=0.0, append=end) >= 0.0).all():
                     raise ValueError(f"record_times_s: must ascend within 0 … {duration_s:g} s")
                 run = self._run_with_records(runner, batch, times)
@@ -374,6 +375,7 @@ class CompiledModel(ModelBase):
         x, d = (_columns([v]) for v in (batch.states[0].continuous, batch.states[0].discrete))
         tick = runner.timing.tick
         # A record comes from the last tick before its time: it sees the state before the updates.
+        # A time up to 1e-9 of a tick behind a tick differs by rounding, and counts as the tick.
         ticks, places = np.unique(
             np.ceil(times / tick - 1e-9).astype(np.int64) - 1, return_inverse=True
         )

@@ -50,6 +50,7 @@ def wasm_files(source: CSource) -> dict[str, str]:
         raise CompilationError(
             f"precision = {source.precision!r}: must be double for a WebAssembly module"
         )
+    # A struct without parameters has the unused member ``none``, because C allows no empty struct.
     data = source.template_data | {"params": max(1, len(source.struct_values))}
     name = f"{source.name}_wasm.c"
     return source.files() | {name: rendered(__package__, "wasm.c", **data)}

@@ -140,7 +140,11 @@ def trust(folder: str | Path) -> None:
 
 
 def is_compared(system: Any) -> bool:
-    """Return whether a leaf system is written in Python, but not in a folder with `trust`."""
+    """Return whether the equations of a leaf system are compared with calls of the leaf.
+
+    They are compared if the leaf has a class in Python outside pydrake, outside diagramc, and
+    outside the folders that `trust` got.
+    """
     names = {kind.__module__ for kind in type(system).__mro__}
     users = [name for name in names if not name.startswith(("builtins", "pydrake", "pybind11"))]
     files = [getattr(sys.modules.get(name), "__file__", None) or "" for name in users]

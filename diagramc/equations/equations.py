@@ -67,7 +67,11 @@ class Equations:
     """All sections; each section comes after the sections whose nodes it depends on."""
 
     def add_update(self, timing: Any, values: Iterable[tuple[int, int]]) -> None:
-        """Add an update of discrete states at the times of Drake's ``timing``."""
+        """Add an update of discrete states at the times of Drake's ``timing``.
+
+        Leaves with equal times share one update, because the machine code asks once for each update
+        whether it is due, and a single update can share nodes with the outputs.
+        """
         period, offset = timing.period_sec(), timing.offset_sec()
         for number, update in enumerate(self.updates):
             if (update.period_s, update.offset_s) == (period, offset):

@@ -45,6 +45,7 @@ def model_description(header: Header, table: VariableTable) -> str:
     # A step off the grid of sample times is refused, and FMI has no flag for steps on a grid.
     kind.set("canHandleVariableCommunicationStepSize", "false")
     if fmi == 2:
+        # The C code calls malloc itself, and never the functions that the importer passes.
         kind.set("canNotUseMemoryManagementFunctions", "true")
         kind.attrib |= {"canGetAndSetFMUstate": "true", "canSerializeFMUstate": "true"}
         files = SubElement(kind, "SourceFiles")
@@ -132,6 +133,7 @@ def _add_structure(parent: Element, fmi: int, table: VariableTable) -> None:
         return
     after_step: list[tuple[int, list[int]]] = [(reference, []) for reference in outputs]
     for group, rows in (("Outputs", after_step), ("InitialUnknowns", initial)):
+        # FMI 2 refuses an empty list, and counts variables by an index that begins with 1.
         unknowns = SubElement(parent, group) if rows else parent
         for reference, knowns in rows:
             unknown = SubElement(unknowns, "Unknown", index=str(reference + 1))

@@ -130,7 +130,10 @@ TWO_THIRDS = (  # relative error 3.1e-33
 """⅔ as a sum of two doubles, the larger double first."""
 
 LARGE = 1e9
-"""Largest |x| for which this module computes sin x and cos x. The C library does it beyond."""
+"""Largest |x| for which this module computes sin x and cos x. The C library does it beyond.
+
+The error bound in `sincos` and the tests hold up to this number.
+"""
 
 ROUNDING = 1.5 * 2.0**52
 """A number whose unit in the last place is 1.

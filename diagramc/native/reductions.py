@@ -104,7 +104,11 @@ def _accumulated(
 
 
 class Reducer:
-    """Arrays in which the machine code collects the reductions, for the run in each lane."""
+    """Arrays in which the machine code collects the value of each `Reduction` in each lane.
+
+    A lane is the place of one run in the vector registers of the processor. The last axis of
+    ``begins``, ``bounds`` and ``values`` is the lane.
+    """
 
     def __init__(
         self, reductions: Sequence[Reduction], elements: Mapping[str, int], lanes: int

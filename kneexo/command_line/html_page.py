@@ -67,7 +67,8 @@ def page_file(
     Parameters
     ----------
     request
-        The command, which names the file, with its arguments, which the title of the page has.
+        The command with its arguments. The command names the file. The title of the page has the
+        command and the arguments.
     motions
         Dictionary from name to a run that the page shows in three dimensions, or None.
     """

@@ -1,4 +1,4 @@
-"""The request: a command with its arguments, from the parser to the end of the command."""
+"""The request: a command with its arguments. The parser fills it, and the command reads it."""
 
 from __future__ import annotations
 

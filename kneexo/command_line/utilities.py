@@ -156,7 +156,7 @@ def cache(request: Request) -> Outcome:
     ]
     if entries:
         lines.append("used last")
-    for entry in entries[:5]:
+    for entry in entries[:5]:  # the entries that were used last come first; --json has all
         last_use = time.strftime("%Y-%m-%d %H:%M", time.localtime(entry.last_use_s))
         lines.append(f"  {last_use}  {entry.size_bytes / 2**10:8.1f} KiB  {entry.path.name}")
     return Outcome("\n".join(lines) + "\n", json.dumps(document, indent=2) + "\n")

@@ -92,12 +92,15 @@ def make_closed_loop(
     - ``signals`` and ``log``: a `Multiplexer` and a `VectorLogSink`, which logs the columns
       ``columns(signals)`` at the control period. Both are absent for ``signals=()``.
 
-    Inputs: ``disturbance_force``, ``knee_torque`` if the plant has a load and the scenario has
-    neither wearer nor push, and ``bypass`` if the plant has a bypass and the scenario no
-    protection. With protection, also ``emergency_stop`` and ``reset``, unless a fault presses
-    them. These inputs are
-    zero if unconnected. Those of ``external_reference``, ``external_moment`` and ``law`` must be
-    connected.
+    Inputs, which are zero if unconnected:
+
+    - ``disturbance_force``.
+    - ``knee_torque``, if the plant has a load and the scenario has neither wearer nor push.
+    - ``bypass``, if the plant has a bypass and the scenario has no protection.
+    - ``emergency_stop`` and ``reset``, with protection, unless a fault presses them.
+
+    The inputs of ``external_reference``, ``external_moment`` and ``law`` must be connected.
+
     Outputs: each of `available_signals`. Drake logs the state before an update, so that the logged
     command at t was held until t. The paper's ideal case (Fig. 9) is
     `kneexo.studies.paper.IDEAL_SMC`.

@@ -281,7 +281,10 @@ def _estimator_parts(scenario: Scenario) -> Iterator[Part]:
 
 
 def controller_signals(scenario: Scenario) -> list[str]:
-    """Return the names of the further output ports of a controller: `SIGNALS`, and ``release``."""
+    """Return the names of a controller's output ports besides ``motor_speed_command``.
+
+    They are names in `SIGNALS`, and ``release`` if the scenario has protection.
+    """
     if scenario.controller.kind == "law":
         outputs = remembered(
             users_law(scenario),

@@ -185,8 +185,8 @@ def inversions(link: LinkageParameters) -> tuple[str, str]:
 def assembly_limits(link: LinkageParameters) -> Array:
     """Return the knee angles in rad beyond which the links do not close, sorted, (0,) to (4,).
 
-    The angles lie within ±180° of 45°. Links 2 and 4 are parallel there, so that they span a
-    distance of a_2 + a_4 or |a_2 − a_4|.
+    The angles lie within ±180° of 45°, from where `pose` counts θ_4. At a limit links 2 and 4 are
+    parallel, so that they span a distance of a_2 + a_4 or |a_2 − a_4|.
     """
     ground, direction = _ground(link)
     diagonals = np.array([link.a_2_m + link.a_4_m, link.a_2_m - link.a_4_m])
@@ -214,9 +214,9 @@ def encoder_reversals(link: LinkageParameters) -> Array:
 def rod_dead_centres(link: LinkageParameters) -> Array:
     """Return the knee angles in rad at which the rod's moment arm changes its sign, sorted.
 
-    The angles lie between the nearest `assembly_limits`, within ±180° of 45°. A search in 7200
-    steps finds them, so that it can miss two that are less than 0.1° apart. Raises `LinkageError`
-    if the links do not close at 45°.
+    The angles lie between the `assembly_limits` next to 45°, within ±180° of 45°. A search compares
+    the signs at 7200 angles, which are at most 0.08° apart. So the search can miss two dead centres
+    that are closer. Raises `LinkageError` if the links do not close at 45°.
     """
     low, high = _motion_interval(link)
     # Steps become short at the limits, where the arm is infinite.

@@ -354,8 +354,9 @@ def reference_table(reference: SampledReference) -> InputTable:
 def scenario_inputs(scenario: Scenario) -> InputTable:
     """Return the input table of a scenario for its compiled model.
 
-    The inputs are the command of a law in Python (zero), the samples of the reference, and the
-    biological moment of the wearer. Inputs that the model does not have are left out.
+    The inputs are the command of a law in Python, the samples of the reference, and the biological
+    moment of the wearer. The command is zero here, because each sample of a run replaces it. Inputs
+    that the model does not have are left out.
     """
     return _joint_table(bool(why_python(scenario)), scenario.reference, moment_of(scenario))
 

@@ -35,8 +35,9 @@ class Checkpoint:
     Parameters
     ----------
     path
-        The file. It is locked until `close` or `remove`, until this process ends, or until this
-        process opens the file again.
+        The file. The lock on it ends with `close`, with `remove`, and with this process. The lock
+        also ends when another `Checkpoint` of this process opens the file, for the reason that
+        `kneexo.common.files.locking.LockedFile` gives.
     resume
         True: use the pieces of work in the file. False: delete these pieces.
 
@@ -172,9 +173,8 @@ def piece_keys(function: Any, items: Iterable[Any]) -> list[str]:
     """Return the key of each piece of work ``function(item)``, by which a later sweep finds it.
 
     The key is a digest of kneexo's version, the name of the function with its bound arguments, and
-    the item.
-    Raises `UnknownLawError` for an item with a law that another process cannot recognize: see
-    `kneexo.simulation.compiled.users_code_key`.
+    the item. Raises `UnknownLawError` for an item with a law that another process cannot recognize:
+    see `kneexo.simulation.compiled.users_code_key`.
     """
     shared = hashlib.sha256(_text([__version__, function]))
     keys = []

@@ -1,8 +1,7 @@
 """Exact linearization of the sampled-data loop, a continuous plant with a sampled controller.
 
-`diagramc.linearize` gives the linear model. The quantizers of encoder and bus, whose
-derivatives are zero, are left out. The linear loop is valid inside the boundary layer and the speed
-limit.
+`diagramc.linearize` gives the linear model. The quantizers of encoder and bus, whose derivatives
+are zero, are left out. The linear loop is valid inside the boundary layer and the speed limit.
 """
 
 from __future__ import annotations
@@ -144,9 +143,9 @@ class SampledLoop(Result):
         The continuous output has components at ω + 2πk/T for all integers k. The result is the
         component at ω. The samples U e^{jωkT} of the command are held for T. The held command has
         the component U (1 − e^{−jωT})/(jωT) at ω, and the plant responds to this component with
-        G(jω). The result is exact, also above the Nyquist frequency, with one exception: the
-        continuous states of a law see a held reference here. Raises `LinearizationError` unless all
-        frequencies are positive.
+        G(jω). The result is exact, also above the Nyquist frequency, if the law has no continuous
+        states. The method gives such states the reference of the last sample. Raises
+        `LinearizationError` unless all frequencies are positive.
         """
         f = frequency_array(frequencies_hz)
         if np.any(f <= 0.0):
@@ -303,6 +302,7 @@ class SampledLoop(Result):
         nyquist = 0.5 / self.sample_time_s
         values = self.eigenvalues
         values = np.append(values, np.linalg.eigvals(self.loop.a))
+        # A mode with |z| ≤ 0.5 is so damped that the coarse grid shows its resonance.
         modes = np.abs(np.angle(values[np.abs(values) > 0.5])) * nyquist / math.pi
         # A step of 1e-3 missed the resonances with a smaller damping ratio.
         offset = np.geomspace(1e-6, 0.1, 120)  # down to a damping ratio of 1e-5

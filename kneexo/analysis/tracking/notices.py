@@ -264,7 +264,7 @@ def model_notices(scenario: Scenario) -> Iterator[str]:
 
     1. A part of the user replaces a part of kneexo, but the controller believes kneexo's numbers.
     2. The mass that moves with the rod is beyond the bounds of the sliding-mode controller.
-    3. The mass of the rod looks like a load of the knee, but has no weight.
+    3. The mass of the rod is so large that it stands for a load of the knee, but it has no weight.
     4. The mass of the rod has no effect, because the load has an inertia.
     5. The nominal plant differs from the plant.
     6. The controller's polynomial misses the linkage by more than `LARGEST_MISFIT_MM`, or is fitted

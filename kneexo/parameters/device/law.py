@@ -163,9 +163,10 @@ class Law:
         return "target" in vars(self)
 
     def require_name(self) -> None:
-        """Raise `ParameterError` unless the name of the law leads to this law in a file.
+        """Raise `ParameterError` unless a file of the user has this very law under its name.
 
-        No name leads to a lambda. The name of an object leads to its class.
+        A lambda and an inner function are refused, because the file has no name for them. An object
+        that is passed as ``law`` is refused, because its name is the name of its class.
         """
         if not self.sources:
             raise ParameterError(

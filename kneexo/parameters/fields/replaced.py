@@ -1,4 +1,8 @@
-"""Numbers that a part of the user replaces: only the controller believes and reads them."""
+"""Parameters of the plant in whose place a part of the user stands.
+
+The plant does not have these numbers, so reading one raises an error. The controller still believes
+the numbers. Code that needs the believed numbers reads them by `believed`.
+"""
 
 from __future__ import annotations
 
@@ -21,6 +25,8 @@ def replaced(parameters: P, path: str) -> P:
         return parameters
     kind: Any = _replaced_kind(cast(Any, type(parameters)), path)
     copy = kind.__new__(kind)
+    # All data of a pydantic model. The model is frozen, and a validator of the new kind could read
+    # a number, which raises. So the data is copied without a call of pydantic.
     for name in (
         "__dict__",
         "__pydantic_fields_set__",
@@ -45,8 +51,8 @@ def _readable(parameters: BaseModel) -> BaseModel:
     if is_replaced(parameters):
         kind: type[BaseModel] = type(parameters).__bases__[0]
         return kind.model_construct(**vars(parameters))
-    hidden = {name: believed(value) for name, value in vars(parameters).items()}
-    return parameters.model_copy(update=hidden)
+    readable = {name: believed(value) for name, value in vars(parameters).items()}
+    return parameters.model_copy(update=readable)
 
 
 _REPLACED = "Replaced"

@@ -1,4 +1,4 @@
-"""Motion of an anatomical knee in the sagittal plane, as numbers of the literature."""
+"""Motion of an anatomical knee in the sagittal plane: a knee of the literature, or of a file."""
 
 from __future__ import annotations
 
@@ -36,6 +36,7 @@ _UP = (
 
 
 def _angles(nodes: tuple[tuple[float, float], ...]) -> Any:
+    # 3.2 rad is just above half a turn. So angles in degrees are refused.
     angles = tuple(angle for angle, _ in nodes)
     return quantities(angles, "rad", _GAIT2392, ge=-3.2, le=3.2, min_length=3)
 
@@ -165,8 +166,8 @@ def _place_of_centres(angles: Array, forwards: Array, up: Array) -> tuple[Array,
     """Return the place of the tibia's origin, forwards and up in m, for the centres of rotation.
 
     With x backwards the place t follows from the centre c by dt/dθ = j(t − c), see
-    `kneexo.geometry.shank_motion`. Its solution is t = −j e^{jθ} ∫ c e^{−jθ} dθ, with t = 0 at θ =
-    0.
+    `kneexo.geometry.shank_motion`. The solution is t = −j e^{jθ} ∫ c e^{−jθ} dθ, and t is 0 at
+    θ = 0.
     """
     from scipy.interpolate import CubicSpline
 

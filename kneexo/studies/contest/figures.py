@@ -32,8 +32,8 @@ def outcome(result: ContestResult) -> Figure:
     handles = []
     for name, style in _styles(result).items():
         errors = errors_of(result.tested[name])
-        line = {key: style[key] for key in ("color", "ls", "lw")}
-        marks = {key: style[key] for key in ("color", "marker", "ms", "mew")}
+        line = {item: style[item] for item in ("color", "ls", "lw")}
+        marks = {item: style[item] for item in ("color", "marker", "ms", "mew")}
         ecdf(axes[0], errors, label=name, **line)
         ecdf(axes[1], errors_of(result.other_reference[name]), **line)
         margins = [values["disk_margin"] for values in result.tested[name]]
@@ -91,6 +91,8 @@ def search(result: ContestResult) -> Figure:
     colours = _colours(result.settings.contestants)
     for tuning in result.tunings:
         best = np.array(tuning.history_deg)
+        # The first element of the history is the best of two populations: the initial one and the
+        # first generation.
         evaluations = result.settings.population * (np.arange(best.size) + 2)
         first = tuning.seed == result.settings.optimizer_seeds[0]
         ax.semilogy(

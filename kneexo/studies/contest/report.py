@@ -53,9 +53,10 @@ def report(result: ContestResult) -> str:
 
 
 def failed_runs(result: ContestResult) -> dict[str, Scenario]:
-    """Return a dictionary from an error to the scenario of the run that failed with this error.
+    """Return a dictionary from the text of an error to the scenario of a run that failed with it.
 
-    The runs are the first failed run of each controller.
+    Each controller adds its first failed run. If two of these runs have the same error, the run of
+    the controller that comes first stays.
     """
     base = changed(result.scenario, {"simulation.duration_s": result.settings.duration_s})
     runs: dict[str, Scenario] = {}

@@ -29,16 +29,17 @@ def report(result: ControllerResult) -> str:
         claims=result.claims(),
         quote=lambda claim: f"“{claim.quote}”",
         verdict=lambda claim: f"**{claim.verdict}**",
-        lines=list(_lines(result)),
+        lines=list(_tables(result)),
         soundness=lambda row: soundness(row["disk_margin"], result.settings.sound_disk_margin),
         linear_loop=lambda case: "stable" if case.stable else "unstable",
         acceleration=lambda case: number(acceleration_rad_s2(case)),
+        # The first case is the loop as built, with the first λ of the settings.
         demand=acceleration_rad_s2(result.limit_cycle[0]) / limit,
         largest=_largest_error_of_a_stable_loop(result),
     )
 
 
-def _lines(result: ControllerResult) -> Iterator[dict[str, Any]]:
+def _tables(result: ControllerResult) -> Iterator[dict[str, Any]]:
     """Yield a table for each of λ, Φ and η, which varies while the other two keep their values.
 
     The table has the metrics. ``fixed`` names the two constant values, from the grid's centre.
@@ -59,6 +60,7 @@ def _lines(result: ControllerResult) -> Iterator[dict[str, Any]]:
         for n, value in enumerate(values):
             at = tuple(n if i == axis else centre[i] for i in range(3))
             metrics = {name: array[at] for name, array in result.values.items()}
+            # The slope k/Φ depends on Φ and η alone.
             rows.append({"value": value, "slope_per_s": result.slope_per_s[at[1:]]} | metrics)
         yield {"symbol": label[0], "label": label, "fixed": fixed, "rows": rows}
 

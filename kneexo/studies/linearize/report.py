@@ -23,8 +23,9 @@ def report(
 ) -> str:
     """Return the report on a linearized plant and sampled loop in Markdown.
 
-    ``lines`` are the lines of `kneexo.analysis.tracking.verdict.loop_lines`. A table replaces the
-    lines with margins. ``model`` has the lines on the omissions of the model.
+    ``lines`` are the lines of `kneexo.analysis.tracking.verdict.loop_lines`. The report shows the
+    last of these lines for a stable loop, because a table has the margins, and the only line of an
+    unstable loop. ``model`` are the lines of `kneexo.analysis.tracking.notices.model_lines`.
     """
     return filled(
         "linearize/report.md",
@@ -48,6 +49,7 @@ def _poles(plant: PlantLinearization) -> Iterator[Row]:
         if pole.imag < 0.0:
             continue
         text = number(pole.real) + (f" ± {number(pole.imag)}j" if pole.imag > 0.0 else "")
+        # The rounding error of a pole at zero is relative to the fastest pole.
         marginal = abs(pole.real) <= 1e-9 * scale
         verdict = "integrates" if marginal else "decays" if pole.real < 0.0 else "grows"
         yield (text, number(frequency / (2.0 * math.pi)), number(ratio), verdict)
@@ -55,6 +57,7 @@ def _poles(plant: PlantLinearization) -> Iterator[Row]:
 
 def _margins(m: Margins, sample_time_s: float) -> Iterator[Row]:
     """Yield a row for each margin of a stable loop, with its criterion and verdict."""
+    # A disk margin α guarantees the gain (1 + α/2)/(1 − α/2) and the phase 2 atan(α/2).
     half = 0.5 * SOUND_DISK_MARGIN
     gain, phase_deg = (1.0 + half) / (1.0 - half), math.degrees(2.0 * math.atan(half))
     decibels = f" ({20.0 * math.log10(m.gain_margin):.3g} dB)" if m.gain_margin < math.inf else ""

@@ -17,7 +17,7 @@ from kneexo.studies.mechanism.mechanism import MechanismResult
 from kneexo.studies.plots import legend_below
 
 _MARKED_DEG = 15.0  # distance of the marked knee angles
-_LARGEST_MISPLACEMENT = 2.0  # relative to the setting
+_LARGEST_MISPLACEMENT = 2.0  # where the curves end, relative to the setting ``misplacement_mm``
 _KNEE: dict[str, Any] = {"color": "k", "ls": "-", "lw": 1.4}
 _STYLES: list[dict[str, Any]] = [
     {"color": c, "ls": dash, "lw": 1.4} for dash in ("-", "--") for c in SERIES
@@ -93,9 +93,9 @@ def plot_misplacement(result: MechanismResult) -> Figure:
     error_mm = np.linspace(0.0, _LARGEST_MISPLACEMENT * settings.misplacement_mm, 101)
     for (name, device), style in zip(result.devices.items(), _STYLES, strict=False):
         axes[0].plot(error_mm, device.alignment.misplaced_rms_mm(error_mm), label=name, **style)
-        for at in (device.alignment, device.sliding):
-            if at.rms_mm < settings.tolerance_mm:
-                rim = at.tolerated_errors_mm(settings.tolerance_mm)
+        for alignment in (device.alignment, device.sliding):
+            if alignment.rms_mm < settings.tolerance_mm:
+                rim = alignment.tolerated_errors_mm(settings.tolerance_mm)
                 axes[1].plot(-rim.real, rim.imag, **style)
     axes[0].axhline(settings.tolerance_mm, color="0.4", ls=":", lw=1.0, label="tolerated")
     axes[0].set(xlabel="error of the place (mm)", ylabel="migration, rms (mm)", ylim=(0.0, None))
@@ -177,8 +177,8 @@ def plot_trade_off(result: MechanismResult, trade_off: TradeOff) -> Figure:
     )
     trade_off.plot(ax)
     for (name, device), style in zip(result.devices.items(), _STYLES, strict=False):
-        row, place = device.results(), "D" if style["ls"] == "-" else "s"
-        ax.plot(row["rod_rms_mm"], row["rms_mm"], place, color=style["color"], label=name)
+        row, mark = device.results(), "D" if style["ls"] == "-" else "s"
+        ax.plot(row["rod_rms_mm"], row["rms_mm"], mark, color=style["color"], label=name)
     ax.set(xlim=(0.0, None), ylim=(0.0, None))
     _finish(figure, [ax])
     return figure

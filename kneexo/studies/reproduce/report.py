@@ -45,6 +45,7 @@ def report(result: ReproduceResult) -> str:
         DOES_NOT_HOLD=DOES_NOT_HOLD,
         computed=lambda row: f"{row.computed:{row.number.form}}",
         difference=lambda row: f"{row.difference:+.3g}",
+        # The column "holds within" already tells a bound from a number with printed digits.
         verdict=lambda row: DOES_NOT_HOLD if row.judgement == DOES_NOT_HOLD else HOLDS,
         named=_named,
         controller=lambda row: _CONTROLLERS[row["name"]],

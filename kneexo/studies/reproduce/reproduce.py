@@ -194,7 +194,10 @@ def _table_1(fit: PolynomialFit) -> dict[str, Any]:
 
 
 def _table_1_of_g4() -> dict[str, float]:
-    """Return the errors of polynomials that are fitted to the geometry G4 as in Fig. 5."""
+    """Return the errors of polynomials that are fitted to the geometry G4 as in Fig. 5.
+
+    The paper does not print the points of Fig. 5. They begin at about 5°.
+    """
     fit = fit_polynomials(G4, start_deg=5.0, samples=FIG_5_POINTS)
     return {
         "refit_p_sse_mm2": fit.p_sse_mm2,
