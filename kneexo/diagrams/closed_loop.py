@@ -38,6 +38,7 @@ from kneexo.diagrams.part import (
     Part,
     by_name,
     export_inputs,
+    leaf_part,
     state_names,
     wire,
     with_faults,
@@ -200,10 +201,8 @@ def loop_parts(
             offers=by_name("motor_speed_command", *controller_signals(scenario)),
         ),
         *reading_faults(scenario),
-        Part(
-            "drive",
-            lambda: systems.Cia402Drive(bus),
-            lambda: drive.context_values(bus),
+        leaf_part(
+            *("drive", systems.Cia402Drive, drive, bus),
             offers=by_name("motor_speed_command", "target_velocity"),
             through="motor_speed_command",
         )

@@ -67,7 +67,7 @@ class Part(NamedTuple):
         return [value / state.factor for value, state in zip(start, self.states, strict=True)]
 
 
-def leaf_part(name: str, component: Any, module: Any, *arguments: Any) -> Part:
+def leaf_part(name: str, component: Any, module: Any, *arguments: Any, **fields: Any) -> Part:
     """Return the part of a leaf system without continuous states.
 
     Parameters
@@ -80,8 +80,11 @@ def leaf_part(name: str, component: Any, module: Any, *arguments: Any) -> Part:
         Module of the class. Its function ``context_values`` takes the same arguments as the class.
     arguments
         Positional arguments of both.
+    fields
+        Other fields of the part, by name.
     """
-    return Part(name, partial(component, *arguments), partial(module.context_values, *arguments))
+    values = partial(module.context_values, *arguments)
+    return Part(name, partial(component, *arguments), values, **fields)
 
 
 def by_name(*signals: str) -> dict[str, str]:

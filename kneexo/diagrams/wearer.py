@@ -11,7 +11,7 @@ from pydrake.systems.primitives import PassThrough, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from kneexo import systems
-from kneexo.diagrams.part import Part, by_name
+from kneexo.diagrams.part import Part, by_name, leaf_part
 from kneexo.diagrams.plant import start_rod_force
 from kneexo.geometry.rod_polynomial import controller_polynomial
 from kneexo.parameters import LegParameters, MomentTable, NoLoad, Scenario
@@ -39,11 +39,9 @@ def wearer_parts(scenario: Scenario) -> list[Part]:
                 lambda: wearer_knee.start_state(leg, *start),
                 offers=by_name("wearer_motion"),
             ),
-            Part(
-                "cuff",
-                lambda **fault: systems.Cuff(leg.cuff, **fault),
-                lambda: cuff.context_values(leg.cuff),
-                cuff.state_variables(leg.cuff),
+            leaf_part(
+                *("cuff", systems.Cuff, cuff, leg.cuff),
+                states=cuff.state_variables(leg.cuff),
                 offers=by_name("interaction_torque", "interaction_power", "cuff_slip")
                 | {"knee_torque": "interaction_torque"},
             ),
