@@ -108,10 +108,9 @@ def with_faults(parts: Iterable[Part], fault_names: Mapping[str, tuple[str, ...]
 def state_names(part: Part, path: str) -> list[str]:
     """Return the names that a compiled model gives the continuous states of a part.
 
-    ``path`` is the path of the subsystem that contains the part, such as ``plant``, or empty.
+    ``path`` is the path of the part's system in the loop, such as ``plant/motor``.
     """
-    system = f"{path}/{part.name}" if path else part.name
-    return [f"{system}.x[{index}]" for index in range(len(part.states))]
+    return [f"{path}.x[{index}]" for index in range(len(part.states))]
 
 
 def wire(builder: Any, parts: Iterable[Part]) -> tuple[dict[str, Any], dict[str, list[Any]]]:
