@@ -51,9 +51,14 @@ class Graph:
 
     def simplified(self, name: str, *arguments: int) -> int:
         """Make the node of an operation, with the simplifications of `add`, `divide` and so on."""
-        simplifying: dict[str, Callable[..., int]] = {"add": self.add, "multiply": self.multiply}
-        simplifying |= {"divide": self.divide, "power": self.power}
-        simplifying |= {"where": self.where, "atan2": self.atan2}
+        simplifying: dict[str, Callable[..., int]] = {
+            "add": self.add,
+            "multiply": self.multiply,
+            "divide": self.divide,
+            "power": self.power,
+            "where": self.where,
+            "atan2": self.atan2,
+        }
         if name in simplifying:
             return simplifying[name](*arguments)
         return self.node(name, *arguments)
