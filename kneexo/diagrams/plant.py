@@ -472,9 +472,4 @@ def _holding_pressures_pa(parameters: PlantParameters, force: float) -> tuple[fl
     cylinder, full_order = parameters.cylinder, parameters.full_order
     if full_order is None:
         return (force / cylinder.mean_area_m2,)
-    return holding_pressures(
-        force,
-        cap_area=cylinder.cap_area_m2,
-        rod_side_area=cylinder.rod_side_area_m2,
-        reservoir=full_order.reservoir_pressure_pa,
-    )
+    return holding_pressures(force, cylinder, full_order.reservoir_pressure_pa)
