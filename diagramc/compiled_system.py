@@ -13,7 +13,7 @@ from pydrake.systems.framework import BasicVector, LeafSystem, ValueProducer
 from .model_base import ModelBase, not_finite
 from .native.arguments import OUTPUT_NOT_FINITE
 from .native.runner import STEP_S, Runner, element_name
-from .run_data import Array, InputTable, State
+from .run_data import Array, InputTable, State, slices
 
 
 class CompiledSystem(LeafSystem):
@@ -97,16 +97,14 @@ class CompiledSystem(LeafSystem):
             for used, by in ((False, tickets), (True, tickets_with_inputs))
         ]
         self._size, self._width = len(model.state_names), sum(model.outputs.values())
-        first = 0
-        for name, size in model.outputs.items():
+        for name, place in slices(model.outputs).items():
             entry = entries[name in model.feedthrough]
             self.DeclareVectorOutputPort(
                 name,
-                size,
-                partial(self._copy_output, name, entry, slice(first, first + size)),
+                model.outputs[name],
+                partial(self._copy_output, name, entry, place),
                 {entry.ticket()},
             )
-            first += size
         self.DeclareInitializationDiscreteUpdateEvent(self._initialize)
         # The sum of many ticks has other bits than a multiple of the period, and the events of
         # other systems are at such multiples: one event for each tick of a period.

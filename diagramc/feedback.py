@@ -11,7 +11,7 @@ from .model import CompiledModel, Simulation
 from .model_base import not_finite
 from .native.arguments import OK
 from .native.runner import Runner
-from .run_data import Array, InputTable, State
+from .run_data import Array, InputTable, State, slices
 
 
 def simulate_with_feedback(
@@ -70,17 +70,9 @@ def simulate_with_feedback(
     runner = Runner(model.code, outputs=names, record_period_s=sample_period_s, **options)
     table = inputs or model.no_inputs
     table = InputTable(table.breaks, table.coefficients.copy())
-    first = 0
-    for name, size in model.inputs.items():
-        if name == feedback_input:
-            break
-        first += size
-    held = table.coefficients[:, first : first + model.inputs[feedback_input]]
+    held = table.coefficients[:, slices(model.inputs)[feedback_input]]
     held[:] = 0.0
-    columns, width = {}, 0
-    for name in names:
-        columns[name] = slice(width, width + model.outputs[name])
-        width += model.outputs[name]
+    columns, width = slices({name: model.outputs[name] for name in names}), runner.columns.size
     x, d = (values.reshape(-1, 1).copy() for values in (state.continuous, state.discrete))
     last = np.zeros(1, dtype=np.int64)
     row = np.empty((1, width, 1))

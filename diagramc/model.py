@@ -30,7 +30,7 @@ from .native.machine_code import MachineCode
 from .native.reductions import starts_and_bounds
 from .native.runner import LONGEST_TICK_S, Runner, Snapshots, output_elements
 from .reductions import Reduction
-from .run_data import Array, InputTable, Integers, State
+from .run_data import Array, InputTable, Integers, State, slices
 
 _MOST_RUNNERS = 2
 """Number of runners that a model keeps for its next single runs.
@@ -358,12 +358,8 @@ class CompiledModel(ModelBase):
 
     def _outputs(self, runner: Runner, record: Array) -> dict[str, Array]:
         """Divide a record (columns, rows) into the outputs (rows, size) by name."""
-        outputs, first = {}, 0
-        for name in runner.names:
-            size = self.outputs[name]
-            outputs[name] = record[first : first + size].T
-            first += size
-        return outputs
+        places = slices({name: self.outputs[name] for name in runner.names})
+        return {name: record[place].T for name, place in places.items()}
 
     def _run_with_records(
         self, runner: Runner, batch: _Batch, times: Array

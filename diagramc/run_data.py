@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
@@ -12,6 +13,17 @@ Array: TypeAlias = NDArray[np.float64]
 """An array of doubles."""
 Integers: TypeAlias = NDArray[np.int64]
 """An array of 64-bit integers."""
+
+
+def slices(sizes: Mapping[str, int]) -> dict[str, slice]:
+    """Return the place of each named vector in an array that has these vectors one after another.
+
+    ``sizes`` has the size of each vector, in their order.
+    """
+    places, first = {}, 0
+    for name, size in sizes.items():
+        places[name] = slice(first, first := first + size)
+    return places
 
 
 @dataclass(frozen=True)

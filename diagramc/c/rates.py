@@ -66,7 +66,7 @@ class _Rewriting:
                 continue
             arguments = tuple(new[argument] for argument in graph.arguments(node))
             changed = self.changed(node, arguments)
-            new[node] = graph.operation(kind, *arguments) if changed is None else changed
+            new[node] = graph.node(kind, *arguments) if changed is None else changed
         return new
 
 
@@ -87,8 +87,8 @@ class _ZeroFactors(_Rewriting):
         zeros = [argument for argument in arguments if self._is_zero(argument)]
         if not zeros:
             return None
-        product = graph.operation("multiply", *arguments)
-        return graph.where(graph.compare("ne", zeros[0], graph.zero), product, graph.zero)
+        product = graph.node("multiply", *arguments)
+        return graph.where(graph.node("ne", zeros[0], graph.zero), product, graph.zero)
 
     def _is_zero(self, node: int) -> bool:
         if not self.graph.is_fixed(node):
@@ -128,8 +128,8 @@ class _ScaledLimits(_Rewriting):
     def _scaled(self, factor: int, node: int) -> int:
         kind, *arguments = self.graph.nodes[node]
         if kind not in ("min", "max"):
-            return self.graph.operation("multiply", factor, node)
-        return self.graph.operation(kind, *(self._scaled(factor, a) for a in arguments))
+            return self.graph.node("multiply", factor, node)
+        return self.graph.node(kind, *(self._scaled(factor, a) for a in arguments))
 
 
 class _Regrouping(_Rewriting):
@@ -162,7 +162,7 @@ class _ShortSums(_Rewriting):
         heapq.heapify(terms)
         while len(terms) > 1:
             (_, _, first), (_, place, second) = heapq.heappop(terms), heapq.heappop(terms)
-            partial_sum = graph.operation("add", first, second)
+            partial_sum = graph.node("add", first, second)
             heapq.heappush(terms, (self._available(partial_sum), place, partial_sum))
         _, _, sum_of_all = terms[0]
         return sum_of_all

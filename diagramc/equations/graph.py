@@ -49,28 +49,25 @@ class Graph:
         lists = list(self.nodes), list(self.depends)
         return Graph(*lists, dict(self._numbers), dict(self._polynomials))
 
-    def operation(self, name: str, *arguments: Any) -> int:
-        """Make the node of an operation as it is, without simplification."""
-        return self._node(name, *arguments)
-
     def simplified(self, name: str, *arguments: int) -> int:
         """Make the node of an operation, with the simplifications of `add`, `divide` and so on."""
-        match name:
-            case "add":
-                return self.add(*arguments)
-            case "multiply":
-                return self.multiply(*arguments)
-            case "divide":
-                return self.divide(*arguments)
-            case "power":
-                return self.power(*arguments)
-            case "where":
-                return self.where(*arguments)
-            case "atan2":
-                return self.binary(name, *arguments)
-        return self._node(name, *arguments)
+        simplifying: dict[str, Callable[..., int]] = {
+            "add": self.add,
+            "multiply": self.multiply,
+            "divide": self.divide,
+            "power": self.power,
+            "where": self.where,
+            "atan2": self.atan2,
+        }
+        if name in simplifying:
+            return simplifying[name](*arguments)
+        return self.node(name, *arguments)
 
-    def _node(self, *operation: Any) -> int:
+    def node(self, *operation: Any) -> int:
+        """Make the node of an operation or source as it is, without simplification.
+
+        ``operation`` has its name, one of `SOURCES` or `OPERATIONS`, and then its arguments.
+        """
         # 0.0 equals -0.0 as a key, but both are different nodes.
         key = ("constant", str(operation[1])) if operation == ("constant", 0.0) else operation
         number = self._numbers.setdefault(key, len(self.nodes))
@@ -88,11 +85,11 @@ class Graph:
 
     def constant(self, value: float) -> int:
         """Make the node of a literal number."""
-        return self._node("constant", float(value))
+        return self.node("constant", float(value))
 
     def source(self, kind: str, index: int = 0) -> int:
         """Make the node of a source: the time, or element ``index`` of the vector of this kind."""
-        return self._node(kind, index)
+        return self.node(kind, index)
 
     @property
     def zero(self) -> int:
@@ -122,7 +119,7 @@ class Graph:
         rest = [term for term in terms if self.value(term) != 0.0]
         if len(rest) < 2:
             return rest[0] if rest else self.zero
-        return self._as_polynomial(rest) or self._node("add", *rest)
+        return self._as_polynomial(rest) or self.node("add", *rest)
 
     def _as_polynomial(self, terms: list[int]) -> int | None:
         """If two ``terms`` are c and t·p(t) with a polynomial p, make their sum; else return None.
@@ -156,10 +153,10 @@ class Graph:
             square = self.multiply(t, t)
             even = self._polynomial(coefficients[::2], square)
             odd = self._polynomial(coefficients[1::2], square)
-            return self._node("add", even, self._node("multiply", odd, t))
+            return self.node("add", even, self.node("multiply", odd, t))
         *lower, node = coefficients
         for coefficient in reversed(lower):  # Horner's rule
-            node = self._node("add", coefficient, self._node("multiply", node, t))
+            node = self.node("add", coefficient, self.node("multiply", node, t))
         return node
 
     def multiply(self, *factors: int) -> int:
@@ -170,7 +167,7 @@ class Graph:
         rest = [f for f, value in zip(factors, values, strict=True) if value != 1.0]
         if len(rest) < 2:
             return rest[0] if rest else self.one
-        return self._node("multiply", *rest)
+        return self.node("multiply", *rest)
 
     def negate(self, node: int) -> int:
         """Make the product of a node and -1."""
@@ -185,41 +182,33 @@ class Graph:
         """Make a quotient; if the denominator is 1 or the numerator is 0, return the numerator."""
         if self.value(denominator) == 1.0 or self.value(numerator) == 0.0:
             return numerator
-        return self._node("divide", numerator, denominator)
+        return self.node("divide", numerator, denominator)
 
     def power(self, base: int, exponent: int) -> int:
         """Make a power; a constant whole exponent from 0 to 16 gives a product."""
         value = self.value(exponent)
         if value is not None and value.is_integer() and 0 <= value <= _LARGEST_POWER:
             return self.multiply(*[base] * int(value))
-        return self._node("power", base, exponent)
+        return self.node("power", base, exponent)
 
-    def unary(self, name: str, argument: int) -> int:
-        """Make a function of one argument; ``name`` is one of `operations.UNARY`."""
-        return self._node(name, argument)
+    def atan2(self, y: int, x: int) -> int:
+        """Make the angle of a point; atan2(sin ψ, cos ψ) becomes ψ minus whole turns.
 
-    def binary(self, name: str, left: int, right: int) -> int:
-        """Make ``min``, ``max`` or ``atan2``, as ``name`` says.
-
-        The angle atan2(sin ψ, cos ψ) becomes ψ minus whole turns, which is faster to compute.
+        These are faster to compute.
         """
-        (first, *angles), (second, *others) = self.nodes[left], self.nodes[right]
-        if (name, first, second) == ("atan2", "sin", "cos") and angles == others:
-            angle = self.arguments(left)[0]
+        (first, *angles), (second, *others) = self.nodes[y], self.nodes[x]
+        if (first, second) == ("sin", "cos") and angles == others:
+            angle = self.arguments(y)[0]
             turn = self.constant(2.0 * math.pi)
-            turns = self.unary("ceil", self.subtract(self.divide(angle, turn), self.constant(0.5)))
+            turns = self.node("ceil", self.subtract(self.divide(angle, turn), self.constant(0.5)))
             return self.subtract(angle, self.multiply(turn, turns))
-        return self._node(name, left, right)
-
-    def compare(self, name: str, left: int, right: int) -> int:
-        """Make a comparison of two numbers; ``name`` is one of `operations.COMPARISONS`."""
-        return self._node(name, left, right)
+        return self.node("atan2", y, x)
 
     def where(self, condition: int, positive: int, otherwise: int) -> int:
         """Make a choice: ``positive`` where the condition holds, else ``otherwise``."""
         if positive == otherwise:
             return positive
-        return self._node("where", condition, positive, otherwise)
+        return self.node("where", condition, positive, otherwise)
 
     def reachable(
         self, roots: Iterable[int], arguments: Callable[[int], Iterable[int]] | None = None

@@ -95,7 +95,7 @@ def _extreme(comparison: str) -> Partials:
     """
 
     def partials(g: Graph, a: tuple[int, ...], f: int) -> list[int | None]:
-        is_first = g.compare(comparison, *a)
+        is_first = g.node(comparison, *a)
         return [g.where(is_first, g.one, g.zero), g.where(is_first, g.zero, g.one)]
 
     return partials
@@ -104,7 +104,7 @@ def _extreme(comparison: str) -> Partials:
 def _power(g: Graph, a: tuple[int, ...], f: int) -> list[int | None]:
     base, exponent = a
     lower = g.power(base, g.subtract_one(exponent))
-    return [g.multiply(exponent, lower), g.multiply(f, g.unary("log", base))]
+    return [g.multiply(exponent, lower), g.multiply(f, g.node("log", base))]
 
 
 def _atan2(g: Graph, a: tuple[int, ...], f: int) -> list[int | None]:
@@ -114,7 +114,7 @@ def _atan2(g: Graph, a: tuple[int, ...], f: int) -> list[int | None]:
 
 
 def _root_of_one_minus_square(g: Graph, a: int) -> int:
-    return g.unary("sqrt", g.subtract(g.one, g.multiply(a, a)))
+    return g.node("sqrt", g.subtract(g.one, g.multiply(a, a)))
 
 
 def _comparison(value: Any, drake: str, name: str, c: str) -> Operation:
@@ -176,8 +176,8 @@ OPERATIONS: dict[str, Operation] = {
         *("Sqrt", "instruction.sqrt", "sqrt"),
         exact=True,
     ),
-    "sin": _function(np.sin, lambda g, a, f: g.unary("cos", a), "Sin", "sincos.0", "sin"),
-    "cos": _function(np.cos, lambda g, a, f: g.negate(g.unary("sin", a)), "Cos", "sincos.1", "cos"),
+    "sin": _function(np.sin, lambda g, a, f: g.node("cos", a), "Sin", "sincos.0", "sin"),
+    "cos": _function(np.cos, lambda g, a, f: g.negate(g.node("sin", a)), "Cos", "sincos.1", "cos"),
     "tan": _function(
         np.tan, lambda g, a, f: g.add(g.one, g.multiply(f, f)), "Tan", "library.tan", "tan"
     ),
@@ -197,8 +197,8 @@ OPERATIONS: dict[str, Operation] = {
         *("Atan", "elementary.atan", "atan"),
     ),
     "atan2": Operation(np.arctan2, _atan2, "Atan2", "elementary.atan2", "atan2"),
-    "sinh": _function(np.sinh, lambda g, a, f: g.unary("cosh", a), "Sinh", "library.sinh", "sinh"),
-    "cosh": _function(np.cosh, lambda g, a, f: g.unary("sinh", a), "Cosh", "library.cosh", "cosh"),
+    "sinh": _function(np.sinh, lambda g, a, f: g.node("cosh", a), "Sinh", "library.sinh", "sinh"),
+    "cosh": _function(np.cosh, lambda g, a, f: g.node("sinh", a), "Cosh", "library.cosh", "cosh"),
     "tanh": _function(
         np.tanh,
         lambda g, a, f: g.subtract(g.one, g.multiply(f, f)),
@@ -206,7 +206,7 @@ OPERATIONS: dict[str, Operation] = {
     ),
     "abs": _function(
         np.abs,
-        lambda g, a, f: g.where(g.compare("lt", a, g.zero), g.constant(-1.0), g.one),
+        lambda g, a, f: g.where(g.node("lt", a, g.zero), g.constant(-1.0), g.one),
         *("Abs", "instruction.absolute", "fabs"),
         role=Role.CORNER,
         exact=True,

@@ -297,13 +297,13 @@ class _Regrouping:
         if node not in self.deciding and not all(map(graph.is_fixed, arguments)):
             if kind == "divide" and graph.is_fixed(arguments[1]):
                 numerator, denominator = arguments
-                reciprocal = graph.operation("divide", graph.one, denominator)
+                reciprocal = graph.node("divide", graph.one, denominator)
                 return self._product(node, [reciprocal, numerator])
             if kind == "multiply":
                 return self._product(node, arguments)
             if kind == "add":
                 return self._sum(node, arguments)
-        return graph.operation(kind, *arguments)
+        return graph.node(kind, *arguments)
 
     def _as_sum(self, node: int) -> _Sum:
         """Return the stored sum of a new node, or the node itself as the only term."""
@@ -318,7 +318,7 @@ class _Regrouping:
         fixed = [factor for factor in factors if graph.is_fixed(factor)]
         varying = [factor for factor in factors if not graph.is_fixed(factor)]
         if len(fixed) > 1:
-            fixed = [graph.operation("multiply", *fixed)]
+            fixed = [graph.node("multiply", *fixed)]
         if fixed and len(varying) == 1:
             inner = self._as_sum(varying[0])
             # Scaling a sum with two plain terms would cost a product more.
@@ -333,9 +333,9 @@ class _Regrouping:
         for factor, count in Counter(varying).items():
             # With x⁴ the square saves a product. With x² and x³ it saves none.
             if count == 4:
-                square = graph.operation("multiply", factor, factor)
+                square = graph.node("multiply", factor, factor)
                 varying = [*(other for other in varying if other != factor), square, square]
-        return graph.operation("multiply", *fixed, *varying)
+        return graph.node("multiply", *fixed, *varying)
 
     def _sum(self, node: int, terms: list[int]) -> int:
         """Make the sum that replaces ``node``, with the terms of sums that only ``node`` reads."""
@@ -362,23 +362,23 @@ class _Regrouping:
         graph = self.graph
         parts = [] if total.fixed_term is None else [total.fixed_term]
         parts += [
-            term if factor == graph.one else graph.operation("multiply", factor, term)
+            term if factor == graph.one else graph.node("multiply", factor, term)
             for term, factor in total.factors.items()
         ]
-        new = parts[0] if len(parts) == 1 else graph.operation("add", *parts)
+        new = parts[0] if len(parts) == 1 else graph.node("add", *parts)
         if self.uses[node] == 1 and len(total.factors) <= _TERMS:
             self.sums[new] = total
         return new
 
     def _plus(self, left: int | None, right: int) -> int:
-        return right if left is None else self.graph.operation("add", left, right)
+        return right if left is None else self.graph.node("add", left, right)
 
     def _times(self, left: int, right: int) -> int:
         if left == self.graph.one:
             return right
         if right == self.graph.one:
             return left
-        return self.graph.operation("multiply", left, right)
+        return self.graph.node("multiply", left, right)
 
 
 def deciding_nodes(graph: Graph, nodes: Iterable[int]) -> set[int]:

@@ -128,7 +128,7 @@ class Conversion:
             elif isinstance(item, float | int):
                 nodes.append(graph.constant(item))
             elif (name := self._name(item.get_kind())) in ("true", "false"):
-                nodes.append(graph.compare("gt", graph.constant(name == "true"), graph.zero))
+                nodes.append(graph.node("gt", graph.constant(name == "true"), graph.zero))
             elif (known := self._used_before(name, item)) is not None:
                 nodes.append(known)
             else:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from ..arguments import names, quoted
 from ..equations.contexts import set_state
 from ..errors import NoEquilibriumError, ParameterError, shown
-from ..run_data import Array, Integers, State
+from ..run_data import Array, Integers, State, slices
 from .newton import newton
 from .point import EQUILIBRIUM_TOLERANCE, Point, require_tolerance
 from .reading import read_point, system_of
@@ -207,9 +207,7 @@ def _context_at(diagram: Any, context: Any, point: Point, in_names: Iterable[str
     context = context.Clone()
     count = len(point.read.state_names)
     set_state(point.read.root, context, State(point.state[:count], point.state[count:]))
-    first = 0
+    places = slices(point.read.equations.inputs)
     for name in in_names:
-        size = point.read.equations.inputs[name]
-        diagram.GetInputPort(name).FixValue(context, point.inputs[first : first + size])
-        first += size
+        diagram.GetInputPort(name).FixValue(context, point.inputs[places[name]])
     return context

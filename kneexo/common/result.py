@@ -89,7 +89,9 @@ def short(value: Any) -> str:
     if isinstance(value, np.ndarray):
         return f"array{value.shape}{_range(value)}"
     if isinstance(value, Mapping):
-        return _counted(value, "{", "}")
+        names = ", ".join(str(name) for name in list(value)[:3])
+        more = f", … {len(value)} names" if len(value) > 3 else ""
+        return f"{{{names}{more}}}"
     text = repr(value)
     if len(text) <= _LONGEST:
         return text
@@ -105,13 +107,6 @@ def _range(values: Array) -> str:
     if values.dtype.kind not in "fiu" or not np.isfinite(values).any():
         return ""
     return f" {np.nanmin(values):.4g} … {np.nanmax(values):.4g}"
-
-
-def _counted(value: Mapping[Any, Any], left: str, right: str) -> str:
-    """Return the first three names of a mapping, and the number of names if there are more."""
-    names = ", ".join(str(name) for name in list(value)[:3])
-    more = f", … {len(value)} names" if len(value) > 3 else ""
-    return f"{left}{names}{more}{right}"
 
 
 def data_frame(columns: Mapping[str, Any], index: str | None = None) -> Any:

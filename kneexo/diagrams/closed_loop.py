@@ -38,6 +38,7 @@ from kneexo.diagrams.part import (
     Part,
     by_name,
     export_inputs,
+    leaf_part,
     state_names,
     wire,
     with_faults,
@@ -49,7 +50,7 @@ from kneexo.diagrams.plant import (
     start_arguments,
 )
 from kneexo.diagrams.signals import NEEDED_SETTINGS, SIGNALS
-from kneexo.diagrams.wearer import MOMENT_INPUT, moment_parts, wearer_parts
+from kneexo.diagrams.wearer import MOMENT_INPUT, moment_parts, parts_with_states, wearer_parts
 from kneexo.errors import ParameterError, close_names, question
 from kneexo.law.leaves import LAW_COMMAND
 from kneexo.parameters import (
@@ -203,10 +204,8 @@ def loop_parts(
             offers=by_name("motor_speed_command", *controller_signals(scenario)),
         ),
         *reading_faults(scenario),
-        Part(
-            "drive",
-            lambda: systems.Cia402Drive(bus),
-            lambda: drive.context_values(bus),
+        leaf_part(
+            *("drive", systems.Cia402Drive, drive, bus),
             offers=by_name("motor_speed_command", "target_velocity"),
             through="motor_speed_command",
         )
@@ -324,7 +323,7 @@ def plant_states(scenario: Scenario) -> dict[str, StateVariable]:
     """
     return {
         name: state
-        for path, part in _continuous_parts(scenario)
+        for path, part in parts_with_states(scenario)
         for name, state in zip(state_names(part, path), part.states, strict=True)
     }
 
@@ -337,15 +336,9 @@ def plant_start(scenario: Scenario) -> dict[str, float]:
     """
     return {
         name: value
-        for path, part in _continuous_parts(scenario)
+        for path, part in parts_with_states(scenario)
         for name, value in zip(state_names(part, path), part.start_state(), strict=True)
     }
-
-
-def _continuous_parts(scenario: Scenario) -> Iterator[tuple[str, Part]]:
-    """Yield each part of plant, wearer and load cell, with the path of its subsystem."""
-    yield from (("plant", part) for part in scenario_plant_parts(scenario))
-    yield from (("", part) for part in wearer_parts(scenario))
 
 
 def plant_of(scenario: Scenario, fault_names: Mapping[str, tuple[str, ...]] = NO_FAULTS) -> Diagram:

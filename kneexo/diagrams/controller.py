@@ -258,17 +258,9 @@ def _estimator_parts(scenario: Scenario) -> Iterator[Part]:
     estimator, sample_time = scenario.estimator, scenario.controller.sample_time_s
     position = {"measured_position": "rod_extension"}
     if (chosen := scenario.parts.estimator) is not None:
-        own = Part("estimator", systems.TrackingObserver, reads=position)
-        known = known_to_controller(scenario)
-        yield users_part(
-            chosen,
-            own,
-            systems.TrackingObserver,
-            dict,
-            known,
-            needed=("measured_position",),
-            period_s=sample_time,
-        )
+        template, known = systems.TrackingObserver, known_to_controller(scenario)
+        own, needed = Part("estimator", template, reads=position), ("measured_position",)
+        yield users_part(chosen, own, template, {}, known, needed=needed, period_s=sample_time)
     elif isinstance(estimator, ObserverParameters):
         yield Part(
             "estimator",

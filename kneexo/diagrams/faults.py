@@ -10,9 +10,8 @@ from pydrake.systems.primitives import Adder, ConstantVectorSource
 
 from kneexo import systems
 from kneexo.diagrams.part import Part, by_name, leaf_part
-from kneexo.diagrams.plant import scenario_plant_parts
 from kneexo.diagrams.signals import NEEDED_SETTINGS, SIGNALS
-from kneexo.diagrams.wearer import wearer_parts
+from kneexo.diagrams.wearer import parts_with_states
 from kneexo.errors import ParameterError, close_names, question, shown
 from kneexo.parameters import FaultParameters, Scenario
 from kneexo.parameters.paths import changed, has_path, value_at
@@ -209,14 +208,6 @@ def _trigger(fault: FaultParameters) -> tuple[int, int] | None:
     return len(SIGNALS[signal]), index
 
 
-def _parts(scenario: Scenario) -> Iterator[tuple[str, Part]]:
-    """Yield the systems whose parameters a fault can change, by path."""
-    for part in scenario_plant_parts(scenario):
-        yield f"plant/{part.name}", part
-    for part in wearer_parts(scenario):
-        yield part.name, part
-
-
 def parameter_changes(scenario: Scenario) -> dict[int, Changes]:
     """Return the changes that each fault of a parameter makes, by its index in the list.
 
@@ -269,9 +260,9 @@ def _changes_of(scenario: Scenario, number: int) -> Changes:
     except ParameterError as error:
         message = str(error).removeprefix("Scenario: ")
         raise ParameterError(f"faults.{number}: {message}") from None
-    healthy = {path: part.values() for path, part in _parts(scenario)}
+    healthy = {path: part.values() for path, part in parts_with_states(scenario)}
     found: Changes = {}
-    for path, part in _parts(other):
+    for path, part in parts_with_states(other):
         for name, faulty in part.values().items():
             if (change := faulty - healthy[path][name]) != 0.0:
                 found.setdefault(path, {})[name] = change

@@ -67,7 +67,7 @@ class Part(NamedTuple):
         return [value / state.factor for value, state in zip(start, self.states, strict=True)]
 
 
-def leaf_part(name: str, component: Any, module: Any, *arguments: Any) -> Part:
+def leaf_part(name: str, component: Any, module: Any, *arguments: Any, **fields: Any) -> Part:
     """Return the part of a leaf system without continuous states.
 
     Parameters
@@ -80,8 +80,11 @@ def leaf_part(name: str, component: Any, module: Any, *arguments: Any) -> Part:
         Module of the class. Its function ``context_values`` takes the same arguments as the class.
     arguments
         Positional arguments of both.
+    fields
+        Other fields of the part, by name.
     """
-    return Part(name, partial(component, *arguments), partial(module.context_values, *arguments))
+    values = partial(module.context_values, *arguments)
+    return Part(name, partial(component, *arguments), values, **fields)
 
 
 def by_name(*signals: str) -> dict[str, str]:
@@ -105,10 +108,9 @@ def with_faults(parts: Iterable[Part], fault_names: Mapping[str, tuple[str, ...]
 def state_names(part: Part, path: str) -> list[str]:
     """Return the names that a compiled model gives the continuous states of a part.
 
-    ``path`` is the path of the subsystem that contains the part, such as ``plant``, or empty.
+    ``path`` is the path of the part's system in the loop, such as ``plant/motor``.
     """
-    system = f"{path}/{part.name}" if path else part.name
-    return [f"{system}.x[{index}]" for index in range(len(part.states))]
+    return [f"{path}.x[{index}]" for index in range(len(part.states))]
 
 
 def wire(builder: Any, parts: Iterable[Part]) -> tuple[dict[str, Any], dict[str, list[Any]]]:

@@ -202,30 +202,16 @@ def plant_parts(
     # A part has functions, because a compiled run needs values but no systems.
     def begin() -> dict[str, Any]:
         """Return what a part of the user gets as ``start``."""
-        users_load = None if parts.load is None else make_load(start={})
+        users_load = None if parts.load is None else parts.load.system(scenario, start={})
         extension, force = _start_extension_and_force(
             parameters, initial_knee_angle_rad, initial_offset_m, rod_polynomial, users_load
         )
         return _cylinder_arguments(believed(parameters), extension, force)
 
-    def make_load(start: dict[str, Any]) -> Any:
-        assert parts.load is not None
-        return parts.load.make.make({"scenario": scenario, "start": start, **parts.load.values})
-
     def start() -> tuple[float, ...]:
         """Return the cylinder's state at rest: the chamber pressures balance load and spring."""
         extension, pressures = begin().values()
         return (extension, 0.0, *np.atleast_1d(pressures))
-
-    def make_motor(**fault: Any) -> Any:
-        if motor is None:
-            return systems.BldcPump(parameters.pump, parameters.ideal_motor, **fault)
-        return systems.TorqueLimitedPump(parameters.pump, motor, thermal, **fault)
-
-    def motor_values() -> dict[str, float]:
-        if motor is None:
-            return bldc_pump.context_values(parameters.pump)
-        return torque_limited_pump.context_values(parameters.pump, motor, thermal)
 
     def make_cylinder(**fault: Any) -> Any:
         extension, _, *pressures = start()
@@ -254,55 +240,38 @@ def plant_parts(
         values = four_bar_knee.context_values(parameters.linkage, parameters.knee, fit)
         return values | _polynomial_values(fit)
 
+    if motor is None:
+        make_motor = partial(systems.BldcPump, parameters.pump, parameters.ideal_motor)
+        motor_part = Part("motor", make_motor, partial(bldc_pump.context_values, parameters.pump))
+    else:
+        arguments = parameters.pump, motor, thermal
+        motor_part = leaf_part("motor", systems.TorqueLimitedPump, torque_limited_pump, *arguments)
+    cylinder_states = (reduced_cylinder if full_order is None else full_cylinder).STATE_VARIABLES
+    make_knee = partial(systems.FourBarKnee, parameters.linkage, parameters.knee, rod_map)
     own = [
-        Part(
-            "motor",
-            make_motor,
-            motor_values,
-            bldc_pump.state_variables(parameters.ideal_motor),
-        ),
-        Part(
-            "cylinder",
-            make_cylinder,
-            cylinder_values,
-            (reduced_cylinder if full_order is None else full_cylinder).STATE_VARIABLES,
-            start,
-        ),
-        Part(
-            "knee",
-            lambda **fault: systems.FourBarKnee(
-                parameters.linkage, parameters.knee, rod_map, **fault
-            ),
-            knee_values,
-        ),
+        motor_part._replace(states=bldc_pump.state_variables(parameters.ideal_motor)),
+        Part("cylinder", make_cylinder, cylinder_values, cylinder_states, start),
+        Part("knee", make_knee, knee_values),
     ]
     if isinstance(load, KneeLoadParameters) or parts.load is not None:
         own.append(leaf_part("load", systems.KneeLoad, knee_load, load))
     if thermal is not None:
         own.append(
-            Part(
-                "temperature",
-                lambda **fault: systems.MotorTemperature(thermal, **fault),
-                lambda: motor_temperature.context_values(thermal),
-                motor_temperature.STATE_VARIABLES,
-                lambda: (thermal.start_degc, thermal.start_degc),
+            leaf_part(
+                *("temperature", systems.MotorTemperature, motor_temperature, thermal),
+                states=motor_temperature.STATE_VARIABLES,
+                start=lambda: (thermal.start_degc, thermal.start_degc),
             )
         )
     if bypass is not None:
-        own.append(
-            Part(
-                "bypass",
-                lambda **fault: systems.BypassValve(bypass, **fault),
-                lambda: bypass_valve.context_values(bypass),
-                bypass_valve.STATE_VARIABLES,
-            )
-        )
+        states = bypass_valve.STATE_VARIABLES
+        own.append(leaf_part("bypass", systems.BypassValve, bypass_valve, bypass, states=states))
     if parts.chosen():
         places = _users_places(parameters, parts, scenario)
         for index, part in enumerate(own):
             if chosen := getattr(parts, part.name, None):
                 template, needed = places[part.name]
-                own[index] = users_part(chosen, part, template, begin, scenario, needed=needed)
+                own[index] = users_part(chosen, part, template, begin(), scenario, needed=needed)
     return [part._replace(reads={"fault": f"{part.name}_fault"}) for part in own]
 
 
@@ -503,9 +472,4 @@ def _holding_pressures_pa(parameters: PlantParameters, force: float) -> tuple[fl
     cylinder, full_order = parameters.cylinder, parameters.full_order
     if full_order is None:
         return (force / cylinder.mean_area_m2,)
-    return holding_pressures(
-        force,
-        cap_area=cylinder.cap_area_m2,
-        rod_side_area=cylinder.rod_side_area_m2,
-        reservoir=full_order.reservoir_pressure_pa,
-    )
+    return holding_pressures(force, cylinder, full_order.reservoir_pressure_pa)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import cached_property, partial
+from functools import partial
 from typing import Any
 
 from pydrake.systems.framework import Diagram
@@ -14,7 +14,7 @@ from kneexo.diagrams.part import Part
 from kneexo.errors import CompilationError, ParameterError
 from kneexo.law.decision import remembered
 from kneexo.parameters import Scenario
-from kneexo.parameters.device.parts import PartMaker, PartParameters
+from kneexo.parameters.device.parts import PartParameters
 from kneexo.systems import StateVariable
 
 _EXTENSION_TOLERANCE_M = 1e-6  # of the start of an object, which cannot be told where to start
@@ -24,7 +24,7 @@ def users_part(
     chosen: PartParameters,
     replaced: Part,
     template: Callable[[], Any],
-    begin: Callable[[], dict[str, Any]],
+    start: dict[str, Any],
     scenario: Scenario | None,
     *,
     needed: tuple[str, ...] = (),
@@ -43,8 +43,8 @@ def users_part(
         kneexo's own part, whose name and wires the user's part gets.
     template
         Function that returns a leaf system with the ports of kneexo's own part.
-    begin
-        Function that returns what a function of the user gets as ``start``.
+    start
+        What a function of the user gets as ``start``.
     scenario
         What a function of the user gets as ``scenario``.
     needed
@@ -57,43 +57,15 @@ def users_part(
     ParameterError
         The system has other ports, other kinds of states, or another start.
     """
-    start = begin()
-    given = {"scenario": scenario, "start": start, **chosen.values}
+    place, make = replaced.name, partial(chosen.system, scenario, start)
+    subject = f"parts.{place}: {chosen.make.short_name}"
     numbers = repr((start, sorted(chosen.values.items())))
     text = scenario.model_dump_json() if scenario and chosen.make.takes_scenario else ""
-    # `start` and `needed` together determine the template, so the key leaves it out.
-    found = remembered(
-        chosen.make,
-        (replaced.name, needed, period_s, numbers, text),
-        lambda: _Found(chosen.make, given, replaced.name, template, needed, period_s),
-    )
-    return replaced._replace(
-        make=lambda: chosen.make.make(given),
-        values=lambda: found.values,
-        states=tuple(StateVariable(f"{replaced.name}_state_{n}") for n in range(len(found.start))),
-        start=lambda: found.start,
-        key=lambda: found.key,
-    )
+    # `start` and `needed` together determine the template, so the question leaves it out.
+    question = place, needed, period_s, numbers, text
 
-
-class _Found:
-    """What is known of a part of the user: values, start and equations of its system.
-
-    `users_part` describes the errors.
-    """
-
-    def __init__(
-        self,
-        maker: PartMaker,
-        given: dict[str, Any],
-        place: str,
-        template: Callable[[], Any],
-        needed: tuple[str, ...],
-        period_s: float | None,
-    ) -> None:
-        self._subject = subject = f"parts.{place}: {maker.short_name}"
-        self._make = partial(maker.make, given)
-        system = maker.make(given)
+    def values_and_state() -> tuple[dict[str, float], list[float]]:
+        system = make()
         if isinstance(system, Diagram):
             raise ParameterError(f"{subject}: is a Diagram; must be a LeafSystem")
         _require_ports(subject, system, template(), needed)
@@ -101,27 +73,34 @@ class _Found:
         _require_states(subject, system, context, period_s)
         if place == "cylinder":
             extension = system.GetOutputPort("rod_extension").Eval(context)[0]
-            wanted = given["start"]["initial_extension_m"]
+            wanted = start["initial_extension_m"]
             if not abs(extension - wanted) <= _EXTENSION_TOLERANCE_M:
                 raise ParameterError(
                     f"{subject}: its rod starts at {extension:.7g} m, and the knee at "
                     f"{wanted:.7g} m; must start there: give a function with the argument start, "
                     f"and begin at start['initial_extension_m']"
                 )
-        self.values = _values(system, context)
-        self.start = context.get_continuous_state_vector().CopyToVector().tolist()
+        state = context.get_continuous_state_vector().CopyToVector()
+        return _values(system, context), state.tolist()
 
-    @cached_property
-    def key(self) -> str:
-        """Hash of the equations of the system."""
-        system = self._make()
+    def equations_key() -> str:
+        system = make()
         try:
             return read_diagram(system, inputs=list(input_ports(system))).key
         except CompilationError as error:
             raise ParameterError(
-                f"{self._subject}: {error}; write the part for Expression too, or run it in "
+                f"{subject}: {error}; write the part for Expression too, or run it in "
                 f"Drake's Simulator by scenario.with_engine('drake')"
             ) from None
+
+    values, state = remembered(chosen.make, question, values_and_state)
+    return replaced._replace(
+        make=make,
+        values=lambda: values,
+        states=tuple(StateVariable(f"{place}_state_{n}") for n in range(len(state))),
+        start=lambda: state,
+        key=lambda: remembered(chosen.make, ("key", *question), equations_key),
+    )
 
 
 def _require_ports(subject: str, system: Any, template: Any, needed: Sequence[str]) -> None:

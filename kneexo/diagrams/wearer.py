@@ -11,8 +11,8 @@ from pydrake.systems.primitives import PassThrough, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from kneexo import systems
-from kneexo.diagrams.part import Part, by_name
-from kneexo.diagrams.plant import start_rod_force
+from kneexo.diagrams.part import Part, by_name, leaf_part
+from kneexo.diagrams.plant import scenario_plant_parts, start_rod_force
 from kneexo.geometry.rod_polynomial import controller_polynomial
 from kneexo.parameters import LegParameters, MomentTable, NoLoad, Scenario
 from kneexo.systems import cuff, knee_reference, load_cell, wearer_knee
@@ -39,11 +39,9 @@ def wearer_parts(scenario: Scenario) -> list[Part]:
                 lambda: wearer_knee.start_state(leg, *start),
                 offers=by_name("wearer_motion"),
             ),
-            Part(
-                "cuff",
-                lambda **fault: systems.Cuff(leg.cuff, **fault),
-                lambda: cuff.context_values(leg.cuff),
-                cuff.state_variables(leg.cuff),
+            leaf_part(
+                *("cuff", systems.Cuff, cuff, leg.cuff),
+                states=cuff.state_variables(leg.cuff),
                 offers=by_name("interaction_torque", "interaction_power", "cuff_slip")
                 | {"knee_torque": "interaction_torque"},
             ),
@@ -63,6 +61,15 @@ def wearer_parts(scenario: Scenario) -> list[Part]:
             )
         )
     return [part._replace(reads={"fault": f"faults_of_{part.name}"}) for part in parts]
+
+
+def parts_with_states(scenario: Scenario) -> Iterator[tuple[str, Part]]:
+    """Yield path and part of each leaf system of plant, wearer and load cell.
+
+    The continuous states of the closed loop are theirs, and a fault can change their parameters.
+    """
+    yield from ((f"plant/{part.name}", part) for part in scenario_plant_parts(scenario))
+    yield from ((part.name, part) for part in wearer_parts(scenario))
 
 
 def _start_force(scenario: Scenario) -> float:

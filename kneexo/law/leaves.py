@@ -25,13 +25,6 @@ def context_values(parameters: LawParameters) -> dict[str, float]:
     }
 
 
-def _declare_command(leaf: NamedLeaf) -> None:
-    """Declare the output port of the first element of the discrete state, in rad/s."""
-    leaf._declare_output(
-        "motor_speed_command", 1, lambda c: discrete_state(c)[:1], leaf.xd_ticket()
-    )
-
-
 class FunctionLaw(NamedLeaf):
     """Control law of the user, a function that is called once a sample: u⁺ = clip(f(…), ±u_max).
 
@@ -70,7 +63,7 @@ class FunctionLaw(NamedLeaf):
         self._declare_update(parameters.sample_time_s, 1 + self._states, self._update)
         if self._states:
             self._declare_initialization(self._start)
-        _declare_command(self)
+        self._declare_command()
         self._declare_output(COMMAND_AND_STATE, 1 + self._states, discrete_state, self.xd_ticket())
 
     def _start(self, context: Any) -> list[Any]:
@@ -107,7 +100,7 @@ class HeldCommand(NamedLeaf):
             self.DeclareVectorInputPort(name, LAW_INPUTS[name])
         command = self.DeclareVectorInputPort(LAW_COMMAND, 1)
         self._declare_update(sample_time_s, 1, lambda c: [command.Eval(c)[0]])
-        _declare_command(self)
+        self._declare_command()
 
 
 HeldCommand_ = leaf_template(HeldCommand)
@@ -147,7 +140,7 @@ class LinearLaw(NamedLeaf):
         self._declare_update(
             sample_time_s, 1 + discrete, lambda c: self._linear_form(c)[continuous:]
         )
-        _declare_command(self)
+        self._declare_command()
 
     def set_matrix(self, context: Any, matrix: Any) -> None:
         """Set the Context parameters to a matrix M, whose rows give dx/dt, then u, then z."""

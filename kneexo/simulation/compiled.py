@@ -193,7 +193,7 @@ def compile_scenario(scenario: Scenario = Scenario()) -> CompiledModel:
 def _model(key: str, scenario: Scenario) -> CompiledModel:
     def make() -> CompiledModel:
         # Raise the errors of a wrong scenario here, before the diagram is built.
-        _require_reference_in_range(scenario)
+        knee_reference.require_reference_in_range(scenario.reference, scenario.plant.knee)
         scenario_values(scenario)
         scenario_start(scenario)
         decision = decide(scenario)
@@ -377,17 +377,13 @@ def _joint_table(has_law_command: bool, reference: Any, moment: MomentTable | No
     return stack_tables(*tables) if len(tables) > 1 else tables[0]
 
 
-def _require_reference_in_range(scenario: Scenario) -> None:
-    knee_reference.require_reference_in_range(scenario.reference, scenario.plant.knee)
-
-
 def scenario_run(scenario: Scenario, model: CompiledModel) -> tuple[Array, State, InputTable]:
     """Return parameters, initialized state and input table of a scenario for its compiled model.
 
     The input table is empty unless the reference has samples or the wearer a moment. Raises
     `ParameterError` and `LinkageError` as `make_closed_loop` does.
     """
-    _require_reference_in_range(scenario)
+    knee_reference.require_reference_in_range(scenario.reference, scenario.plant.knee)
     values, start = scenario_values(scenario), scenario_start(scenario)
     # By name, because a law that runs as Python has values that the model does not have.
     parameters = np.array([values[name] for name in model.parameter_names])

@@ -143,6 +143,12 @@ class NamedLeaf(LeafSystem):
             period, 0.0, lambda context, state: fill(state.get_mutable_vector(0), update(context))
         )
 
+    def _declare_command(self) -> None:
+        """Declare the output port of a command that is the first discrete state."""
+        self._declare_output(
+            "motor_speed_command", 1, lambda c: discrete_state(c)[:1], self.xd_ticket()
+        )
+
     def _declare_initialization(self, initialize: Callable[[Any], Sequence[Any]]) -> None:
         """Let ``Simulator.Initialize()`` set the discrete state to ``initialize(context)``."""
         self.DeclareInitializationDiscreteUpdateEvent(

@@ -91,13 +91,14 @@ def seal_friction(velocity: Any, p: Any) -> Any:
 
 
 def holding_pressures(
-    force: float, *, cap_area: float, rod_side_area: float, reservoir: float
+    force: float, cylinder: CylinderParameters, reservoir: float
 ) -> tuple[float, float]:
     """Return the pressures P_1 and P_2 in Pa that hold ``force`` (N, positive opposes extension).
 
     If ``force`` exceeds P_r (A_1 − A_2), the cap side carries the load, otherwise the rod side. The
     other chamber is at the pressure P_r of the reservoir.
     """
+    cap_area, rod_side_area = cylinder.cap_area_m2, cylinder.rod_side_area_m2
     if force > reservoir * (cap_area - rod_side_area):
         return (force + reservoir * rod_side_area) / cap_area, reservoir
     return reservoir, (reservoir * cap_area - force) / rod_side_area
@@ -216,12 +217,9 @@ class FullCylinder(Cylinder):
         self._declare_parameters(context_values(parameters, full_order, external, bypass, stops))
         extension = start_extension(parameters, initial_extension_m)
         if initial_pressures_pa is None:
-            initial_pressures_pa = holding_pressures(
-                parameters.stiffness_n_per_m * extension,
-                cap_area=parameters.cap_area_m2,
-                rod_side_area=parameters.rod_side_area_m2,
-                reservoir=full_order.reservoir_pressure_pa,
-            )
+            force = parameters.stiffness_n_per_m * extension
+            reservoir = full_order.reservoir_pressure_pa
+            initial_pressures_pa = holding_pressures(force, parameters, reservoir)
         if not all(map(math.isfinite, initial_pressures_pa)):
             raise ParameterError(
                 f"initial_pressures_pa = {initial_pressures_pa} Pa: must be finite"

@@ -75,9 +75,7 @@ class PidController(NamedLeaf):
         self._rod_reference = self.DeclareVectorInputPort("rod_reference", 4)
         self._declare_update(parameters.sample_time_s, 3, self._update)
         self._declare_initialization(lambda c: [0.0, 0.0, self._error(c)])
-        self._declare_output(
-            "motor_speed_command", 1, lambda c: discrete_state(c)[:1], self.xd_ticket()
-        )
+        self._declare_command()
 
     def _error(self, context: Any) -> Any:
         return self._knee_reference.Eval(context)[0] - self._knee_angle.Eval(context)[0]

@@ -17,30 +17,6 @@ from kneexo.systems.cylinder import (
 )
 
 
-def pressure_rate(
-    flow: Any,
-    velocity: Any,
-    pressure: Any,
-    *,
-    bulk_modulus: Any,
-    volume: Any,
-    area: Any,
-    leakage: Any,
-) -> Any:
-    """Return dP_L/dt = (4 β_e/V_t)(Q_L − Ā v − C_L P_L) in Pa/s (Eq. 15)."""
-    return 4.0 * bulk_modulus / volume * (flow - area * velocity - leakage * pressure)
-
-
-def rod_force(
-    pressure: Any, velocity: Any, extension: Any, *, area: Any, damping: Any, stiffness: Any
-) -> Any:
-    """Return the force of the rod on its load, P_L Ā − B v − K x, in N (Eq. 16).
-
-    The force is positive when the rod pushes.
-    """
-    return pressure * area - damping * velocity - stiffness * extension
-
-
 def context_values(
     parameters: CylinderParameters, stops: EndStops | None = None
 ) -> dict[str, float]:
@@ -116,27 +92,12 @@ class ReducedCylinder(Cylinder):
 
     def _rod_force(self, p: Any, state: list[Any]) -> Any:
         x, v, pressure = state
-        return rod_force(
-            pressure,
-            v,
-            x,
-            area=p.mean_area_m2,
-            damping=p.damping_n_s_per_m,
-            stiffness=p.stiffness_n_per_m,
-        )
+        return pressure * p.mean_area_m2 - p.damping_n_s_per_m * v - p.stiffness_n_per_m * x
 
     def _pressure_rates(self, context: Any, p: Any, state: list[Any]) -> dict[str, Any]:
         _, v, pressure = state
-        rate = pressure_rate(
-            self._flow.Eval(context)[0],
-            v,
-            pressure,
-            bulk_modulus=p.bulk_modulus_pa,
-            volume=p.total_volume_m3,
-            area=p.mean_area_m2,
-            leakage=p.leakage_m3_per_s_pa,
-        )
-        return {"pressure_rate": rate}
+        flow = self._flow.Eval(context)[0] - p.mean_area_m2 * v - p.leakage_m3_per_s_pa * pressure
+        return {"pressure_rate": 4.0 * p.bulk_modulus_pa / p.total_volume_m3 * flow}
 
 
 ReducedCylinder_ = leaf_template(ReducedCylinder)

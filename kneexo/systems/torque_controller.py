@@ -99,9 +99,7 @@ class TorqueController(NamedLeaf):
             self._moment = self.DeclareVectorInputPort("biological_moment", 1)
             sources = [self._moment]
         self._declare_update(parameters.sample_time_s, 2, self._update)
-        self._declare_output(
-            "motor_speed_command", 1, lambda c: discrete_state(c)[:1], self.xd_ticket()
-        )
+        self._declare_command()
         self._desired = self._declare_output("desired_torque", 1, self._calc_desired, *sources)
 
     def _arm(self, context: Any) -> Any:

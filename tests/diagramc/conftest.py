@@ -121,7 +121,7 @@ def _fused(graph, roots):
         *most, last = kept or [result.one]
         if negative:
             most = [result.constant(-1.0), *most]
-        return result.operation("multiply", *(most or [result.one])), last
+        return result.node("multiply", *(most or [result.one])), last
 
     for node in nodes:
         kind, *arguments = graph.nodes[node]
@@ -129,15 +129,15 @@ def _fused(graph, roots):
             terms = [new[term] for term in arguments if not fusible(term)]
             products = [signed_factors(term) for term in arguments if fusible(term)]
             if not terms:
-                terms, products = [result.operation("multiply", *products[0])], products[1:]
-            total = result.operation("add", *terms)
+                terms, products = [result.node("multiply", *products[0])], products[1:]
+            total = result.node("add", *terms)
             for product in products:
-                total = result.operation("fma", *product, total)
+                total = result.node("fma", *product, total)
             new[node] = total
         elif kind in SOURCES:
-            new[node] = result.operation(kind, *arguments)
+            new[node] = result.node(kind, *arguments)
         else:
-            new[node] = result.operation(kind, *(new[argument] for argument in arguments))
+            new[node] = result.node(kind, *(new[argument] for argument in arguments))
     return result, [new[root] for root in roots]
 
 
@@ -185,33 +185,33 @@ def _graphs(draw, kinds=EXACT, *, nodes=25, roots=6, constants=EDGES, sizes=None
     ]
     plain = list(numbers)
     numbers += [graph.constant(draw(st.sampled_from(constants))) for _ in range(3)]
-    conditions = [graph.compare("lt", *numbers[:2])]
+    conditions = [graph.node("lt", *numbers[:2])]
     all_kinds = (*kinds, "add", "multiply", "negative", "condition", "logic")
     for _ in range(nodes):
         kind = draw(st.sampled_from(all_kinds))
         if kind == "condition":
             name = draw(st.sampled_from(tuple(COMPARISONS)))
-            conditions.append(graph.compare(name, pick(numbers), pick(numbers)))
+            conditions.append(graph.node(name, pick(numbers), pick(numbers)))
         elif kind == "logic":
             name = draw(st.sampled_from(("and", "or", "not")))
             count = 1 if name == "not" else draw(st.integers(2, 3))
             conditions.append(graph.simplified(name, *(pick(conditions) for _ in range(count))))
         elif kind == "where":
             arguments = pick(conditions), pick(numbers), pick(numbers)
-            numbers.append(graph.operation("where", *arguments))
+            numbers.append(graph.node("where", *arguments))
         elif kind in UNARY:
-            numbers.append(graph.operation(kind, pick(numbers)))
+            numbers.append(graph.node(kind, pick(numbers)))
         elif kind == "power":  # LLVM knows better than the C library what constant exponents do
-            numbers.append(graph.operation(kind, pick(plain), pick(plain)))
+            numbers.append(graph.node(kind, pick(plain), pick(plain)))
         elif kind == "negative":
             factors = [pick(numbers) for _ in range(draw(st.integers(0, 3)))]
             factors += [graph.constant(-1.0)] * draw(st.integers(1, 2))
-            numbers.append(graph.operation("multiply", *draw(st.permutations(factors))))
+            numbers.append(graph.node("multiply", *draw(st.permutations(factors))))
         elif kind in ("add", "multiply"):
             count = draw(st.integers(2, 4))
-            numbers.append(graph.operation(kind, *(pick(numbers) for _ in range(count))))
+            numbers.append(graph.node(kind, *(pick(numbers) for _ in range(count))))
         else:
-            numbers.append(graph.operation(kind, pick(numbers), pick(numbers)))
+            numbers.append(graph.node(kind, pick(numbers), pick(numbers)))
     return graph, numbers[-roots:]
 
 

@@ -36,7 +36,7 @@ def test_each_state_needs_a_start():
 
 
 def test_states_are_numbered_in_their_part():
-    assert state_names(two_states(None), "plant") == ["plant/tank.x[0]", "plant/tank.x[1]"]
+    assert state_names(two_states(None), "plant/tank") == ["plant/tank.x[0]", "plant/tank.x[1]"]
 
 
 @pytest.mark.parametrize("name", SCENARIOS)

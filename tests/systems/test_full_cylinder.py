@@ -215,7 +215,7 @@ def test_all_oil_comes_from_the_reservoir_or_goes_there():
 
 @pytest.mark.parametrize("force", [-600.0, -1.0, 0.0, 15.0, 16.0, 800.0])
 def test_holding_pressures_balance_the_force_with_the_lower_line_at_the_reservoir(force):
-    cap, rod_side = holding_pressures(force, cap_area=AREA_1, rod_side_area=AREA_2, reservoir=0.2e6)
+    cap, rod_side = holding_pressures(force, CYLINDER, 0.2e6)
     assert cap * AREA_1 - rod_side * AREA_2 == pytest.approx(force, abs=1e-10)
     assert min(cap, rod_side) == 0.2e6
     assert (cap > rod_side) == (force > 0.2e6 * math.pi / 4.0 * 0.010**2)  # 15.7 N
@@ -338,12 +338,7 @@ def test_the_rod_switches_modes_after_a_step_of_the_flow(flow, swinging_n, resti
     builder.ExportOutput(cylinder.GetOutputPort("rod_velocity"), "v")
     model = compile_diagram(builder.Build(), inputs=["load_flow", "load_force"])
     for force in (*swinging_n, *resting_n):
-        held = holding_pressures(
-            force,
-            cap_area=parameters.cap_area_m2,
-            rod_side_area=parameters.rod_side_area_m2,
-            reservoir=full.reservoir_pressure_pa,
-        )
+        held = holding_pressures(force, parameters, full.reservoir_pressure_pa)
         state = model.state()
         state.continuous[:] = (0.03 if flow > 0.0 else 0.14), 0.0, *(1e-6 * p for p in held)
         run = model.simulate(

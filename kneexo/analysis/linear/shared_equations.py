@@ -44,14 +44,10 @@ def set_parameters(
             continue
         subcontext = system.GetMyMutableContextFromRoot(context)
         for name, value in named.items():
-            if group := re.fullmatch(r"(\d+)\[(\d+)\]", name):
-                vector = subcontext.get_mutable_numeric_parameter(int(group[1]))
-                vector.SetAtIndex(int(group[2]), value)
-            elif hasattr(system, "set_parameter"):
-                system.set_parameter(subcontext, name, value)
-            else:  # a part of the user
-                index = system.parameter_names.index(name)
-                subcontext.get_mutable_numeric_parameter(0).SetAtIndex(index, value)
+            numbered = re.fullmatch(r"(\d+)\[(\d+)\]", name)
+            place = numbered.groups() if numbered else (0, system.parameter_names.index(name))
+            group, index = map(int, place)
+            subcontext.get_mutable_numeric_parameter(group).SetAtIndex(index, value)
 
 
 def _system(diagram: Any, path: str) -> Any:

@@ -217,16 +217,8 @@ def _valves(scenario: Scenario) -> FullCylinderParameters:
 
 def _pressures(scenario: Scenario, force: Array) -> tuple[Array, Array]:
     """Return P_1 and P_2 in Pa, each (n,), that hold the forces (n,) in N."""
-    cylinder, valves = scenario.plant.cylinder, _valves(scenario)
-    both = [
-        holding_pressures(
-            value,
-            cap_area=cylinder.cap_area_m2,
-            rod_side_area=cylinder.rod_side_area_m2,
-            reservoir=valves.reservoir_pressure_pa,
-        )
-        for value in force.tolist()
-    ]
+    cylinder, reservoir = scenario.plant.cylinder, _valves(scenario).reservoir_pressure_pa
+    both = [holding_pressures(value, cylinder, reservoir) for value in force.tolist()]
     cap, rod_side = np.array(both).T
     return cap, rod_side
 

@@ -88,6 +88,10 @@ class PartParameters(Parameters):
     make: PartMaker = choice(..., "given by the user: FILE.py:NAME of a Drake leaf system")
     values: dict[str, float] = choice({}, "given by the user: numbers of the part, by argument")
 
+    def system(self, scenario: Any, start: Mapping[str, Any]) -> Any:
+        """Return a new Drake system of the part, as `PartMaker.make` does."""
+        return self.make.make({"scenario": scenario, "start": start, **self.values})
+
     def __hash__(self) -> int:
         """Return a hash of the maker and the sorted values."""
         return hash((self.make, tuple(sorted(self.values.items()))))

@@ -246,7 +246,7 @@ def test_a_broken_compiler_does_not_stop_an_export(tmp_path, monkeypatch, script
 def test_the_readme_lists_the_functions_of_all_that_is_printed(tmp_path):
     """A step multiplies by a constant alone; the start computes it, by exp."""
     g = Graph()
-    factor = g.unary("exp", g.source("parameter", 0))
+    factor = g.node("exp", g.source("parameter", 0))
     y = g.multiply(factor, g.source("input", 0))
     equations = Equations(graph=g, parameters=["m.a"], inputs={"u": 1}, outputs={"y": [y]})
     state = State(np.zeros(0), np.zeros(0))

@@ -28,7 +28,7 @@ def test_a_value_that_is_constant_over_a_tick_is_computed_before_the_loops(built
     equations = Equations(states=["x"], discrete=["d"], inputs={"u": 1})  # x' = exp(u) sin(x) + d
     g = equations.graph
     x, d, u = (g.source(kind) for kind in ("state", "discrete", "input"))
-    equations.derivatives = [g.add(g.multiply(g.unary("exp", u), g.unary("sin", x)), d)]
+    equations.derivatives = [g.add(g.multiply(g.node("exp", u), g.node("sin", x)), d)]
     equations.outputs, equations.initial_discrete = {"y": [x]}, [d]
     equations.updates = [Update(0.1, 0.0, ((0, d),))]
     source = CSource(equations, "m", np.zeros(0), State(np.array([1.0]), np.array([3.0])))

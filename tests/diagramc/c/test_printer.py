@@ -89,8 +89,8 @@ def test_exact_operations_have_the_bits_of_the_interpreter(
 def test_elementary_functions_are_those_of_the_c_library(c_text, interpreted):
     graph = Graph()
     x, y = (graph.source("state", i) for i in range(2))
-    roots = [graph.unary(name, x) for name in UNARY]
-    roots += [graph.operation("atan2", x, y), graph.operation("power", x, y)]
+    roots = [graph.node(name, x) for name in UNARY]
+    roots += [graph.node("atan2", x, y), graph.node("power", x, y)]
     rng = np.random.default_rng(3)
     samples = {"time": np.zeros((1, 64)), "state": rng.uniform(0.01, 0.99, (2, 64))}
     expected = np.array(interpreted(graph, roots, **samples))
@@ -104,7 +104,7 @@ def test_elementary_functions_are_those_of_the_c_library(c_text, interpreted):
 def test_what_is_used_twice_is_computed_once():
     graph = Graph()
     x = graph.source("state", 0)
-    root = graph.unary("sin", x)
+    root = graph.node("sin", x)
     text = text_of(graph, [graph.add(root, x), graph.multiply(root, x)])
     assert text.count("sin(x[0])") == 1
 
@@ -124,12 +124,12 @@ def test_what_depends_on_parameters_alone_is_fixed():
 def test_sections_are_comments_in_order():
     graph = Graph()
     x = graph.source("state", 0)
-    first = graph.unary("sin", x)
-    second = graph.unary("cos", graph.add(first, x))
+    first = graph.node("sin", x)
+    second = graph.node("cos", graph.add(first, x))
     sections = [
         Section("plant: output y", "Plant: λ² */ of it", (first,)),
         Section("law: update", "Law.", (second,)),
-        Section("unused: output", "Other.", (graph.unary("tan", x),)),
+        Section("unused: output", "Other.", (graph.node("tan", x),)),
     ]
     text = text_of(graph, [second, second, first], sections=sections)
     assert "/* plant: output y. Plant: lambda2 * / of it */" in text

@@ -46,7 +46,7 @@ def test_a_function_with_the_factor_zero_is_skipped_until_the_factor_changes(
 ):
     g = Graph()
     p, t, x = g.source("parameter"), g.source("time"), g.source("state")
-    root = g.add(x, g.multiply(p, g.unary("sin", t)))
+    root = g.add(x, g.multiply(p, g.node("sin", t)))
     faster = fast_rates(g, [root], np.array([amplitude]))[root]
     kinds = [g.nodes[node][0] for node in g.reachable([faster])]
     assert ("where" in kinds) == (amplitude == 0.0)
@@ -65,7 +65,7 @@ def test_a_number_joins_the_factors_behind_a_limit():
     """0.001 min(x / p, q) = min((0.001 / p) x, 0.001 q)."""
     g = Graph()
     p, q, x = g.source("parameter", 0), g.source("parameter", 1), g.source("state")
-    limited = g.binary("min", g.divide(x, p), q)
+    limited = g.node("min", g.divide(x, p), q)
     root = g.multiply(g.constant(0.001), limited)
     faster = fast_rates(g, [root], np.ones(2))[root]
     kind, product, limit = g.nodes[faster]
@@ -79,7 +79,7 @@ def test_a_number_joins_the_factors_behind_a_limit():
 @pytest.mark.parametrize("case", ["negative", "used twice"])
 def test_a_number_stays_before_a_limit(case):
     g = Graph()
-    limited = g.binary("min", g.source("state"), g.source("parameter"))
+    limited = g.node("min", g.source("state"), g.source("parameter"))
     factor = g.constant(-2.0 if case == "negative" else 2.0)
     root = g.multiply(factor, limited)
     roots = [root, limited] if case == "used twice" else [root]
@@ -90,18 +90,18 @@ def test_early_terms_are_added_first():
     """The input is constant over a tick; the sine is late."""
     g = Graph()
     x, y, u = g.source("state", 0), g.source("state", 1), g.source("input")
-    sine, square = g.unary("sin", x), g.multiply(x, y)
+    sine, square = g.node("sin", x), g.multiply(x, y)
     root = g.add(sine, square, x, u)
     faster = fast_rates(g, [root], np.zeros(0))[root]
-    inner = g.operation("add", square, g.operation("add", x, u))
-    assert faster == g.operation("add", inner, sine)
+    inner = g.node("add", square, g.node("add", x, u))
+    assert faster == g.node("add", inner, sine)
 
 
 def test_a_sum_that_is_compared_keeps_its_order():
     g = Graph()
-    sine = g.unary("sin", g.source("state"))
+    sine = g.node("sin", g.source("state"))
     total = g.add(sine, g.source("input", 0), g.source("input", 1))
-    root = g.where(g.compare("gt", total, g.zero), g.one, g.zero)
+    root = g.where(g.node("gt", total, g.zero), g.one, g.zero)
     assert fast_rates(g, [root], np.zeros(0))[root] == root
 
 
@@ -109,7 +109,7 @@ def test_signals_keep_names_and_comments():
     """The faster derivative s + s² reads the signal s = sin(x / p) too."""
     equations = Equations(parameters=["a/b.p"], states=["x"])
     g = equations.graph
-    sine = g.unary("sin", g.divide(g.source("state"), g.source("parameter")))
+    sine = g.node("sin", g.divide(g.source("state"), g.source("parameter")))
     rate = g.add(sine, g.multiply(sine, sine))
     equations.derivatives, equations.outputs = [rate], {"y": [sine]}
     equations.sections = [

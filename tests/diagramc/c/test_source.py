@@ -255,7 +255,7 @@ def test_a_start_with_bad_inputs_or_parameters_says_so(built):
     assert built(guarded()).init([math.nan]) == 1
 
     def graph_of(g):
-        return {"outputs": {"y": [g.unary("log", g.source("parameter", 0))]}}
+        return {"outputs": {"y": [g.node("log", g.source("parameter", 0))]}}
 
     equations = equations_of(graph_of, parameters=["m.a"])
     source = CSource(equations, "m", np.array([-1.0]), State(np.zeros(0), np.zeros(0)), tick_s=0.1)

@@ -71,7 +71,7 @@ def test_the_mode_is_that_of_the_start():
     assert held == pytest.approx(0.2 / 4000.0)
     # Inputs and time are zero.
     rest = nonlinear(
-        lambda g, x, d, u, p, t: g.multiply(g.constant(-3000.0), x, g.unary("cos", g.add(u, t)))
+        lambda g, x, d, u, p, t: g.multiply(g.constant(-3000.0), x, g.node("cos", g.add(u, t)))
     )
     assert rest == pytest.approx(0.2 / 3000.0)
 
@@ -82,5 +82,5 @@ def test_a_mode_that_is_not_finite_needs_a_step():
         r"needed$"
     )
     with pytest.raises(CompilationError, match=line):
-        nonlinear(lambda g, x, *_: g.unary("sqrt", x))
-    assert math.isfinite(nonlinear(lambda g, x, *_: g.unary("sqrt", x), x=1.0))
+        nonlinear(lambda g, x, *_: g.node("sqrt", x))
+    assert math.isfinite(nonlinear(lambda g, x, *_: g.node("sqrt", x), x=1.0))

@@ -25,10 +25,10 @@ def counting(**options):
         g.source(*of) for of in (("parameter",), ("input", 0), ("input", 1), ("discrete",))
     )
     angle = g.multiply(a, n)
-    total = g.add(g.multiply(g.unary("sin", angle), x), u)
+    total = g.add(g.multiply(g.node("sin", angle), x), u)
     equations.updates = [Update(0.1, 0.0, ((0, total),))]
     equations.initial_discrete = [x]
-    equations.outputs = {"y": [x, g.unary("cos", angle)]}
+    equations.outputs = {"y": [x, g.node("cos", angle)]}
     interface = Interface(integers=frozenset(["count"]), ranges=RANGES)
     state = State(np.zeros(0), np.array([0.5]))
     given = {"interface": interface, "look_up": True} | options
@@ -72,7 +72,7 @@ def test_a_step_neither_computes_nor_keeps_what_is_looked_up():
 
 def test_a_value_that_is_not_finite_is_refused():
     g = Graph()
-    node = g.unary("log", g.source("input", 0))
+    node = g.node("log", g.source("input", 0))
     (table,) = tables_of(g, [node], {0: (-1, 2)}, np.zeros(0))
     assert np.isnan(table.values[0])
     equations = Equations(graph=g, inputs={"count": 1}, outputs={"y": [node]})
@@ -91,14 +91,14 @@ def test_every_operation_has_the_value_of_the_interpreter(interpreted):
     g = Graph()
     n, p = g.source("input", 0), g.source("parameter", 0)
     x = g.multiply(n, g.constant(0.125))
-    smaller, unequal = g.compare("lt", x, p), g.operation("ne", x, g.constant(0.25))
-    roots = [g.unary(name, x) for name in UNARY]
-    roots += [g.operation(name, g.unary("exp", x), p) for name in ("divide", "power", "atan2")]
-    roots += [g.operation(name, g.unary("exp", x), p) for name in ("min", "max", "add", "multiply")]
+    smaller, unequal = g.node("lt", x, p), g.node("ne", x, g.constant(0.25))
+    roots = [g.node(name, x) for name in UNARY]
+    roots += [g.node(name, g.node("exp", x), p) for name in ("divide", "power", "atan2")]
+    roots += [g.node(name, g.node("exp", x), p) for name in ("min", "max", "add", "multiply")]
     for name in ("gt", "ge", "le", "eq"):
-        roots.append(g.where(g.compare(name, x, p), g.unary("sin", x), g.unary("exp", x)))
+        roots.append(g.where(g.node(name, x, p), g.node("sin", x), g.node("exp", x)))
     for condition in (g.simplified("and", smaller, unequal), g.simplified("or", smaller, unequal)):
-        roots.append(g.where(g.simplified("not", condition), g.unary("sin", x), g.unary("exp", x)))
+        roots.append(g.where(g.simplified("not", condition), g.node("sin", x), g.node("exp", x)))
     counts = np.arange(1.0, 8.0)
     tables = tables_of(g, roots, {0: (1, 7)}, np.array([0.4]))
     values = {table.node: table.values for table in tables}

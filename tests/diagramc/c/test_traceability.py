@@ -81,7 +81,7 @@ def test_a_margin_is_tested_by_the_status_and_by_what_reads_its_values():
     equations = Equations(parameters=["law.p"], discrete=["law.0[0]"])
     g = equations.graph
     x = g.source("discrete", 0)
-    root, start = g.unary("sqrt", x), g.unary("exp", g.source("parameter", 0))
+    root, start = g.node("sqrt", x), g.node("exp", g.source("parameter", 0))
     margin = g.subtract(g.constant(9.0), root)
     y = g.multiply(root, g.constant(3.0))
     equations.outputs = {"one": [g.constant(1.0)], "y": [y]}

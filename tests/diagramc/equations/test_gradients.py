@@ -27,7 +27,7 @@ def check_gradient(interpreted, make, x):
 
 @pytest.mark.parametrize("name", UNARY)
 def test_derivative_of_each_function_of_one_argument(interpreted, name):
-    check_gradient(interpreted, lambda g, a: g.unary(name, a), [POINTS.get(name, -0.6)])
+    check_gradient(interpreted, lambda g, a: g.node(name, a), [POINTS.get(name, -0.6)])
 
 
 def test_derivative_of_a_product_with_a_repeated_factor_and_a_quotient(interpreted):
@@ -43,14 +43,14 @@ def test_derivative_of_a_product_with_a_repeated_factor_and_a_quotient(interpret
 def test_a_node_of_whole_numbers_has_no_gradient():
     graph = Graph()
     a, b = (graph.source("state", i) for i in range(2))
-    (gradient,) = gradients(graph, [graph.add(graph.unary("floor", a), graph.multiply(b, b))])
+    (gradient,) = gradients(graph, [graph.add(graph.node("floor", a), graph.multiply(b, b))])
     assert list(gradient) == [1]
 
 
 def test_the_time_alone_gives_the_partial_derivative_by_the_time(interpreted):
     graph = Graph()
     t, x = graph.source("time"), graph.source("state", 0)
-    roots = [graph.multiply(graph.unary("sin", t), x), x]
+    roots = [graph.multiply(graph.node("sin", t), x), x]
     by_time, of_state = time_derivatives(graph, roots, {t: graph.one})
     assert of_state == graph.zero
     (value,) = interpreted(graph, [by_time], state=[3.0], time=[0.5])
@@ -62,8 +62,8 @@ def test_time_derivative_follows_all_sources_that_change(interpreted):
     t, x, y, p = (
         graph.source(*kind) for kind in (("time",), ("state",), ("state", 1), ("parameter",))
     )
-    root = graph.add(graph.multiply(p, graph.unary("sin", t), x), graph.divide(x, y))
-    still = graph.multiply(p, graph.unary("floor", t))
+    root = graph.add(graph.multiply(p, graph.node("sin", t), x), graph.divide(x, y))
+    still = graph.multiply(p, graph.node("floor", t))
     rates = {t: graph.one, x: graph.multiply(x, y), y: graph.constant(-0.3)}
     derivative, of_still = time_derivatives(graph, [root, still], rates)
     assert of_still == graph.zero

@@ -25,7 +25,7 @@ def test_simplifications():
     assert graph.divide(graph.zero, a) == graph.zero
     assert graph.power(a, graph.zero) == graph.one
     assert graph.power(a, graph.one) == a
-    assert graph.where(graph.compare("lt", a, graph.one), a, a) == a
+    assert graph.where(graph.node("lt", a, graph.one), a, a) == a
     assert graph.negate(graph.constant(2.0)) == graph.constant(-2.0)
     minus = graph.constant(-1.0)
     assert graph.nodes[graph.divide(a, minus)][0] == "divide"
@@ -72,7 +72,7 @@ def test_horner_is_regrouped_to_the_same_polynomial_and_shallow(interpreted):
 def test_wrap_by_atan2_becomes_whole_turns(interpreted, angle):
     graph = Graph()
     a = graph.source("state", 0)
-    node = graph.binary("atan2", graph.unary("sin", a), graph.unary("cos", a))
+    node = graph.atan2(graph.node("sin", a), graph.node("cos", a))
     assert "sin" not in {graph.nodes[n][0] for n in graph.reachable([node])}
     expected = math.atan2(math.sin(angle), math.cos(angle))
     (value,) = interpreted(graph, [node], state=[angle])

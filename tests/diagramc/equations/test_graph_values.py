@@ -25,7 +25,7 @@ NAN = math.nan
 )
 def test_the_smaller_and_the_larger_one(kind, first, second, expected):
     graph = Graph()
-    node = graph.binary(kind, graph.source("input", 0), graph.source("input", 1))
+    node = graph.node(kind, graph.source("input", 0), graph.source("input", 1))
     (value,) = values_of(graph, [node], {"input": [np.array([first]), np.array([second])]})
     np.testing.assert_array_equal(value, [expected])
     assert np.signbit(value[0]) == np.signbit(expected)
@@ -35,7 +35,7 @@ def test_values_of_numbers_and_of_arrays():
     graph = Graph()
     a, n = graph.source("parameter", 0), graph.source("input", 0)
     angle = graph.multiply(a, n)
-    roots = [graph.unary("sin", angle), graph.add(a, graph.constant(2.0)), graph.unary("sqrt", n)]
+    roots = [graph.node("sin", angle), graph.add(a, graph.constant(2.0)), graph.node("sqrt", n)]
     sine, total, root = values_of(
         graph, roots, {"parameter": [0.3], "input": {0: np.array([-1.0, 4.0])}}
     )

@@ -48,7 +48,7 @@ def test_every_operation_but_logic_and_choice_is_compared_with_drake():
 def test_derivatives_of_smooth_operations_are_continuous(name):
     graph = Graph()
     arguments = [graph.source("state", i) for i in range(OPERATIONS[name].arguments or 2)]
-    (gradient,) = gradients(graph, [graph.operation(name, *arguments)])
+    (gradient,) = gradients(graph, [graph.node(name, *arguments)])
     points = np.linspace(0.2, 0.8, 601)
     for index in range(len(arguments)):
         state = [np.full_like(points, 0.5) for _ in arguments]
@@ -63,5 +63,5 @@ def test_rounded_values_are_whole_and_constant_in_between(name):
     assert (values == values[0]).all()
     assert values[0] == round(values[0])
     graph = Graph()
-    (gradient,) = gradients(graph, [graph.unary(name, graph.source("state"))])
+    (gradient,) = gradients(graph, [graph.node(name, graph.source("state"))])
     assert gradient == {}

@@ -13,8 +13,8 @@ def graph():
 
 def test_a_fixed_node_is_returned_where_code_that_is_not_fixed_reads_it(graph):
     p, q, x = graph.source("parameter", 0), graph.source("parameter", 1), graph.source("state")
-    inner = graph.unary("exp", p)
-    outer = graph.unary("sin", inner)
+    inner = graph.node("exp", p)
+    outer = graph.node("sin", inner)
     root = graph.multiply(x, outer)
     assert fixed_nodes(graph, [root]) == [outer]
     assert fixed_nodes(graph, [root, graph.add(inner, x), graph.add(q, x)]) == [q, inner, outer]
@@ -23,13 +23,13 @@ def test_a_fixed_node_is_returned_where_code_that_is_not_fixed_reads_it(graph):
 def test_a_fixed_condition_is_not_returned_but_the_numbers_behind_it_are(graph):
     p, x = graph.source("parameter", 0), graph.source("state")
     square = graph.multiply(p, p)
-    root = graph.where(graph.compare("gt", square, graph.one), x, graph.zero)
+    root = graph.where(graph.node("gt", square, graph.one), x, graph.zero)
     assert fixed_nodes(graph, [root]) == [square]
 
 
 def test_a_node_that_is_looked_up_reads_nothing(graph):
     angle = graph.multiply(graph.source("parameter"), graph.source("input"))
-    sine = graph.unary("sin", angle)
+    sine = graph.node("sin", angle)
     root = graph.add(sine, graph.source("state"))
     assert fixed_nodes(graph, [root]) == [graph.source("parameter")]
     assert fixed_nodes(graph, [root], {sine}) == []
@@ -40,30 +40,30 @@ def by_count(graph, roots, is_count, most=0):
 
 
 def test_a_rounding_of_a_count_is_no_count_of_its_own(graph):
-    count = graph.unary("floor", graph.source("state"))
-    again = graph.unary("floor", graph.unary("sin", count))
+    count = graph.node("floor", graph.source("state"))
+    again = graph.node("floor", graph.node("sin", count))
     rounded = by_count(graph, [again], lambda node: is_rounded(graph, node))
     assert rounded == {count: [again]}
 
 
 def test_a_source_can_be_a_count(graph):
     count, other = graph.source("input", 0), graph.source("input", 1)
-    sine = graph.unary("sin", count)
-    roots = [graph.multiply(sine, other), graph.unary("cos", other)]
+    sine = graph.node("sin", count)
+    roots = [graph.multiply(sine, other), graph.node("cos", other)]
     assert by_count(graph, roots, {count}.__contains__) == {count: [sine]}
 
 
 def test_a_node_must_cost_more_than_a_look_up(graph):
     count = graph.source("input")
-    sine = graph.unary("sin", count)
+    sine = graph.node("sin", count)
     assert by_count(graph, [sine], {count}.__contains__, most=9) == {count: [sine]}
     assert by_count(graph, [sine], {count}.__contains__, most=10) == {}
 
 
 def test_a_condition_is_in_no_table_and_reads_from_none(graph):
     count = graph.source("input")
-    sine = graph.unary("sin", count)
-    root = graph.where(graph.compare("gt", sine, graph.zero), graph.source("state"), graph.one)
+    sine = graph.node("sin", count)
+    root = graph.where(graph.node("gt", sine, graph.zero), graph.source("state"), graph.one)
     assert by_count(graph, [root], {count}.__contains__) == {}
 
 
@@ -72,12 +72,12 @@ def test_a_factor_counts_on_each_way_from_a_node_to_the_roots(graph):
         *(graph.source("parameter", i) for i in (0, 1)),
         *map(graph.source, ("state", "time")),
     )
-    one_way, two_ways, also_bare = (graph.unary(name, x) for name in ("exp", "sin", "tanh"))
-    fraction = graph.operation("divide", p, q)
+    one_way, two_ways, also_bare = (graph.node(name, x) for name in ("exp", "sin", "tanh"))
+    fraction = graph.node("divide", p, q)
     roots = [
         graph.multiply(p, graph.add(one_way, y)),
         graph.add(graph.multiply(p, q, two_ways), graph.multiply(fraction, y, two_ways)),
-        graph.add(graph.multiply(q, also_bare), graph.operation("divide", p, also_bare)),
+        graph.add(graph.multiply(q, also_bare), graph.node("divide", p, also_bare)),
     ]
     factors = zero_factors(graph, roots, {p, q, fraction}, graph.arguments)
     assert factors[one_way] == {p}
@@ -87,7 +87,7 @@ def test_a_factor_counts_on_each_way_from_a_node_to_the_roots(graph):
 
 def test_all_factors_of_a_fixed_product_count(graph):
     p, q, x = graph.source("parameter", 0), graph.source("parameter", 1), graph.source("state")
-    sine, both = graph.unary("sin", x), graph.multiply(p, q)
+    sine, both = graph.node("sin", x), graph.multiply(p, q)
     root = graph.multiply(both, sine)
     assert zero_factors(graph, [root], {p, both}, graph.arguments)[sine] == {p, both}
 
@@ -95,10 +95,8 @@ def test_all_factors_of_a_fixed_product_count(graph):
 def test_a_divisor_and_the_argument_of_a_function_have_no_factors(graph):
     p, x = graph.source("parameter"), graph.source("state")
     names = ("exp", "sin", "tanh", "atan")
-    above, below, inside, both = (graph.unary(name, x) for name in names)
-    quotients = [
-        graph.operation("divide", *pair) for pair in ((above, x), (x, below), (both, both))
-    ]
-    roots = [graph.multiply(p, node) for node in (*quotients, graph.unary("log", inside))]
+    above, below, inside, both = (graph.node(name, x) for name in names)
+    quotients = [graph.node("divide", *pair) for pair in ((above, x), (x, below), (both, both))]
+    roots = [graph.multiply(p, node) for node in (*quotients, graph.node("log", inside))]
     factors = zero_factors(graph, roots, {p}, graph.arguments)
     assert [bool(factors[node]) for node in (above, below, inside, both)] == [1, 0, 0, 0]

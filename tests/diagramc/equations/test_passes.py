@@ -201,11 +201,11 @@ BEHIND = {
     "sum": lambda g, n, p, zero: zero,
     "multiply": lambda g, n, p, zero: g.multiply(zero, p, n),
     "divide": lambda g, n, p, zero: g.divide(zero, p),
-    "sqrt": lambda g, n, p, zero: g.unary("sqrt", zero),
-    "abs": lambda g, n, p, zero: g.unary("abs", zero),
-    "min": lambda g, n, p, zero: g.binary("min", zero, g.one),
-    "max": lambda g, n, p, zero: g.binary("max", g.constant(-1.0), zero),
-    "where": lambda g, n, p, zero: g.where(g.compare("ge", n, p), zero, g.zero),
+    "sqrt": lambda g, n, p, zero: g.node("sqrt", zero),
+    "abs": lambda g, n, p, zero: g.node("abs", zero),
+    "min": lambda g, n, p, zero: g.node("min", zero, g.one),
+    "max": lambda g, n, p, zero: g.node("max", g.constant(-1.0), zero),
+    "where": lambda g, n, p, zero: g.where(g.node("ge", n, p), zero, g.zero),
 }
 
 
@@ -215,7 +215,7 @@ def test_a_difference_of_equal_times_is_zero(printed, operation):
     graph = Graph()
     t, n, period = graph.source("time"), graph.source("discrete"), graph.source("parameter")
     zero = graph.subtract(t, graph.multiply(n, period))
-    equal = graph.compare("eq", BEHIND[operation](graph, n, period, zero), graph.zero)
+    equal = graph.node("eq", BEHIND[operation](graph, n, period, zero), graph.zero)
     root = graph.where(equal, graph.one, graph.zero)
     sizes = {"parameter": 1, "state": 0, "discrete": 1, "input": 0}
     program = Program(equations_of(graph, [root], sizes))
@@ -229,7 +229,7 @@ def test_quotients_behind_a_decision_stay(printed):
     graph = Graph()
     n = graph.source("discrete")
     p = graph.source("parameter")
-    root = graph.unary("floor", graph.divide(graph.divide(n, p), p))
+    root = graph.node("floor", graph.divide(graph.divide(n, p), p))
     sizes = {"parameter": 1, "state": 0, "discrete": 1, "input": 0}
     program = Program(equations_of(graph, [root], sizes))
     n = np.arange(2000.0)[None]
@@ -277,7 +277,7 @@ def test_hoisted_is_what_depends_on_parameters_alone(random_graphs, data):
 def test_a_condition_within_a_hoisted_choice_is_not_hoisted():
     graph = Graph()
     p, q = sources(graph, "parameter", 2)
-    choice = graph.where(graph.compare("gt", graph.multiply(p, q), q), p, q)
+    choice = graph.where(graph.node("gt", graph.multiply(p, q), q), p, q)
     root = graph.multiply(graph.source("state"), choice)
     sizes = {"parameter": 2, "state": 1, "discrete": 0, "input": 0}
     assert set(Program(equations_of(graph, [root], sizes)).hoisted) == {choice}
@@ -289,8 +289,8 @@ def test_a_condition_on_parameters_is_computed_where_it_is_used(printed):
     p, q = sources(graph, "parameter", 2)
     condition = graph.simplified(
         "and",
-        graph.compare("gt", p, graph.zero),
-        graph.simplified("not", graph.compare("gt", graph.multiply(p, q), q)),
+        graph.node("gt", p, graph.zero),
+        graph.simplified("not", graph.node("gt", graph.multiply(p, q), q)),
     )
     root = graph.where(condition, x, graph.negate(x))
     sizes = {"parameter": 2, "state": 1, "discrete": 0, "input": 0}
@@ -326,8 +326,8 @@ def test_layout_survives_json():
         sources(graph, "discrete", 2),
         sources(graph, "input", 2),
     )
-    count = graph.unary("floor", x)
-    costly = graph.unary("sin", graph.unary("sin", graph.unary("sin", graph.unary("sin", count))))
+    count = graph.node("floor", x)
+    costly = graph.node("sin", graph.node("sin", graph.node("sin", graph.node("sin", count))))
     equations = Equations(
         graph=graph,
         parameters=["p"],
@@ -410,7 +410,7 @@ def test_second_derivatives_are_those_of_complex_time(interpreted, random_graphs
 def memos_of(make):
     """Memos of a program with the outputs ``make(graph, first count, second count)``."""
     graph = Graph()
-    counts = [graph.unary("floor", graph.source("state", i)) for i in range(2)]
+    counts = [graph.node("floor", graph.source("state", i)) for i in range(2)]
     roots = make(graph, *counts)
     sizes = {"parameter": 1, "state": 2, "discrete": 1, "input": 0}
     program = Program(equations_of(graph, roots, sizes))
@@ -419,7 +419,7 @@ def memos_of(make):
 
 def costly(graph, node, functions=("sin", "tan", "exp", "tanh")):
     for name in functions:
-        node = graph.unary(name, node)
+        node = graph.node(name, node)
     return node
 
 
@@ -452,15 +452,15 @@ def test_a_table_holds_what_something_else_uses():
     def parts(g, n):
         p = g.source("parameter", 0)
         inner = costly(g, g.multiply(p, n))  # used within, and by a product with the state
-        outer = g.unary("cos", inner)
+        outer = g.node("cos", inner)
         return inner, outer
 
     def make(g, n, m):
         inner, outer = parts(g, n)
-        condition = g.compare("gt", outer, g.zero)
+        condition = g.node("gt", outer, g.zero)
         free = g.where(condition, g.multiply(inner, g.source("state", 1)), n)
-        return [free, g.unary("cos", outer)]
+        return [free, g.node("cos", outer)]
 
     graph, (n, _), memos = memos_of(make)
     inner, outer = parts(graph, n)
-    assert memos == [(n, (inner, graph.unary("cos", outer)))]
+    assert memos == [(n, (inner, graph.node("cos", outer)))]

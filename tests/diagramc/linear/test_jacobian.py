@@ -34,9 +34,9 @@ def two_sources(graph):
 def test_an_operation_has_the_derivative_of_its_differences(name, discrete):
     graph, point = Graph(), POINT | {"discrete": np.array([discrete])}
     x, d = two_sources(graph)
-    product = graph.operation("multiply", x, d)
+    product = graph.node("multiply", x, d)
     arguments = [product] if OPERATIONS[name].arguments == 1 else [product, x]
-    root = graph.operation(name, *arguments)
+    root = graph.node(name, *arguments)
     size = len(graph.nodes)
     (value,), jacobian = values_and_jacobian(graph, [root], point, ("state", "discrete"))
     assert len(graph.nodes) == size
@@ -66,8 +66,8 @@ def test_a_branch_that_is_not_taken_has_no_effect():
     graph = Graph()
     x, d = two_sources(graph)
     zero = graph.subtract(x, x)
-    undefined = graph.unary("sqrt", zero)  # an infinite derivative
-    root = graph.where(graph.compare("gt", x, d), undefined, graph.multiply(x, d))
+    undefined = graph.node("sqrt", zero)  # an infinite derivative
+    root = graph.where(graph.node("gt", x, d), undefined, graph.multiply(x, d))
     (value,), jacobian = values_and_jacobian(graph, [root], POINT, ("state", "discrete"))
     assert value == pytest.approx(0.37 * 0.81)
     assert jacobian[0].tolist() == [0.81, 0.0, 0.37]
@@ -76,7 +76,7 @@ def test_a_branch_that_is_not_taken_has_no_effect():
 def test_a_root_of_a_rounded_value_has_the_derivative_zero():
     graph = Graph()
     x, _ = two_sources(graph)
-    root = graph.unary("sqrt", graph.unary("floor", x))  # sqrt has an infinite derivative at 0
+    root = graph.node("sqrt", graph.node("floor", x))  # sqrt has an infinite derivative at 0
     _, jacobian = values_and_jacobian(graph, [root], POINT, ("state", "discrete"))
     assert not jacobian.any()
 
@@ -85,14 +85,14 @@ def test_a_derivative_that_is_infinite_stays_infinite():
     graph = Graph()
     x, _ = two_sources(graph)
     point = POINT | {"state": np.array([0.0, 1.0])}
-    _, jacobian = values_and_jacobian(graph, [graph.unary("sqrt", x)], point, ("state",))
+    _, jacobian = values_and_jacobian(graph, [graph.node("sqrt", x)], point, ("state",))
     assert jacobian[0].tolist() == [math.inf, 0.0]
 
 
 def test_a_quantizer_has_the_derivative_zero_or_one():
     graph = Graph()
     x, d = two_sources(graph)
-    quantized = graph.unary("floor", graph.multiply(graph.constant(4.0), x))
+    quantized = graph.node("floor", graph.multiply(graph.constant(4.0), x))
     root = graph.multiply(quantized, d)
     kinds = ("state", "discrete")
     (value,), jacobian = values_and_jacobian(graph, [root], POINT, kinds, [quantized])
@@ -103,7 +103,7 @@ def test_a_quantizer_has_the_derivative_zero_or_one():
 
 def test_a_rounded_parameter_has_no_derivative():
     graph = Graph()
-    rounded = graph.unary("floor", graph.source("parameter", 0))
+    rounded = graph.node("floor", graph.source("parameter", 0))
     root = graph.multiply(rounded, graph.source("state", 1))
     point = POINT | {"parameter": np.array([3.7])}
     (value,), jacobian = values_and_jacobian(graph, [root], point, ("state",), [rounded])
@@ -114,9 +114,9 @@ def test_a_rounded_parameter_has_no_derivative():
 def test_the_rows_are_those_of_all_nodes():
     graph = Graph()
     x, d = two_sources(graph)
-    aside = graph.unary("cos", x)
+    aside = graph.node("cos", x)
     product = graph.multiply(x, d)
-    found = Derivatives(graph, [graph.compare("gt", x, d), product], ("discrete", "state"))
+    found = Derivatives(graph, [graph.node("gt", x, d), product], ("discrete", "state"))
     values, rows = found.at(POINT)
     assert aside not in found.place
     assert found.nodes == sorted(found.place)
@@ -129,10 +129,10 @@ def test_the_rows_are_those_of_all_nodes():
 def test_derivatives_that_depend_on_the_time_are_known():
     graph = Graph()
     (x, _), t = two_sources(graph), graph.source("time")
-    additive, product = graph.add(x, t), graph.multiply(x, graph.unary("sin", t))
+    additive, product = graph.add(x, t), graph.multiply(x, graph.node("sin", t))
     behind = graph.add(product, x)  # whose own partial derivatives are 1
-    roots = [additive, product, behind, t, graph.unary("sin", x)]
+    roots = [additive, product, behind, t, graph.node("sin", x)]
     assert Derivatives(graph, roots, ("state",)).time_varying == [False, True, True, False, False]
     assert Derivatives(graph, roots[:1], ("state",)).time_varying == [False]
     # A sine of x + t has the derivative cos(x + t).
-    assert Derivatives(graph, [graph.unary("sin", additive)], ("state",)).time_varying == [True]
+    assert Derivatives(graph, [graph.node("sin", additive)], ("state",)).time_varying == [True]

@@ -26,7 +26,7 @@ def test_each_source_and_truth_value_has_its_place():
     graph = Graph()
     kinds = ("time", "parameter", "state", "discrete", "input")
     nodes = [graph.source(kind, 0 if kind == "time" else 1) for kind in kinds]
-    later = graph.compare("gt", nodes[0], nodes[1])
+    later = graph.node("gt", nodes[0], nodes[1])
     targets = [(("values", 5 - i), node) for i, node in enumerate([*nodes, later])]
     targets += [(("partials", 1), later), (("partials", 0), graph.constant(2.5))]
     values, _ = emitted(graph, targets)

@@ -57,7 +57,7 @@ def pairs(edges):
 
 def number_of(graph, name, *arguments):
     """An operation as a number: a condition chooses between two."""
-    node = graph.operation(name, *arguments)
+    node = graph.node(name, *arguments)
     if name in (*COMPARISONS, "and", "or", "not"):
         return graph.where(node, graph.constant(3.0), graph.constant(-0.0))
     return node
@@ -70,20 +70,20 @@ def single_operations(edges=()):
     """Each exact operation, of two states, and of a state and each of some constants."""
     graph = Graph()
     x, y = (graph.source("state", i) for i in range(2))
-    a, b = graph.compare("lt", x, y), graph.compare("gt", y, graph.zero)
-    c = graph.compare("ne", x, graph.one)
+    a, b = graph.node("lt", x, y), graph.node("gt", y, graph.zero)
+    c = graph.node("ne", x, graph.one)
     roots = [number_of(graph, name, x, y) for name in BINARY]
     roots += [number_of(graph, name, x) for name in ("sqrt", "abs", "floor", "ceil")]
     roots += [number_of(graph, name, a, b) for name in ("and", "or")]
     roots += [number_of(graph, name, a, b, c) for name in ("and", "or")]
-    roots += [number_of(graph, "not", a), graph.operation("where", a, x, y), x, y]
-    roots += [graph.operation(name, x, y, x) for name in ("add", "multiply")]
+    roots += [number_of(graph, "not", a), graph.node("where", a, x, y), x, y]
+    roots += [graph.node(name, x, y, x) for name in ("add", "multiply")]
     for constant in map(graph.constant, edges):
         roots += [number_of(graph, name, x, constant) for name in BINARY]
         roots += [number_of(graph, name, constant, x) for name in BINARY]
         roots += [
-            graph.operation("where", a, x, constant),
-            graph.operation("where", a, constant, x),
+            graph.node("where", a, x, constant),
+            graph.node("where", a, constant, x),
         ]
     return graph, roots
 
@@ -98,8 +98,8 @@ def test_each_operation_is_that_of_ieee_754(interpreted, printed, random_graphs)
 def function_graph():
     graph = Graph()
     x, y = (graph.source("state", i) for i in range(2))
-    roots = [graph.unary(name, x) for name in FUNCTIONS]
-    return graph, [*roots, graph.operation("atan2", x, y), graph.operation("power", x, y)]
+    roots = [graph.node(name, x) for name in FUNCTIONS]
+    return graph, [*roots, graph.node("atan2", x, y), graph.node("power", x, y)]
 
 
 @pytest.fixture(scope="module")
@@ -251,7 +251,7 @@ def test_a_pair_of_sine_and_cosine_first_met_under_a_condition(printed, fires):
     graph = Graph()
     x = graph.source("state", 0)
     groups = [
-        Group(("update", i), ((("output", i), graph.unary(name, x)),))
+        Group(("update", i), ((("output", i), graph.node(name, x)),))
         for i, name in enumerate(("sin", "cos"))
     ]
     groups.append(Group(ALWAYS, ((("output", 2), x),)))
@@ -267,8 +267,8 @@ def test_a_pair_of_sine_and_cosine_first_met_under_a_condition(printed, fires):
 def test_what_one_group_needs_is_computed_under_its_condition(printed):
     graph = Graph()
     x = graph.source("state", 0)
-    shared = graph.unary("exp", x)
-    roots = [graph.unary("tan", shared), graph.unary("sinh", shared)]
+    shared = graph.node("exp", x)
+    roots = [graph.node("tan", shared), graph.node("sinh", shared)]
     groups = [Group(("update", i), ((("output", i), root),)) for i, root in enumerate(roots)]
     text = printed.groups(_Plain(graph), groups).text
     body = text[text.index("@f1") :]
@@ -309,11 +309,11 @@ def memo_graph(count_of=1):
     graph = Graph()
     memos, roots = [], []
     for i in range(count_of):
-        count = graph.unary("floor", graph.source("state", i))
+        count = graph.node("floor", graph.source("state", i))
         nodes = (
-            graph.operation("divide", graph.constant(1.0 + i), count),
-            graph.unary("cos" if i else "sin", count),
-            graph.add(graph.unary("tan", count), graph.multiply(count, graph.source("parameter"))),
+            graph.node("divide", graph.constant(1.0 + i), count),
+            graph.node("cos" if i else "sin", count),
+            graph.add(graph.node("tan", count), graph.multiply(count, graph.source("parameter"))),
         )
         memos.append(Memo(count, nodes[i:]))
         roots += [*nodes, graph.multiply(nodes[1], graph.source("discrete", 0))]
@@ -341,7 +341,7 @@ def always(roots):
 def test_a_function_whose_factor_is_zero_is_not_computed(printed, lanes):
     graph = Graph()
     x, p = graph.source("state"), graph.source("parameter")
-    roots = [graph.multiply(p, graph.unary("exp", x)), graph.unary("exp", x)]
+    roots = [graph.multiply(p, graph.node("exp", x)), graph.node("exp", x)]
     code = printed.groups(hoisting(graph, ()), always(roots[:1]), lanes=(lanes,))
     both = printed.groups(hoisting(graph, ()), always(roots), lanes=(lanes,))
     x = np.array([[1e3, 1e3, 0.5, 1e3, 0.5, 0.5, -1e3, 0.5]])
@@ -452,9 +452,9 @@ def test_other_processors_give_the_same_bits(printed, random_graphs, name):
     x, y = (graph.source("state", i) for i in range(2))
     roots = [
         *roots,
-        graph.add(graph.multiply(x, y), graph.unary("sin", x)),
-        graph.unary("floor", y),
-        graph.binary("max", x, y),
+        graph.add(graph.multiply(x, y), graph.node("sin", x)),
+        graph.node("floor", y),
+        graph.node("max", x, y),
     ]
     values = function_values(random_graphs.edges)
     host = printed.plain(graph, roots, lanes=(1, 8))
@@ -474,14 +474,14 @@ def test_other_processors_give_the_same_bits(printed, random_graphs, name):
 def test_a_whole_model_is_built_for_aarch64(lanes):
     graph = Graph()
     x, p, u = (graph.source(kind) for kind in ("state", "parameter", "input"))
-    rate = graph.add(graph.unary("sin", x), graph.multiply(p, u), graph.unary("exp", x))
+    rate = graph.add(graph.node("sin", x), graph.multiply(p, u), graph.node("exp", x))
     equations = Equations(
         graph=graph,
         parameters=["p"],
         states=["x"],
         inputs={"u": 1},
         derivatives=[rate],
-        outputs={"y": [graph.binary("atan2", x, u)]},
+        outputs={"y": [graph.node("atan2", x, u)]},
     )
     llvm.initialize_all_targets()
     llvm.initialize_all_asmprinters()

@@ -41,8 +41,8 @@ def run(model, start, duration_s, tick_s=0.1, parameters=(), discrete=(), **opti
 
 def pushed_pendulum(g, x, _):
     """Dv/dt = -sin q + cos t + u, with an input u that is a function of time."""
-    pushes = g.unary("cos", g.source("time")), g.source("input")
-    return [x[1], g.add(g.negate(g.unary("sin", x[0])), *pushes)]
+    pushes = g.node("cos", g.source("time")), g.source("input")
+    return [x[1], g.add(g.negate(g.node("sin", x[0])), *pushes)]
 
 
 def test_the_order_is_four_with_time_and_inputs():
@@ -103,7 +103,7 @@ def test_a_valve_opens_within_a_tick():
     """A pressure that falls at 1 per second, and a valve of 1e5 1/s that keeps it above zero."""
 
     def rates_of(g, x, _):
-        opening = g.operation("max", g.negate(x[0]), g.zero)
+        opening = g.node("max", g.negate(x[0]), g.zero)
         return [g.add(g.constant(-1.0), g.multiply(g.constant(1e5), opening))]
 
     result = run(model_of(rates_of, 1), [0.25], 0.5, tolerance=1e-8)
@@ -125,7 +125,7 @@ def van_der_pol(g, x, parameters):
 
 @pytest.fixture(scope="module")
 def oscillators():
-    return model_of(van_der_pol, 2, ["mu"], updates_of=lambda g: g.unary("sin", g.source("time")))
+    return model_of(van_der_pol, 2, ["mu"], updates_of=lambda g: g.node("sin", g.source("time")))
 
 
 def test_runs_in_lanes_have_the_bits_of_runs_alone(oscillators):
@@ -186,7 +186,7 @@ def test_a_rate_that_is_not_a_number_names_its_state():
     """The root of x is not a number below zero, which x reaches at 0.25 s."""
 
     def rates_of(g, x, _):
-        return [g.constant(-1.0), g.unary("sqrt", x[0]), g.negate(x[2])]
+        return [g.constant(-1.0), g.node("sqrt", x[0]), g.negate(x[2])]
 
     with pytest.raises(SimulationError, match=r"t = 0.2 s: m.x\[1\] changes too fast"):
         run(model_of(rates_of, 3), [0.25, 0.0, 0.0], 1.0)

@@ -38,12 +38,12 @@ def mixed():
     s = sources(g, state=2, discrete=3, parameter=3, input=2)
     (x, v), (d, e, n), (p, q, r) = s.state, s.discrete, s.parameter
     scaled = g.multiply(x, g.constant(1000.0)), g.multiply(v, g.constant(40.0))
-    counts = [g.unary("floor", value) for value in scaled]
-    inner = [g.unary("cos", g.unary("sin", g.multiply(r, count))) for count in counts]
-    costly, *tables = (g.unary("tanh", g.unary("sin", value)) for value in inner)
-    tables.append(g.unary("tanh", g.unary("tan", inner[0])))
+    counts = [g.node("floor", value) for value in scaled]
+    inner = [g.node("cos", g.node("sin", g.multiply(r, count))) for count in counts]
+    costly, *tables = (g.node("tanh", g.node("sin", value)) for value in inner)
+    tables.append(g.node("tanh", g.node("tan", inner[0])))
     force = g.add(g.multiply(q, v, v, v), g.multiply(g.constant(-1.0), p, x), d, s.input[0])
-    forward = g.where(g.compare("gt", v, g.zero), g.multiply(v, r), g.zero)
+    forward = g.where(g.node("gt", v, g.zero), g.multiply(v, r), g.zero)
     return Equations(
         graph=g,
         parameters=["p", "q", "r"],
@@ -58,7 +58,7 @@ def mixed():
         ],
         outputs={"x": [x, v], "held": [d, e, n], "costly": [costly, g.source("time"), *tables]},
         limits=[
-            Limit("plant", g.subtract(g.constant(2.0), g.unary("abs", x))),
+            Limit("plant", g.subtract(g.constant(2.0), g.node("abs", x))),
             Limit("counter", g.subtract(g.constant(8.0), e)),
         ],
     )
@@ -69,14 +69,14 @@ def without_states():
     g = Graph()
     s = sources(g, discrete=2, parameter=1, input=1)
     (d, e), (p,), (u,) = s.discrete, s.parameter, s.input
-    wave = g.unary("sin", g.multiply(p, g.source("time")))
+    wave = g.node("sin", g.multiply(p, g.source("time")))
     return Equations(
         graph=g,
         parameters=["p"],
         discrete=["d", "e"],
         inputs={"u": 1},
         initial_discrete=[d, e],
-        updates=[Update(0.003, 0.001, ((0, g.add(d, u, wave)), (1, g.unary("floor", d))))],
+        updates=[Update(0.003, 0.001, ((0, g.add(d, u, wave)), (1, g.node("floor", d))))],
         outputs={"y": [d, e, wave]},
         limits=[Limit("counter", g.subtract(g.constant(3.0), d))],
     )
@@ -87,15 +87,15 @@ def without_discrete():
     g = Graph()
     s = sources(g, state=3, parameter=2, input=1)
     (x, y, z), (p, q), (u,) = s.state, s.parameter, s.input
-    sign = g.where(g.compare("gt", x, g.zero), g.one, g.constant(-1.0))
+    sign = g.where(g.node("gt", x, g.zero), g.one, g.constant(-1.0))
     return Equations(
         graph=g,
         parameters=["p", "q"],
         states=["x", "y", "z"],
         inputs={"u": 1},
         derivatives=[
-            g.subtract(g.unary("sin", z), g.multiply(p, sign)),
-            g.add(g.multiply(q, y, y), g.unary("cos", x)),
+            g.subtract(g.node("sin", z), g.multiply(p, sign)),
+            g.add(g.multiply(q, y, y), g.node("cos", x)),
             g.add(u, g.multiply(g.constant(-3e3), z)),
         ],
         outputs={"y": [x, y, z]},
