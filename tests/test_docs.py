@@ -15,10 +15,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from elsewhere import module_of
+from PIL import Image
 
 from kneexo import systems
-from kneexo.analysis import fit_polynomials, linearize_loop
+from kneexo.analysis import fit_polynomials, linearize_loop, track
 from kneexo.analysis.signals import rms
+from kneexo.command_line.output import DPI, words_of
 from kneexo.parameters import (
     G1,
     LINKAGES,
@@ -135,6 +137,15 @@ def test_the_gallery_has_every_figure_with_its_page_and_the_command_that_draws_i
         assert f'"{name}": ' in drawn
         shown = "fig13" in name or f"({name}.png)" in (DOCS / page).read_text("utf-8")
         assert shown, page  # tutorial 1 computes the data of Fig. 13 itself
+
+
+@pytest.mark.slow
+def test_the_picture_of_a_run_has_the_words_and_the_size_of_today():
+    """`tests/studies/test_shown.py` does the same with the figures of studies."""
+    figure = track(Scenario.preset("leg")).plot()[0].figure
+    with Image.open(DOCS / "leg_tracking.png") as image:
+        assert image.info["Description"] == words_of(figure)
+        assert image.size == pytest.approx(DPI * figure.get_size_inches(), abs=1.0)
 
 
 @pytest.fixture(scope="module")

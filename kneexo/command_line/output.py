@@ -18,6 +18,10 @@ if TYPE_CHECKING:
     from kneexo.simulation.run import Run
 
 
+DPI = 150
+"""Pixels per inch of a PNG."""
+
+
 def plain(value: Any) -> Any:
     """Return ``value`` as data for JSON: arrays become lists, nan and infinity become None."""
     if isinstance(value, Mapping):
@@ -55,8 +59,25 @@ def svg_text(figure: Figure) -> str:
     return re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
 
 
+def words_of(figure: Figure) -> str:
+    """Return the words of a figure, one text a line: caption, titles, labels and legends."""
+    from matplotlib.legend import Legend
+
+    words = [str(figure.get_label()), figure.get_suptitle()]
+    for ax in figure.axes:
+        words += [ax.get_title("left"), ax.get_title(), ax.get_title("right")]
+        words += [ax.get_xlabel(), ax.get_ylabel()]
+    for legend in figure.findobj(Legend):
+        words += [text.get_text() for text in legend.get_texts()]
+    return "\n".join(filter(None, words))
+
+
 def save_figure(directory: Path, name: str, figure: Figure) -> None:
-    """Write a figure as NAME.png and NAME.pdf without dates, so equal figures give equal files."""
-    figure.savefig(directory / f"{name}.png", dpi=150)
+    """Write a figure as NAME.png and NAME.pdf without dates, so equal figures give equal files.
+
+    The PNG has `words_of` the figure as ``Description``.
+    """
+    description = {"Description": words_of(figure)}
+    figure.savefig(directory / f"{name}.png", dpi=DPI, metadata=description)
     figure.set_layout_engine(None)  # the layout is complete; an engine would draw each file twice
     figure.savefig(directory / f"{name}.pdf", metadata={"CreationDate": None})

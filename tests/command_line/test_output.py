@@ -4,6 +4,7 @@ import tracemalloc
 
 import matplotlib.pyplot as plt
 import numpy as np
+from PIL import Image
 
 from kneexo.command_line.output import save_figure, to_json, write_csv
 from kneexo.parameters import SimulationParameters
@@ -25,6 +26,23 @@ def test_equal_figures_are_equal_files(tmp_path):
     for kind in ("png", "pdf"):
         first, second = ((tmp_path / name / f"f.{kind}").read_bytes() for name in "ab")
         assert first == second
+
+
+def test_a_png_has_the_words_of_its_figure(tmp_path):
+    figure, (left, right) = plt.subplots(1, 2, label="A caption.")
+    figure.suptitle("above")
+    left.plot([0, 1], label="curve θ")
+    left.legend()
+    left.set(title="(a)", xlabel="time (s)")
+    right.set_ylabel("angle (deg)")
+    right.set_title("(b)", loc="right")
+    figure.legend(["all"])
+    save_figure(tmp_path, "f", figure)
+    plt.close(figure)
+    with Image.open(tmp_path / "f.png") as image:
+        words = image.info["Description"].split("\n")
+    assert words[:2] == ["A caption.", "above"]
+    assert sorted(words[2:]) == ["(a)", "(b)", "all", "angle (deg)", "curve θ", "time (s)"]
 
 
 def test_a_run_is_written_with_its_time_first(tmp_path):

@@ -17,10 +17,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from matplotlib.ticker import FixedLocator
+from PIL import Image
 
+from kneexo.command_line.output import DPI, words_of
 from kneexo.studies.catalogue import STUDIES
 
 SHOWN = Path(__file__).with_name("shown")
+DOCS = Path(__file__).parents[2] / "docs"
 NUMBER = re.compile(r"([-+−]?(?:\d+\.?\d*(?:e[-+]?\d+)?|inf|nan))")
 UNIT = re.compile(r"\(([^()]+)\)$")
 SUFFIXES = {
@@ -210,6 +213,21 @@ def test_the_screen_has_the_findings(name, check_screen):
 def test_each_figure_has_one_place_in_the_report(name):
     places = re.findall(r"^!\[\]\((\w+)\.png\)$", report_of(name), re.MULTILINE)
     assert sorted(places) == sorted(figures_of(name))
+
+
+def masked(words):
+    """Sentences and labels of a figure. Another result has other numbers in them."""
+    return {NUMBER.sub("#", words) for words in re.split(r"\n|(?<=\.) ", words)}
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_the_docs_show_the_words_and_the_size_of_today(name):
+    """A PNG that a command wrote has the words of its figure, also words of its real result."""
+    for title, figure in figures_of(name).items():
+        if (picture := DOCS / f"{title}.png").exists():
+            with Image.open(picture) as image:
+                assert masked(words_of(figure)) <= masked(image.info["Description"]), title
+                assert image.size == pytest.approx(DPI * figure.get_size_inches(), abs=1.0)
 
 
 @pytest.mark.parametrize("name", STUDIES)

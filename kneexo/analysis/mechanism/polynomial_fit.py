@@ -78,10 +78,10 @@ class PolynomialFit(Result):
         self._plot_map(ax[0, 1], rod, angle, self.q_deg_mm, table.q_deg_mm)
         self._plot_errors(ax[1, 0], angle, self.p_error_mm, self.table_p_error_mm)
         self._plot_errors(ax[1, 1], rod, self.q_error_deg, self.table_q_error_deg)
-        ax[0, 0].set(ylabel="rod extension x (mm)", title="(a)")
-        ax[0, 1].set(ylabel="knee angle θ_p (deg)", title="(b)")
-        ax[1, 0].set(xlabel="knee angle θ_p (deg)", ylabel="residual of x (mm)")
-        ax[1, 1].set(xlabel="rod extension x (mm)", ylabel="residual of θ_p (deg)")
+        ax[0, 0].set(ylabel="rod extension $x$ (mm)", title="(a) extension of the rod")
+        ax[0, 1].set(ylabel=r"knee angle $\theta_p$ (deg)", title="(b) the inverse")
+        ax[1, 0].set(xlabel=r"knee angle $\theta_p$ (deg)", ylabel="residual of $x$ (mm)")
+        ax[1, 1].set(xlabel="rod extension $x$ (mm)", ylabel=r"residual of $\theta_p$ (deg)")
         return ax
 
     @staticmethod

@@ -44,6 +44,8 @@ class Stop(Result):
     """Time from which on faults were active before the stop; ``time_s`` without a fault."""
     turn_deg: float
     """Largest turn of the knee from ``fault_s`` on until the motor is safe."""
+    torque_n_m: float
+    """Largest torque in the same time; see `knee_torque`."""
     safe_state: SafeState
     safe_s: float
     """Time at which the motor is safe, as in `safe_sample`; nan if the motor never is safe."""
@@ -54,17 +56,19 @@ class Stop(Result):
 
     @property
     def line(self) -> str:
-        """One sentence: when and why, the turn since the fault, turn and torque after the stop."""
+        """When and why; time from the fault to the stop and the safe motor; turns and torques."""
         cause = "overdue start" if self.reason == "start" else self.reason
         if detector := DETECTORS.get(cause):
             cause = f"detector {cause} ({self.residual:.4g} > {self.threshold:g} {detector.unit})"
-        since = f"the fault at {self.fault_s:.4g} s" if self.fault_s < self.time_s else "then"
-        line = f"Stopped at {self.time_s:.4g} s by the {cause}; "
-        line += f"the knee turns {self.turn_deg:.3g}° since {since}"
+        stop_ms, safe_ms = (1e3 * (time_s - self.fault_s) for time_s in (self.time_s, self.safe_s))
+        line = f"Stopped at {self.time_s:.4g} s by the {cause}"
+        line += f", {stop_ms:.4g} ms after the fault" if stop_ms > 0.0 else ""
+        turn = f"the knee turns {self.turn_deg:.3g}° at up to {self.torque_n_m:.3g} N·m"
         state = f"{self.safe_state}: {SAFE_STATES[self.safe_state]}"
         if math.isnan(self.safe_s):
-            return f"{line}, and the motor does not become safe ({state})."
-        line += f" until the motor is safe at {self.safe_s:.4g} s ({state}), then "
+            return f"{line}; {turn}, and the motor does not become safe ({state})."
+        then = "the fault" if stop_ms > 0.0 else "it"
+        line += f"; safe {safe_ms:.4g} ms after {then} ({state}). Until then {turn}, and then "
         return f"{line}{self.safe_turn_deg:.3g}° at up to {self.safe_torque_n_m:.3g} N·m."
 
 
@@ -90,9 +94,11 @@ def first_stop(scenario: Scenario, run: Run) -> Stop | None:
     rest: tuple[float, ...] = (math.nan, math.nan, math.nan)
     if safe is not None:
         rest = float(run.time_s[safe - 1]), *turn_and_torque(run, slice(safe, end)).values()
-    turn_deg = turn_and_torque(run, slice(begin, end if safe is None else safe + 1))["turn_deg"]
+    acting = slice(begin, end if safe is None else safe + 1)
+    turn_deg, torque_n_m = turn_and_torque(run, acting).values()
     times = float(run.time_s[first - 1]), float(run.time_s[begin])
-    return Stop(times[0], reason, *size, times[1], turn_deg, protection.safe_state, *rest)
+    peaks = times[1], turn_deg, torque_n_m
+    return Stop(times[0], reason, *size, *peaks, protection.safe_state, *rest)
 
 
 def safe_sample(protected: Scenario, run: Run, part: slice) -> int | None:

@@ -376,11 +376,15 @@ class TrackingResult(Result):
         return ax
 
     def _mark(self, ax: Axes) -> None:
-        """Mark the first stop and the fault before it."""
+        """Shade push and faults, and mark the first stop."""
+        time, active = self.run.time_s, self.run.columns.get("active_faults", np.zeros(1))
+        if (push := self.scenario.push) is not None:
+            ax.axvspan(push.start_s, push.end_s, color=GOLD, alpha=0.3, label="push")
+        if active.any():  # the edge of the area shows a fault of one sample
+            across: dict[str, Any] = {"transform": ax.get_xaxis_transform(), "label": "fault"}
+            ax.fill_between(time, 0.0, 1.0, where=active > 0, color=RED, alpha=0.2, **across)
         if (stop := first_stop(self.scenario, self.run)) is not None:
             ax.axvline(stop.time_s, color="k", lw=0.8, label="stop")
-            if stop.fault_s < stop.time_s:  # wider, since the stop may follow at once
-                ax.axvline(stop.fault_s, color=RED, lw=4.0, alpha=0.5, zorder=0, label="fault")
 
     def plot_states(self, ax: Axes | None = None) -> Axes:
         """Plot the states of the supervisor over time; the run has a protection."""
@@ -429,13 +433,35 @@ class TrackingResult(Result):
             _legend_above(ax)
         return ax
 
+    def plot_pressure(self, ax: Axes | None = None) -> Axes:
+        """Plot the pressures of both chambers over time, with the pressure of the relief valves.
+
+        In the reduced order plot |P_L|, with the rating of the cylinder.
+        """
+        ax = axes_or_new(ax, caption="Pressures in the cylinder over time.")
+        run, full = self.run, self.scenario.plant.full_order
+        curves = {"|load pressure|": np.abs(run["load_pressure_pa"])}
+        limit, limit_pa = "rating", self.scenario.pressure_rating_pa
+        if full is not None and "cap_pressure_pa" in run.data:
+            curves = {"cap": run["cap_pressure_pa"], "rod side": run["rod_side_pressure_pa"]}
+            limit, limit_pa = "relief valves", full.relief_pressure_pa
+        for (name, pressure_pa), colour in zip(curves.items(), (BLUE, GOLD), strict=False):
+            ax.plot(run.time_s, 1e-6 * pressure_pa, colour, lw=1, label=name)
+        if limit_pa < math.inf:
+            label = f"{limit} {1e-6 * limit_pa:.3g} MPa"
+            ax.axhline(1e-6 * limit_pa, color=RED, ls=":", lw=1.2, label=label)
+        ax.set(xlabel="time (s)", ylabel="pressure (MPa)")
+        _legend_above(ax)
+        return ax
+
     def plot(self, ax: Any = None) -> Any:
-        """Plot angle, error, torques and motor speed command below each other. Return the axes.
+        """Plot angle, error, torques, motor speed command and pressures. Return the axes.
 
         A run without wearer and torque controller has no torques, and a run with torque controller
-        has no error. All plots mark the stop of the protection and the fault before it. Such a run
-        has a strip with the states of the supervisor below. ``ax`` has one Matplotlib axes for each
-        plot. If it is None, a new figure is made.
+        has no error. All plots shade the push and the time of faults, and mark the stop of the
+        protection. A run that is stopped has a strip with the states of the supervisor below.
+        ``ax`` has one Matplotlib axes for each plot, below each other. If it is None, a new figure
+        is made.
         """
         torque_control = self.scenario.controller.kind == "torque"
         plots = {"knee angle with its reference": self.plot_angle}
@@ -444,6 +470,7 @@ class TrackingResult(Result):
         if torque_control or "interaction_torque_n_m" in self.run.data:
             plots["torques on the exoskeleton (positive flexes)"] = self.plot_torque
         plots["motor speed command"] = self.plot_command
+        plots["pressures in the cylinder"] = self.plot_pressure
         if first_stop(self.scenario, self.run) is not None:
             plots["states of the supervisor"] = self.plot_states
         *names, last = plots

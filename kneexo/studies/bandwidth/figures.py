@@ -86,11 +86,14 @@ def plot_map(result: BandwidthResult) -> Figure:
         axis.set_ylabel("amplitude (deg)")
     _plot_bandwidths(result, axes[0, 0])
     reached = result.bandwidths["speed_limit_reached_hz"]
-    label = "the reference requires more speed than the limit"
+    label = "sine at the speed limit"
     axes[1, 0].plot(reached, amplitudes, ".:", color=RED, label=label, path_effects=OUTLINE)
     plain_ticks(axes[0, 0].xaxis, _TICKS_HZ)
     plain_ticks(axes[0, 0].yaxis, amplitudes)
-    legend_below(figure, axes.flat, ncols=3, fontsize=8, facecolor="0.9")
+    style = {"fontsize": 8, "facecolor": "0.9"}
+    for axis in axes[1]:
+        axis.legend(loc="lower left", handlelength=1.2, **style)
+    legend_below(figure, axes[:1, 0], ncols=3, title="in the map of the gain", **style)
     return figure
 
 

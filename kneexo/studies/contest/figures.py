@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from kneexo.common.plotting import RED, SERIES, decimal_ticks
+from kneexo.common.result import Array
 from kneexo.studies.contest.contest import INFEASIBLE_DEG, ContestResult, errors_of
 from kneexo.studies.plots import ecdf, legend_below
 
@@ -26,19 +28,18 @@ def outcome(result: ContestResult) -> Figure:
     figure.set_label(
         "Largest errors of each controller on the test plants, in the task of the tuning (a) and "
         "in another task (b), and disk margin over the error of (a) (c). "
-        "A curve further left is better. In (c) higher is better too. "
+        "A curve further left is better. In (c) higher is better too: a mark is at the medians, a "
+        "box has the middle half of the plants, and lines have 90 %. "
         "Thick solid lines and discs belong to the controllers that the contest tuned."
     )
     handles = []
     for name, style in _styles(result).items():
         errors = errors_of(result.tested[name])
         line = {item: style[item] for item in ("color", "ls", "lw")}
-        marks = {item: style[item] for item in ("color", "marker", "ms", "mew")}
         ecdf(axes[0], errors, label=name, **line)
         ecdf(axes[1], errors_of(result.other_reference[name]), **line)
         margins = [values["disk_margin"] for values in result.tested[name]]
-        finite = np.where(np.isfinite(errors), errors, np.nan)
-        axes[2].plot(finite, margins, ls="none", alpha=0.6, **marks)
+        _box(axes[2], np.array([errors, margins]), style)
         handles.append(Line2D([], [], label=name, **style))
     other = result.settings.other_reference
     axes[0].set(ylabel="share of the test plants", title="(a) the task of the tuning")
@@ -59,6 +60,18 @@ def outcome(result: ContestResult) -> Figure:
     key.set_axis_off()  # the legend has this place
     key.legend(handles=handles, loc="center", handlelength=3.0)
     return figure
+
+
+def _box(ax: Axes, points: Array, style: Mapping[str, Any]) -> None:
+    """Draw medians, box and lines of ``points`` (2, n), without those that are not finite."""
+    points = points[:, np.isfinite(points).all(axis=0)]
+    if points.size:
+        shares = (0.05, 0.25, 0.5, 0.75, 0.95)
+        x, y = np.quantile(points, shares, axis=1, method="inverted_cdf").T
+        colour = style["color"]
+        ax.plot(x[[0, 4]], y[[2, 2]], x[[2, 2]], y[[0, 4]], color=colour, lw=0.8)
+        ax.fill(x[[1, 3, 3, 1]], y[[1, 1, 3, 3]], color=colour, alpha=0.3)
+        ax.plot(x[2], y[2], color=colour, marker=style["marker"], ms=6.0)
 
 
 def _styles(result: ContestResult) -> dict[str, dict[str, Any]]:

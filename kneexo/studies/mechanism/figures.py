@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from kneexo.analysis import TradeOff
 from kneexo.analysis.mechanism.alignment import MM
 from kneexo.analysis.mechanism.prosthetic_leg import contacts, voluntary_margin_n_m
-from kneexo.common.plotting import SERIES
+from kneexo.common.plotting import BLUE, SERIES
 from kneexo.parameters import WalkingLegParameters
 from kneexo.studies.mechanism.mechanism import MechanismResult
 from kneexo.studies.plots import legend_below
@@ -20,7 +20,8 @@ _MARKED_DEG = 15.0  # distance of the marked knee angles
 _LARGEST_MISPLACEMENT = 2.0  # where the curves end, relative to the setting ``misplacement_mm``
 _KNEE: dict[str, Any] = {"color": "k", "ls": "-", "lw": 1.4}
 _STYLES: list[dict[str, Any]] = [
-    {"color": c, "ls": dash, "lw": 1.4} for dash in ("-", "--") for c in SERIES
+    *({"color": c, "ls": "-", "lw": 1.4} for c in SERIES),
+    *({"color": c, "ls": "--", "lw": 1.4} for c in ("0.5", BLUE)),
 ]
 """Styles of the curves of devices, of which there are seven at most."""
 
@@ -46,21 +47,25 @@ def figures(result: MechanismResult) -> dict[str, Figure]:
 
 def plot_centres(result: MechanismResult) -> Figure:
     """Draw the paths of the centres of rotation of the wearer's knee and of all devices."""
-    figure, ax = plt.subplots(figsize=(6.4, 6.4), layout="constrained")
+    figure, axes = plt.subplots(1, 2, figsize=(8, 6), layout="constrained", width_ratios=(1, 1.2))
     figure.set_label(
-        "Centres of rotation in the frame of the thigh, each device at its best place. Large marks "
-        f"are at full extension, small ones every {_MARKED_DEG:g}°."
+        "Centres of rotation in the frame of the thigh, each device at its best place. The square "
+        "on the left is enlarged on the right: the wearer's knee and the hinge."
     )
     marks = np.flatnonzero(result.knee_angle_deg % _MARKED_DEG == 0.0)
     paths = {"wearer's knee": result.knee.fixed_centrode}
     paths |= {name: device.alignment.device_centre for name, device in result.devices.items()}
     for (name, path), style in zip(paths.items(), [_KNEE, *_STYLES], strict=False):
         x, y = -MM * path.real, MM * path.imag  # forwards is to the right
-        ax.plot(x, y, marker="o", ms=3.5, markevery=marks.tolist(), label=name, **style)
-        ax.plot(x[:1], y[:1], "o", ms=8.0, mfc="none", color=style["color"])
-    ax.set(xlabel="forwards (mm)", ylabel="up, towards the hip (mm)", aspect="equal")
-    ax.grid(alpha=0.3)
-    legend_below(figure, [ax], ncols=4)
+        for ax in axes:
+            ax.plot(x, y, marker="o", ms=3.5, markevery=marks.tolist(), label=name, **style)
+            ax.plot(x[:1], y[:1], "o", ms=8.0, mfc="none", color=style["color"])
+    axes[0].plot([], [], "ko", ms=8.0, mfc="none", label="full extension")
+    axes[0].plot([], [], "ko", ms=3.5, label=f"every {_MARKED_DEG:g}°")
+    axes[0].set(xlabel="forwards (mm)", ylabel="up, towards the hip (mm)")
+    middle = MM * np.mean(result.knee.fixed_centrode)
+    _enlarge(axes, complex(-middle.real, middle.imag), 10.0)
+    _finish(figure, axes)
     return figure
 
 
@@ -74,8 +79,8 @@ def plot_migration(result: MechanismResult) -> Figure:
     for (name, device), style in zip(result.devices.items(), _STYLES, strict=False):
         axes[0].plot(result.knee_angle_deg, device.alignment.across_mm, label=name, **style)
         axes[1].plot(result.knee_angle_deg, device.alignment.along_mm, **style)
-    axes[0].set(ylabel="across, backwards (mm)", title="(a)")
-    axes[1].set(ylabel="along, up (mm)", xlabel="knee angle (deg)", title="(b)")
+    axes[0].set(ylabel="strap backwards (mm)", title="(a) across the shank")
+    axes[1].set(ylabel="strap up (mm)", xlabel="knee angle (deg)", title="(b) along the shank")
     _finish(figure, axes)
     return figure
 
@@ -97,10 +102,13 @@ def plot_misplacement(result: MechanismResult) -> Figure:
             if alignment.rms_mm < settings.tolerance_mm:
                 rim = alignment.tolerated_errors_mm(settings.tolerance_mm)
                 axes[1].plot(-rim.real, rim.imag, **style)
+    words = "circles: strap put on anew\nellipses: cuff that slides"
+    axes[1].annotate(words, (0.97, 0.97), xycoords="axes fraction", ha="right", va="top")
     axes[0].axhline(settings.tolerance_mm, color="0.4", ls=":", lw=1.0, label="tolerated")
     axes[0].set(xlabel="error of the place (mm)", ylabel="migration, rms (mm)", ylim=(0.0, None))
-    axes[0].set_title("(a)")
-    axes[1].set(xlabel="place forwards (mm)", ylabel="place up (mm)", title="(b)")
+    axes[0].set_title("(a) migration of a misplaced device")
+    axes[1].set(xlabel="device too far forwards (mm)", ylabel="device too far up (mm)")
+    axes[1].set_title(f"(b) errors that leave {settings.tolerance_mm:g} mm rms")
     axes[1].set_aspect("equal", adjustable="datalim")
     _finish(figure, axes)
     return figure
@@ -117,8 +125,9 @@ def plot_slotted_strap(result: MechanismResult) -> Figure:
         strap = device.strap
         axes[0].plot(result.knee_angle_deg, strap.angle_difference_deg, label=name, **style)
         axes[1].plot(result.knee_angle_deg, strap.torque_ratio, **style)
-    axes[0].set(ylabel="difference (deg)", title="(a)")
-    axes[1].set(ylabel="torque ratio (1)", xlabel="knee angle (deg)", title="(b)")
+    axes[0].set(ylabel="angle difference (deg)", title="(a) knee of the device minus wearer's knee")
+    axes[1].set(ylabel="torque ratio (1)", xlabel="knee angle (deg)")
+    axes[1].set_title("(b) torque on the wearer's knee over torque of the device")
     _finish(figure, axes)
     return figure
 
@@ -137,8 +146,10 @@ def plot_leg_length(result: MechanismResult) -> Figure:
         swing = device.swing
         axes[0].plot(device.leg.knee_angle_deg, MM * device.leg.shortening_m, label=name, **style)
         axes[1].plot(swing.gait_percent, MM * swing.clearance_gain_m, **style)
-    axes[0].set(xlabel="knee angle (deg)", ylabel="shorter (mm)", title="(a)")
-    axes[1].set(xlabel="time after heel contact (%)", ylabel="toe higher (mm)", title="(b)")
+    axes[0].set(xlabel="knee angle (deg)", ylabel="leg shorter by (mm)")
+    axes[0].set_title("(a) length of the leg")
+    axes[1].set(xlabel="time after heel contact (%)", ylabel="toe higher by (mm)")
+    axes[1].set_title("(b) height of the toe in the swing")
     _finish(figure, axes)
     return figure
 
@@ -146,25 +157,28 @@ def plot_leg_length(result: MechanismResult) -> Figure:
 def plot_stance(result: MechanismResult) -> Figure:
     """Draw Radcliffe's zone of voluntary stability and the centres of all devices in it."""
     leg = WalkingLegParameters()
-    figure, ax = plt.subplots(figsize=(6.4, 6.8), layout="constrained")
+    figure, axes = plt.subplots(1, 2, figsize=(8, 6), layout="constrained", width_ratios=(1, 1.2))
     figure.set_label(
         "Side view of a straight leg, whose knee is the device. In the shaded zone (Radcliffe) the "
         f"hip is strong enough: {leg.hip_extension_n_m:g} N·m of extension keep the knee straight "
         f"at heel contact, and {leg.hip_flexion_n_m:g} N·m of flexion start knee flexion at "
-        "push-off. Dashed lines go from heel and ball of the foot to the hip. Marks are the "
-        "centres of rotation."
+        "push-off. Marks are the centres of rotation, enlarged on the right."
     )
     x, y = np.meshgrid(np.linspace(-0.2, 0.2, 201), np.linspace(-0.4, leg.thigh_m, 201))
     margin = voluntary_margin_n_m(x + 1j * y, leg)
-    ax.contourf(-MM * x, MM * y, margin, levels=[0.0, np.inf], colors=["0.9"])
-    for contact in contacts(leg):
-        ax.plot([-MM * contact.real, 0.0], [MM * contact.imag, MM * leg.thigh_m], "k--", lw=0.8)
-    for (name, device), style in zip(result.devices.items(), _STYLES, strict=False):
-        centre, mark = MM * device.stance.centre, "D" if style["ls"] == "-" else "s"
-        ax.plot(-centre.real, centre.imag, mark, color=style["color"], ms=5.0, label=name)
-    ax.set(xlabel="forwards (mm)", ylabel="up from the knee, towards the hip (mm)", aspect="equal")
-    ax.set_xlim(-200.0, 200.0)
-    _finish(figure, [ax])
+    for ax in axes:
+        ax.contourf(-MM * x, MM * y, margin, levels=[0.0, np.inf], colors=["0.9"])
+        for contact in contacts(leg):
+            line = MM * np.array([contact, 1j * leg.thigh_m])
+            ax.plot(-line.real, line.imag, "k--", lw=0.8, label="heel or ball to the hip")
+        for (name, device), style in zip(result.devices.items(), _STYLES, strict=False):
+            centre, mark = MM * device.stance.centre, "D" if style["ls"] == "-" else "s"
+            ax.plot(-centre.real, centre.imag, mark, color=style["color"], mfc="none", label=name)
+    axes[0].fill([], [], "0.9", label="the hip is strong enough")
+    axes[0].set(xlabel="forwards (mm)", ylabel="up from the knee, towards the hip (mm)")
+    axes[0].set_xlim(-200.0, 200.0)
+    _enlarge(axes, 0j, 60.0)
+    _finish(figure, axes)
     return figure
 
 
@@ -182,6 +196,15 @@ def plot_trade_off(result: MechanismResult, trade_off: TradeOff) -> Figure:
     ax.set(xlim=(0.0, None), ylim=(0.0, None))
     _finish(figure, [ax])
     return figure
+
+
+def _enlarge(axes: Any, middle: complex, half_mm: float) -> None:
+    """Show a square of the left axes, with half the side ``half_mm``, in the right axes."""
+    axes[0].set_aspect("equal")
+    axes[1].set(xlabel="forwards (mm)", aspect="equal")
+    axes[1].set_xlim(middle.real - half_mm, middle.real + half_mm)
+    axes[1].set_ylim(middle.imag - half_mm, middle.imag + half_mm)
+    axes[0].indicate_inset_zoom(axes[1], edgecolor="k")
 
 
 def _finish(figure: Figure, axes: Any) -> None:

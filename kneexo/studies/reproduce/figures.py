@@ -47,11 +47,14 @@ def _plot_fig9(run: Run) -> Figure:
     )
     ax[0].plot(run.time_s, 1e3 * run["rod_reference_m"], "k--", lw=1, label="reference")
     ax[0].plot(run.time_s, 1e3 * run["rod_extension_m"], BLUE, lw=1.2, label="rod extension")
-    ax[0].set(xlabel="time (s)", ylabel="rod extension x (mm)", title="(a)")
+    ax[0].set(
+        xlabel="time (s)", ylabel="rod extension $x$ (mm)", title="(a) start off the reference"
+    )
     ax[0].legend()
     error = rod_error_mm(run)
     ax[1].plot(run.time_s, error, PURPLE, lw=1.2)
-    ax[1].set(xlabel="time (s)", ylabel="tracking error x − x_d (mm)", title="(b)")
+    ax[1].set(xlabel="time (s)", ylabel="tracking error $x − x_d$ (mm)")
+    ax[1].set_title("(b) exponential decay")
     inset = ax[1].inset_axes((0.45, 0.2, 0.5, 0.5))
     inset.semilogy(run.time_s, np.maximum(np.abs(error), 1e-12), PURPLE, lw=1)
     inset.set(xlabel="time (s)", ylabel="|error| (mm)")
@@ -65,13 +68,14 @@ def _plot_fig12(cases: Mapping[str, TrackingResult]) -> Figure:
     )
     figure.set_label(
         "Tracking of three controllers, as in Fig. 12. "
-        "Each row has knee angle and reference, and the tracking error on a scale of its own."
+        "Each row has knee angle and reference, and the tracking error on a scale of its own, with "
+        "the largest error after one period."
     )
     for row, (name, tracked) in enumerate(shown.items()):
         tracked.plot_angle(axes[row, 0]).set_title(f"({'ace'[row]}) {FIG_12_TITLES[name]}")
         error = tracked.plot_error(axes[row, 1])
         largest = number(tracked.metrics.max_error_deg)
-        error.set_title(f"({'bdf'[row]}) largest error after one period {largest}°")
+        error.set_title(f"({'bdf'[row]}) own scale, largest error {largest}°")
         for ax in axes[row] if row < len(shown) - 1 else ():
             ax.set_xlabel("")
     return figure
@@ -101,7 +105,7 @@ def _plot_eq27(reproduction: ReproduceResult) -> Figure:
         xlabel="time (s)",
         ylabel="|load pressure| (Pa)",
         ylim=(1e-2, 1e4),
-        title="(a) exact states: sampled hydraulic mode",
+        title="(a) exact states: hydraulic mode",
     )
     for colour, (name, tracked) in zip(SERIES, reproduction.eq27_differences.items(), strict=False):
         ax[1].plot(tracked.run.time_s, tracked.error_deg, colour, lw=0.8, label=name)
@@ -109,7 +113,7 @@ def _plot_eq27(reproduction: ReproduceResult) -> Figure:
         xlabel="time (s)",
         ylabel="tracking error (deg)",
         ylim=(-24, 16),
-        title="(b) differences of the encoder: quantization",
+        title="(b) encoder differences: quantization",
     )
     for axis in ax:
         axis.legend(loc="upper left", title="k/Φ (1/s)", ncols=2, markerscale=6)

@@ -339,7 +339,9 @@ def _demand(result: SizeResult) -> Figure:
 
 
 def _stride(result: SizeResult) -> Figure:
-    figure, axes = plt.subplots(2, 1, figsize=(7.5, 7.4), sharex=True, layout="constrained")
+    figure, axes = plt.subplots(
+        2, 1, figsize=(7.5, 7.4), sharex=True, sharey=True, layout="constrained"
+    )
     figure.set_label(
         "Chamber pressures over a measured stride, for shares of the knee moment. The grey line is "
         "the pressure of the growing chamber while the leg is faster than the pump."
@@ -348,9 +350,10 @@ def _stride(result: SizeResult) -> Figure:
         for (share, load), line in zip(loads.items(), ("-", "--", ":"), strict=False):
             time = load.time_s - load.time_s[0]
             cap, rod_side = 1e-6 * load.cap_pressure_pa, 1e-6 * load.rod_side_pressure_pa
-            axis.plot(time, cap, BLUE, ls=line, label=f"P_1, share {share:g}")
-            axis.plot(time, rod_side, GOLD, ls=line, label=f"P_2, share {share:g}")
-        axis.plot(time, 1e-6 * load.overrun_pressure_pa, "0.45", lw=1, label="growing chamber")
+            axis.plot(time, cap, BLUE, ls=line, label=f"cap $P_1$, share {share:g}")
+            axis.plot(time, rod_side, GOLD, ls=line, label=f"rod side $P_2$, share {share:g}")
+        overrun_mpa, label = 1e-6 * load.overrun_pressure_pa, "growing chamber, pump too slow"
+        axis.plot(time, overrun_mpa, "0.45", lw=1, label=label)
         for limit, line, label in (
             (load.relief_pressure_pa, "--", "relief valves open"),
             (LOWEST_PRESSURE_PA, ":", "oil evaporates"),
@@ -359,7 +362,7 @@ def _stride(result: SizeResult) -> Figure:
         axis.set(title=hardware, ylabel="pressure (MPa)", xlim=time[[0, -1]])
         axis.grid(alpha=0.3)
     axes[-1].set_xlabel("time in the stride (s)")
-    legend_below(figure, axes, ncols=4)
+    legend_below(figure, axes, ncols=3)
     return figure
 
 

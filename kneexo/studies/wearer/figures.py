@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from kneexo.common.plotting import BLUE, BROWN, GOLD, PURPLE, SERIES, TEAL
+from kneexo.common.plotting import BLUE, BROWN, GOLD, PURPLE, SERIES, TEAL, decimal_ticks
 from kneexo.common.result import Array
 from kneexo.parameters.task.gait import gait_start_percent
 from kneexo.studies.plots import OUTLINE, legend_below
@@ -102,7 +102,8 @@ def _bars(ax: Axes, heights: Mapping[str, Sequence[float]], digits: int) -> None
     for index, (label, values) in enumerate(heights.items()):
         x = np.arange(len(values)) + (index - 0.5 * (len(heights) - 1)) * width
         bars = ax.bar(x, values, 0.92 * width, label=label, color=_SHOWN[label])
-        ax.bar_label(bars, fmt=f"%.{digits}g", fontsize=6, padding=1, path_effects=OUTLINE)
+        style: dict[str, Any] = {"fontsize": 8, "rotation": 90, "path_effects": OUTLINE}
+        ax.bar_label(bars, fmt=f"%.{digits}g", padding=2, **style)
 
 
 def _cadence(result: WearerResult) -> Figure:
@@ -132,7 +133,9 @@ def _cadence(result: WearerResult) -> Figure:
         speeds = settings.cadences_hz if walking else settings.rise_times_s
         ax.set_xticks(range(len(speeds)), [f"{speed:g}" for speed in speeds])
     axes[0].set(xlabel="walking, strides per second (Hz)", ylabel="rms torque of the leg (N·m)")
-    axes[1].set(xlabel="standing up, time (s)")
+    axes[1].set(xlabel="standing up, time (s)", yscale="log")
+    decimal_ticks(axes[0].yaxis)
+    axes[0].set_ylim(top=2.0 * axes[0].get_ylim()[1])  # room for the numbers
     legend_below(figure, axes[:1], ncols=3)
     return figure
 

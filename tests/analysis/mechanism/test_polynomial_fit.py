@@ -55,13 +55,13 @@ def test_errors_are_linkage_minus_polynomial():
 
 def test_the_plot_has_the_two_maps_of_fig_5_and_their_residuals(curves):
     fit, table = fit_polynomials(samples=91), RodPolynomialParameters()
-    angle, rod = "knee angle θ_p (deg)", "rod extension x (mm)"
+    angle, rod = r"knee angle $\theta_p$ (deg)", "rod extension $x$ (mm)"
     axes = fit.plot()
     upper, lower = axes
     assert [ax.get_ylabel() for ax in upper] == [rod, angle]
     assert [(ax.get_xlabel(), ax.get_ylabel()) for ax in lower] == [
-        (angle, "residual of x (mm)"),
-        (rod, "residual of θ_p (deg)"),
+        (angle, "residual of $x$ (mm)"),
+        (rod, r"residual of $\theta_p$ (deg)"),
     ]
     for maps, errors, x, y, own, printed in (
         (upper[0], lower[0], fit.angle_deg, fit.extension_mm, fit.p_mm_deg, table.p_mm_deg),

@@ -135,7 +135,7 @@ def test_the_metrics_of_a_run_are_those_of_its_columns_limits_and_ratings(brisk)
 
 def test_a_plot_shows_angle_error_and_command(brisk, curves):
     run, time = brisk.run, brisk.run.time_s
-    angle, error, command = brisk.plot()
+    angle, error, command, pressure = brisk.plot()
     lines = curves(angle)
     for label, name in (("knee angle", "knee_angle_rad"), ("reference", "knee_reference_rad")):
         assert lines[label][0] == pytest.approx(time)
@@ -148,16 +148,21 @@ def test_a_plot_shows_angle_error_and_command(brisk, curves):
     assert line.get_ydata() == pytest.approx(run["motor_speed_command_rad_s"] * 30.0 / math.pi)
     levels = [list(line.get_ydata()) for line in (zero, below, above)]
     assert levels == [pytest.approx(2 * [level]) for level in (0.0, -5000.0, 5000.0)]
+    lines = curves(pressure)
+    assert lines["|load pressure|"][1] == pytest.approx(1e-6 * np.abs(run["load_pressure_pa"]))
+    assert list(lines["rating 0.073 MPa"][1]) == [0.073, 0.073]
     assert [text.get_text() for text in command.get_legend().get_texts()] == ["limit ±5000 rpm"]
     # Room for the legends above what is drawn.
     assert command.get_ylim()[1] > 1.25 * 5000.0
     assert angle.get_ylim()[1] > np.degrees(run["knee_reference_rad"]).max() + 2.0
-    assert [ax.get_xlabel() for ax in (angle, error, command)] == ["", "", "time (s)"]
-    assert all(angle.get_shared_x_axes().joined(angle, ax) for ax in (error, command))
-    assert [ax.get_ylabel() for ax in (angle, error, command)] == [
+    axes = angle, error, command, pressure
+    assert [ax.get_xlabel() for ax in axes] == ["", "", "", "time (s)"]
+    assert all(angle.get_shared_x_axes().joined(angle, ax) for ax in axes)
+    assert [ax.get_ylabel() for ax in axes] == [
         "knee angle (deg)",
         "tracking error (deg)",
         "motor speed command (rpm)",
+        "pressure (MPa)",
     ]
     for ax in (brisk.plot_angle(), brisk.plot_error()):
         assert ax.get_xlabel() == "time (s)"
@@ -170,7 +175,7 @@ def test_a_plot_of_a_run_with_a_wearer_shows_leg_and_torques(curves):
         "simulation.duration_s": 0.1,
     }
     free = track(changed(BRISK, worn | {"controller": {"kind": "torque", "mode": "assist"}}))
-    angle, torque, command = free.plot()
+    angle, torque, command, _ = free.plot()
     assert curves(angle)["leg"][1] == pytest.approx(np.degrees(free["wearer_angle_rad"]))
     lines = curves(torque)
     assert lines["wearer"][1] == pytest.approx(free["interaction_torque_n_m"])
@@ -181,12 +186,31 @@ def test_a_plot_of_a_run_with_a_wearer_shows_leg_and_torques(curves):
         "motor speed command (rpm)",
     ]
     assert torque.figure.get_label() == (
-        "Knee angle with its reference, torques on the exoskeleton (positive flexes), and motor "
-        "speed command over time."
+        "Knee angle with its reference, torques on the exoskeleton (positive flexes), motor speed "
+        "command, and pressures in the cylinder over time."
     )
     # With position control the same signals have an error too.
-    _, error, torque, _ = dataclasses.replace(free, scenario=changed(BRISK, worn)).plot()
+    _, error, torque, *_ = dataclasses.replace(free, scenario=changed(BRISK, worn)).plot()
     assert (error.get_ylabel(), torque.get_ylabel()) == ("tracking error (deg)", "torque (N·m)")
+
+
+def test_a_plot_shades_push_and_faults_and_shows_the_chambers(curves):
+    """A fault of one sample has an area without width, whose edge is drawn."""
+    fault = {"place": "command", "kind": "scale", "size": 0.0, "start_s": 0.1, "duration_s": 0.002}
+    push = {"torque_n_m": 5.0, "start_s": 0.2, "duration_s": 0.1}
+    values = {"plant.full_order": True, "faults": (fault,), "push": push}
+    result = track(changed(BRISK, values | {"simulation.duration_s": 0.4}))
+    for ax in result.plot():
+        shaded = {drawn.get_label(): drawn for drawn in (*ax.patches, *ax.collections)}
+        (area,) = shaded["fault"].get_paths()
+        assert area.vertices[:, 0] == pytest.approx(0.1, abs=0.0021)
+        assert shaded["fault"].get_linewidth()[0] > 0.5
+        box = shaded["push"].get_extents().transformed(ax.transData.inverted())
+        assert list(box.intervalx) == pytest.approx([0.2, 0.3])
+    lines = curves(ax)
+    for label, name in (("cap", "cap_pressure_pa"), ("rod side", "rod_side_pressure_pa")):
+        assert lines[label][1] == pytest.approx(1e-6 * result[name])
+    assert list(lines["relief valves 3.5 MPa"][1]) == [3.5, 3.5]
 
 
 def test_a_command_without_limit_is_drawn_without_one(brisk):
