@@ -10,9 +10,10 @@ not used for tuning.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
+from itertools import chain
 from typing import Annotated, Any, Unpack
 
 import numpy as np
@@ -37,6 +38,7 @@ from kneexo.parameters.fields.quantity import Parameters, quantities, quantity
 from kneexo.parameters.paths import changed
 from kneexo.parameters.uncertainty import applicable, draw, realize
 from kneexo.simulation import needs_runs
+from kneexo.simulation.lockstep import ask, map_in_lockstep
 from kneexo.studies.assessment import assess
 from kneexo.studies.paper import PID_FEEDFORWARD, PID_PAPER, PID_TUNED
 from kneexo.studies.robustness.robustness import Values
@@ -310,12 +312,22 @@ def _contest(
     evaluations = len(searches) * settings.population * (settings.generations + 1)
     with progress_bar(evaluations, "tuning" if sweep.progress else None) as bar:
 
-        def objectives_deg(entrants: list[Values]) -> Array:
-            result = np.array(sweep.map(judge, [plants(entrant) for entrant in entrants]))
-            bar.update(len(entrants))
-            return result
+        def objectives_deg(requests: Mapping[int, list[Candidate]]) -> Iterator[tuple[int, Array]]:
+            """Evaluate the candidates of all searches in one sweep, which fills more lanes."""
+            results = sweep.map(judge, list(chain.from_iterable(requests.values())))
+            bar.update(len(results))
+            for index, candidates in requests.items():
+                yield index, np.array(results[: len(candidates)])
+                del results[: len(candidates)]
 
-        tunings = tuple(_tune(name, seed, settings, objectives_deg) for name, seed in searches)
+        def tune(search: tuple[str, int]) -> Tuning:
+            def judged(entrants: Sequence[Values], most_deg: Array) -> Array:
+                candidates = map(Candidate, map(plants, entrants), most_deg.tolist())
+                return np.asarray(ask(objectives_deg, list(candidates)))
+
+            return _tune(*search, settings, judged)
+
+        tunings = tuple(t for _, t in sorted(map_in_lockstep(tune, searches)))
     best = {
         name: min((t for t in tunings if t.contestant == name), key=lambda t: t.objective_deg)
         for name in settings.contestants
@@ -356,16 +368,18 @@ def _tune(
     name: str,
     seed: int,
     settings: ContestSettings,
-    objectives_deg: Callable[[list[Values]], Array],
+    objectives_deg: Callable[[Sequence[Values], Array], Array],
 ) -> Tuning:
     """Search for the best gains of the contestant ``name``.
 
-    ``objectives_deg`` returns the objective of each entrant in a list.
+    ``objectives_deg`` returns the objective of each entrant in a list, or a lower bound of an
+    objective that exceeds the second argument.
     """
     contestant = settings.contestants[name]
 
-    def objective(units: Array) -> Array:
-        return objectives_deg([_entrant(contestant, _gains(contestant, unit)) for unit in units])
+    def objective(units: Array, most_deg: Array) -> Array:
+        entrants = [_entrant(contestant, _gains(contestant, unit)) for unit in units]
+        return objectives_deg(entrants, most_deg)
 
     optimum, history = search(objective, len(contestant.gains), settings, seed)
     last_objectives = optimum.population_energies
@@ -382,22 +396,29 @@ def _tune(
 
 
 def search(
-    objective: Callable[[Array], Array], dimensions: int, settings: ContestSettings, seed: int
+    objective: Callable[[Array, Array], Array],
+    dimensions: int,
+    settings: ContestSettings,
+    seed: int,
 ) -> tuple[scipy.optimize.OptimizeResult, list[float]]:
     """Minimize an objective over the unit cube by differential evolution.
 
-    ``objective`` maps n candidates (n, dimensions) to their objectives (n,). Returns SciPy's result
-    and the best objective of each generation. SciPy's ``success`` is True if the search converged:
-    the standard deviation of the last population's objectives, divided by their mean, is below
-    ``settings.tolerance``.
+    ``objective`` maps n candidates (n, dimensions) to their objectives (n,). The second argument
+    (n,) has the objectives of their parents, as far as they are known, and otherwise inf. A larger
+    objective need not be exact, because the candidate then does not replace its parent. Returns
+    SciPy's result and the best objective of each generation. SciPy's ``success`` is True if the
+    search converged: the standard deviation of the last population's objectives, divided by their
+    mean, is below ``settings.tolerance``.
     """
     history: list[float] = []
+    parents = np.full(settings.population, math.inf)  # SciPy tells them after each generation
 
     def note(intermediate_result: scipy.optimize.OptimizeResult) -> None:
         history.append(float(intermediate_result.fun))
+        parents[:] = intermediate_result.population_energies
 
     optimum = scipy.optimize.differential_evolution(
-        lambda candidates: objective(candidates.T),
+        lambda candidates: objective(candidates.T, parents),
         [(0.0, 1.0)] * dimensions,
         init=scipy.stats.qmc.LatinHypercube(dimensions, seed=seed).random(settings.population),
         seed=seed,
@@ -412,28 +433,59 @@ def search(
     return optimum, history
 
 
+@dataclass(frozen=True)
+class Candidate:
+    """A controller on each training plant, and the largest objective in deg that matters.
+
+    A candidate replaces its parent in the search if its objective is at most that of the parent.
+    """
+
+    plants: Sequence[Scenario]
+    most_deg: float = math.inf
+
+
 @needs_runs
-def objective_deg(budget_rpm: float, least_disk_margin: float, plants: Sequence[Scenario]) -> float:
-    """Return the objective of one candidate: its largest error in deg, averaged over ``plants``.
+def objective_deg(budget_rpm: float, least_disk_margin: float, candidate: Candidate) -> float:
+    """Return the objective of a candidate: its largest error in deg, averaged over its plants.
 
     A candidate that violates a constraint gets a larger objective, which grows with the violation.
     The objective exceeds 3·`INFEASIBLE_DEG` if a run fails, 2·`INFEASIBLE_DEG` with too much
     chattering, and `INFEASIBLE_DEG` with too little margin on any plant. The margin of an unstable
     loop counts as zero.
+
+    An analysis of one more plant never makes the objective smaller. So the analyses end as soon as
+    the objective exceeds ``candidate.most_deg``. The result is then a lower bound of the objective.
     """
-    tracked = [assess(plant, margins=False) for plant in plants]
-    failed_share = np.mean([bool(values["tracking_failure"]) for values in tracked])
-    if failed_share > 0.0:
-        return float(INFEASIBLE_DEG * (3.0 + failed_share))
-    change_rpm = np.mean([values["mean_command_change_rpm"] for values in tracked])
-    if change_rpm > budget_rpm:
-        return float(INFEASIBLE_DEG * (3.0 - budget_rpm / change_rpm))
-    linear = [assess(plant, tracking=False) for plant in plants]
-    margins = np.nan_to_num([values["disk_margin"] for values in linear])
-    missing_share = np.mean(np.maximum(0.0, 1.0 - margins / least_disk_margin))
-    if missing_share > 0.0:
-        return float(INFEASIBLE_DEG * (1.0 + missing_share))
-    return float(np.mean([values["max_error_deg"] for values in tracked]))
+    tracked: list[Values] = []
+    linear: list[Values] = []
+    count = len(candidate.plants)
+
+    def objective() -> float:
+        """Return the objective as if all plants without an analysis had zero error."""
+        failed_share = np.sum([bool(values["tracking_failure"]) for values in tracked]) / count
+        if failed_share > 0.0:
+            return float(INFEASIBLE_DEG * (3.0 + failed_share))
+        change_rpm = np.sum([values["mean_command_change_rpm"] for values in tracked]) / count
+        if change_rpm > budget_rpm:
+            return float(INFEASIBLE_DEG * (3.0 - budget_rpm / change_rpm))
+        margins = np.nan_to_num([values["disk_margin"] for values in linear])
+        missing_share = np.sum(np.maximum(0.0, 1.0 - margins / least_disk_margin)) / count
+        if missing_share > 0.0:
+            return float(INFEASIBLE_DEG * (1.0 + missing_share))
+        return float(np.sum([values["max_error_deg"] for values in tracked]) / count)
+
+    for plant in candidate.plants:
+        tracked.append(assess(plant, margins=False))
+        if objective() > candidate.most_deg:
+            return objective()
+    if objective() > INFEASIBLE_DEG:  # decided by the runs
+        return objective()
+    # Last, because a linear loop takes twice as long as a run.
+    for plant in candidate.plants:
+        linear.append(assess(plant, tracking=False))
+        if objective() > candidate.most_deg:
+            break
+    return objective()
 
 
 def _gains(contestant: Contestant, unit: Array) -> dict[str, float]:

@@ -8,6 +8,7 @@ from contest_cases import (
     LAG,
     SMALL,
     made_up,
+    metrics_of,
 )
 
 from kneexo.analysis.linear.sampled_loop import linearize_loop
@@ -24,10 +25,12 @@ from kneexo.parameters import (
 from kneexo.parameters.paths import changed
 from kneexo.parameters.uncertainty import draw, realize
 from kneexo.studies.assessment import assess
+from kneexo.studies.contest import contest
 from kneexo.studies.contest.contest import (
     COLUMNS,
     CONTESTANTS,
     INFEASIBLE_DEG,
+    Candidate,
     ContestSettings,
     contest_study,
     objective_deg,
@@ -40,7 +43,7 @@ from kneexo.sweeps.checkpoint import Checkpoint
 # ------------------------------------------------------------------------------ the search
 
 
-def bowl(candidates):
+def bowl(candidates, most=math.inf):
     """Smallest, and 1, at (0.3, 0.6)."""
     return 1.0 + np.sum((candidates - [0.3, 0.6]) ** 2, axis=1)
 
@@ -63,7 +66,7 @@ def test_a_search_that_ends_too_early_has_not_converged():
 def test_the_search_evaluates_whole_generations_and_repeats_itself():
     seen = []
 
-    def objective(candidates):
+    def objective(candidates, most):
         seen.append(candidates.copy())
         return bowl(candidates)
 
@@ -76,6 +79,23 @@ def test_the_search_evaluates_whole_generations_and_repeats_itself():
     assert not np.array_equal(first.x, search(bowl, 2, settings, seed=6)[0].x)
 
 
+def test_a_search_needs_no_exact_objective_of_a_candidate_that_is_worse_than_its_parent():
+    worse = []
+
+    def bounded(candidates, most):
+        exact = bowl(candidates)
+        worse.append(np.mean(exact > most))
+        return np.where(exact > most, np.nextafter(most, math.inf), exact)
+
+    settings = ContestSettings(population=20, tolerance=1e-3)
+    (exact, history), (optimum, other) = (search(f, 2, settings, seed=1) for f in (bowl, bounded))
+    assert np.array_equal(optimum.population, exact.population)
+    assert np.array_equal(optimum.population_energies, exact.population_energies)
+    assert other == history
+    assert worse[:2] == [0.0, 0.0]  # SciPy tells the first energies after the first generation
+    assert np.mean(worse[2:]) > 0.2
+
+
 # --------------------------------------------------------------------------- the objective
 
 
@@ -86,6 +106,10 @@ def plants(controller=SlidingModeParameters(), lags=LAGS, **values):
     """Plants with different motors; the controller does not know."""
     entered = changed(BASE, {"controller": controller.model_dump(), "nominal": {}} | values)
     return [changed(entered, {"plant.pump.lag_s": lag}) for lag in lags]
+
+
+def objective_of(budget_rpm, least_disk_margin, scenarios, most_deg=math.inf):
+    return objective_deg(budget_rpm, least_disk_margin, Candidate(scenarios, most_deg))
 
 
 def metric_of(scenarios, name):
@@ -106,7 +130,7 @@ def test_a_candidate_within_its_limits_has_its_mean_error():
     )
     # The budget holds for the mean over the plants, the margin for each; both may be used up.
     budget, least = np.mean(changes), min(disk_margins(scenarios))
-    assert objective_deg(budget, least, scenarios) == pytest.approx(errors.mean(), rel=1e-12)
+    assert objective_of(budget, least, scenarios) == pytest.approx(errors.mean(), rel=1e-12)
     assert changes.max() > budget
     assert errors.max() < INFEASIBLE_DEG
 
@@ -115,26 +139,59 @@ def test_violations_are_counted_and_ordered():
     scenarios = plants()
     change = metric_of(scenarios, "mean_command_change_rpm").mean()
     low, high = sorted(disk_margins(scenarios))
-    feasible = objective_deg(change, low, scenarios)
+    feasible = objective_of(change, low, scenarios)
     # On one plant, on both, and without any margin on the one whose loop is unstable.
-    little = objective_deg(change, 0.5 * (low + high), scenarios)
+    little = objective_of(change, 0.5 * (low + high), scenarios)
     assert little == pytest.approx(90.0 * (1.0 + 0.5 * (1.0 - low / (0.5 * (low + high)))))
-    less = objective_deg(change, 2.0 * high, scenarios)
+    less = objective_of(change, 2.0 * high, scenarios)
     assert less == pytest.approx(90.0 * (2.0 - (low + high) / (4.0 * high)))
     unstable = plants(PidParameters(proportional_per_s=200.0), (LAGS[0],))
     assert not linearize_loop(unstable[0], knee_angle_deg=40.0).stable
-    none = objective_deg(1e6, 0.5, unstable)
+    none = objective_of(1e6, 0.5, unstable)
     assert none == pytest.approx(2.0 * 90.0)
-    chattering, wild = (objective_deg(share * change, low, scenarios) for share in (0.99, 1e-3))
+    chattering, wild = (objective_of(share * change, low, scenarios) for share in (0.99, 1e-3))
     assert (chattering, wild) == pytest.approx((90.0 * 2.01, 90.0 * 2.999))
     # Above 90 deg at the start.
     gone = plants(lags=LAGS[:1], **{"reference.mean_deg": 89.4, "initial_offset_m": -3.5e-3})
-    single, both = (objective_deg(1e6, low, gone + other) for other in (scenarios[:1], gone))
+    single, both = (objective_of(1e6, low, gone + other) for other in (scenarios[:1], gone))
     assert (single, both) == pytest.approx((90.0 * 3.5, 90.0 * 4.0))
     values = [feasible, little, less, none, chattering, wild, single, both]
     assert np.all(np.isfinite(values))
     assert all(a < b for a, b in pairwise(values))
     assert feasible < INFEASIBLE_DEG < little
+
+
+BOUNDED = {
+    # largest objective, metrics of a plant without fault, the fault: analyses until it is known
+    "failing": (250.0, {"tracking_failure": "left its range"}, 1, 0),
+    "failing, of a parent that fails": (300.0, {"tracking_failure": "left its range"}, 2, 0),
+    "chattering": (0.5, {"mean_command_change_rpm": 31.0}, 1, 0),
+    "chattering, of a parent that chatters": (200.0, {"mean_command_change_rpm": 21.0}, 2, 0),
+    "margin": (0.5, {"disk_margin": math.nan}, 3, 1),
+    "margin, of a parent with little": (125.0, {"disk_margin": 0.2}, 3, 2),
+    "error": (0.5, {"max_error_deg": 0.8}, 2, 0),
+    "as good as its parent": (0.25, {}, 3, 3),
+    "no parent": (math.inf, {"mean_command_change_rpm": 31.0}, 3, 0),
+}
+
+
+@pytest.mark.parametrize("case", BOUNDED)
+def test_a_candidate_is_left_as_soon_as_it_cannot_replace_its_parent(monkeypatch, case):
+    most_deg, fault, runs, loops = BOUNDED[case]
+    metrics = metrics_of(0.25, change=9.0) | {"disk_margin": 0.7} | fault
+    made = []
+
+    def made_up_metrics(plant, *, tracking=True, margins=True):
+        made.append((tracking, margins))
+        return metrics
+
+    monkeypatch.setattr(contest, "assess", made_up_metrics)
+    value = objective_of(10.0, 0.5, plants(lags=(0.008, 0.01, 0.016)), most_deg)
+    assert made.count((True, False)) == runs
+    assert made.count((False, True)) == loops
+    assert len(made) == runs + loops
+    exact = objective_of(10.0, 0.5, plants(lags=(0.008, 0.01, 0.016)))
+    assert value == exact <= most_deg or most_deg < value <= exact
 
 
 def test_contestants_have_as_many_gains():
@@ -228,10 +285,7 @@ def test_the_search_is_for_the_smallest_objective_within_the_default_smcs_budget
 
     def objective(units):
         return np.array(
-            [
-                objective_deg(budget, 0.5, plants(PidParameters(), lags, **pi_gains(u)))
-                for u in units
-            ]
+            [objective_of(budget, 0.5, plants(PidParameters(), lags, **pi_gains(u))) for u in units]
         )
 
     optimum, history = search(objective, 2, SMALL, seed=2)
@@ -286,7 +340,7 @@ def test_tuning_for_the_error_alone_leaves_no_margin_on_uncertain_plants():
 
     def judge(law):
         entered = base.model_copy(update={"controller": law})
-        return objective_deg(15.0, 0.5, [realize(entered, UNCERTAINTY, s) for s in values])
+        return objective_of(15.0, 0.5, [realize(entered, UNCERTAINTY, s) for s in values])
 
     assert judge(SlidingModeParameters()) < 0.5
     for law in (PID_TUNED, PID_FEEDFORWARD):
