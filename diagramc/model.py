@@ -10,7 +10,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import groupby
 from threading import Event, local
 from typing import Any
 
@@ -236,9 +235,8 @@ class CompiledModel(ModelBase):
             Numbers that the runs compute from the samples of their outputs, such as the largest
             error. ``Simulation.reduced`` has their values. Reductions take less time than records.
         record_period_s, resumable, options
-            As in `simulate`. Runs that go on share calls if they go on from the same time. They
-            must have the ``reductions`` of the runs before. A reduction has a sample at the time of
-            each record.
+            As in `simulate`. A run that goes on must have the ``reductions`` of the run before. A
+            reduction has a sample at the time of each record.
 
         Raises
         ------
@@ -280,11 +278,8 @@ class CompiledModel(ModelBase):
             reductions,
         )
         # Runs of about the same length share a call, because a lane that ends waits for the others.
-        # All runs of a call begin at one tick; -1 stands for runs from t = 0.
-        begins = [s.tick if isinstance(s, ResumableState) else -1 for s in initial]
-        order = sorted(range(count), key=lambda i: (begins[i], -batch.ticks[i]))
-        groups = [list(runs) for _, runs in groupby(order, begins.__getitem__)]
-        sets = [runs[n : n + lanes] for runs in groups for n in range(0, len(runs), lanes)]
+        order = np.argsort(-batch.ticks, kind="stable").tolist()
+        sets = [order[first : first + lanes] for first in range(0, count, lanes)]
 
         def run_set(indices: list[int]) -> list[Any]:
             if not hasattr(runners, "of_thread"):
@@ -370,8 +365,7 @@ class CompiledModel(ModelBase):
         runner.restart(batch.parameters[lanes], last)
         runner.reducer.restart(batch.begins[lanes], batch.bounds[lanes])
         tables = [batch.inputs[i] for i in lanes]
-        first = runner.resume(states, record)
-        status = runner.run(x, d, first, last, tables, record, cancelled=cancelled)
+        status = runner.run(x, d, runner.resume(states), last, tables, record, cancelled=cancelled)
         times = runner.timing.record_times(int(last.max()))
         reduced = runner.reducer.results(last // every + 1, times, every * runner.timing.tick)
         runs: list[Simulation | SimulationError] = []
@@ -383,6 +377,8 @@ class CompiledModel(ModelBase):
                 runs.append(error)
                 continue
             rows = int(last[lane]) // every + 1
+            if isinstance(state := states[lane], ResumableState):
+                record[lane, :, : state.record.shape[1]] = state.record
             outputs = self._outputs(runner, record[lane, :, :rows])
             if resumable:
                 final = runner.resumable(lane, final, int(last[lane]), record[lane, :, :rows])

@@ -186,7 +186,7 @@ class Runner:
         shared = exact_hold.Shared(len(layout.states))
         self._shared = np.empty((shared.size, lanes))
         self._steps = self._shared[: shared.head]  # which decide the next step of each lane
-        self._seen = 0  # rows of the record that earlier calls have reduced
+        self._begins = np.full(lanes, -1, dtype=np.int64)
         solver = integrator, step_s, tolerance
         self.settings: tuple[Any, ...] = (
             code.key,
@@ -233,6 +233,7 @@ class Runner:
             tolerance=tolerance,
             windows=self._windows,
             suspects=self._suspects,
+            begins_of_lanes=self._begins,
         )
         self._address = ctypes.addressof(self._arguments)
 
@@ -251,24 +252,22 @@ class Runner:
         self._c[:] = self._lane_c.T
         self._memory[:, : self._at.head] = 0.0
         self._steps[:] = 0.0
-        self._seen = 0
+        self._begins[:] = -1
         self._tags.fill(np.nan)  # equals no whole number, so that all rows are empty
         return self
 
-    def resume(self, states: Sequence[State], record: Array) -> int:
-        """Put back what belongs to the states of all lanes after `restart`; return the first tick.
+    def resume(self, states: Sequence[State]) -> int:
+        """Put back what belongs to the states of all lanes after `restart`.
 
-        The states are of one tick, or all are states at t = 0. ``record``: see `run`.
+        Return the first tick of all lanes.
         """
-        first = 0
         for lane, state in enumerate(states):
             if isinstance(state, ResumableState):
                 self._memory[lane, : state.memory.size] = state.memory
                 self._steps[:, lane] = state.shared
                 self.reducer.values[:, :, lane] = state.reduced
-                first, self._seen = state.tick, state.record.shape[1]
-                record[lane, :, : self._seen] = state.record
-        return first
+                self._begins[lane] = state.tick
+        return max(0, int(self._begins.min()))
 
     def resumable(self, lane: int, state: State, tick: int, record: Array) -> ResumableState:
         """Return the state of a lane at the end of its run, with the memory of the integrator.
@@ -326,7 +325,7 @@ class Runner:
         Returns the status (lanes, 3): for each lane the outcome, the tick at which the run failed,
         and the index of the limit that stopped the run or of the output that is not finite.
         """
-        longest, ends = int(last.max()), np.empty_like(last)
+        longest, ends, unseen = int(last.max()), np.empty_like(last), 0
         every = self.timing.record_every
         rows = 0 if record is None else record.shape[2]
         status = np.zeros_like(self._status)
@@ -339,8 +338,8 @@ class Runner:
             begin = perf_counter()
             row = -(-first // every)  # -(-a // b) rounds up
             # A record at the last tick of a call is made again by the next call.
-            outcome = self.call_once(first, until, rows, inputs, row, self._seen)
-            self._seen = until // every + 1
+            outcome = self.call_once(first, until, rows, inputs, row, unseen)
+            unseen = until // every + 1
             failed = outcome[:, 0] != OK
             status[failed] = outcome[failed]
             if not (last[status[:, 0] == OK] > until).any():
