@@ -19,7 +19,6 @@ from concurrent.futures import (
 )
 from contextlib import contextmanager
 from importlib import import_module
-from itertools import islice, takewhile
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
@@ -263,17 +262,15 @@ def parallel_map(
                     advance(index)
         group_ranks: dict[Hashable, int] = {}
         # The longest first: short items then fill the time in which the last long one ends.
-        groups = [group(item) for item in items]
         sort_keys = [
-            (-weight(item), group_ranks.setdefault(of_item, len(group_ranks)))
-            for item, of_item in zip(items, groups, strict=True)
+            (-weight(item), group_ranks.setdefault(group(item), len(group_ranks))) for item in items
         ]
         waiting = (index for index in range(len(items)) if index not in results)
         order = sorted(waiting, key=sort_keys.__getitem__)
         if pool is not None:
-            _by_executor(function, items, order, pool, keep, groups)
+            _by_executor(function, items, order, pool, keep)
         else:
-            units = _Units(order, _first_unit(function, len(order), 1), groups)
+            units = _Units(order, _first_unit(function, len(order), 1))
             while unit := units.take(LARGEST_LOT):
                 begin = time.perf_counter()
                 for position, result in _as_completed(function, [items[index] for index in unit]):
@@ -285,10 +282,9 @@ def parallel_map(
 class _Units:
     """Queue of item indices, split into units of work whose size adapts to the limit `UNIT_S`."""
 
-    def __init__(self, order: Iterable[int], size: int, groups: Sequence[Any]) -> None:
+    def __init__(self, order: Iterable[int], size: int) -> None:
         self._waiting = deque(order)
         self._size = size
-        self._groups = groups  # of all items
 
     def __len__(self) -> int:
         return len(self._waiting)
@@ -296,17 +292,10 @@ class _Units:
     def take(self, most: int) -> list[int]:
         """Remove the next unit of work from the front of the queue and return its indices.
 
-        The unit has at most ``most`` indices, and the rest of its last group if this is a short
-        one. An empty queue gives an empty list.
+        The unit has at most ``most`` indices. An empty queue gives an empty list.
         """
         size = min(self._size, most, len(self._waiting))
-        unit = [self._waiting.popleft() for _ in range(size)]
-        group = self._groups[unit[-1]] if unit else None
-        rest = takewhile(lambda index: self._groups[index] == group, self._waiting)
-        more = len(list(islice(rest, _FIRST_UNIT + 1)))
-        if group is not None and more <= _FIRST_UNIT:
-            unit += [self._waiting.popleft() for _ in range(more)]
-        return unit
+        return [self._waiting.popleft() for _ in range(size)]
 
     def give_back(self, unfinished: Sequence[int], finished: int, elapsed_s: float) -> None:
         """Put the unfinished indices of a unit back at the front of the queue; adapt the size.
@@ -317,9 +306,7 @@ class _Units:
         """
         self._waiting.extendleft(reversed(unfinished))
         growth = min(_GROWTH, UNIT_S / max(elapsed_s, 1e-9))
-        self._size = (
-            max(self._size, int(growth * finished)) if growth > 1.0 else min(self._size, finished)
-        )
+        self._size = max(self._size, int(growth * finished)) if growth > 1.0 else finished
 
 
 def _first_unit(function: Callable[..., Any], count: int, workers: int) -> int:
@@ -366,17 +353,15 @@ def _by_executor(
     order: Sequence[int],
     executor: Executor,
     keep: Callable[[int, Result], None],
-    groups: Sequence[Any],
 ) -> None:
     """Let an executor compute ``function(items[index])`` for the indices in ``order``.
 
     When a unit of work ends, this process calls ``keep`` with the index and the result of each of
-    its items. ``groups`` has the group of each item. Raises `WorkerError` when a worker process
-    dies.
+    its items. Raises `WorkerError` when a worker process dies.
     """
     workers = getattr(executor, "_max_workers", _WORKERS)
     most = _UNITS_PER_WORKER * workers
-    units = _Units(order, _first_unit(function, len(order), workers), groups)
+    units = _Units(order, _first_unit(function, len(order), workers))
     under_way: dict[Future[tuple[list[Result], float]], list[int]] = {}
     ended: SimpleQueue[Future[tuple[list[Result], float]]] = SimpleQueue()
     try:

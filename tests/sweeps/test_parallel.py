@@ -228,7 +228,7 @@ def test_units_of_calls_grow_as_others_do(batches, monkeypatch, unit_s, at_once)
 
 
 def test_a_unit_grows_as_far_as_the_time_limit_allows():
-    units = parallel._Units(range(10_000), 8, [None] * 10_000)
+    units = parallel._Units(range(10_000), 8)
     sizes = []
     for elapsed_s in (0.001, 0.25, 0.4999, 0.5, 0.05, 2.0, 0.25):
         unit = units.take(10_000)
