@@ -521,10 +521,11 @@ def simulate_together(
     parameters, states, inputs = zip(*run_arguments.values(), strict=True)
     options |= {"outputs": tuple(names), "record_period_s": scenarios[0].controller.sample_time_s}
     reduced = _joined([reductions[index] for index in run_arguments]) if reductions else []
-    if not reduced:
+    if scenarios[0].faults and not reduced:
+        keys = [_key_before_faults(model, each, options) for each in run_arguments.values()]
         states = tuple(
-            _before_faults(scenarios[index], model, arguments, options)
-            for index, arguments in run_arguments.items()
+            _before_faults(model, scenarios[index], each, options, key, keys.count(key) > 1)
+            for (index, each), key in zip(run_arguments.items(), keys, strict=True)
         )
     runs = model.simulate_batch(
         parameters,
@@ -542,45 +543,51 @@ def simulate_together(
     return results
 
 
+_RunArguments = tuple[Array, State, InputTable]
+
+
+def _key_before_faults(
+    model: CompiledModel, arguments: _RunArguments, options: dict[str, Any]
+) -> tuple[Any, ...]:
+    """Return a key that scenarios share if they differ in sizes and times of faults only."""
+    parameters, state, inputs = arguments
+    common = [not name.startswith("fault_") for name in model.parameter_names]
+    arrays = (parameters[common], state.continuous, state.discrete, inputs.breaks)
+    content = b" ".join(array.tobytes() for array in (*arrays, inputs.coefficients))
+    return (model.code.key, sha256(content).digest(), *options.items())
+
+
 def _before_faults(
-    scenario: Scenario,
     model: CompiledModel,
-    arguments: tuple[Array, State, InputTable],
+    scenario: Scenario,
+    arguments: _RunArguments,
     options: dict[str, Any],
+    key: tuple[Any, ...],
+    is_repeated: bool,
 ) -> State:
     """Return the state from which the run of a scenario goes on, just before its first fault.
 
-    Until then the run is the run of all scenarios that differ in sizes and times of faults only. So
-    it is made once, and the latest `MOST_STRUCTURES` such states are kept. Without faults, or if
-    the run fails before its first fault, the result is the state at t = 0.
+    Until then the run is that of all scenarios with its ``key``: see `_key_before_faults`. So it is
+    made once, if ``is_repeated`` or when a second such scenario comes, and the latest
+    `MOST_STRUCTURES` states are kept. Else, and if it fails, the result is the state at t = 0.
     """
     parameters, state, inputs = arguments
     period_s = scenario.controller.sample_time_s
     ends_s = (scenario.duration_s, *(fault.begin_s for fault in scenario.faults))
     # A reading has a lead of one sample (`context_values`), and times are rounded.
-    samples = math.floor(min(ends_s) / period_s) - 2
-    if not scenario.faults or samples <= 0:
-        return state
-    numbers = [
-        value
-        for name, value in zip(model.parameter_names, parameters, strict=True)
-        if not name.startswith("fault_")
-    ]
-    arrays = (numbers, state.continuous, state.discrete, inputs.breaks, inputs.coefficients)
-    digest = sha256(b" ".join(np.asarray(array).tobytes() for array in arrays)).digest()
-    key = (model.code.key, digest, *options.items())
+    samples = max(0, math.floor(min(ends_s) / period_s) - 2)
     with _lock:
-        earlier = [made for *other, made in _healthy if (*other,) == key and made <= samples]
-    if earlier:
-        state = _healthy.of((*key, max(earlier)), lambda: state)
-    if samples not in earlier:
-        try:
-            end_s = samples * period_s
-            run = model.simulate(parameters, state, end_s, inputs=inputs, resumable=True, **options)
-        except KneexoError:
-            return state
-        state = _healthy.of((*key, samples), lambda: run.final)
-    return state
+        known = [made for *other, made in _healthy if (*other,) == key and made <= samples]
+        state = _healthy.of((*key, max(known, default=0)), lambda: state)
+    if samples in known or not (known or is_repeated):
+        return state
+    try:
+        end_s = samples * period_s
+        run = model.simulate(parameters, state, end_s, inputs=inputs, resumable=True, **options)
+    except KneexoError:
+        return state
+    after: State = _healthy.of((*key, samples), lambda: run.final)
+    return after
 
 
 def _joined(reductions: Sequence[Sequence[Reduction]]) -> list[Reduction]:

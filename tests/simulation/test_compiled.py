@@ -481,9 +481,9 @@ def assert_faulty_runs_are_whole_runs(monkeypatch, rng, preset, integrator, coun
     ]
     compiled._healthy.clear()
     runs = compiled.simulate_together(scenarios, None, integrator)
-    assert compiled._healthy
+    assert any(samples for *_, samples in compiled._healthy)
     with monkeypatch.context() as patch:
-        patch.setattr(compiled, "_before_faults", lambda _, model, arguments, options: arguments[1])
+        patch.setattr(compiled, "_before_faults", lambda model, scenario, run, *others: run[1])
         whole = compiled.simulate_together(scenarios, None, integrator)
     for run, expected in zip(runs, whole, strict=True):
         assert type(run) is type(expected)
@@ -494,10 +494,9 @@ def assert_faulty_runs_are_whole_runs(monkeypatch, rng, preset, integrator, coun
             np.testing.assert_array_equal(run[name].view(np.int64), values.view(np.int64), name)
 
 
-@pytest.mark.parametrize("integrator", ["exact_hold", "rosenbrock"])
-def test_a_faulty_run_is_that_from_the_start(monkeypatch, integrator):
+def test_faulty_runs_are_those_from_the_start(monkeypatch):
     rng = np.random.default_rng(3)
-    assert_faulty_runs_are_whole_runs(monkeypatch, rng, "paper", integrator, 3)
+    assert_faulty_runs_are_whole_runs(monkeypatch, rng, "paper", "exact_hold", 3)
 
 
 @pytest.mark.slow
