@@ -130,7 +130,12 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
         STEP_S as STEP_S,
     )
     from .reductions import REDUCTIONS as REDUCTIONS, Reduction as Reduction
-    from .run_data import Array as Array, InputTable as InputTable, State as State
+    from .run_data import (
+        Array as Array,
+        InputTable as InputTable,
+        ResumableState as ResumableState,
+        State as State,
+    )
     from .testing import check_leaf as check_leaf
     from .trajectories import input_table as input_table, stack_tables as stack_tables
 else:
@@ -178,7 +183,7 @@ else:
         "native.cores": ("available_cores",),
         "native.runner": ("ROUGH_STEP_S", "STEP_S"),
         "reductions": ("REDUCTIONS", "Reduction"),
-        "run_data": ("Array", "InputTable", "State"),
+        "run_data": ("Array", "InputTable", "ResumableState", "State"),
         "testing": ("check_leaf",),
         "trajectories": ("input_table", "stack_tables"),
     }

@@ -30,7 +30,7 @@ from .native.machine_code import MachineCode
 from .native.reductions import starts_and_bounds
 from .native.runner import LONGEST_TICK_S, Runner, Snapshots, output_elements
 from .reductions import Reduction
-from .run_data import Array, InputTable, Integers, State, slices
+from .run_data import Array, InputTable, Integers, ResumableState, State, slices
 
 _MOST_RUNNERS = 2
 """Number of runners that a model keeps for its next single runs.
@@ -122,6 +122,7 @@ class CompiledModel(ModelBase):
         record_period_s: float | None = None,
         record_times_s: Sequence[float] | Array | None = None,
         inputs: InputTable | None = None,
+        resumable: bool = False,
         **options: Any,
     ) -> Simulation:
         """Run the model from t = 0 and return the records. Each event occurs exactly at its time.
@@ -131,10 +132,14 @@ class CompiledModel(ModelBase):
         parameters
             Values of ``parameter_names``, in this order.
         state
-            State at t = 0, after the initialization events: see `initialized`.
+            State at t = 0, after the initialization events: see `initialized`. If the state is the
+            ``final`` state of a run with ``resumable``, the run goes on from the end of that run,
+            and returns the same numbers, to the last bit, as a run from t = 0. The two runs must
+            have the same outputs, record period, integrator and tolerance. Parameters and inputs
+            may differ, if those of this run would not have changed the run before.
         duration_s
-            Duration in s. The run ends at the last tick up to this time. If ``record_times_s`` has
-            a time after that tick, the run ends one tick later.
+            Duration in s, counted from t = 0. The run ends at the last tick up to this time. If
+            ``record_times_s`` has a time after that tick, the run ends one tick later.
         outputs
             Names of the output ports to record; all by default.
         record_period_s
@@ -153,9 +158,14 @@ class CompiledModel(ModelBase):
             ``tolerance`` and the same substeps.
         inputs
             Open inputs as piecewise polynomials of time; zero by default.
+        resumable
+            Whether the ``final`` state is a `ResumableState`, from which a later run can go on.
 
         Raises
         ------
+        ValueError
+            A ``state`` to go on from is of a run with other settings, or later than ``duration_s``.
+            Or ``record_times_s`` is given with such a state, or with ``resumable``.
         SimulationError
             A state or a recorded output is not finite, or a system left its limits. The error is a
             `StiffnessError` if ``exact_hold`` cannot meet the tolerance.
@@ -169,8 +179,10 @@ class CompiledModel(ModelBase):
         with self._runner(outputs=names, record_period_s=record_period_s, **options) as runner:
             batch = self._batch(runner, rows, [state], [duration_s], [inputs])
             if record_times_s is None:
-                (run,) = self._run_lanes(runner, batch, [0])
+                (run,) = self._run_lanes(runner, batch, [0], resumable)
             else:
+                if resumable or isinstance(state, ResumableState):
+                    raise ValueError("record_times_s: must be left out in a run that goes on")
                 times = np.array(record_times_s, dtype=float)
                 end = duration_s * (1.0 + 1e-12)  # a last time that was rounded upwards counts
                 if times.ndim != 1 or not (np.diff(times, prepend=0.0, append=end) >= 0.0).all():
@@ -193,6 +205,7 @@ class CompiledModel(ModelBase):
         outputs: Sequence[str] | None = None,
         reductions: Sequence[Reduction] = (),
         record_period_s: float | None = None,
+        resumable: bool = False,
         **options: Any,
     ) -> list[Any]:
         """Run once for each row of ``parameters`` (n, parameters); return a list of all results.
@@ -222,8 +235,9 @@ class CompiledModel(ModelBase):
         reductions
             Numbers that the runs compute from the samples of their outputs, such as the largest
             error. ``Simulation.reduced`` has their values. Reductions take less time than records.
-        record_period_s, options
-            As in `simulate`. A reduction has a sample at the time of each record.
+        record_period_s, resumable, options
+            As in `simulate`. A run that goes on must have the ``reductions`` of the run before. A
+            reduction has a sample at the time of each record.
 
         Raises
         ------
@@ -271,7 +285,8 @@ class CompiledModel(ModelBase):
         def run_set(indices: list[int]) -> list[Any]:
             if not hasattr(runners, "of_thread"):
                 runners.of_thread = Runner(self.code, lanes=lanes, **settings)
-            runs = self._run_lanes(runners.of_thread, batch, indices, cancelled.is_set)
+            runner = runners.of_thread
+            runs = self._run_lanes(runner, batch, indices, resumable, cancelled.is_set)
             return [
                 run if isinstance(run, Error) or reduce is None else reduce(run) for run in runs
             ]
@@ -316,6 +331,15 @@ class CompiledModel(ModelBase):
         ticks = np.array([int(d / tick * (1.0 + 1e-12)) for d in durations], dtype=np.int64)
         if note := runner.timing.offset_note(int(ticks.max(initial=0))):
             warnings.warn(note, stacklevel=3)
+        for state, last in zip(states, ticks, strict=True):
+            if isinstance(state, ResumableState):
+                if state.settings != runner.settings:
+                    raise ValueError(
+                        "state: is of a run with other outputs, record period, integrator, step, "
+                        "tolerance or reductions"
+                    )
+                if state.tick > last:
+                    raise ValueError("duration_s: must not end before the state to go on from")
         reduced = starts_and_bounds(reductions, runner.timing, len(rows))
         return _Batch(rows, states, ticks, tables, *reduced)
 
@@ -324,6 +348,7 @@ class CompiledModel(ModelBase):
         runner: Runner,
         batch: _Batch,
         indices: list[int],
+        resumable: bool,
         cancelled: Callable[[], bool] = lambda: False,
     ) -> list[Simulation | SimulationError]:
         """Make the runs ``indices`` of a batch by one call of machine code, one run in each lane.
@@ -332,15 +357,16 @@ class CompiledModel(ModelBase):
         its records, or the error if the run failed. For ``cancelled`` see `Runner.run`.
         """
         lanes = [*indices, *indices[-1:] * (runner.lanes - len(indices))]
-        x = _columns([batch.states[i].continuous for i in lanes])
-        d = _columns([batch.states[i].discrete for i in lanes])
+        states = [batch.states[i] for i in lanes]
+        x = _columns([state.continuous for state in states])
+        d = _columns([state.discrete for state in states])
         last = batch.ticks[lanes]
         every = runner.timing.record_every
         record = RECORDS.array((len(lanes), runner.columns.size, int(last.max()) // every + 1))
         runner.restart(batch.parameters[lanes], last)
         runner.reducer.restart(batch.begins[lanes], batch.bounds[lanes])
         tables = [batch.inputs[i] for i in lanes]
-        status = runner.run(x, d, 0, last, tables, record, cancelled=cancelled)
+        status = runner.run(x, d, runner.resume(states), last, tables, record, cancelled=cancelled)
         times = runner.timing.record_times(int(last.max()))
         reduced = runner.reducer.results(last // every + 1, times, every * runner.timing.tick)
         runs: list[Simulation | SimulationError] = []
@@ -352,7 +378,11 @@ class CompiledModel(ModelBase):
                 runs.append(error)
                 continue
             rows = int(last[lane]) // every + 1
+            if isinstance(state := states[lane], ResumableState):
+                record[lane, :, : state.record.shape[1]] = state.record
             outputs = self._outputs(runner, record[lane, :, :rows])
+            if resumable:
+                final = runner.resumable(lane, final, int(last[lane]), record[lane, :, :rows])
             runs.append(Simulation(times[:rows], outputs, final, reduced[lane]))
         return runs
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,27 @@ class State:
 
     continuous: Array
     discrete: Array
+
+
+@dataclass(frozen=True)
+class ResumableState(State):
+    """State at the end of a run, with all that a later run needs to go on from there.
+
+    `CompiledModel.simulate` makes it with ``resumable=True``, and takes it as ``state``.
+    """
+
+    tick: int
+    """Number of the last tick of the run."""
+    settings: tuple[Any, ...]
+    """Settings of the run that the later run must have too."""
+    memory: Array
+    """Jacobians of the exact hold, and the tables of their phi functions."""
+    shared: Array
+    """Length of the next step."""
+    reduced: Array
+    """Accumulated value and last sample of each reduction, (reductions, 2)."""
+    record: Array
+    """Records of the run (columns, rows), with which the records of the later run begin."""
 
 
 @dataclass(frozen=True)

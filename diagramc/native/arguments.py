@@ -28,7 +28,7 @@ RUN = (
     *("step", "tolerance", "memory", "shared", "tags", "values", "status"),
     *("snapshots", "snapshot_count", "snapshot_x", "snapshot_d"),
     *("checked_count", "reductions", "reduction_ends", "unseen", "begins", "bounds", "reduced"),
-    *("windows", "suspects"),
+    *("windows", "suspects", "begins_of_lanes"),
 )
 """Arguments of the machine code's function ``run``, which makes one run in each lane.
 
@@ -63,6 +63,8 @@ Each argument has eight bytes: a number, or the address of an array.
   a tick in which a Runge-Kutta integrator may be unstable: ratio of its rates, start and end in s,
   length of a step in s, states and inputs; the ratio is zero if there is none. ``windows``
   (lanes,): length of a window in ticks
+- ``begins_of_lanes`` (lanes,): tick at which each lane begins; a lane waits until then. -1 stands
+  for a run from t = 0, which reduces its record at tick 0 too
 """
 
 BETWEEN = (

@@ -65,7 +65,7 @@ def define_reduce(module: Module, y: Type, names: Sequence[str]) -> Function:
                 name, value, before, results[1], rows.equals(begin), rows, bounds[n]
             )
             results[0] = f.select(present & (rows >= begin), after, before)
-            results[1] = value
+            results[1] = f.select(present, value, results[1])
             number.set(n + 1)
     return f
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from time import perf_counter
 from typing import Any
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..reductions import Reduction
 from ..rosenbrock import TOLERANCE_RANGES, TOLERANCES
-from ..run_data import Array, InputTable, Integers
+from ..run_data import Array, InputTable, Integers, ResumableState, State
 from . import exact_hold, jacobian_slots
 from .arguments import BETWEEN, DOUBLES, INPUT, INTEGRATORS, MEMO_LINES, OK, RUN, SUSPECTS
 from .machine_code import MachineCode
@@ -181,12 +181,22 @@ class Runner:
         self._constants = code.start_function("constants")
         self._lane_c = np.empty((lanes, layout.constants))
         self._c = np.empty((layout.constants, lanes))
-        memory = jacobian_slots.Memory(len(layout.states))
-        self._head = memory.head
+        self._at = memory = jacobian_slots.Memory(len(layout.states))
         self._memory = np.empty((lanes, memory.size))
         shared = exact_hold.Shared(len(layout.states))
-        self._shared_head = shared.head
-        self._shared = np.empty(shared.size * lanes)
+        self._shared = np.empty((shared.size, lanes))
+        self._steps = self._shared[: shared.head]  # which decide the next step of each lane
+        self._begins = np.full(lanes, -1, dtype=np.int64)
+        solver = integrator, step_s, tolerance
+        self.settings: tuple[Any, ...] = (
+            code.key,
+            self.names,
+            self.timing.tick,
+            self.timing.record_every,
+            *solver,
+        )
+        self.settings += tuple(replace(item, after_s=0.0, bound=0.0) for item in reductions)
+        """What a run and the run that goes on from its end have in common."""
         self._tags = np.empty(len(layout.memos) * MEMO_LINES * lanes)
         self._values = np.empty(sum(layout.memos) * MEMO_LINES * lanes)
         self._status = np.zeros((lanes, 3), dtype=np.int64)
@@ -223,6 +233,7 @@ class Runner:
             tolerance=tolerance,
             windows=self._windows,
             suspects=self._suspects,
+            begins_of_lanes=self._begins,
         )
         self._address = ctypes.addressof(self._arguments)
 
@@ -239,10 +250,43 @@ class Runner:
         for lane, row in enumerate(np.ascontiguousarray(parameters, dtype=float)):
             self._constants(address(row), address(self._lane_c[lane]))
         self._c[:] = self._lane_c.T
-        self._memory[:, : self._head] = 0.0
-        self._shared[: self._shared_head * self.lanes] = 0.0
+        self._memory[:, : self._at.head] = 0.0
+        self._steps[:] = 0.0
+        self._begins[:] = -1
         self._tags.fill(np.nan)  # equals no whole number, so that all rows are empty
         return self
+
+    def resume(self, states: Sequence[State]) -> int:
+        """Put back what belongs to the states of all lanes after `restart`.
+
+        Return the first tick of all lanes.
+        """
+        for lane, state in enumerate(states):
+            if isinstance(state, ResumableState):
+                self._memory[lane, : state.memory.size] = state.memory
+                self._steps[:, lane] = state.shared
+                self.reducer.values[:, :, lane] = state.reduced
+                self._begins[lane] = state.tick
+        return max(0, int(self._begins.min()))
+
+    def resumable(self, lane: int, state: State, tick: int, record: Array) -> ResumableState:
+        """Return the state of a lane at the end of its run, with the memory of the integrator.
+
+        ``tick``: last tick of the run; ``record`` (columns, rows): records of the run.
+        """
+        memory = self._memory[lane]
+        # The slots that hold no Jacobian are left out.
+        slots = int(memory[self._at.filled : self._at.filled + 1].view(np.int64)[0])
+        return ResumableState(
+            state.continuous,
+            state.discrete,
+            tick,
+            self.settings,
+            memory[: self._at.slots + slots * self._at.slot_size].copy(),
+            self._steps[:, lane].copy(),
+            self.reducer.values[:, :, lane].copy(),
+            record,
+        )
 
     def run(
         self,
@@ -281,7 +325,7 @@ class Runner:
         Returns the status (lanes, 3): for each lane the outcome, the tick at which the run failed,
         and the index of the limit that stopped the run or of the output that is not finite.
         """
-        start, longest, ends = first, int(last.max()), np.empty_like(last)
+        longest, ends, unseen = int(last.max()), np.empty_like(last), 0
         every = self.timing.record_every
         rows = 0 if record is None else record.shape[2]
         status = np.zeros_like(self._status)
@@ -292,11 +336,10 @@ class Runner:
             ends[status[:, 0] != OK] = -1  # a failed lane makes no tick
             self.bind(x, d, ends, record, snapshots and snapshots.after(first))
             begin = perf_counter()
-            # Rows count from the first record at or after `start`. -(-a // b) rounds up.
-            row = -(-first // every) + start // -every
+            row = -(-first // every)  # -(-a // b) rounds up
             # A record at the last tick of a call is made again by the next call.
-            unseen = row if first == start else first // every + 1 + start // -every
             outcome = self.call_once(first, until, rows, inputs, row, unseen)
+            unseen = until // every + 1
             failed = outcome[:, 0] != OK
             status[failed] = outcome[failed]
             if not (last[status[:, 0] == OK] > until).any():

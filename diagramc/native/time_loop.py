@@ -333,9 +333,11 @@ class _Now:
     time: Value
     """Time of the tick in s."""
     present: Value
-    """True in lanes that have not failed and are not past the last tick. A single lane: true."""
+    """True in lanes that have begun, have not failed, and are not past their last tick."""
     running: Value
-    """True in lanes that have not failed and have not reached their last tick."""
+    """True in lanes that have begun, have not failed, and have not reached their last tick."""
+    sampled: Value
+    """True in lanes whose samples count here: where `present`, unless the run before had them."""
 
 
 class _Events(_Requested):
@@ -460,6 +462,7 @@ class _Run:
         for i in f.each(model.discrete_count):
             model.d[i] = outer_d[i]
         ends = a.array("last", INT.of(self.lanes))[0]
+        begins = a.array("begins_of_lanes", INT.of(self.lanes))[0]
         number, clock = f.variable(a["first"]), _Clock(f, a, a["first"])
         row, snapshot = f.variable(a["row"]), f.variable(f.constant(0, INT))
         if self.lanes == 1:
@@ -469,16 +472,17 @@ class _Run:
             loop.stop_if(k > a["longest"])
             time = clock.time()
             ticks = f.coerce(k, INT.of(self.lanes))
-            alive = self.alive.get()
-            now = _Now(k, time, alive & (ticks <= ends), alive & (ticks < ends))
+            begun = self.alive.get() & (ticks >= begins)
+            present, running = begun & (ticks <= ends), begun & (ticks < ends)
+            now = _Now(k, time, present, running, present & (ticks > begins))
             self._events(now, row)
             if self.lanes == 1:
                 self._store_snapshot(snapshot, k)
-            running = self.alive.get() & (ticks < ends)
-            loop.stop_if(~f.any_lane(running))
+            alive = self.alive.get()
+            loop.stop_if(~f.any_lane(alive & (ticks < ends)))
             clock.advance()
             if self.program.size:
-                self._advance(_Now(k, time, now.present, running), clock.time())
+                self._advance(replace(now, running=alive & running), clock.time())
             loop.stop_if(~f.any_lane(self.alive.get()))
             number.set(k + 1)
         for i in f.each(self.program.size):
@@ -528,7 +532,7 @@ class _Run:
                 record = a.array("record", DOUBLE)
                 model.record(columns, a["column_count"], record, a["rows"], row.get())
                 with f.when(row.get() >= a["unseen"]):
-                    self._present[0] = f.flags(now.present)
+                    self._present[0] = f.flags(now.sampled)
                     pointers = f.arguments["arguments"], model.y.pointer
                     f.call(self._reduce, *pointers, row.get(), self._present.pointer)
                 row.set(row.get() + 1)

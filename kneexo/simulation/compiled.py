@@ -9,11 +9,13 @@ a scenario become parameters and initial states of the model. The lists of parts
 from __future__ import annotations
 
 import json
+import math
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache, lru_cache, partial
+from hashlib import sha256
 from threading import RLock
 from typing import Any, NamedTuple, get_origin
 
@@ -214,7 +216,7 @@ MOST_STRUCTURES = 32
 """Largest number of structures whose models and diagrams a process keeps; each has some MiB."""
 
 
-class Recent(OrderedDict[Hashable, Any]):
+class Recent(OrderedDict[Any, Any]):
     """Cache of values for the `MOST_STRUCTURES` structures of scenarios that were used last."""
 
     def of(self, key: Hashable, make: Callable[[], Any]) -> Any:
@@ -231,6 +233,8 @@ class Recent(OrderedDict[Hashable, Any]):
 _lock = RLock()  # threads may run scenarios of one structure
 _models = Recent()
 _diagrams = Recent()
+_healthy = Recent()
+"""States before a fault begins: see `_before_faults`."""
 
 
 def _diagram(key: str, scenario: Scenario) -> Any:
@@ -504,25 +508,29 @@ def simulate_together(
     if model is None or not run_arguments:
         return results
     solver = {"integrator": integrator, "step_s": step_s, "error_controlled": False}
+    options: dict[str, Any] = {"integrator": integrator, "step_s": step_s, "tolerance": tolerance}
     if LAW_COMMAND in model.inputs:
-        options = {"integrator": integrator, "step_s": step_s, "tolerance": tolerance}
         for index, arguments in run_arguments.items():
             scenario = scenarios[index]
             result = _python_run(scenario, model, arguments, names, options)
             results[index] = _run_of(result, scenario, names, solver)
         return results
     parameters, states, inputs = zip(*run_arguments.values(), strict=True)
+    options |= {"outputs": tuple(names), "record_period_s": scenarios[0].controller.sample_time_s}
+    reduced = _joined([reductions[index] for index in run_arguments]) if reductions else []
+    if scenarios[0].faults and not reduced:
+        keys = [_key_before_faults(model, each, options) for each in run_arguments.values()]
+        states = tuple(
+            _before_faults(model, scenarios[index], each, options, key, keys.count(key) > 1)
+            for (index, each), key in zip(run_arguments.items(), keys, strict=True)
+        )
     runs = model.simulate_batch(
         parameters,
         states,
         [scenarios[index].duration_s for index in run_arguments],
         inputs=inputs,
-        outputs=names,
-        reductions=_joined([reductions[index] for index in run_arguments]) if reductions else (),
-        record_period_s=scenarios[0].controller.sample_time_s,
-        integrator=integrator,
-        step_s=step_s,
-        tolerance=tolerance,
+        reductions=reduced,
+        **options,
         failures="return",
         # The workers of a sweep occupy the other cores.
         threads=1,
@@ -530,6 +538,53 @@ def simulate_together(
     for index, result in zip(run_arguments, runs, strict=True):
         results[index] = _run_of(result, scenarios[index], names, solver)
     return results
+
+
+_RunArguments = tuple[Array, State, InputTable]
+
+
+def _key_before_faults(
+    model: CompiledModel, arguments: _RunArguments, options: dict[str, Any]
+) -> tuple[Any, ...]:
+    """Return a key that scenarios share if they differ in sizes and times of faults only."""
+    parameters, state, inputs = arguments
+    common = [not name.startswith("fault_") for name in model.parameter_names]
+    arrays = (parameters[common], state.continuous, state.discrete, inputs.breaks)
+    content = b" ".join(array.tobytes() for array in (*arrays, inputs.coefficients))
+    return (model.code.key, sha256(content).digest(), *options.items())
+
+
+def _before_faults(
+    model: CompiledModel,
+    scenario: Scenario,
+    arguments: _RunArguments,
+    options: dict[str, Any],
+    key: tuple[Any, ...],
+    is_repeated: bool,
+) -> State:
+    """Return the state from which the run of a scenario goes on, just before its first fault.
+
+    Until then the run is that of all scenarios with its ``key``: see `_key_before_faults`. So it is
+    made once, if ``is_repeated`` or when a second such scenario comes, and the latest
+    `MOST_STRUCTURES` states are kept. Else, and if it fails, the result is the state at t = 0.
+    """
+    parameters, state, inputs = arguments
+    period_s = scenario.controller.sample_time_s
+    ends_s = (scenario.duration_s, *(fault.begin_s for fault in scenario.faults))
+    # A reading has a lead of one sample (`context_values`), and times are rounded.
+    samples = max(0, math.floor(min(ends_s) / period_s) - 2)
+    with _lock:
+        known = [made for *other, made in _healthy if (*other,) == key and made <= samples]
+        state = _healthy.of((*key, max(known, default=0)), lambda: state)
+    if samples in known or not (known or is_repeated):
+        return state
+    try:
+        end_s = samples * period_s
+        run = model.simulate(parameters, state, end_s, inputs=inputs, resumable=True, **options)
+    except KneexoError:
+        return state
+    after: State = _healthy.of((*key, samples), lambda: run.final)
+    return after
 
 
 def _joined(reductions: Sequence[Sequence[Reduction]]) -> list[Reduction]:

@@ -441,3 +441,68 @@ def test_interpolations_of_samples_share_a_model():
         assert run.time_s == pytest.approx(time)
         assert run["knee_reference_rad"] == pytest.approx(expected, abs=1e-14)
     assert len(keys) == 1
+
+
+FAULTS = {
+    "encoder": ("frozen", "offset", "drift", "scale", "noise", "dropped", "late"),
+    "command": ("offset", "scale", "late", "frozen"),
+    "plant.cylinder.leakage_m3_per_s_pa": ("value",),
+    "plant.pump.speed_limit_rad_s": ("value",),
+}
+SIZES = {"frozen": 0.0, "dropped": 0.5, "late": 4.0, "scale": 0.7, "drift": 3.0, "noise": 0.3}
+
+
+def assert_faulty_runs_are_whole_runs(monkeypatch, rng, preset, integrator, count):
+    """Faults of one kind at random times; some of the runs fail.
+
+    All runs go on from states before a fault, and then all begin at t = 0.
+    """
+    place = str(rng.choice(list(FAULTS)))
+    kind = str(rng.choice(FAULTS[place]))
+    size = {"encoder": 5.0, "command": 300.0}.get(place, 1e-12)
+    size = 100.0 if place.endswith("speed_limit_rad_s") else SIZES.get(kind, size)
+    varied = kind in ("offset", "noise", "drift", "value")
+    base = Scenario.preset(preset).changed({"simulation.duration_s": 1.2})
+    scenarios = [
+        base.changed(
+            {
+                "faults": [
+                    {
+                        "place": place,
+                        "kind": kind,
+                        "size": size * (float(rng.uniform(0.5, 1.5)) if varied else 1.0),
+                        "start_s": round(float(rng.uniform(0.0, 1.0)), 3),
+                        "duration_s": rng.choice([None, 0.1]),
+                    }
+                ]
+            }
+        )
+        for _ in range(count)
+    ]
+    compiled._healthy.clear()
+    runs = compiled.simulate_together(scenarios, None, integrator)
+    assert any(samples for *_, samples in compiled._healthy)
+    with monkeypatch.context() as patch:
+        patch.setattr(compiled, "_before_faults", lambda model, scenario, run, *others: run[1])
+        whole = compiled.simulate_together(scenarios, None, integrator)
+    for run, expected in zip(runs, whole, strict=True):
+        assert type(run) is type(expected)
+        if isinstance(expected, SimulationError):
+            assert str(run) == str(expected)
+            continue
+        for name, values in expected.columns.items():
+            np.testing.assert_array_equal(run[name].view(np.int64), values.view(np.int64), name)
+
+
+def test_faulty_runs_are_those_from_the_start(monkeypatch):
+    rng = np.random.default_rng(3)
+    assert_faulty_runs_are_whole_runs(monkeypatch, rng, "paper", "exact_hold", 3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", ["paper", "bench", "leg", "wearer", "protected"])
+def test_200_faulty_runs_are_those_from_the_start(monkeypatch, preset):
+    """40 runs of each preset, alone and in lanes."""
+    rng = np.random.default_rng(11)
+    for count, integrator in ((19, "exact_hold"), (3, "exact_hold"), (18, "rosenbrock")):
+        assert_faulty_runs_are_whole_runs(monkeypatch, rng, preset, integrator, count)

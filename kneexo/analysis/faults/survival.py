@@ -199,12 +199,28 @@ def fault_survival(
 def _observed_case(bound_deg: float, item: tuple[Scenario, FaultParameters]) -> FaultCase:
     scenario, fault = item
     healthy = simulate(scenario, signals=_signals(scenario))
-    return fault_case(scenario, healthy, bound_deg, fault)
+    return fault_case(scenario, healthy, bound_deg, fault, _run_with(scenario, fault, None))
+
+
+def _run_with(scenario: Scenario, fault: FaultParameters, samples: int | None) -> Run | None:
+    """Return the run with the fault for ``samples`` samples, or for ever if None.
+
+    The result is None if the run fails.
+    """
+    faulty = _faulty(scenario, fault, samples)
+    try:
+        return simulate(faulty, signals=_signals(faulty))
+    except SimulationError:
+        return None
 
 
 @needs_runs
 def fault_case(
-    scenario: Scenario, healthy: Run, bound_deg: float, fault: FaultParameters
+    scenario: Scenario,
+    healthy: Run,
+    bound_deg: float,
+    fault: FaultParameters,
+    permanent: Run | None,
 ) -> FaultCase:
     """Return the effect of a permanent fault, and its critical duration by bisection.
 
@@ -218,23 +234,15 @@ def fault_case(
         Largest tolerated deviation of the knee in deg.
     fault
         The fault. Its duration is replaced.
+    permanent
+        The run with the permanent fault, with the signals ``knee_angle`` and ``active_faults``;
+        None if the run fails.
 
     Raises
     ------
     ParameterError
         The scenario refuses the fault.
     """
-
-    def run_with(samples: int | None) -> Run | None:
-        """Return the run with the fault for ``samples`` samples, or for ever if None.
-
-        The result is None if the run fails.
-        """
-        faulty = _faulty(scenario, fault, samples)
-        try:
-            return simulate(faulty, signals=_signals(faulty))
-        except SimulationError:
-            return None
 
     def deviation_deg(run: Run | None) -> Array:
         """Return the deviation of the knee at each sample; a single inf for a run that fails."""
@@ -243,7 +251,6 @@ def fault_case(
         return np.degrees(np.abs(run["knee_angle_rad"] - healthy["knee_angle_rad"]))
 
     period = scenario.controller.sample_time_s
-    permanent = run_with(None)
     deviation = deviation_deg(permanent)
     name, largest = fault_name(fault), float(np.max(deviation))
     if largest <= bound_deg:
@@ -261,7 +268,7 @@ def fault_case(
     survives = 0
     while fails - survives > 1:
         middle = (survives + fails) // 2
-        if np.max(deviation_deg(run_with(middle))) <= bound_deg:
+        if np.max(deviation_deg(_run_with(scenario, fault, middle))) <= bound_deg:
             survives = middle
         else:
             fails = middle

@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
-from functools import partial
+from functools import lru_cache, partial
 from itertools import product
 from typing import Any, Literal, Unpack
 
@@ -36,6 +36,7 @@ from kneexo.parameters.fields.quantity import Parameters, choice, quantity
 from kneexo.parameters.task.fault import OPERATOR_INPUTS, FaultParameters
 from kneexo.parameters.uncertainty import applicable, draw, options_of, realize
 from kneexo.simulation import Run, needs_runs, simulate
+from kneexo.simulation.compiled import users_code_key
 from kneexo.studies.faults.typical_faults import typical_faults
 from kneexo.sweeps import SweepOptions, open_sweep
 
@@ -292,7 +293,7 @@ def _flat(row: FaultRow | EmergencyStop) -> dict[str, Any]:
 
 _SIGNALS = (
     *("knee_reference", "knee_angle", "motor_speed", "load_pressure", "rod_force", "moment_arm"),
-    *("interaction_torque", "chamber_pressures", "safety_state", "safety_reason"),
+    *("interaction_torque", "chamber_pressures", "safety_state", "safety_reason", "active_faults"),
 )
 """Signals of the runs, as far as the scenario has them."""
 
@@ -481,10 +482,10 @@ def _assess(
     cause, fault = item
     scenario = _observed(scenario, settings, fault.start_s)
     alone = _without(scenario)
-    healthy = simulate(alone, signals=_signals(alone))
-    case = fault_case(alone, healthy, settings.bound_deg, fault)
-    start = _index(healthy, fault.start_s)
+    healthy = _healthy(alone, users_code_key(alone))
     run, complete = _run(alone, fault)
+    case = fault_case(alone, healthy, settings.bound_deg, fault, run if complete else None)
+    start = _index(healthy, fault.start_s)
     deviation = _deviation_deg(run, healthy)
     shared = {
         "controller": scenario.controller.kind,
@@ -502,6 +503,15 @@ def _assess(
         shared | _protected(_ending(scenario, safe_state), settings, healthy, fault)
         for safe_state in safe_states
     ]
+
+
+@lru_cache(maxsize=16)
+def _healthy(scenario: Scenario, code: str | None) -> Run:
+    """Return the run without faults, which each process makes once for each start of the faults.
+
+    ``code``: the `users_code_key` of the scenario, because a law of the user can change.
+    """
+    return simulate(scenario, signals=_signals(scenario))
 
 
 def _protected(

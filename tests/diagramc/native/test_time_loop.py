@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from diagramc import InputTable, State
+from diagramc import InputTable, Reduction, ResumableState, State
 from diagramc.diagram_equations import equations_key
 from diagramc.equations.equations import Equations, Limit, Update
 from diagramc.equations.graph import Graph
@@ -156,6 +156,7 @@ def assert_same_run(run, expected):
     for name, values in expected.outputs.items():
         np.testing.assert_array_equal(run[name].view(np.int64), values.view(np.int64))
     np.testing.assert_array_equal(run.time_s, expected.time_s)
+    np.testing.assert_array_equal(run.reduced, expected.reduced)
     for ours, theirs in (
         (run.final.continuous, expected.final.continuous),
         (run.final.discrete, expected.final.discrete),
@@ -234,6 +235,50 @@ def test_pieces_of_a_run_are_the_whole_run(models, name, integrator, lanes):
             for ours, theirs in zip(run(piece, seed), whole, strict=True):
                 np.testing.assert_array_equal(ours.view(np.int64), theirs.view(np.int64))
     assert len(outcomes) > 1  # some fail
+
+
+@pytest.mark.parametrize(("name", "integrator"), RUNS)
+def test_runs_that_go_on_are_the_whole_runs(models, name, integrator):
+    """The cuts are at random ticks, so the lanes of a call begin again at several ticks."""
+    model, rng, resumed = models[name], np.random.default_rng(7), 0
+    element = {"mixed": "x[1]", "without states": "y[0]", "without discrete": "y[0]"}[name]
+    kinds = ("integral", "variation", "maximum", "last_time")
+    options = {
+        "outputs": list(model.outputs),
+        "reductions": [Reduction(kind, element, after_s=0.004) for kind in kinds],
+        "integrator": integrator,
+        "step_s": 7e-4,
+        "failures": "return",
+        "threads": 1,
+    }
+    for seed in range(8):
+        parameters, states, durations, inputs = random_runs(model, seed, int(rng.choice(COUNTS)))
+        options |= {"inputs": inputs, "record_period_s": float(rng.choice([0.01, 0.03]))}
+        whole = model.simulate_batch(parameters, states, durations, **options)
+        shares = rng.choice([0.0, 0.1, 0.4, 0.8, 1.0], (2, durations.size))
+        for cuts in durations * np.sort(shares, axis=0):
+            parts = model.simulate_batch(parameters, states, cuts, resumable=True, **options)
+            states = [
+                state if isinstance(part, SimulationError) else part.final
+                for part, state in zip(parts, states, strict=True)
+            ]
+        resumed += sum(isinstance(state, ResumableState) for state in states)
+        runs = model.simulate_batch(parameters, states, durations, **options)
+        for run, expected in zip(runs, whole, strict=True):
+            assert_same_run(run, expected)
+    assert resumed > 20
+
+
+def test_a_run_goes_on_with_the_settings_of_the_run_before_alone(models):
+    model = models["without states"]
+    (values,), (state,), _, _ = random_runs(model, 3, 1)
+    final = model.simulate(values, state, 0.012, resumable=True).final
+    with pytest.raises(ValueError, match="record period"):
+        model.simulate(values, final, 0.02, record_period_s=0.004)
+    with pytest.raises(ValueError, match="must not end before"):
+        model.simulate(values, final, 0.011)
+    with pytest.raises(ValueError, match="record_times_s"):
+        model.simulate(values, final, 0.02, record_times_s=[0.015])
 
 
 @pytest.mark.parametrize("threads", [1, 2])
