@@ -184,8 +184,9 @@ class Runner:
         self._at = memory = jacobian_slots.Memory(len(layout.states))
         self._memory = np.empty((lanes, memory.size))
         shared = exact_hold.Shared(len(layout.states))
-        self._shared = np.empty((shared.size, lanes))
-        self._steps = self._shared[: shared.head]  # which decide the next step of each lane
+        self._shared = np.empty(shared.size * lanes)
+        # What decides the next step of each lane; a view.
+        self._steps = self._shared[: shared.head * lanes].reshape(-1, lanes)
         self._begins = np.full(lanes, -1, dtype=np.int64)
         solver = integrator, step_s, tolerance
         self.settings: tuple[Any, ...] = (
