@@ -28,7 +28,7 @@ RUN = (
     *("step", "tolerance", "memory", "shared", "tags", "values", "status"),
     *("snapshots", "snapshot_count", "snapshot_x", "snapshot_d"),
     *("checked_count", "reductions", "reduction_ends", "unseen", "begins", "bounds", "reduced"),
-    *("windows", "suspects"),
+    *("windows", "suspects", "times", "time_ticks", "steps"),
 )
 """Arguments of the machine code's function ``run``, which makes one run in each lane.
 
@@ -63,17 +63,9 @@ Each argument has eight bytes: a number, or the address of an array.
   a tick in which a Runge-Kutta integrator may be unstable: ratio of its rates, start and end in s,
   length of a step in s, states and inputs; the ratio is zero if there is none. ``windows``
   (lanes,): length of a window in ticks
-"""
-
-BETWEEN = (
-    *("c", "inputs", "tick", "unit", "split", "requested", "columns", "column_count", "record"),
-    *("rows", "step", "snapshots", "snapshot_x", "snapshot_d", "times", "places"),
-    *("windows", "suspects"),
-)
-"""Arguments of the machine code's function ``between``, which makes records between two ticks.
-
-`RUN` explains the other arguments. ``times`` (rows,) are the times of the records in s.
-``places`` (rows,) has, for each record, the index of the snapshot from which integration starts.
+- ``times`` (rows,): times in s of the records, if the code records at given times; ``time_ticks``
+  (rows,): the last tick before each time, or -1; ``steps`` (rows in one tick, 2 + 2 states, lanes):
+  memory for the step that contains each time of a tick
 """
 
 DOUBLES = ("tick", "unit", "step", "tolerance")

@@ -76,6 +76,7 @@ tick waits for the others.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 
 from .dormand_prince import DormandPrince
 from .integrators import Tick, before_end
@@ -105,6 +106,11 @@ _EASY = 0.05  # share of the tolerance below which a step may double
 _STRICT = 10.0  # factor of the error estimate of explicit and driven steps, if there are many
 _NEGLIGIBLE = 0.01  # share of the tolerance below which a correction is left out
 # In units of 1 + |x|: beyond an error of 1 % in all, the run ends with a `StiffnessError`.
+# Below, a parabola for g changes a record by less than rounding errors of the states.
+_STRAIGHT = 1e-14  # largest h (g_b - g_0)/(1 + |x|) of a straight line for g
+_PIECE = 8.0  # largest norm of A h of a piece of a series; it costs 4 digits at most
+_LAST = 1e-19  # bound of the last term of a series, in parts of the first
+_MOST_TAYLOR = 64.0  # largest norm of A t where series cost less than tables
 _MOST_EXCESS = 1e-2  # largest sum of the errors of finest steps that miss the tolerance
 FASTEST_PER_S = 1e13
 """Largest norm of A in 1/s. Chains of lags with poles of 1e-3 … 1e14 1/s are right to 1e-12."""
@@ -307,6 +313,83 @@ def _take_driven_step(
         step.undriven.set(f.fma(f.absolute(undriven), weight[i], step.undriven.get()))
 
 
+def _define_solve(module: Module, size: int, type_: Type, arguments: dict[str, Type]) -> Function:
+    """Define the emitted function ``solve_series``: see `ExactHold._solve`.
+
+    In a piece the norm of A t is at most ``_PIECE``. The terms of the series end when a bound of
+    the next one is below ``_LAST``.
+    """
+    f = module.function("solve_series", arguments, attributes="noinline")
+    norm = f.arguments["norm"]
+    names = ("jacobian", "slope", "bend", "curve", "out")
+    jacobian, slope, bend, curve, out = (Array(f.arguments[name], type_) for name in names)
+    rate, line, term, force, later, change, product = (f.array(size, type_) for _ in range(7))
+    left = f.variable(f.arguments["span"])
+    for i in f.each(size):
+        out[i], rate[i], line[i] = 0.0, slope[i], bend[i]
+    with f.forever() as pieces:
+        pieces.stop_if(~f.any_lane(left.get() > 0.0))
+        h = f.minimum(left.get(), _PIECE / norm)
+        left.set(left.get() - h)
+        for i in f.each(size):
+            term[i] = h * rate[i]
+            change[i] = term[i]
+            force[i] = h * h * line[i] * 0.5
+            later[i] = h * h * h * curve[i] * (1.0 / 6.0)
+        bound, order = f.variable(norm * h), f.variable(f.constant(2.0))
+        with f.forever() as series:
+            more = bound.get() > _LAST
+            number = order.get()
+            series.stop_if(~(f.any_lane(more) | (number < 4.0)))
+            share = h / f.coerce(number, type_)
+            multiplied(f, size, jacobian, term, product)
+            early = f.coerce(number < 4.0, BOOL.of(type_.lanes))
+            for i in f.each(size):
+                term[i] = f.fma(share, product[i], force[i])
+                change[i] = f.select(more | early, change[i] + term[i], change[i])
+                force[i] = later[i]
+                later[i] = 0.0
+            bound.set(bound.get() * (norm * share))
+            order.set(number + 1.0)
+        multiplied(f, size, jacobian, change, product)
+        for i in f.each(size):
+            out[i] = out[i] + change[i]
+            rate[i] = rate[i] + product[i] + h * f.fma(h * 0.5, curve[i], line[i])
+            line[i] = f.fma(h, curve[i], line[i])
+    return f
+
+
+def _solve_by_tables(
+    f: Function,
+    size: int,
+    count: int,
+    lane: Value,
+    memory: Array,
+    span: Value,
+    terms: tuple[Array, Array, Array],
+    out: Array,
+) -> None:
+    """Emit code that makes tables for the step ``span`` in one lane and solves: see `_solve`."""
+    at, tables_at = Memory(size), Tables(size)
+    current = memory.shifted(memory.cast(INT)[at.slot] * at.slot_size + at.slots + at.square)
+    tables = memory.shifted(at.tables)
+    for i in f.loop(tables_at.first):
+        tables[i] = current[i]
+    tables.cast(INT)[tables_at.COARSEST] = FINEST + 2
+    tables.cast(INT)[tables_at.FINEST] = -1
+    f.call(fill_tables(f.module, size), span, tables.pointer, f.constant(0, INT))
+    for i in f.loop(size):
+        total = f.variable(f.constant(0.0))
+        for j in f.loop(size):
+            factor = f.variable(span)
+            for n, vector in enumerate(terms):
+                place = f.coerce(j, INT) * tables_at.rows + i + n * tables_at.matrix
+                element = vector.cast(DOUBLE)[f.coerce(j, INT) * count + lane] * factor.get()
+                total.set(f.fma(tables[place + tables_at.first], element, total.get()))
+                factor.set(factor.get() * span)
+        out.cast(DOUBLE)[f.coerce(i, INT) * count + lane] = total.get()
+
+
 def _define_copy_slot(module: Module, size: int, lanes: int) -> Function:
     """Define the emitted function ``copy_slot(slot, out, tick, level)``.
 
@@ -453,6 +536,7 @@ class ExactHold:
             taken = active & good.get()
             moved.set(f.any_lane((taken | is_driven) & ~explicit))
             changed.set(f.any_lane(taken))
+            tick.keep(time, step_of(f, self.tick_s, level.get()), step.end, taken)
             for i in f.each(tick.size):
                 tick.x[i] = f.select(taken, step.end[i], tick.x[i])
                 slope[i] = f.select(taken & explicit, step.slope[i], slope[i])
@@ -512,6 +596,77 @@ class ExactHold:
                 step.end[i] = f.select(explicit, end[i], step.end[i])
                 worst.set(f.fma(f.absolute(error[i]), weight[i], worst.get()))
             step.worst.set(f.select(explicit, worst.get(), step.worst.get()))
+
+    def inside(
+        self, tick: Tick, begin: Value, h: Value, start: Array, end: Array, time: Value, out: Array
+    ) -> None:
+        """Emit code that writes the states at a ``time`` within a step of this tick to ``out``.
+
+        The step begins at the time ``begin`` with the states ``start``, and ends ``h`` s later with
+        the states ``end``. The code solves dx/dt = A x + g, where A is the current Jacobian, and g
+        is a parabola through the start, the middle and the end of the step. The middle comes from
+        a straight line for g. If g does not bend the solution, it stays a straight line.
+        """
+        f, type_, lanes = tick.function, tick.type, tick.type.lanes
+        slope, rest, bend, curve, move, rate = (tick.vector() for _ in range(6))
+        jacobian = self.shared.shifted(Shared(tick.size).jacobian * lanes).cast(type_)
+
+        def remainder(now: Value, x: Array) -> None:
+            tick.rate(now, x, rate)
+            for i in f.each(tick.size):
+                move[i] = x[i] - start[i]
+            multiplied(f, tick.size, jacobian, move, rest)
+            for i in f.each(tick.size):
+                rest[i] = (rate[i] - slope[i]) - rest[i]
+
+        tick.rate(begin, start, slope)
+        remainder(before_end(tick, begin + h), end)
+        size = f.variable(f.constant(0.0, type_))
+        for i in f.each(tick.size):
+            bend[i] = rest[i] / h
+            curve[i] = 0.0
+            scale = 1.0 / (1.0 + f.absolute(start[i]))
+            size.set(f.fma(f.absolute(rest[i]), scale, size.get()))
+        bent = ~(h * size.get() < _STRAIGHT)
+        for number in f.loop(2):
+            last = f.coerce(number, INT).equals(1)
+            with f.when(last | f.any_lane(bent)):
+                span = f.select(last, f.coerce(time, type_) - begin, h * 0.5)
+                self._solve(tick, span, slope, bend, curve, out)
+                for i in f.each(tick.size):
+                    out[i] = start[i] + out[i]
+            with f.when(~last & f.any_lane(bent)):
+                remainder(f.fma(h, 0.5, begin), out)
+                for i in f.each(tick.size):
+                    at_end, line = bend[i] * h, bend[i]
+                    bend[i] = f.select(bent, f.fma(rest[i], 4.0, -at_end) / h, line)
+                    parabola = f.fma(rest[i], -2.0, at_end) * 4.0 / (h * h)
+                    curve[i] = f.select(bent, parabola, curve[i])
+
+    def _solve(
+        self, tick: Tick, span: Value, slope: Array, bend: Array, curve: Array, out: Array
+    ) -> None:
+        """Emit code that writes y(``span``) to ``out``.
+
+        Here dy/dt = A y + ``slope`` + ``bend`` t + ``curve`` t²/2 and y(0) = 0, and A is the
+        current Jacobian. The solution is a Taylor series in pieces. A lane with a fast A uses tables.
+        """
+        f, type_, size, count = tick.function, tick.type, tick.size, tick.type.lanes
+        norm = self._norm(tick)
+        fast = norm * span > _MOST_TAYLOR
+        arguments = {"norm": type_, "span": type_}
+        arguments |= dict.fromkeys(("jacobian", "slope", "bend", "curve", "out"), POINTER)
+        make = partial(_define_solve, f.module, size, type_, arguments)
+        jacobian = self.shared.shifted(Shared(size).jacobian * count)
+        pointers = [array.pointer for array in (jacobian, slope, bend, curve, out)]
+        span_of_series = f.select(fast, f.constant(0.0, type_), span)
+        f.call(f.module.shared("solve_series", make), norm, span_of_series, *pointers)
+        with f.when(f.any_lane(fast), rare=True):
+            flags, spans = _spilled(f, f.flags(fast)), _spilled(f, span)
+            for lane, memory in self._lanes(tick):
+                with f.when(flags[lane].differs(0)):
+                    terms = (slope, bend, curve)
+                    _solve_by_tables(f, size, count, lane, memory, spans[lane], terms, out)
 
     def _norm(self, tick: Tick) -> Value:
         """Emit code that loads the norm of each lane's current Jacobian."""
