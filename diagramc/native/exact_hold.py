@@ -82,7 +82,7 @@ from .dormand_prince import DormandPrince
 from .integrators import Tick, before_end
 from .ir import Array, Function, Module, Operand, Value, Variable
 from .jacobian_slots import Memory
-from .phi_functions import FINEST, Tables, fill_tables, step_of
+from .phi_functions import FINEST, Tables, define_store_matrix, fill_tables, step_of
 from .types import BOOL, DOUBLE, INT, POINTER, Type
 
 ChooseSlot = Callable[[Tick, Value, Array, Value], None]
@@ -106,15 +106,16 @@ _EASY = 0.05  # share of the tolerance below which a step may double
 _STRICT = 10.0  # factor of the error estimate of explicit and driven steps, if there are many
 _NEGLIGIBLE = 0.01  # share of the tolerance below which a correction is left out
 # In units of 1 + |x|: beyond an error of 1 % in all, the run ends with a `StiffnessError`.
-# Below, a parabola for g changes a record by less than rounding errors of the states.
-_STRAIGHT = 1e-14  # largest h (g_b - g_0)/(1 + |x|) of a straight line for g
-_PIECE = 8.0  # largest norm of A h of a piece of a series; it costs 4 digits at most
-_LAST = 1e-19  # bound of the last term of a series, in parts of the first
-_MOST_TAYLOR = 64.0  # largest norm of A t where series cost less than tables
 _MOST_EXCESS = 1e-2  # largest sum of the errors of finest steps that miss the tolerance
 FASTEST_PER_S = 1e13
 """Largest norm of A in 1/s. Chains of lags with poles of 1e-3 … 1e14 1/s are right to 1e-12."""
 _WHOLE = 1 << FINEST  # number of finest steps in a tick
+# The next four are for records within a step. Of 1 + |x|, what a parabola for g may change at most
+# where it is left out: a rounding error.
+_STRAIGHT = 1e-14
+_PIECE = 8.0  # largest norm of A t in a piece of a series, whose terms then cost 4 digits at most
+_LAST = 1e-13  # bound of the last term of a series, in parts of the first
+_MOST_SERIES = 64.0  # largest norm of A t of a series; beyond, tables of phi functions cost less
 
 
 class Shared:
@@ -134,8 +135,10 @@ class Shared:
         self.size = self.tables + 5 * self.square
 
 
-def multiplied(f: Function, size: int, matrix: Array, vector: Array, out: Array) -> None:
-    """Emit ``out`` = matrix · vector. The matrix is stored column by column.
+def multiplied(
+    f: Function, size: int, matrix: Array, vector: Array, out: Array, start: Array | None = None
+) -> None:
+    """Emit ``out`` = ``start`` + matrix · vector. The matrix is stored column by column.
 
     The code for a single lane works on four rows at once.
     """
@@ -145,6 +148,8 @@ def multiplied(f: Function, size: int, matrix: Array, vector: Array, out: Array)
         rows = [(row, type_.of(4)) for row in range(0, size - 3, 4)]
     rows += [(row, type_) for row in range(4 * len(rows), size)]
     totals = [f.variable(f.constant(0.0, block)) for _, block in rows]
+    if start is not None:
+        totals = [f.variable(start.shifted(row).cast(block)[0]) for row, block in rows]
     for k in f.each(size):
         factor, column = vector[k], matrix.shifted(f.coerce(k, INT) * size)
         for (row, block), total in zip(rows, totals, strict=True):
@@ -311,83 +316,6 @@ def _take_driven_step(
         step.worst.set(f.fma(f.absolute(correction), weight[i], step.worst.get()))
         undriven = f.fma(q_a[i], 2.0, q_b[i])
         step.undriven.set(f.fma(f.absolute(undriven), weight[i], step.undriven.get()))
-
-
-def _define_solve(module: Module, size: int, type_: Type, arguments: dict[str, Type]) -> Function:
-    """Define the emitted function ``solve_series``: see `ExactHold._solve`.
-
-    In a piece the norm of A t is at most ``_PIECE``. The terms of the series end when a bound of
-    the next one is below ``_LAST``.
-    """
-    f = module.function("solve_series", arguments, attributes="noinline")
-    norm = f.arguments["norm"]
-    names = ("jacobian", "slope", "bend", "curve", "out")
-    jacobian, slope, bend, curve, out = (Array(f.arguments[name], type_) for name in names)
-    rate, line, term, force, later, change, product = (f.array(size, type_) for _ in range(7))
-    left = f.variable(f.arguments["span"])
-    for i in f.each(size):
-        out[i], rate[i], line[i] = 0.0, slope[i], bend[i]
-    with f.forever() as pieces:
-        pieces.stop_if(~f.any_lane(left.get() > 0.0))
-        h = f.minimum(left.get(), _PIECE / norm)
-        left.set(left.get() - h)
-        for i in f.each(size):
-            term[i] = h * rate[i]
-            change[i] = term[i]
-            force[i] = h * h * line[i] * 0.5
-            later[i] = h * h * h * curve[i] * (1.0 / 6.0)
-        bound, order = f.variable(norm * h), f.variable(f.constant(2.0))
-        with f.forever() as series:
-            more = bound.get() > _LAST
-            number = order.get()
-            series.stop_if(~(f.any_lane(more) | (number < 4.0)))
-            share = h / f.coerce(number, type_)
-            multiplied(f, size, jacobian, term, product)
-            early = f.coerce(number < 4.0, BOOL.of(type_.lanes))
-            for i in f.each(size):
-                term[i] = f.fma(share, product[i], force[i])
-                change[i] = f.select(more | early, change[i] + term[i], change[i])
-                force[i] = later[i]
-                later[i] = 0.0
-            bound.set(bound.get() * (norm * share))
-            order.set(number + 1.0)
-        multiplied(f, size, jacobian, change, product)
-        for i in f.each(size):
-            out[i] = out[i] + change[i]
-            rate[i] = rate[i] + product[i] + h * f.fma(h * 0.5, curve[i], line[i])
-            line[i] = f.fma(h, curve[i], line[i])
-    return f
-
-
-def _solve_by_tables(
-    f: Function,
-    size: int,
-    count: int,
-    lane: Value,
-    memory: Array,
-    span: Value,
-    terms: tuple[Array, Array, Array],
-    out: Array,
-) -> None:
-    """Emit code that makes tables for the step ``span`` in one lane and solves: see `_solve`."""
-    at, tables_at = Memory(size), Tables(size)
-    current = memory.shifted(memory.cast(INT)[at.slot] * at.slot_size + at.slots + at.square)
-    tables = memory.shifted(at.tables)
-    for i in f.loop(tables_at.first):
-        tables[i] = current[i]
-    tables.cast(INT)[tables_at.COARSEST] = FINEST + 2
-    tables.cast(INT)[tables_at.FINEST] = -1
-    f.call(fill_tables(f.module, size), span, tables.pointer, f.constant(0, INT))
-    for i in f.loop(size):
-        total = f.variable(f.constant(0.0))
-        for j in f.loop(size):
-            factor = f.variable(span)
-            for n, vector in enumerate(terms):
-                place = f.coerce(j, INT) * tables_at.rows + i + n * tables_at.matrix
-                element = vector.cast(DOUBLE)[f.coerce(j, INT) * count + lane] * factor.get()
-                total.set(f.fma(tables[place + tables_at.first], element, total.get()))
-                factor.set(factor.get() * span)
-        out.cast(DOUBLE)[f.coerce(i, INT) * count + lane] = total.get()
 
 
 def _define_copy_slot(module: Module, size: int, lanes: int) -> Function:
@@ -597,76 +525,125 @@ class ExactHold:
                 worst.set(f.fma(f.absolute(error[i]), weight[i], worst.get()))
             step.worst.set(f.select(explicit, worst.get(), step.worst.get()))
 
-    def inside(
-        self, tick: Tick, begin: Value, h: Value, start: Array, end: Array, time: Value, out: Array
-    ) -> None:
+    def inside(self, tick: Tick, step: Array, time: Value, out: Array) -> None:
         """Emit code that writes the states at a ``time`` within a step of this tick to ``out``.
 
-        The step begins at the time ``begin`` with the states ``start``, and ends ``h`` s later with
-        the states ``end``. The code solves dx/dt = A x + g, where A is the current Jacobian, and g
-        is a parabola through the start, the middle and the end of the step. The middle comes from
-        a straight line for g. If g does not bend the solution, it stays a straight line.
+        ``step``: begin of the step, its length h, and the states at its start and at its end. The
+        code solves dx/dt = A x + g, where A is the current Jacobian, and g is a parabola through
+        the start, the middle and the end of the step. The middle comes from a straight line for g.
+        If g hardly bends the solution, g stays this line.
         """
-        f, type_, lanes = tick.function, tick.type, tick.type.lanes
-        slope, rest, bend, curve, move, rate = (tick.vector() for _ in range(6))
-        jacobian = self.shared.shifted(Shared(tick.size).jacobian * lanes).cast(type_)
+        f, size, type_, lanes = tick.function, tick.size, tick.type, tick.type.lanes
+        slope, end_slope, rest, bend, curve, move, rate, base = (tick.vector() for _ in range(8))
+        begin, h, start, end = step[0], step[1], step.shifted(2), step.shifted(2 + size)
+        jacobian = self.shared.shifted(Shared(size).jacobian * lanes).cast(type_)
 
         def remainder(now: Value, x: Array) -> None:
             tick.rate(now, x, rate)
-            for i in f.each(tick.size):
+            for i in f.each(size):
                 move[i] = x[i] - start[i]
-            multiplied(f, tick.size, jacobian, move, rest)
-            for i in f.each(tick.size):
+            multiplied(f, size, jacobian, move, rest)
+            for i in f.each(size):
                 rest[i] = (rate[i] - slope[i]) - rest[i]
 
         tick.rate(begin, start, slope)
         remainder(before_end(tick, begin + h), end)
-        size = f.variable(f.constant(0.0, type_))
-        for i in f.each(tick.size):
-            bend[i] = rest[i] / h
-            curve[i] = 0.0
-            scale = 1.0 / (1.0 + f.absolute(start[i]))
-            size.set(f.fma(f.absolute(rest[i]), scale, size.get()))
-        bent = ~(h * size.get() < _STRAIGHT)
+        per_h, straight = 1.0 / h, f.variable(f.constant(1, BOOL.of(lanes)))
+        for i in f.each(size):
+            bend[i], curve[i], end_slope[i] = rest[i] * per_h, 0.0, rate[i]
+            most = f.fma(f.absolute(start[i]), _STRAIGHT, _STRAIGHT)
+            straight.set(straight.get() & (h * f.absolute(rest[i]) < most))
         for number in f.loop(2):
-            last = f.coerce(number, INT).equals(1)
+            last, bent = f.coerce(number, INT).equals(1), ~straight.get()
             with f.when(last | f.any_lane(bent)):
                 span = f.select(last, f.coerce(time, type_) - begin, h * 0.5)
-                self._solve(tick, span, slope, bend, curve, out)
-                for i in f.each(tick.size):
-                    out[i] = start[i] + out[i]
+                span = f.select(f.coerce(tick.running, BOOL.of(lanes)), span, 0.0)
+                # From the end the series is shorter. A faster A would multiply the errors there.
+                back = last & (span > h * 0.5) & (self._norm(tick) * h <= _PIECE)
+                for i in f.each(size):
+                    base[i] = f.select(back, end[i], start[i])
+                    slope[i] = f.select(back, end_slope[i], slope[i])
+                    bend[i] = f.select(back, f.fma(curve[i], h, bend[i]), bend[i])
+                self._solve(tick, f.select(back, span - h, span), jacobian, slope, bend, curve, out)
+                for i in f.each(size):
+                    out[i] = base[i] + out[i]
             with f.when(~last & f.any_lane(bent)):
                 remainder(f.fma(h, 0.5, begin), out)
-                for i in f.each(tick.size):
-                    at_end, line = bend[i] * h, bend[i]
-                    bend[i] = f.select(bent, f.fma(rest[i], 4.0, -at_end) / h, line)
-                    parabola = f.fma(rest[i], -2.0, at_end) * 4.0 / (h * h)
-                    curve[i] = f.select(bent, parabola, curve[i])
+                for i in f.each(size):
+                    line, at_end = bend[i], bend[i] * h
+                    bend[i] = f.select(bent, f.fma(rest[i], 4.0, -at_end) * per_h, line)
+                    parabola = f.fma(rest[i], -2.0, at_end) * 4.0 * per_h * per_h
+                    curve[i] = f.select(bent, parabola, 0.0)
 
     def _solve(
-        self, tick: Tick, span: Value, slope: Array, bend: Array, curve: Array, out: Array
+        self, tick: Tick, span: Value, a: Array, slope: Array, bend: Array, curve: Array, out: Array
     ) -> None:
-        """Emit code that writes y(``span``) to ``out``.
+        """Emit code that writes the solution of a linear equation at the time ``span`` to ``out``.
 
-        Here dy/dt = A y + ``slope`` + ``bend`` t + ``curve`` t²/2 and y(0) = 0, and A is the
-        current Jacobian. The solution is a Taylor series in pieces. A lane with a fast A uses tables.
+        The equation is dy/dt = A y + ``slope`` + ``bend`` t + ``curve`` t²/2 with y(0) = 0. The
+        solution is a Taylor series in pieces, with a norm of A t of at most ``_PIECE`` in each.
+        A lane with a fast A makes tables for this time.
         """
-        f, type_, size, count = tick.function, tick.type, tick.size, tick.type.lanes
-        norm = self._norm(tick)
-        fast = norm * span > _MOST_TAYLOR
-        arguments = {"norm": type_, "span": type_}
-        arguments |= dict.fromkeys(("jacobian", "slope", "bend", "curve", "out"), POINTER)
-        make = partial(_define_solve, f.module, size, type_, arguments)
-        jacobian = self.shared.shifted(Shared(size).jacobian * count)
-        pointers = [array.pointer for array in (jacobian, slope, bend, curve, out)]
-        span_of_series = f.select(fast, f.constant(0.0, type_), span)
-        f.call(f.module.shared("solve_series", make), norm, span_of_series, *pointers)
+        f, size, type_, norm = tick.function, tick.size, tick.type, self._norm(tick)
+        rate, line, term, force, later, change, product = (tick.vector() for _ in range(7))
+        scaled = f.array(size * size, type_)
+        fast = norm * span > _MOST_SERIES
+        left = f.variable(f.select(fast, f.constant(0.0, type_), span))
+        for i in f.each(size):
+            out[i], rate[i], line[i] = 0.0, slope[i], bend[i]
+        with f.forever() as pieces:
+            h = left.get()
+            pieces.stop_if(~f.any_lane(f.absolute(h) > 0.0))
+            long = ~(norm * f.absolute(h) <= _PIECE)
+            h = f.select(long, f.minimum(h, _PIECE / norm), h)
+            left.set(left.get() - h)
+            for e in f.each(size * size):
+                scaled[e] = h * a[e]
+            for i in f.each(size):
+                term[i] = h * rate[i]
+                force[i], later[i], change[i] = h * h * line[i], h * h * h * curve[i], term[i]
+            # The terms are y' h, y'' h², … at the start of the piece, without 1, 1/2!, …
+            ratio, share = norm * f.absolute(h), f.variable(f.constant(1.0))
+            bound, order = f.variable(ratio), f.variable(f.constant(2.0))
+            with f.forever() as series:
+                number = order.get()
+                more = f.coerce(number < 4.0, BOOL.of(type_.lanes)) | (bound.get() > _LAST)
+                series.stop_if(~f.any_lane(more))
+                part = 1.0 / number
+                share.set(share.get() * part)
+                bound.set(bound.get() * (ratio * f.coerce(part, type_)))
+                order.set(number + 1.0)
+                multiplied(f, size, scaled, term, product, force)
+                for i in f.each(size):
+                    term[i], force[i], later[i] = product[i], later[i], 0.0
+                    longer = f.fma(term[i], f.coerce(share.get(), type_), change[i])
+                    change[i] = f.select(more, longer, change[i])
+            multiplied(f, size, a, change, product)
+            for i in f.each(size):
+                out[i] = out[i] + change[i]
+                rate[i] = rate[i] + product[i] + h * f.fma(h * 0.5, curve[i], line[i])
+                line[i] = f.fma(h, curve[i], line[i])
         with f.when(f.any_lane(fast), rare=True):
             flags, spans = _spilled(f, f.flags(fast)), _spilled(f, span)
+            fill = fill_tables(f.module, size)
+            store = f.module.shared("store_matrix", partial(define_store_matrix, f.module, size))
             for lane, memory in self._lanes(tick):
                 with f.when(flags[lane].differs(0)):
-                    terms = (slope, bend, curve)
-                    _solve_by_tables(f, size, count, lane, memory, spans[lane], terms, out)
+                    at, phi_at, t = Memory(size), Tables(size), spans[lane]
+                    current = memory.cast(INT)[at.slot] * at.slot_size + at.slots
+                    tables = memory.shifted(at.tables)
+                    f.call(store, memory.address(current), tables.pointer)
+                    f.call(fill, t, tables.pointer, f.constant(0, INT))
+                    for i in f.loop(size):
+                        total = f.variable(f.constant(0.0))
+                        for j in f.loop(size):
+                            column, power = f.coerce(j, INT), t
+                            phi = tables.shifted(column * phi_at.rows + i + phi_at.first)
+                            for n, vector in enumerate((slope, bend, curve)):
+                                value = vector.cast(DOUBLE)[column * type_.lanes + lane] * power
+                                total.set(f.fma(phi[n * phi_at.matrix], value, total.get()))
+                                power = power * t
+                        out.cast(DOUBLE)[f.coerce(i, INT) * type_.lanes + lane] = total.get()
 
     def _norm(self, tick: Tick) -> Value:
         """Emit code that loads the norm of each lane's current Jacobian."""

@@ -84,16 +84,14 @@ class MachineCode:
         library = self._library("start", lambda: start_text(self.program))
         return library.function(name, arguments)
 
-    def run_function(
-        self, integrator: str, lanes: int, given_times: bool = False
-    ) -> Callable[..., None]:
+    def run_function(self, integrator: str, lanes: int, given_times: bool) -> Callable[..., None]:
         """Return the machine-code function ``run`` for an integrator. `RUN` lists its arguments.
 
         With ``given_times`` the function records at given times, not every ``record_every`` ticks.
         """
         part = f"run, {integrator}, {lanes} lanes" + ", given times" * given_times
-        text = lambda: run_text(self.program, integrator, lanes, given_times)  # noqa: E731
-        return self._library(part, text).function("run", 1)
+        make = lambda: run_text(self.program, integrator, lanes, given_times)  # noqa: E731
+        return self._library(part, make).function("run", 1)
 
     def rates_function(self) -> Callable[..., None]:
         """Return the machine-code function ``rates``. See `define_rates`."""

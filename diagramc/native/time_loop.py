@@ -514,13 +514,14 @@ class _Run:
             running = self.alive.get() & (ticks < ends)
             loop.stop_if(~f.any_lane(running))
             clock.advance()
-            end = clock.time()
+            tick = model.tick(k, time, clock.time(), a["step"], running)
             if self.given is not None:
                 self.given.find(k)
+                tick = replace(tick, keep=self.given.keep)
             if self.program.size:
-                self._advance(_Now(k, time, now.present, running), end)
+                self._advance(_Now(k, time, now.present, running), tick)
             if self.given is not None:
-                self._record_given(self._tick(_Now(k, time, now.present, running), end))
+                self._record_given(replace(tick, running=running & self.alive.get()))
             loop.stop_if(~f.any_lane(self.alive.get()))
             number.set(k + 1)
         for i in f.each(self.program.size):
@@ -634,10 +635,6 @@ class _Run:
                     self.status[3 * lane + 2] = status
             self.alive.set(self.alive.get() & ~lanes)
 
-    def _tick(self, now: _Now, end: Value) -> Tick:
-        tick = self.model.tick(now.number, now.time, end, self.arguments["step"], now.running)
-        return tick if self.given is None else replace(tick, keep=self.given.keep)
-
     def _record_given(self, tick: Tick | None) -> None:
         """Emit code that records at the given times in a tick, which the run has just made.
 
@@ -665,13 +662,12 @@ class _Run:
         ``step`` holds the step as `_GivenTimes.keep` stores it. The exact hold solves its linear
         part. The other methods make a shorter step from the same start.
         """
-        f, size, begin, h = self.f, self.program.size, step[0], step[1]
-        start, end = step.shifted(2), step.shifted(2 + size)
         if self.integrator == "exact_hold":
-            self.hold.inside(tick, begin, h, start, end, time, out)
+            self.hold.inside(tick, step, time, out)
             return
+        f, size, begin = self.f, self.program.size, step[0]
         for i in f.each(size):
-            out[i] = start[i]
+            out[i] = step[f.coerce(i, INT) + 2]
         every = f.constant(1, self.mask)
         within = Tick(f, size, tick.type, begin, time, out, every, tick.rate, tick.step)
         if self.integrator == "rosenbrock":
@@ -684,9 +680,8 @@ class _Run:
         advance = advance_rk4 if self.integrator == "rk4" else advance_runge_kutta3
         advance(replace(within, start=f.lane(begin, 0)))
 
-    def _advance(self, now: _Now, end: Value) -> None:
+    def _advance(self, now: _Now, tick: Tick) -> None:
         f, a, model = self.f, self.arguments, self.model
-        tick = self._tick(now, end)
         rough = stiff = None
         if self.integrator == "exact_hold":
             with f.when(now.number.equals(a["first"])):
