@@ -478,8 +478,7 @@ def _given_times(times_s: Any, longest_s: float, tick_s: float) -> GivenTimes:
 
     Raises `ValueError` for times that do not ascend from 0 to ``longest_s``.
     """
-    times = np.array(times_s, dtype=float)
-    end = longest_s * _WITHIN
+    times, end = np.array(times_s, dtype=float), longest_s * _WITHIN
     if times.ndim != 1 or not (np.diff(times, prepend=0.0, append=end) >= 0.0).all():
         raise ValueError(f"record_times_s: must ascend within 0 … {longest_s:g} s")
     # A record belongs to the last tick before its time: it sees the state before the updates.

@@ -572,8 +572,9 @@ class ExactHold:
                 for i in f.each(size):
                     line, at_end = bend[i], bend[i] * h
                     bend[i] = f.select(bent, f.fma(rest[i], 4.0, -at_end) * per_h, line)
-                    parabola = f.fma(rest[i], -2.0, at_end) * 4.0 * per_h * per_h
-                    curve[i] = f.select(bent, parabola, 0.0)
+                    curve[i] = f.select(
+                        bent, f.fma(rest[i], -8.0, 4.0 * at_end) * per_h * per_h, 0.0
+                    )
 
     def _solve(
         self, tick: Tick, span: Value, a: Array, slope: Array, bend: Array, curve: Array, out: Array

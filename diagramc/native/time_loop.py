@@ -500,7 +500,7 @@ class _Run:
             self._store_snapshot(snapshot, a["first"] - 1)
         if self.given is not None:
             self.given.find(a["first"] - 1)
-            self._record_given(None)
+            self._record_given(self.given, None)
         with f.forever() as loop:
             k = number.get()
             loop.stop_if(k > a["longest"])
@@ -521,7 +521,8 @@ class _Run:
             if self.program.size:
                 self._advance(_Now(k, time, now.present, running), tick)
             if self.given is not None:
-                self._record_given(replace(tick, running=running & self.alive.get()))
+                tick = replace(tick, running=running & self.alive.get())
+                self._record_given(self.given, tick)
             loop.stop_if(~f.any_lane(self.alive.get()))
             number.set(k + 1)
         for i in f.each(self.program.size):
@@ -635,13 +636,12 @@ class _Run:
                     self.status[3 * lane + 2] = status
             self.alive.set(self.alive.get() & ~lanes)
 
-    def _record_given(self, tick: Tick | None) -> None:
+    def _record_given(self, given: _GivenTimes, tick: Tick | None) -> None:
         """Emit code that records at the given times in a tick, which the run has just made.
 
         None stands for the times at the start of the run, before the events there.
         """
-        f, a, model, given = self.f, self.arguments, self.model, self.given
-        assert given is not None
+        f, a, model = self.f, self.arguments, self.model
         columns, requested = a.array("columns"), a.array("requested", BYTE)
         groups = [group for group in self.program.groups if group.condition[0] == "requested"]
         x = model.x
@@ -653,8 +653,7 @@ class _Run:
                 for i in f.each(self.program.size):  # a record at the end has the bits of the end
                     x[i] = f.select(time >= tick.end, model.x[i], x[i])
             model.instant(groups, _Requested(time, model, requested, state=x), self._memory())
-            record = a.array("record", DOUBLE)
-            model.record(columns, a["column_count"], record, a["rows"], row)
+            model.record(columns, a["column_count"], a.array("record", DOUBLE), a["rows"], row)
 
     def _inside(self, tick: Tick, step: Array, time: Value, out: Array) -> None:
         """Emit code that writes the states at a time within a step to ``out``.

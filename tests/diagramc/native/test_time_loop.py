@@ -215,10 +215,10 @@ def test_records_at_given_times_in_lanes_are_those_alone_and_do_not_change_the_r
     @given(seed=st.integers(0, 2**32 - 1), count=st.sampled_from(COUNTS))
     def check(seed, count):
         parameters, states, durations, tables = random_runs(model, seed, count)
-        grid = 0.01 * np.arange(round(durations.max() / 0.01) + 1)
+        grid = 0.002 * np.arange(round(durations.max() / 0.002) + 1)
         inside = np.random.default_rng(seed).uniform(0.0, durations.max(), 30)
         times = np.sort(np.append(inside, grid[grid <= durations.max()]))
-        options = {"integrator": integrator, "step_s": 7e-4, "record_period_s": 0.01}
+        options = {"integrator": integrator, "step_s": 7e-4, "record_period_s": 0.002}
         monkeypatch.setattr(runner_module, "_FIRST_PIECE", seed % 2 * 160_000)
         batch = model.simulate_batch(
             *(parameters, states, durations),
