@@ -28,7 +28,7 @@ from .native.cores import available_cores
 from .native.llvm import LANES
 from .native.machine_code import MachineCode
 from .native.reductions import starts_and_bounds
-from .native.runner import LONGEST_TICK_S, Runner, Snapshots, output_elements
+from .native.runner import LONGEST_TICK_S, GivenTimes, Runner, Snapshots, output_elements
 from .reductions import Reduction
 from .run_data import Array, InputTable, Integers, ResumableState, State, slices
 
@@ -82,6 +82,10 @@ class _Batch:
     """Row of the first sample of each reduction, (runs, reductions)."""
     bounds: Array
     """Bound of each reduction, (runs, reductions)."""
+    rows: Integers
+    """Number of records of each run."""
+    given: GivenTimes | None
+    """Given times of the records of all runs; a run has those up to its duration."""
 
 
 class CompiledModel(ModelBase):
@@ -146,10 +150,10 @@ class CompiledModel(ModelBase):
             Time between two records in s, by default the shortest sample time. As in Drake's
             `VectorLogSink`, a record at t sees the state before the updates at t.
         record_times_s
-            Ascending times of the records in s, in place of a record period. A record between two
-            ticks is computed from the earlier tick by RK4 with steps of 20 µs. These steps are
-            accurate for modes up to 1e4 1/s, and become shorter where a mode is too fast for RK4.
-            The extra steps do not change the run.
+            Ascending times of the records in s, in place of a record period. A record at a sample
+            sees the state before the updates there. A record between two ticks comes from the step
+            of the integrator around its time: ``exact_hold`` solves the linear part of the step,
+            and the other integrators make a shorter step. The records do not change the run.
         integrator
             ``exact_hold`` is an exponential integrator whose error control uses ``tolerance``.
             ``rk4`` and ``runge_kutta3`` are Runge-Kutta integrators with steps of at most
@@ -172,22 +176,14 @@ class CompiledModel(ModelBase):
         ParameterError
             A parameter is not finite.
         """
-        if record_times_s is not None and not self.sample_times_s:
-            record_period_s = record_period_s or LONGEST_TICK_S
         names = None if outputs is None else tuple(outputs)
         rows = np.asarray(parameters, dtype=float)[None]
-        with self._runner(outputs=names, record_period_s=record_period_s, **options) as runner:
-            batch = self._batch(runner, rows, [state], [duration_s], [inputs])
-            if record_times_s is None:
-                (run,) = self._run_lanes(runner, batch, [0], resumable)
-            else:
-                if resumable or isinstance(state, ResumableState):
-                    raise ValueError("record_times_s: must be left out in a run that goes on")
-                times = np.array(record_times_s, dtype=float)
-                end = duration_s * (1.0 + 1e-12)  # a last time that was rounded upwards counts
-                if times.ndim != 1 or not (np.diff(times, prepend=0.0, append=end) >= 0.0).all():
-                    raise ValueError(f"record_times_s: must ascend within 0 … {duration_s:g} s")
-                run = self._run_with_records(runner, batch, times)
+        options |= {"outputs": names} | self._records(record_period_s, record_times_s)
+        with self._runner(**options) as runner:
+            batch = self._batch(runner, rows, [state], [duration_s], [inputs], (), record_times_s)
+            if batch.given and (resumable or isinstance(state, ResumableState)):
+                raise ValueError("record_times_s: must be left out in a run that goes on")
+            (run,) = self._run_lanes(runner, batch, [0], resumable)
         if isinstance(run, Error):
             raise run
         return run
@@ -205,6 +201,7 @@ class CompiledModel(ModelBase):
         outputs: Sequence[str] | None = None,
         reductions: Sequence[Reduction] = (),
         record_period_s: float | None = None,
+        record_times_s: Sequence[float] | Array | None = None,
         resumable: bool = False,
         **options: Any,
     ) -> list[Any]:
@@ -238,6 +235,9 @@ class CompiledModel(ModelBase):
         record_period_s, resumable, options
             As in `simulate`. A run that goes on must have the ``reductions`` of the run before. A
             reduction has a sample at the time of each record.
+        record_times_s
+            As in `simulate`, up to the longest duration, and without ``reductions``. Each run has
+            the records up to its own duration.
 
         Raises
         ------
@@ -253,6 +253,8 @@ class CompiledModel(ModelBase):
         is_sequence = isinstance(reductions, Sequence)
         if not is_sequence or not all(isinstance(item, Reduction) for item in reductions):
             raise ValueError("reductions: must be a sequence of Reduction")
+        if reductions and record_times_s is not None:
+            raise ValueError("reductions: need a record period in place of record_times_s")
         count = len(parameters)
         initial = [states] * count if isinstance(states, State) else list(states)
         tables = [inputs] * count if not isinstance(inputs, Sequence) else list(inputs)
@@ -266,7 +268,7 @@ class CompiledModel(ModelBase):
         # Fewer runs use the code of `simulate`: in lanes, copies of the last run would fill up.
         lanes = LANES if count >= LANES else 1
         settings = options | {"outputs": () if reductions and outputs is None else outputs}
-        settings |= {"record_period_s": record_period_s, "reductions": reductions}
+        settings |= {"reductions": reductions} | self._records(record_period_s, record_times_s)
         runners, cancelled = local(), Event()
         # The first runner compiles the code, before any thread needs it.
         runners.of_thread = Runner(self.code, lanes=lanes, **settings)
@@ -277,6 +279,7 @@ class CompiledModel(ModelBase):
             durations,
             tables,
             reductions,
+            record_times_s,
         )
         # Runs of about the same length share a call, because a lane that ends waits for the others.
         order = np.argsort(-batch.ticks, kind="stable").tolist()
@@ -302,6 +305,12 @@ class CompiledModel(ModelBase):
                     raise result
         return results
 
+    def _records(self, record_period_s: float | None, times: Any) -> dict[str, Any]:
+        """Return the settings of a runner with this record period or these times of records."""
+        if times is not None and not self.sample_times_s:
+            record_period_s = record_period_s or LONGEST_TICK_S
+        return {"record_period_s": record_period_s, "given_times": times is not None}
+
     def _batch(
         self,
         runner: Runner,
@@ -310,12 +319,13 @@ class CompiledModel(ModelBase):
         durations: Sequence[float] | Array,
         inputs: Sequence[InputTable | None],
         reductions: Sequence[Reduction] = (),
+        record_times_s: Sequence[float] | Array | None = None,
     ) -> _Batch:
         """Check the arguments of all runs and convert durations to ticks. Return a ``_Batch``.
 
         Raises `ValueError` or `ParameterError` for a wrong argument.
         """
-        rows = self.checked_parameters(parameters)
+        values = self.checked_parameters(parameters)
         tables = [table or self.no_inputs for table in inputs]
         # By identity, because usually all runs share one state and one table.
         checked: set[tuple[int, int]] = set()
@@ -327,8 +337,12 @@ class CompiledModel(ModelBase):
             if not 0.0 <= duration < math.inf:
                 raise ValueError(f"duration_s = {duration} s: must be finite and >= 0")
         tick = runner.timing.tick
-        # 0.3 s / 0.1 s is 2.9999999999999996, and would lose a tick.
-        ticks = np.array([int(d / tick * (1.0 + 1e-12)) for d in durations], dtype=np.int64)
+        ticks = np.array([int(d / tick * _WITHIN) for d in durations], dtype=np.int64)
+        rows, given = ticks // runner.timing.record_every + 1, None
+        if record_times_s is not None:
+            given = _given_times(record_times_s, max(durations, default=0.0), tick)
+            rows = np.searchsorted(given.times, np.array(durations) * _WITHIN, side="right")
+            ticks = np.maximum(ticks, np.append(-1, given.ticks)[rows] + 1)
         if note := runner.timing.offset_note(int(ticks.max(initial=0))):
             warnings.warn(note, stacklevel=3)
         for state, last in zip(states, ticks, strict=True):
@@ -340,8 +354,8 @@ class CompiledModel(ModelBase):
                     )
                 if state.tick > last:
                     raise ValueError("duration_s: must not end before the state to go on from")
-        reduced = starts_and_bounds(reductions, runner.timing, len(rows))
-        return _Batch(rows, states, ticks, tables, *reduced)
+        reduced = starts_and_bounds(reductions, runner.timing, len(values))
+        return _Batch(values, states, ticks, tables, *reduced, rows, given)
 
     def _run_lanes(
         self,
@@ -361,14 +375,15 @@ class CompiledModel(ModelBase):
         x = _columns([state.continuous for state in states])
         d = _columns([state.discrete for state in states])
         last = batch.ticks[lanes]
-        every = runner.timing.record_every
-        record = RECORDS.array((len(lanes), runner.columns.size, int(last.max()) // every + 1))
+        every, given, rows = runner.timing.record_every, batch.given, batch.rows[lanes]
+        record = RECORDS.array((len(lanes), runner.columns.size, int(rows.max())))
         runner.restart(batch.parameters[lanes], last)
         runner.reducer.restart(batch.begins[lanes], batch.bounds[lanes])
         tables = [batch.inputs[i] for i in lanes]
-        status = runner.run(x, d, runner.resume(states), last, tables, record, cancelled=cancelled)
-        times = runner.timing.record_times(int(last.max()))
-        reduced = runner.reducer.results(last // every + 1, times, every * runner.timing.tick)
+        first = runner.resume(states)
+        status = runner.run(x, d, first, last, tables, record, cancelled=cancelled, given=given)
+        times = given.times if given else runner.timing.record_times(int(last.max()))
+        reduced = runner.reducer.results(rows, times, every * runner.timing.tick)
         runs: list[Simulation | SimulationError] = []
         for lane, index in enumerate(indices):
             final = State(x[:, lane].copy(), d[:, lane].copy())
@@ -377,52 +392,25 @@ class CompiledModel(ModelBase):
             if error := self.fault(outcome, runner, parameters, final, lane):
                 runs.append(error)
                 continue
-            rows = int(last[lane]) // every + 1
+            values = record[lane, :, : rows[lane]]
             if isinstance(state := states[lane], ResumableState):
-                record[lane, :, : state.record.shape[1]] = state.record
-            outputs = self._outputs(runner, record[lane, :, :rows])
+                values[:, : state.record.shape[1]] = state.record
+            if given and not np.isfinite(values.sum()):  # the machine code checks other records
+                finite = np.isfinite(values)
+                row = int(np.argmin(finite.all(axis=0)))
+                column = runner.columns[int(np.argmin(finite[:, row]))]
+                runs.append(not_finite(times[row], output_elements(self.outputs)[column][0]))
+                continue
+            outputs = self._outputs(runner, values)
             if resumable:
-                final = runner.resumable(lane, final, int(last[lane]), record[lane, :, :rows])
-            runs.append(Simulation(times[:rows], outputs, final, reduced[lane]))
+                final = runner.resumable(lane, final, int(last[lane]), values)
+            runs.append(Simulation(times[: rows[lane]], outputs, final, reduced[lane]))
         return runs
 
     def _outputs(self, runner: Runner, record: Array) -> dict[str, Array]:
         """Divide a record (columns, rows) into the outputs (rows, size) by name."""
         places = slices({name: self.outputs[name] for name in runner.names})
         return {name: record[place].T for name, place in places.items()}
-
-    def _run_with_records(
-        self, runner: Runner, batch: _Batch, times: Array
-    ) -> Simulation | SimulationError:
-        """Make the only run of a batch, with records at ``times`` (n,) in s.
-
-        Return the records, or the error if the run failed.
-        """
-        x, d = (_columns([v]) for v in (batch.states[0].continuous, batch.states[0].discrete))
-        tick = runner.timing.tick
-        # A record comes from the last tick before its time: it sees the state before the updates.
-        # A time up to 1e-9 of a tick behind a tick differs by rounding, and counts as the tick.
-        ticks, places = np.unique(
-            np.ceil(times / tick - 1e-9).astype(np.int64) - 1, return_inverse=True
-        )
-        snapshots = Snapshots(ticks, np.empty((ticks.size, len(x))), np.empty((ticks.size, len(d))))
-        last = batch.ticks.copy()
-        if ticks.size:
-            last = np.maximum(last, ticks[-1] + 1)
-        runner.restart(batch.parameters, last)
-        (status,) = runner.run(x, d, 0, last, batch.inputs, snapshots=snapshots)
-        final = State(x[:, 0].copy(), d[:, 0].copy())
-        outcome = _outcome(status, int(last[0]), final)
-        if error := self.fault(outcome, runner, batch.parameters[0], final):
-            return error
-        places = places.astype(np.int64)
-        (record,) = runner.records_between(snapshots, batch.inputs[0], times, places)
-        finite = np.isfinite(record).all(axis=0)
-        if not finite.all():
-            row = int(np.argmin(finite))
-            column = runner.columns[int(np.argmin(np.isfinite(record[:, row])))]
-            return not_finite(times[row], output_elements(self.outputs)[column][0])
-        return Simulation(times, self._outputs(runner, record), final)
 
     def fastest_per_s(
         self,
@@ -507,6 +495,21 @@ def _outcome(status: Integers, last: int, final: State) -> list[int]:
     if outcome[0] == OK and not np.isfinite(final.discrete).all():
         return [NOT_FINITE, last, 0]
     return outcome
+
+
+_WITHIN = 1.0 + 1e-12  # 0.3 s / 0.1 s is 2.9999999999999996, and would lose a tick or a record
+
+
+def _given_times(times_s: Any, longest_s: float, tick_s: float) -> GivenTimes:
+    """Check the times of records up to ``longest_s``, and return them with their ticks.
+
+    Raises `ValueError` for times that do not ascend from 0 to ``longest_s``.
+    """
+    times, end = np.array(times_s, dtype=float), longest_s * _WITHIN
+    if times.ndim != 1 or not (np.diff(times, prepend=0.0, append=end) >= 0.0).all():
+        raise ValueError(f"record_times_s: must ascend within 0 … {longest_s:g} s")
+    # A record belongs to the last tick before its time: it sees the state before the updates.
+    return GivenTimes(times, np.ceil(times / tick_s - 1e-9).astype(np.int64) - 1)
 
 
 def _columns(vectors: Sequence[Array]) -> Array:

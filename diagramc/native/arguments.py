@@ -28,7 +28,7 @@ RUN = (
     *("step", "tolerance", "memory", "shared", "tags", "values", "status"),
     *("snapshots", "snapshot_count", "snapshot_x", "snapshot_d"),
     *("checked_count", "reductions", "reduction_ends", "unseen", "begins", "bounds", "reduced"),
-    *("windows", "suspects", "begins_of_lanes"),
+    *("windows", "suspects", "begins_of_lanes", "times", "time_ticks", "steps"),
 )
 """Arguments of the machine code's function ``run``, which makes one run in each lane.
 
@@ -65,17 +65,9 @@ Each argument has eight bytes: a number, or the address of an array.
   (lanes,): length of a window in ticks
 - ``begins_of_lanes`` (lanes,): tick at which each lane begins; a lane waits until then. -1 stands
   for a run from t = 0, which reduces its record at tick 0 too
-"""
-
-BETWEEN = (
-    *("c", "inputs", "tick", "unit", "split", "requested", "columns", "column_count", "record"),
-    *("rows", "step", "snapshots", "snapshot_x", "snapshot_d", "times", "places"),
-    *("windows", "suspects"),
-)
-"""Arguments of the machine code's function ``between``, which makes records between two ticks.
-
-`RUN` explains the other arguments. ``times`` (rows,) are the times of the records in s.
-``places`` (rows,) has, for each record, the index of the snapshot from which integration starts.
+- ``times`` (rows,): times in s of the records, if the code records at given times; ``time_ticks``
+  (rows,): the last tick before each time, or -1; ``steps`` (rows in one tick, 2 + 2 states, lanes):
+  memory for the step that contains each time of a tick
 """
 
 DOUBLES = ("tick", "unit", "step", "tolerance")

@@ -76,12 +76,13 @@ tick waits for the others.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 
 from .dormand_prince import DormandPrince
 from .integrators import Tick, before_end
 from .ir import Array, Function, Module, Operand, Value, Variable
 from .jacobian_slots import Memory
-from .phi_functions import FINEST, Tables, fill_tables, step_of
+from .phi_functions import FINEST, Tables, define_store_matrix, fill_tables, step_of
 from .types import BOOL, DOUBLE, INT, POINTER, Type
 
 ChooseSlot = Callable[[Tick, Value, Array, Value], None]
@@ -109,6 +110,12 @@ _MOST_EXCESS = 1e-2  # largest sum of the errors of finest steps that miss the t
 FASTEST_PER_S = 1e13
 """Largest norm of A in 1/s. Chains of lags with poles of 1e-3 … 1e14 1/s are right to 1e-12."""
 _WHOLE = 1 << FINEST  # number of finest steps in a tick
+# The next four are for records within a step. Of 1 + |x|, what a parabola for g may change at most
+# where it is left out: a rounding error.
+_STRAIGHT = 1e-14
+_PIECE = 8.0  # largest norm of A t in a piece of a series, whose terms then cost 4 digits at most
+_LAST = 1e-13  # bound of the last term of a series, in parts of the first
+_MOST_SERIES = 64.0  # largest norm of A t of a series; beyond, tables of phi functions cost less
 
 
 class Shared:
@@ -128,8 +135,10 @@ class Shared:
         self.size = self.tables + 5 * self.square
 
 
-def multiplied(f: Function, size: int, matrix: Array, vector: Array, out: Array) -> None:
-    """Emit ``out`` = matrix · vector. The matrix is stored column by column.
+def multiplied(
+    f: Function, size: int, matrix: Array, vector: Array, out: Array, start: Array | None = None
+) -> None:
+    """Emit ``out`` = ``start`` + matrix · vector. The matrix is stored column by column.
 
     The code for a single lane works on four rows at once.
     """
@@ -139,6 +148,8 @@ def multiplied(f: Function, size: int, matrix: Array, vector: Array, out: Array)
         rows = [(row, type_.of(4)) for row in range(0, size - 3, 4)]
     rows += [(row, type_) for row in range(4 * len(rows), size)]
     totals = [f.variable(f.constant(0.0, block)) for _, block in rows]
+    if start is not None:
+        totals = [f.variable(start.shifted(row).cast(block)[0]) for row, block in rows]
     for k in f.each(size):
         factor, column = vector[k], matrix.shifted(f.coerce(k, INT) * size)
         for (row, block), total in zip(rows, totals, strict=True):
@@ -453,6 +464,7 @@ class ExactHold:
             taken = active & good.get()
             moved.set(f.any_lane((taken | is_driven) & ~explicit))
             changed.set(f.any_lane(taken))
+            tick.keep(time, step_of(f, self.tick_s, level.get()), step.end, taken)
             for i in f.each(tick.size):
                 tick.x[i] = f.select(taken, step.end[i], tick.x[i])
                 slope[i] = f.select(taken & explicit, step.slope[i], slope[i])
@@ -512,6 +524,127 @@ class ExactHold:
                 step.end[i] = f.select(explicit, end[i], step.end[i])
                 worst.set(f.fma(f.absolute(error[i]), weight[i], worst.get()))
             step.worst.set(f.select(explicit, worst.get(), step.worst.get()))
+
+    def inside(self, tick: Tick, step: Array, time: Value, out: Array) -> None:
+        """Emit code that writes the states at a ``time`` within a step of this tick to ``out``.
+
+        ``step``: begin of the step, its length h, and the states at its start and at its end. The
+        code solves dx/dt = A x + g, where A is the current Jacobian, and g is a parabola through
+        the start, the middle and the end of the step. The middle comes from a straight line for g.
+        If g hardly bends the solution, g stays this line.
+        """
+        f, size, type_, lanes = tick.function, tick.size, tick.type, tick.type.lanes
+        slope, end_slope, rest, bend, curve, move, rate, base = (tick.vector() for _ in range(8))
+        begin, h, start, end = step[0], step[1], step.shifted(2), step.shifted(2 + size)
+        jacobian = self.shared.shifted(Shared(size).jacobian * lanes).cast(type_)
+
+        def remainder(now: Value, x: Array) -> None:
+            tick.rate(now, x, rate)
+            for i in f.each(size):
+                move[i] = x[i] - start[i]
+            multiplied(f, size, jacobian, move, rest)
+            for i in f.each(size):
+                rest[i] = (rate[i] - slope[i]) - rest[i]
+
+        tick.rate(begin, start, slope)
+        remainder(before_end(tick, begin + h), end)
+        per_h, straight = 1.0 / h, f.variable(f.constant(1, BOOL.of(lanes)))
+        for i in f.each(size):
+            bend[i], curve[i], end_slope[i] = rest[i] * per_h, 0.0, rate[i]
+            most = f.fma(f.absolute(start[i]), _STRAIGHT, _STRAIGHT)
+            straight.set(straight.get() & (h * f.absolute(rest[i]) < most))
+        for number in f.loop(2):
+            last, bent = f.coerce(number, INT).equals(1), ~straight.get()
+            with f.when(last | f.any_lane(bent)):
+                span = f.select(last, f.coerce(time, type_) - begin, h * 0.5)
+                span = f.select(f.coerce(tick.running, BOOL.of(lanes)), span, 0.0)
+                # From the end the series is shorter. A faster A would multiply the errors there.
+                back = last & (span > h * 0.5) & (self._norm(tick) * h <= _PIECE)
+                for i in f.each(size):
+                    base[i] = f.select(back, end[i], start[i])
+                    slope[i] = f.select(back, end_slope[i], slope[i])
+                    bend[i] = f.select(back, f.fma(curve[i], h, bend[i]), bend[i])
+                self._solve(tick, f.select(back, span - h, span), jacobian, slope, bend, curve, out)
+                for i in f.each(size):
+                    out[i] = base[i] + out[i]
+            with f.when(~last & f.any_lane(bent)):
+                remainder(f.fma(h, 0.5, begin), out)
+                for i in f.each(size):
+                    line, at_end = bend[i], bend[i] * h
+                    bend[i] = f.select(bent, f.fma(rest[i], 4.0, -at_end) * per_h, line)
+                    curve[i] = f.select(
+                        bent, f.fma(rest[i], -8.0, 4.0 * at_end) * per_h * per_h, 0.0
+                    )
+
+    def _solve(
+        self, tick: Tick, span: Value, a: Array, slope: Array, bend: Array, curve: Array, out: Array
+    ) -> None:
+        """Emit code that writes the solution of a linear equation at the time ``span`` to ``out``.
+
+        The equation is dy/dt = A y + ``slope`` + ``bend`` t + ``curve`` t²/2 with y(0) = 0. The
+        solution is a Taylor series in pieces, with a norm of A t of at most ``_PIECE`` in each.
+        A lane with a fast A makes tables for this time.
+        """
+        f, size, type_, norm = tick.function, tick.size, tick.type, self._norm(tick)
+        rate, line, term, force, later, change, product = (tick.vector() for _ in range(7))
+        scaled = f.array(size * size, type_)
+        fast = norm * span > _MOST_SERIES
+        left = f.variable(f.select(fast, f.constant(0.0, type_), span))
+        for i in f.each(size):
+            out[i], rate[i], line[i] = 0.0, slope[i], bend[i]
+        with f.forever() as pieces:
+            h = left.get()
+            pieces.stop_if(~f.any_lane(f.absolute(h) > 0.0))
+            long = ~(norm * f.absolute(h) <= _PIECE)
+            h = f.select(long, f.minimum(h, _PIECE / norm), h)
+            left.set(left.get() - h)
+            for e in f.each(size * size):
+                scaled[e] = h * a[e]
+            for i in f.each(size):
+                term[i] = h * rate[i]
+                force[i], later[i], change[i] = h * h * line[i], h * h * h * curve[i], term[i]
+            # The terms are y' h, y'' h², … at the start of the piece, without 1, 1/2!, …
+            ratio, share = norm * f.absolute(h), f.variable(f.constant(1.0))
+            bound, order = f.variable(ratio), f.variable(f.constant(2.0))
+            with f.forever() as series:
+                number = order.get()
+                more = f.coerce(number < 4.0, BOOL.of(type_.lanes)) | (bound.get() > _LAST)
+                series.stop_if(~f.any_lane(more))
+                part = 1.0 / number
+                share.set(share.get() * part)
+                bound.set(bound.get() * (ratio * f.coerce(part, type_)))
+                order.set(number + 1.0)
+                multiplied(f, size, scaled, term, product, force)
+                for i in f.each(size):
+                    term[i], force[i], later[i] = product[i], later[i], 0.0
+                    longer = f.fma(term[i], f.coerce(share.get(), type_), change[i])
+                    change[i] = f.select(more, longer, change[i])
+            multiplied(f, size, a, change, product)
+            for i in f.each(size):
+                out[i] = out[i] + change[i]
+                rate[i] = rate[i] + product[i] + h * f.fma(h * 0.5, curve[i], line[i])
+                line[i] = f.fma(h, curve[i], line[i])
+        with f.when(f.any_lane(fast), rare=True):
+            flags, spans = _spilled(f, f.flags(fast)), _spilled(f, span)
+            fill = fill_tables(f.module, size)
+            store = f.module.shared("store_matrix", partial(define_store_matrix, f.module, size))
+            for lane, memory in self._lanes(tick):
+                with f.when(flags[lane].differs(0)):
+                    at, phi_at, t = Memory(size), Tables(size), spans[lane]
+                    current = memory.cast(INT)[at.slot] * at.slot_size + at.slots
+                    tables = memory.shifted(at.tables)
+                    f.call(store, memory.address(current), tables.pointer)
+                    f.call(fill, t, tables.pointer, f.constant(0, INT))
+                    for i in f.loop(size):
+                        total = f.variable(f.constant(0.0))
+                        for j in f.loop(size):
+                            column, power = f.coerce(j, INT), t
+                            phi = tables.shifted(column * phi_at.rows + i + phi_at.first)
+                            for n, vector in enumerate((slope, bend, curve)):
+                                value = vector.cast(DOUBLE)[column * type_.lanes + lane] * power
+                                total.set(f.fma(phi[n * phi_at.matrix], value, total.get()))
+                                power = power * t
+                        out.cast(DOUBLE)[f.coerce(i, INT) * type_.lanes + lane] = total.get()
 
     def _norm(self, tick: Tick) -> Value:
         """Emit code that loads the norm of each lane's current Jacobian."""

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from .ir import Array, Function, Operand, Value, Variable
-from .types import INT, Type
+from .types import BOOL, INT, Type
 
 Rate = Callable[[Operand, Array, Array], None]
 """``rate(t, x, out)`` emits code that writes dx/dt at time t in s and states x to ``out``.
@@ -22,6 +22,13 @@ Report = Callable[[Value, Sequence[Array]], None]
 ``lanes`` is the condition that holds in the lanes with such a step, and ``ratio`` is the ratio by
 which the ticks of a lane are compared. The tick begins at the time ``start`` in s with the states
 x, and has steps of the length h. The emitted arrays have one element, or one for each state.
+"""
+
+Keep = Callable[[Value, Value, Array, Value], None]
+"""``keep(begin, h, end, lanes)`` emits code that keeps a step for the records at times in the step.
+
+The step has begun at the time ``begin`` in s with the current states and has the length ``h``. It
+ends with the states ``end``. ``lanes`` is the condition that holds in the lanes that take the step.
 """
 
 Differences = Callable[[Operand], tuple[Value, Value]]
@@ -81,6 +88,7 @@ class Tick:
 
     Without a number each step is checked, which takes 15 % of a run.
     """
+    keep: Keep = lambda begin, h, end, lanes: None
 
     def vector(self) -> Array:
         """Return new local memory of the emitted code, with one element for each state."""
@@ -242,6 +250,7 @@ def advance_rk4(tick: Tick) -> None:
             for i in f.each(tick.size):
                 middle = f.fma(k2[i] + k3[i], 2.0, k1[i] + k4[i])
                 z[i] = f.fma(sixth, middle, tick.x[i])
+            tick.keep(t, h, z, f.constant(1, BOOL))
             tick.accept(z)
         done.set(stop)
         watch.check(stop, h, differences)
@@ -272,6 +281,7 @@ def advance_runge_kutta3(tick: Tick) -> None:
         sixth = f.coerce(h * (1.0 / 6.0), tick.type)
         for i in f.each(tick.size):
             z[i] = f.fma(sixth, f.fma(k2[i], 4.0, k1[i] + k3[i]), tick.x[i])
+        tick.keep(t, h, z, f.constant(1, BOOL))
         tick.accept(z)
         number = count.get()
         # |k₁ + k₃ - 2 k₂| = (h |λ|)² |k₁| for a single mode

@@ -40,11 +40,12 @@ class Memory:
             "change": size,  # state at the middle of a step minus that at its start
             "rest": size,  # remainder of dx/dt there that the linear part does not explain
             "slots": SLOTS * self.slot_size,
+            "tables": Tables(size).size,  # for the states at a given time within a step
         }
         places = dict(zip(sizes, accumulate(sizes.values(), initial=0), strict=False))
         self.filled, self.made, self.slot, self.excess = (places[k] for k in list(sizes)[:4])
         self.candidate, self.head, self.change = (places[k] for k in list(sizes)[4:7])
-        self.rest, self.slots = (places[k] for k in list(sizes)[7:])
+        self.rest, self.slots, self.tables = (places[k] for k in list(sizes)[7:])
         self.size = -(-sum(sizes.values()) // 8) * 8
 
 

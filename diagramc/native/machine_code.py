@@ -17,7 +17,7 @@ from ..equations.equations import Equations
 from ..equations.passes import Layout, Program
 from . import cache as entries
 from .llvm import Library, Processor, compile_text, processor
-from .time_loop import between_text, rates_text, run_text, start_text
+from .time_loop import rates_text, run_text, start_text
 
 Source = Equations | Callable[[], Equations]
 """Equations, or a function that returns equations and is called only if the cache lacks code."""
@@ -30,7 +30,7 @@ _lock = RLock()
 _libraries: dict[str, Library] = {}
 """Code that was loaded last, by cache key. A function of a model keeps its own library."""
 # A long session can run any number of diagrams and laws, and must not keep the code of each. A
-# library has some 0.1 MiB, and a model has up to four: start, run, between, rates.
+# library has some 0.1 MiB, and a model has up to four: start, run, run at given times, rates.
 _MOST_LIBRARIES = 128
 _announcement = Event()  # set when this process has said that it compiles
 _layouts: dict[str, Layout] = {}
@@ -84,16 +84,14 @@ class MachineCode:
         library = self._library("start", lambda: start_text(self.program))
         return library.function(name, arguments)
 
-    def run_function(self, integrator: str, lanes: int) -> Callable[..., None]:
-        """Return the machine-code function ``run`` for an integrator. `RUN` lists its arguments."""
-        part = f"run, {integrator}, {lanes} lanes"
-        library = self._library(part, lambda: run_text(self.program, integrator, lanes))
-        return library.function("run", 1)
+    def run_function(self, integrator: str, lanes: int, given_times: bool) -> Callable[..., None]:
+        """Return the machine-code function ``run`` for an integrator. `RUN` lists its arguments.
 
-    def between_function(self) -> Callable[..., None]:
-        """Return the machine-code function ``between``. `BETWEEN` lists its arguments."""
-        library = self._library("between", lambda: between_text(self.program))
-        return library.function("between", 1)
+        With ``given_times`` the function records at given times, not every ``record_every`` ticks.
+        """
+        part = f"run, {integrator}, {lanes} lanes" + ", given times" * given_times
+        make = lambda: run_text(self.program, integrator, lanes, given_times)  # noqa: E731
+        return self._library(part, make).function("run", 1)
 
     def rates_function(self) -> Callable[..., None]:
         """Return the machine-code function ``rates``. See `define_rates`."""

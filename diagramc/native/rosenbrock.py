@@ -139,6 +139,7 @@ class Rosenbrock:
             moved.set(good)
             taken = left.get() & good
             changed.set(f.any_lane(taken))
+            tick.keep(self._time(tick, done.get()), h, end, taken)
             for i in f.each(size):
                 tick.x[i] = f.select(taken, end[i], tick.x[i])
             done.set(f.select(taken, done.get() + h, done.get()))

@@ -17,7 +17,7 @@ from ..reductions import Reduction
 from ..rosenbrock import TOLERANCE_RANGES, TOLERANCES
 from ..run_data import Array, InputTable, Integers, ResumableState, State
 from . import exact_hold, jacobian_slots
-from .arguments import BETWEEN, DOUBLES, INPUT, INTEGRATORS, MEMO_LINES, OK, RUN, SUSPECTS
+from .arguments import DOUBLES, INPUT, INTEGRATORS, MEMO_LINES, OK, RUN, SUSPECTS
 from .machine_code import MachineCode
 from .reductions import Reducer
 from .stability import Rates, UnstableStep, unstable_step
@@ -33,7 +33,7 @@ shank, in 30 s (``benchmarks/compare.py``).
 ROUGH_STEP_S = 2e-5
 """Step of RK4 in s.
 
-RK4 makes records between two ticks, and repeats runs that miss the tolerance of the exact hold.
+RK4 repeats runs that miss the tolerance of the exact hold.
 With this step RK4 is accurate up to modes of 1e4 1/s, where h |λ| is 0.2, and stable up to
 1.3e5 1/s. Valves can be faster: `unstable_step` then says which step works.
 """
@@ -103,6 +103,17 @@ class Snapshots:
         return Snapshots(self.ticks[start:], self.x[start:], self.d[start:])
 
 
+@dataclass(frozen=True)
+class GivenTimes:
+    """Times of records ``times`` (rows,) in s, ascending, and the last tick before each time.
+
+    Ticks are -1 for records at the start. Such a record has the states before the events there.
+    """
+
+    times: Array
+    ticks: Integers
+
+
 _NEVER = 2**62  # a row that no run reaches
 
 
@@ -123,10 +134,12 @@ class Runner:
         step_s: float = STEP_S,
         tolerance: float | None = None,
         reductions: Sequence[Reduction] = (),
+        given_times: bool = False,
     ) -> None:
         """Check the arguments, which `CompiledModel.simulate` explains, and get the machine code.
 
-        `CompiledModel.simulate_batch` explains ``reductions``. Raises `ValueError` for an unknown
+        `CompiledModel.simulate_batch` explains ``reductions``. ``given_times``: whether the runs
+        record at given times in place of a record period. Raises `ValueError` for an unknown
         output or integrator, for a step or a record period that is not finite and positive, and
         for a tolerance that the integrator does not allow.
         """
@@ -177,7 +190,7 @@ class Runner:
         steps = 10.0 if controlled else max(1.0, self.timing.tick / step_s)
         self.piece = max(1, int(_FIRST_PIECE / steps))
         """Number of ticks that the first machine-code call of a long run makes."""
-        self._run = code.run_function(integrator, lanes)
+        self._run = code.run_function(integrator, lanes, given_times)
         self._constants = code.start_function("constants")
         self._lane_c = np.empty((lanes, layout.constants))
         self._c = np.empty((layout.constants, lanes))
@@ -299,6 +312,7 @@ class Runner:
         record: Array | None = None,
         snapshots: Snapshots | None = None,
         cancelled: Callable[[], bool] = lambda: False,
+        given: GivenTimes | None = None,
     ) -> Integers:
         """Advance the states of each lane from tick ``first`` to the last tick of the lane.
 
@@ -322,6 +336,8 @@ class Runner:
         cancelled
             Called between two calls of the machine code; if it returns True, the run ends with
             `KeyboardInterrupt`.
+        given
+            Times of the records of all lanes, if the runs record at given times.
 
         Returns the status (lanes, 3): for each lane the outcome, the tick at which the run failed,
         and the index of the limit that stopped the run or of the output that is not finite.
@@ -335,9 +351,11 @@ class Runner:
             until = min(first + piece, longest)
             np.minimum(last, until, out=ends)
             ends[status[:, 0] != OK] = -1  # a failed lane makes no tick
-            self.bind(x, d, ends, record, snapshots and snapshots.after(first))
+            self.bind(x, d, ends, record, snapshots and snapshots.after(first), given)
             begin = perf_counter()
             row = -(-first // every)  # -(-a // b) rounds up
+            if given is not None:
+                row = int(np.searchsorted(given.ticks, first)) if first else 0
             # A record at the last tick of a call is made again by the next call.
             outcome = self.call_once(first, until, rows, inputs, row, unseen)
             unseen = until // every + 1
@@ -364,6 +382,7 @@ class Runner:
         last: Integers,
         record: Array | None,
         snapshots: Snapshots | None = None,
+        given: GivenTimes | None = None,
     ) -> None:
         """Set the arrays that the next calls of `call_once` read and write: see `run`.
 
@@ -376,6 +395,10 @@ class Runner:
                 "snapshot_x": snapshots.x,
                 "snapshot_d": snapshots.d,
             }
+        if given is not None:
+            most = int(np.unique(given.ticks, return_counts=True)[1].max(initial=0))
+            steps = np.empty((most, 2 + 2 * self._vectors[0], self.lanes))
+            arrays |= {"times": given.times, "time_ticks": given.ticks, "steps": steps}
         _set(self._arguments, **arrays)
         self._arguments.snapshot_count = 0 if snapshots is None else snapshots.ticks.size
         self._bound = arrays  # the arrays must live as long as their addresses
@@ -407,17 +430,15 @@ class Runner:
         self._run(self._address)
         return self._status
 
-    def unstable_step(self, lane: int, integrator: str | None = None) -> UnstableStep | None:
+    def unstable_step(self, lane: int) -> UnstableStep | None:
         """Return the first step since `restart` that was too long for a mode of the model, or None.
 
-        ``lane``: the lane of the run. ``integrator``: the method whose stability limit is applied,
-        by default the integrator of this runner.
+        ``lane``: the lane of the run.
         """
         suspects = self._suspects[lane, self._suspects[lane, :, 0] > 0.0]
         if not suspects.size:
             return None
-        way = integrator or self.integrator
-        return unstable_step(way, self._rates(lane), suspects, self._vectors)
+        return unstable_step(self.integrator, self._rates(lane), suspects, self._vectors)
 
     def fastest_per_s(self, snapshots: Snapshots, inputs: InputTable) -> float:
         """Return the largest |λ| in 1/s of the modes λ of a model at the snapshots of a run.
@@ -445,46 +466,6 @@ class Runner:
             return values, jacobian.T  # the machine code writes column by column
 
         return rates
-
-    def records_between(
-        self, snapshots: Snapshots, inputs: InputTable, times: Array, places: Integers
-    ) -> Array:
-        """Return the records (1, columns, rows) at ``times`` (rows,) of a run in one lane.
-
-        RK4 integrates to each record from the snapshot whose index is in ``places`` (rows,), in
-        steps of 20 µs. If such steps are too long for a mode, RK4 repeats the records with shorter
-        steps.
-        """
-        record = np.empty((1, self.columns.size, times.size))
-        table = np.array([_input_argument(inputs)], dtype=np.int64)
-        arguments = _arguments(
-            BETWEEN,
-            c=self._c,
-            inputs=table,
-            tick=self.timing.tick,
-            unit=self.timing.unit,
-            split=self.timing.split,
-            requested=self._requested,
-            columns=self.columns,
-            column_count=self.columns.size,
-            record=record,
-            rows=times.size,
-            step=ROUGH_STEP_S,
-            snapshots=snapshots.ticks,
-            snapshot_x=snapshots.x,
-            snapshot_d=snapshots.d,
-            times=times,
-            places=places,
-            windows=self._windows,
-            suspects=self._suspects,
-        )
-        compute_records = self.code.between_function()
-        while True:
-            self._suspects[0, :, 0] = 0.0
-            compute_records(ctypes.addressof(arguments))
-            if (unstable := self.unstable_step(0, "rk4")) is None:
-                return record
-            arguments.step = unstable.safe_s
 
 
 def _input_argument(table: InputTable) -> tuple[int, ...]:

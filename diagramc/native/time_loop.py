@@ -1,5 +1,5 @@
-"""Emits four IR texts of a model: to start a run, to advance a run, to record between two ticks,
-and to judge a step that may be unstable.
+"""Emits three IR texts of a model: to start a run, to advance a run, and to judge a step that may
+be unstable.
 
 A text is compiled when a runner first calls one of its functions.
 
@@ -10,7 +10,8 @@ call makes in lock-step.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -18,7 +19,6 @@ from ..equations.passes import Group, Place, Program
 from ..rosenbrock import RODAS, Elimination
 from . import exact_hold, jacobian_slots
 from .arguments import (
-    BETWEEN,
     DOUBLES,
     INPUT,
     MEMO_LINES,
@@ -63,13 +63,14 @@ def start_text(program: Program) -> str:
     return module.text()
 
 
-def run_text(program: Program, integrator: str, lanes: int) -> str:
+def run_text(program: Program, integrator: str, lanes: int, given_times: bool = False) -> str:
     """Return the IR text of ``run(arguments)``, which advances the states from tick to tick.
 
-    ``integrator``: one of `INTEGRATORS`. `RUN` lists the arguments of ``run``.
+    ``integrator``: one of `INTEGRATORS`. `RUN` lists the arguments of ``run``. ``given_times``:
+    whether the records are at given times.
     """
     module = Module()
-    _Run(module, program, integrator, lanes).trace()
+    _Run(module, program, integrator, lanes, given_times).trace()
     return module.text()
 
 
@@ -77,17 +78,6 @@ def rates_text(program: Program) -> str:
     """Return the IR text with the function of `define_rates`."""
     module = Module()
     define_rates(module, program)
-    return module.text()
-
-
-def between_text(program: Program) -> str:
-    """Return the IR text of ``between(arguments)``. `BETWEEN` lists the arguments.
-
-    The function records the outputs at any times. RK4 integrates from a snapshot, which holds the
-    states that ``run`` stored at a tick, to the time of each record.
-    """
-    module = Module()
-    _trace_between(module, program)
     return module.text()
 
 
@@ -140,7 +130,7 @@ class _Arguments:
 
 
 class _Model:
-    """Emits the equations of a model into the function ``run`` or ``between``."""
+    """Emits the equations of a model into the function ``run``."""
 
     def __init__(self, f: Function, program: Program, lanes: int, arguments: _Arguments) -> None:
         self.f, self.program, self.lanes = f, program, lanes
@@ -282,7 +272,7 @@ class _Requested(Storage):
 
     def __init__(self, time: Value, model: _Model, requested: Array, **more: Array) -> None:
         arrays = {"state": model.x, "discrete": model.d, "input": model.u, "constant": model.c}
-        super().__init__(time, **arrays, output=model.y, **more)
+        super().__init__(time, **arrays | more, output=model.y)
         self.requested = requested
 
     def condition(self, condition: tuple[str, int]) -> Value:
@@ -385,6 +375,47 @@ class _Events(_Requested):
             check.set(self.f.fma(value, 0.0, check.get()))
 
 
+class _GivenTimes:
+    """Emits code for the records at given times: it finds them, and keeps the steps around them."""
+
+    def __init__(self, model: _Model, arguments: _Arguments) -> None:
+        self.f, self.size, self._x = model.f, model.program.size, model.x
+        self.times, self._ticks = arguments.array("times", DOUBLE), arguments.array("time_ticks")
+        self._count, self._steps = arguments["rows"], arguments.array("steps", model.type)
+        self._first, self._end = (self.f.variable(arguments["row"]) for _ in range(2))
+
+    def find(self, tick: Value) -> None:
+        """Emit the search for the times that lie in the tick with the number ``tick``."""
+        self._first.set(self._end.get())
+        with self.f.forever() as loop:
+            row = self._end.get()
+            loop.stop_if(row >= self._count)
+            loop.stop_if(self._ticks[row] > tick)
+            self._end.set(row + 1)
+
+    def rows(self) -> Iterator[tuple[Value, Array]]:
+        """Emit a loop over the times in the tick: yield the row and its kept step once."""
+        first = self._first.get()
+        for number in self.f.loop(self._end.get() - first):
+            n = self.f.coerce(number, INT)
+            yield first + n, self._steps.shifted(n * (2 + 2 * self.size))
+
+    def keep(self, begin: Value, h: Value, end: Array, lanes: Value) -> None:
+        """Emit code that keeps the step, in ``lanes``, for each time after ``begin``: see `Keep`.
+
+        The next step replaces the kept step for the times after the end of this step.
+        """
+        f, x, type_ = self.f, self._x, self._x.type
+        for row, kept in self.rows():
+            due = f.coerce(lanes & (self.times[row] > begin), BOOL.of(type_.lanes))
+            with f.when(f.any_lane(due)):
+                kept[0], kept[1] = f.select(due, begin, kept[0]), f.select(due, h, kept[1])
+                for i in f.each(self.size):
+                    at_start, at_end = f.coerce(i, INT) + 2, f.coerce(i, INT) + (2 + self.size)
+                    kept[at_start] = f.select(due, x[i], kept[at_start])
+                    kept[at_end] = f.select(due, end[i], kept[at_end])
+
+
 class _Run:
     """Emits the function ``run``, which advances each lane from tick ``first`` to its last tick.
 
@@ -392,11 +423,14 @@ class _Run:
     makes the discrete updates at the last tick.
     """
 
-    def __init__(self, module: Module, program: Program, integrator: str, lanes: int) -> None:
+    def __init__(
+        self, module: Module, program: Program, integrator: str, lanes: int, given_times: bool
+    ) -> None:
         self.f = f = module.function("run", {"arguments": POINTER}, internal=False)
         self.program, self.integrator, self.lanes = program, integrator, lanes
         self.arguments = a = _Arguments(f, RUN)
         self.model = _Model(f, program, lanes, a)
+        self.given = _GivenTimes(self.model, a) if given_times else None
         self.mask = BOOL.of(lanes)
         self.alive = f.variable(f.constant(1, self.mask))
         self.after = f.array(self.model.discrete_count, self.model.type)
@@ -467,6 +501,9 @@ class _Run:
         row, snapshot = f.variable(a["row"]), f.variable(f.constant(0, INT))
         if self.lanes == 1:
             self._store_snapshot(snapshot, a["first"] - 1)
+        if self.given is not None:
+            self.given.find(a["first"] - 1)
+            self._record_given(self.given, None)
         with f.forever() as loop:
             k = number.get()
             loop.stop_if(k > a["longest"])
@@ -481,8 +518,16 @@ class _Run:
             alive = self.alive.get()
             loop.stop_if(~f.any_lane(alive & (ticks < ends)))
             clock.advance()
+            running = alive & running
+            tick = model.tick(k, time, clock.time(), a["step"], running)
+            if self.given is not None:
+                self.given.find(k)
+                tick = replace(tick, keep=self.given.keep)
             if self.program.size:
-                self._advance(replace(now, running=alive & running), clock.time())
+                self._advance(replace(now, running=running), tick)
+            if self.given is not None:
+                tick = replace(tick, running=running & self.alive.get())
+                self._record_given(self.given, tick)
             loop.stop_if(~f.any_lane(self.alive.get()))
             number.set(k + 1)
         for i in f.each(self.program.size):
@@ -511,6 +556,8 @@ class _Run:
         """
         f, a, model, program = self.f, self.arguments, self.model, self.program
         recording = (now.number % a["record_every"]).equals(0) & (row.get() < a["rows"])
+        if self.given is not None:
+            recording = f.constant(0, BOOL)
         going = f.any_lane(now.running)
         periods, offsets = a.array("periods"), a.array("offsets")
         fires = []
@@ -594,9 +641,51 @@ class _Run:
                     self.status[3 * lane + 2] = status
             self.alive.set(self.alive.get() & ~lanes)
 
-    def _advance(self, now: _Now, end: Value) -> None:
+    def _record_given(self, given: _GivenTimes, tick: Tick | None) -> None:
+        """Emit code that records at the given times in a tick, which the run has just made.
+
+        None stands for the times at the start of the run, before the events there.
+        """
         f, a, model = self.f, self.arguments, self.model
-        tick = model.tick(now.number, now.time, end, a["step"], now.running)
+        columns, requested = a.array("columns"), a.array("requested", BYTE)
+        groups = [group for group in self.program.groups if group.condition[0] == "requested"]
+        x = model.x
+        for row, step in given.rows():
+            time = given.times[row]
+            if tick is not None and self.program.size:
+                x = f.array(self.program.size, model.type)
+                self._inside(tick, step, time, x)
+                for i in f.each(self.program.size):  # a record at the end has the bits of the end
+                    x[i] = f.select(time >= tick.end, model.x[i], x[i])
+            model.instant(groups, _Requested(time, model, requested, state=x), self._memory())
+            model.record(columns, a["column_count"], a.array("record", DOUBLE), a["rows"], row)
+
+    def _inside(self, tick: Tick, step: Array, time: Value, out: Array) -> None:
+        """Emit code that writes the states at a time within a step to ``out``.
+
+        ``step`` holds the step as `_GivenTimes.keep` stores it. The exact hold solves its linear
+        part. The other methods make a shorter step from the same start.
+        """
+        if self.integrator == "exact_hold":
+            self.hold.inside(tick, step, time, out)
+            return
+        f, size, begin = self.f, self.program.size, step[0]
+        for i in f.each(size):
+            out[i] = step[f.coerce(i, INT) + 2]
+        every = f.constant(1, self.mask)
+        within = Tick(f, size, tick.type, begin, time, out, every, tick.rate, tick.step)
+        if self.integrator == "rosenbrock":
+            method, substep = copy(self.rosenbrock), f.array(1, tick.type)
+            method.tick_s, method.substeps = f.coerce(time, tick.type) - begin, substep
+            substep[0] = 0.0
+            method.advance(within)
+            return
+        # The steps of a Runge-Kutta method are the same in all lanes.
+        advance = advance_rk4 if self.integrator == "rk4" else advance_runge_kutta3
+        advance(replace(within, start=f.lane(begin, 0)))
+
+    def _advance(self, now: _Now, tick: Tick) -> None:
+        f, a, model = self.f, self.arguments, self.model
         rough = stiff = None
         if self.integrator == "exact_hold":
             with f.when(now.number.equals(a["first"])):
@@ -631,35 +720,3 @@ class _Run:
             worst.set(f.select(worse, error, worst.get()))
             index.set(f.select(worse, state, index.get()))
         return index.get()
-
-
-# ------------------------------------------------------------------------ between two ticks
-
-
-def _trace_between(module: Module, program: Program) -> None:
-    f = module.function("between", {"arguments": POINTER}, internal=False)
-    a = _Arguments(f, BETWEEN)
-    model = _Model(f, program, 1, a)
-    columns, requested = a.array("columns"), a.array("requested", BYTE)
-    times, places, ticks = a.array("times", DOUBLE), a.array("places"), a.array("snapshots")
-    groups = [group for group in program.groups if group.condition[0] == "requested"]
-    place, time = f.variable(f.constant(-1, INT)), f.variable(f.constant(0.0))
-    for row in f.loop(a["rows"]):
-        now, snapshot = times[row], places[row]
-        with f.when(snapshot.differs(place.get())):
-            place.set(snapshot)
-            for name, values, count in model.states:
-                memory = a.array(name, DOUBLE).shifted(snapshot * count)
-                for i in f.each(count):
-                    values[i] = memory[i]
-            start = f.select(ticks[snapshot] > 0, ticks[snapshot], 0)
-            time.set(_Clock(f, a, start).time())
-        if program.size:
-            with f.when(now > time.get()):
-                start, always = time.get(), f.constant(1, BOOL)
-                tick = model.tick(f.constant(0, INT), start, now, a["step"], always)
-                advance_rk4(replace(tick, number=None))
-                time.set(now)
-        model.instant(groups, _Requested(now, model, requested))
-        record = a.array("record", DOUBLE)
-        model.record(columns, a["column_count"], record, a["rows"], f.coerce(row, INT))

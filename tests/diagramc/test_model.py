@@ -15,7 +15,7 @@ from pydrake.systems.primitives import (
     ZeroOrderHold,
 )
 
-from diagramc import State, compile_by_key, compile_diagram, simulate_with_feedback
+from diagramc import Reduction, State, compile_by_key, compile_diagram, simulate_with_feedback
 from diagramc.errors import ResultError, SimulationError, UnstableStepError
 from diagramc.model import CompiledModel
 from diagramc.native.runner import Runner
@@ -82,26 +82,43 @@ def test_times_of_samples_are_whole_multiples(period_s, integrator):
     np.testing.assert_array_equal(run["out"][1:, 0], expected[:-1])  # the clock, a sample ago
 
 
-def test_records_at_chosen_times(servo):
+@pytest.mark.parametrize(
+    ("integrator", "tolerance"),
+    [("exact_hold", 2e-6), ("rk4", 2e-6), ("runge_kutta3", 5e-4), ("rosenbrock", 3e-5)],
+)
+def test_records_at_chosen_times(servo, integrator, tolerance):
     model, parameters, state = servo
+    way = {"integrator": integrator, "step_s": 1.1e-5}
     # At 0.01 ms RK4 resolves the mode of the oil to 1e-7; the records stand where it steps anyhow.
     fine = model.simulate(
         parameters, state, 0.2, record_period_s=5e-5, integrator="rk4", step_s=1e-5
     )
     places = np.array([0, 1, 39, 40, 41, 41, 1234, 4000])
     times = 5e-5 * places
-    run = model.simulate(parameters, state, 0.2, record_times_s=times)
+    run = model.simulate(parameters, state, 0.2, record_times_s=times, **way)
     np.testing.assert_array_equal(run.time_s, times)
-    plain = model.simulate(parameters, state, 0.2)
+    plain = model.simulate(parameters, state, 0.2, **way)
     np.testing.assert_array_equal(run.final.continuous, plain.final.continuous)
     for name in model.outputs:
         scale = 1e-12 + np.max(np.abs(fine[name]))
-        np.testing.assert_allclose(run[name], fine[name][places], rtol=0, atol=2e-6 * scale)
-        np.testing.assert_allclose(run[name][3], plain[name][1], rtol=0, atol=2e-6 * scale)
+        np.testing.assert_allclose(run[name], fine[name][places], rtol=0, atol=tolerance * scale)
+        np.testing.assert_array_equal(run[name][[0, 3]], plain[name][[0, 1]])
     # A command changes right after its instant.
     command = run["command"][:, 0]
     assert command[3] == command[2] != command[4]
     assert model.simulate(parameters, state, 0.2, record_times_s=[])["position"].shape == (0, 1)
+
+
+def test_records_at_chosen_times_and_reductions_are_refused(servo):
+    model, parameters, state = servo
+    with pytest.raises(ValueError, match="reductions: need a record period"):
+        model.simulate_batch(
+            parameters[None],
+            state,
+            0.2,
+            record_times_s=[0.1],
+            reductions=[Reduction("maximum", "position")],
+        )
 
 
 @pytest.mark.parametrize("times", [[0.1, 0.05], [-1e-3], [0.3], [np.nan]])

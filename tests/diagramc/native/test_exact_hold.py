@@ -301,6 +301,30 @@ def test_a_pulled_stiff_spring_is_exact_in_two_steps_a_tick(source):
     assert max(levels) == 1
 
 
+@pytest.mark.parametrize("source", ["time", "table"])
+def test_records_within_driven_steps_are_right(source):
+    """The table has breaks within steps."""
+    model, table = make_pulled(lambda t, u: sin(PULL_RAD_S * t)), None
+    if source == "table":
+        model, table = make_pulled(lambda t, u: u, ["u0"]), TABLE
+    times = np.sort(np.random.default_rng(1).uniform(0.0, 0.2, 500))
+    start = State(pulled(0.0)[0], np.empty(0))
+    run = model.simulate(model.parameters(), start, 0.2, record_times_s=times, inputs=table)
+    error = np.abs(run["y0"] - pulled(times)) / (1.0 + np.abs(pulled(times)))
+    assert error.max() <= 1e-9
+
+
+def test_records_within_explicit_steps_are_right(friction):
+    start, times = State([0.0, 0.0], []), np.sort(np.random.default_rng(1).uniform(0.0, 0.1, 300))
+    fine = {"integrator": "rk4", "step_s": 1e-6}
+    ours, right = (
+        friction.simulate([20.0], start, 0.1, record_times_s=times, record_period_s=2e-3, **way)
+        for way in ({}, fine)
+    )
+    error = np.abs(ours["y0"] - right["y0"]) / np.ptp(right["y0"], axis=0)
+    assert error.max() <= 3e-5
+
+
 def test_a_root_at_zero_whose_second_derivative_is_not_finite():
     x, v, y, t = (Variable(name) for name in "xvyt")
     pull = SPRING_RAD_S**2 * (sin(PULL_RAD_S * t) - x) - DAMPING_PER_S * v
@@ -330,17 +354,21 @@ def lags(poles_per_s):
 
 
 @pytest.mark.parametrize(
-    "poles_per_s", [(1e-3, 1e12, 1.0), (1e12, 1e6, 1e-2), (3e5, 40.0, 1e8)], ids=str
+    "poles_per_s",
+    [(1e-3, 1e12, 1.0), (1e12, 1e6, 1e-2), (3e5, 40.0, 1e8), (2e4, 3e3, 50.0), (2e3, 50.0)],
+    ids=str,
 )
 def test_linear_chains_with_fast_poles_are_right(poles_per_s):
     """The poles are far apart, so the sum of exponentials keeps its digits."""
     model = lags(poles_per_s)
-    run = model.simulate(model.parameters(), model.state(), 0.2, record_period_s=0.02)
-    right = np.ones_like(run.time_s)
-    for q in poles_per_s:
-        weight = np.prod([p / (p - q) for p in poles_per_s if p != q])
-        right -= weight * np.exp(-q * run.time_s)
-    np.testing.assert_allclose(run["x"][:, -1], right, rtol=0, atol=1e-13)
+    times = np.sort(np.random.default_rng(1).uniform(0.0, 0.2, 300))
+    for records in ({"record_period_s": 0.02}, {"record_times_s": times}):
+        run = model.simulate(model.parameters(), model.state(), 0.2, **records)
+        right = np.ones_like(run.time_s)
+        for q in poles_per_s:
+            weight = np.prod([p / (p - q) for p in poles_per_s if p != q])
+            right -= weight * np.exp(-q * run.time_s)
+        np.testing.assert_allclose(run["x"][:, -1], right, rtol=0, atol=1e-13)
 
 
 def test_a_pole_beyond_the_limit_of_the_exact_hold_ends_the_run():

@@ -12,7 +12,8 @@ from diagramc.diagram_equations import equations_key
 from diagramc.equations.equations import Equations, Limit, Update
 from diagramc.equations.graph import Graph
 from diagramc.errors import SimulationError
-from diagramc.model import CompiledModel
+from diagramc.model import CompiledModel, Simulation
+from diagramc.native import runner as runner_module
 from diagramc.native.arguments import INTEGRATORS, OUTSIDE
 from diagramc.native.machine_code import MachineCode
 from diagramc.native.runner import Runner, Snapshots
@@ -202,6 +203,41 @@ def test_runs_in_lanes_are_the_runs_alone(models, name, integrator):
         for names, integrators in cases.items():
             if name in names and integrator in integrators:
                 assert any(text in end for end in texts), text
+
+
+@pytest.mark.parametrize(("name", "integrator"), RUNS)
+def test_records_at_given_times_in_lanes_are_those_alone_and_do_not_change_the_run(
+    models, name, integrator, monkeypatch
+):
+    """Records at samples are those of a run on the grid; calls of one tick have the same bits."""
+    model, both = models[name], []
+
+    @settings(property_test, max_examples=6)
+    @given(seed=st.integers(0, 2**32 - 1), count=st.sampled_from(COUNTS))
+    def check(seed, count):
+        parameters, states, durations, tables = random_runs(model, seed, count)
+        grid = 0.002 * np.arange(round(durations.max() / 0.002) + 1)
+        inside = np.random.default_rng(seed).uniform(0.0, durations.max(), 30)
+        times = np.sort(np.append(inside, grid[grid <= durations.max()]))
+        options = {"integrator": integrator, "step_s": 7e-4, "record_period_s": 0.002}
+        monkeypatch.setattr(runner_module, "_FIRST_PIECE", seed % 2 * 160_000)
+        batch = model.simulate_batch(
+            *(parameters, states, durations),
+            **options | {"inputs": tables, "record_times_s": times, "failures": "return"},
+        )
+        monkeypatch.undo()
+        for run, *arguments in zip(batch, parameters, states, durations, tables, strict=True):
+            own = times[times <= arguments[2] * (1.0 + 1e-12)]
+            assert_same_run(run, alone(model, *arguments, **options, record_times_s=own))
+            plain = alone(model, *arguments, **options)
+            if isinstance(run, Simulation) and isinstance(plain, Simulation):
+                both.append(run)
+                at = np.searchsorted(run.time_s, plain.time_s)
+                records = {key: values[at] for key, values in run.outputs.items()}
+                assert_same_run(Simulation(plain.time_s, records, run.final), plain)
+
+    check()
+    assert both
 
 
 @pytest.mark.parametrize("lanes", [1, 8])
