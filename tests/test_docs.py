@@ -20,7 +20,7 @@ from PIL import Image
 from kneexo import systems
 from kneexo.analysis import fit_polynomials, linearize_loop, track
 from kneexo.analysis.signals import rms
-from kneexo.command_line.output import DPI, words_of
+from kneexo.command_line.output import words_of
 from kneexo.parameters import (
     G1,
     LINKAGES,
@@ -145,7 +145,7 @@ def test_the_picture_of_a_run_has_the_words_and_the_size_of_today():
     figure = track(Scenario.preset("leg")).plot()[0].figure
     with Image.open(DOCS / "leg_tracking.png") as image:
         assert image.info["Description"] == words_of(figure)
-        assert image.size == pytest.approx(DPI * figure.get_size_inches(), abs=1.0)
+        assert image.size == pytest.approx(150.0 * figure.get_size_inches(), abs=1.0)
 
 
 @pytest.fixture(scope="module")
@@ -270,6 +270,15 @@ def test_a_tutorial_ends_with_a_picture_and_a_number(tutorial):
     assert "plt.subplots" in last
     assert re.search(r"print\(\s*f\"[^\"]*\{", last)
     assert f"{{nb-download}}`{tutorial.stem}.ipynb`" in text
+
+
+@pytest.mark.parametrize("tutorial", TUTORIALS, ids=lambda page: page.stem)
+def test_a_tutorial_folds_its_imports(tutorial):
+    first = tutorial.read_text(encoding="utf-8").partition("```{code-cell} ipython3\n")[2]
+    options, _, code = first.partition("```")[0].partition("\n\n")
+    assert options == ":tags: [hide-input]"
+    kinds = ast.Import | ast.ImportFrom
+    assert all(isinstance(statement, kinds) for statement in ast.parse(code).body)
 
 
 def test_the_tutorials_are_executed():

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import base64
 import html
+import itertools
 import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -19,13 +20,18 @@ if TYPE_CHECKING:
     from kneexo.view.page import StageContent
 
 _STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; color: #1c1e21; background: #fff; max-width: 60rem;
-  margin: auto; padding: 1rem; overflow-wrap: break-word; }
+:root { color-scheme: light dark; --paper: light-dark(#fff, #14171b);
+  --line: light-dark(#d0d4d9, #3a414a); --soft: light-dark(#50565e, #a9b2bd); }
+body { font: 16px/1.5 system-ui, sans-serif; color: light-dark(#1c1e21, #e6e9ed); margin: auto;
+  background: var(--paper); max-width: 60rem; padding: 1rem; overflow-wrap: break-word; }
 h1, h2, h3 { line-height: 1.2; }
-.scroll { overflow-x: auto; }
+.scroll { overflow-x: auto; background:
+    linear-gradient(to left, var(--paper) 2rem, transparent) right / 4rem 100% no-repeat local,
+    linear-gradient(to left, var(--line), transparent) right / 1rem 100% no-repeat; }
 table { border-collapse: collapse; font-size: 0.9rem; margin: 1rem 0; overflow-wrap: normal; }
-th, td { border-bottom: 1px solid #d0d4d9; padding: 0.3rem 0.7rem; text-align: left;
+th, td { border-bottom: 1px solid var(--line); padding: 0.3rem 0.7rem; text-align: left;
   vertical-align: top; }
+.number { text-align: right; font-variant-numeric: tabular-nums; }
 figure { margin: 1.5rem 0; }
 figure label { display: block; overflow-x: auto; cursor: zoom-in; }
 figure img { display: block; max-width: 100%; height: auto; }
@@ -33,12 +39,14 @@ figure input { position: absolute; opacity: 0; }
 figure input:checked + img { width: 90rem; max-width: none; cursor: zoom-out; }
 figure input:focus-visible + img, .scroll:focus-visible { outline: 2px solid #1a6fb5; }
 .view { margin: 2rem 0; }
-figcaption { color: #50565e; font-size: 0.9rem; max-width: 44rem; }
-pre { background: #f4f5f7; padding: 0.7rem; font-size: 0.85rem; white-space: pre-wrap;
-  columns: 22rem; }
-footer { border-top: 1px solid #d0d4d9; margin-top: 2rem; }
+figcaption { color: var(--soft); font-size: 0.9rem; max-width: 44rem; }
+pre { background: light-dark(#f4f5f7, #1d2126); padding: 0.7rem; font-size: 0.85rem;
+  white-space: pre-wrap; columns: 22rem; }
+footer { border-top: 1px solid var(--line); margin-top: 2rem; }
 @media screen and (pointer: coarse) { figcaption::after { content: " (tap to enlarge)"; } }
 @media print {
+  :root { color-scheme: light; }
+  details::details-content { content-visibility: visible; }
   body { max-width: none; padding: 0; font-size: 11pt; }
   h1, h2, h3 { break-after: avoid; }
   table { font-size: 7.5pt; }
@@ -96,7 +104,8 @@ def html_page(
     title
         The command that computed the report.
     report
-        Text in Markdown. A paragraph ``![](NAME.png)`` is the place of the figure NAME.
+        Text in Markdown, which begins with a title. A paragraph ``![](NAME.png)`` is the place of
+        the figure NAME. The titles of its parts become the contents.
     figures
         Dictionary from name to Matplotlib figure. A figure without place comes after the text. The
         figures stay open.
@@ -109,11 +118,14 @@ def html_page(
     from markdown_it import MarkdownIt
 
     body = MarkdownIt("commonmark", {"html": False}).enable("table").render(report)
+    body = re.sub(r"<td>([-+±\d][^<]{0,20})</td>", _number_cell, body)
     body = body.replace("<table>", '<div class="scroll" tabindex="0"><table>').replace(
         "</table>", "</table></div>"
     )
-    if not body.lstrip().startswith("<h1"):
-        body = f"<h1>{html.escape(title)}</h1>\n{body}"
+    parts, number = re.findall("<h2>(.*)</h2>", body), itertools.count()
+    links = " · ".join(f'<a href="#part-{n}">{part}</a>' for n, part in enumerate(parts))
+    body = re.sub("<h2>", lambda _: f'<h2 id="part-{next(number)}">', body)
+    body = body.replace("</h1>", f"</h1>\n<nav>{links}</nav>", 1)
     rest = dict(figures)
     place = re.compile(r'<p><img src="(\w+)\.png" alt="" /></p>')
     body = place.sub(lambda found: _picture(found[1], rest.pop(found[1])), body)
@@ -135,10 +147,15 @@ def html_page(
 <footer>
 <h2>Scenario and settings</h2>
 <p>kneexo {html.escape(str(origin["kneexo"]))}: <code>{html.escape(title)}</code></p>
-<pre>{html.escape(text)}</pre>
+<details><summary>in YAML</summary><pre>{html.escape(text)}</pre></details>
 </footer>"""
     styles, scripts, data = ([], [], {}) if view is None else view[1:]
     return self_contained_page(title, whole, [*styles, _STYLE], scripts, data)
+
+
+def _number_cell(cell: re.Match[str]) -> str:
+    """Return a cell with a number, aligned to the right, with the sign − in place of a hyphen."""
+    return f'<td class="number">{cell[1].replace("-", "−")}</td>'
 
 
 def _lists_in_lines() -> Any:

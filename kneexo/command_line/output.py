@@ -18,10 +18,6 @@ if TYPE_CHECKING:
     from kneexo.simulation.run import Run
 
 
-DPI = 150
-"""Pixels per inch of a PNG."""
-
-
 def plain(value: Any) -> Any:
     """Return ``value`` as data for JSON: arrays become lists, nan and infinity become None."""
     if isinstance(value, Mapping):
@@ -78,6 +74,6 @@ def save_figure(directory: Path, name: str, figure: Figure) -> None:
     The PNG has `words_of` the figure as ``Description``.
     """
     description = {"Description": words_of(figure)}
-    figure.savefig(directory / f"{name}.png", dpi=DPI, metadata=description)
+    figure.savefig(directory / f"{name}.png", dpi=150, metadata=description)
     figure.set_layout_engine(None)  # the layout is complete; an engine would draw each file twice
     figure.savefig(directory / f"{name}.pdf", metadata={"CreationDate": None})

@@ -27,8 +27,8 @@ REFERENCE = "reference"
 WEARER = "wearer"
 """Name of the frame of the limb below the knee. Without a wearer it moves as ``shank``."""
 
-SKIN, GHOST, GROUND = "skin", "ghost", "ground"
-"""Roles of parts. Skin is translucent, a ghost shows the reference, the ground never moves."""
+SKIN, GHOST = "skin", "ghost"
+"""Roles of parts. Skin is translucent, a ghost shows the reference."""
 
 _SKIN_COLOUR, _GHOST_COLOUR = Rgba(0.86, 0.68, 0.56, 0.5), Rgba(0.35, 0.35, 0.35, 0.35)
 _BRACE, _CUFF, _SOLE = Rgba(0.25, 0.28, 0.33), Rgba(0.16, 0.18, 0.22), Rgba(0.20, 0.20, 0.22)
@@ -164,7 +164,7 @@ def _skin() -> dict[str, Part]:
 
 
 def _brace(at: dict[str, complex]) -> dict[str, Part]:
-    """Return uprights, cuffs, sole and ground in the pose of full extension."""
+    """Return uprights, cuffs and sole in the pose of full extension."""
     top = max(0.30, at["thigh_axis"].imag)
     bottom = min(-0.27, at["shank_axis"].imag)
     result = {}
@@ -183,8 +183,6 @@ def _brace(at: dict[str, complex]) -> dict[str, Part]:
         pose = _at(0.0, z, 0.5 * (near + _UPRIGHT_LAYER_M))
         result[f"{name}_mount"] = Part(frame, mount, pose, _BRACE)
     result["sole"] = Part("shank", Box(0.205, 0.085, 0.012), _at(0.045, -0.402), _SOLE)
-    ground = Cylinder(0.16, 0.004)
-    result["ground"] = Part("thigh", ground, _at(0.04, -0.440), Rgba(0.88, 0.89, 0.91), GROUND)
     return result
 
 

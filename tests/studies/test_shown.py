@@ -19,7 +19,7 @@ import pytest
 from matplotlib.ticker import FixedLocator
 from PIL import Image
 
-from kneexo.command_line.output import DPI, words_of
+from kneexo.command_line.output import words_of
 from kneexo.studies.catalogue import STUDIES
 
 SHOWN = Path(__file__).with_name("shown")
@@ -227,7 +227,7 @@ def test_the_docs_show_the_words_and_the_size_of_today(name):
         if (picture := DOCS / f"{title}.png").exists():
             with Image.open(picture) as image:
                 assert masked(words_of(figure)) <= masked(image.info["Description"]), title
-                assert image.size == pytest.approx(DPI * figure.get_size_inches(), abs=1.0)
+                assert image.size == pytest.approx(150.0 * figure.get_size_inches(), abs=1.0)
 
 
 @pytest.mark.parametrize("name", STUDIES)

@@ -441,15 +441,14 @@ class TrackingResult(Result):
         ax = axes_or_new(ax, caption="Pressures in the cylinder over time.")
         run, full = self.run, self.scenario.plant.full_order
         curves = {"|load pressure|": np.abs(run["load_pressure_pa"])}
-        limit, limit_pa = "rating", self.scenario.pressure_rating_pa
+        name, limit_mpa = "rating", 1e-6 * self.scenario.pressure_rating_pa
         if full is not None and "cap_pressure_pa" in run.data:
             curves = {"cap": run["cap_pressure_pa"], "rod side": run["rod_side_pressure_pa"]}
-            limit, limit_pa = "relief valves", full.relief_pressure_pa
-        for (name, pressure_pa), colour in zip(curves.items(), (BLUE, GOLD), strict=False):
-            ax.plot(run.time_s, 1e-6 * pressure_pa, colour, lw=1, label=name)
-        if limit_pa < math.inf:
-            label = f"{limit} {1e-6 * limit_pa:.3g} MPa"
-            ax.axhline(1e-6 * limit_pa, color=RED, ls=":", lw=1.2, label=label)
+            name, limit_mpa = "relief valves", 1e-6 * full.relief_pressure_pa
+        for (label, pressure_pa), colour in zip(curves.items(), (BLUE, GOLD), strict=False):
+            ax.plot(run.time_s, 1e-6 * pressure_pa, colour, lw=1, label=label)
+        if limit_mpa < math.inf:
+            ax.axhline(limit_mpa, color=RED, ls=":", label=f"{name} {limit_mpa:.3g} MPa")
         ax.set(xlabel="time (s)", ylabel="pressure (MPa)")
         _legend_above(ax)
         return ax

@@ -126,8 +126,8 @@ def plot_slotted_strap(result: MechanismResult) -> Figure:
         axes[0].plot(result.knee_angle_deg, strap.angle_difference_deg, label=name, **style)
         axes[1].plot(result.knee_angle_deg, strap.torque_ratio, **style)
     axes[0].set(ylabel="angle difference (deg)", title="(a) knee of the device minus wearer's knee")
-    axes[1].set(ylabel="torque ratio (1)", xlabel="knee angle (deg)")
-    axes[1].set_title("(b) torque on the wearer's knee over torque of the device")
+    title = "(b) torque on the wearer's knee over torque of the device"
+    axes[1].set(ylabel="torque ratio (1)", xlabel="knee angle (deg)", title=title)
     _finish(figure, axes)
     return figure
 
@@ -146,10 +146,8 @@ def plot_leg_length(result: MechanismResult) -> Figure:
         swing = device.swing
         axes[0].plot(device.leg.knee_angle_deg, MM * device.leg.shortening_m, label=name, **style)
         axes[1].plot(swing.gait_percent, MM * swing.clearance_gain_m, **style)
-    axes[0].set(xlabel="knee angle (deg)", ylabel="leg shorter by (mm)")
-    axes[0].set_title("(a) length of the leg")
-    axes[1].set(xlabel="time after heel contact (%)", ylabel="toe higher by (mm)")
-    axes[1].set_title("(b) height of the toe in the swing")
+    axes[0].set(xlabel="knee angle (deg)", ylabel="leg shorter by (mm)", title="(a) length of leg")
+    axes[1].set(xlabel="gait cycle (%)", ylabel="toe higher by (mm)", title="(b) toe in the swing")
     _finish(figure, axes)
     return figure
 

@@ -47,14 +47,11 @@ def _plot_fig9(run: Run) -> Figure:
     )
     ax[0].plot(run.time_s, 1e3 * run["rod_reference_m"], "k--", lw=1, label="reference")
     ax[0].plot(run.time_s, 1e3 * run["rod_extension_m"], BLUE, lw=1.2, label="rod extension")
-    ax[0].set(
-        xlabel="time (s)", ylabel="rod extension $x$ (mm)", title="(a) start off the reference"
-    )
+    ax[0].set(xlabel="time (s)", ylabel="rod extension $x$ (mm)", title="(a) wrong start")
     ax[0].legend()
     error = rod_error_mm(run)
     ax[1].plot(run.time_s, error, PURPLE, lw=1.2)
-    ax[1].set(xlabel="time (s)", ylabel="tracking error $x − x_d$ (mm)")
-    ax[1].set_title("(b) exponential decay")
+    ax[1].set(xlabel="time (s)", ylabel="error $x − x_d$ (mm)", title="(b) exponential decay")
     inset = ax[1].inset_axes((0.45, 0.2, 0.5, 0.5))
     inset.semilogy(run.time_s, np.maximum(np.abs(error), 1e-12), PURPLE, lw=1)
     inset.set(xlabel="time (s)", ylabel="|error| (mm)")

@@ -339,9 +339,7 @@ def _demand(result: SizeResult) -> Figure:
 
 
 def _stride(result: SizeResult) -> Figure:
-    figure, axes = plt.subplots(
-        2, 1, figsize=(7.5, 7.4), sharex=True, sharey=True, layout="constrained"
-    )
+    figure, axes = plt.subplots(2, figsize=(8, 7), sharex=True, sharey=True, layout="constrained")
     figure.set_label(
         "Chamber pressures over a measured stride, for shares of the knee moment. The grey line is "
         "the pressure of the growing chamber while the leg is faster than the pump."
