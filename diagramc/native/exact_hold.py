@@ -135,10 +135,8 @@ class Shared:
         self.size = self.tables + 5 * self.square
 
 
-def multiplied(
-    f: Function, size: int, matrix: Array, vector: Array, out: Array, start: Array | None = None
-) -> None:
-    """Emit ``out`` = ``start`` + matrix · vector. The matrix is stored column by column.
+def multiplied(f: Function, size: int, matrix: Array, vector: Array, out: Array) -> None:
+    """Emit ``out`` = matrix · vector. The matrix is stored column by column.
 
     The code for a single lane works on four rows at once.
     """
@@ -148,8 +146,6 @@ def multiplied(
         rows = [(row, type_.of(4)) for row in range(0, size - 3, 4)]
     rows += [(row, type_) for row in range(4 * len(rows), size)]
     totals = [f.variable(f.constant(0.0, block)) for _, block in rows]
-    if start is not None:
-        totals = [f.variable(start.shifted(row).cast(block)[0]) for row, block in rows]
     for k in f.each(size):
         factor, column = vector[k], matrix.shifted(f.coerce(k, INT) * size)
         for (row, block), total in zip(rows, totals, strict=True):
@@ -614,9 +610,9 @@ class ExactHold:
                 share.set(share.get() * part)
                 bound.set(bound.get() * (ratio * f.coerce(part, type_)))
                 order.set(number + 1.0)
-                multiplied(f, size, scaled, term, product, force)
+                multiplied(f, size, scaled, term, product)
                 for i in f.each(size):
-                    term[i], force[i], later[i] = product[i], later[i], 0.0
+                    term[i], force[i], later[i] = product[i] + force[i], later[i], 0.0
                     longer = f.fma(term[i], f.coerce(share.get(), type_), change[i])
                     change[i] = f.select(more, longer, change[i])
             multiplied(f, size, a, change, product)

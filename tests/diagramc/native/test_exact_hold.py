@@ -314,6 +314,9 @@ def test_records_within_driven_steps_are_right(source):
     assert error.max() <= 1e-9
 
 
+P, W = 50.0, 500.0  # pole and frequency in 1/s
+
+
 def test_records_within_explicit_steps_are_right(friction):
     start, times = State([0.0, 0.0], []), np.sort(np.random.default_rng(1).uniform(0.0, 0.1, 300))
     fine = {"integrator": "rk4", "step_s": 1e-6}
@@ -323,6 +326,22 @@ def test_records_within_explicit_steps_are_right(friction):
     )
     error = np.abs(ours["y0"] - right["y0"]) / np.ptp(right["y0"], axis=0)
     assert error.max() <= 3e-5
+    forces = np.geomspace(1.0, 50.0, 8)[:, None]  # lanes with steps of different lengths
+    for force, run in zip(
+        forces, friction.simulate_batch(forces, start, 0.1, record_times_s=times), strict=True
+    ):
+        alone = friction.simulate(force, start, 0.1, record_times_s=times)
+        np.testing.assert_array_equal(run["y0"], alone["y0"])
+
+
+def test_records_within_steps_of_a_slow_lag_are_right():
+    """Records in the second half of a step are computed from its end."""
+    x, t = Variable("x"), Variable("t")
+    system = SymbolicVectorSystem(time=t, state=[x], dynamics=[sin(W * t) - P * x], output=[x])
+    model, times = compile_diagram(system), np.sort(np.random.default_rng(1).uniform(0, 0.1, 300))
+    run = model.simulate(np.empty(0), model.state(), 0.1, record_times_s=times)
+    right = P * np.sin(W * times) - W * np.cos(W * times) + W * np.exp(-P * times)
+    np.testing.assert_allclose(run["y0"][:, 0], right / (P**2 + W**2), rtol=0, atol=3e-8)
 
 
 def test_a_root_at_zero_whose_second_derivative_is_not_finite():
