@@ -48,7 +48,7 @@ def add_command(
     ``attributes`` are attributes of the `Request` that ``command`` gets, besides the arguments.
     The help names ``duration_s``, the typical duration in s on two cores.
     """
-    duration = f"Takes about {_rounded(duration_s)} on two cores."
+    duration = f"Takes about {rounded(duration_s)} on two cores."
     parser: argparse.ArgumentParser = group.add_parser(
         name,
         help=summary,
@@ -62,7 +62,7 @@ def add_command(
     return parser
 
 
-def _rounded(duration_s: float) -> str:
+def rounded(duration_s: float) -> str:
     """Return a duration as text: seconds below 1.5 minutes, minutes below 1.5 hours, else hours."""
     for unit_s, unit in ((1.0, "s"), (60.0, "min")):
         if duration_s < 90.0 * unit_s:

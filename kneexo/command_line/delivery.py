@@ -33,6 +33,10 @@ def deliver(request: Request) -> int:
     """
     if request.uses_drake:
         import_drake()
+    if (first := request.first(request)) is not None:
+        text = _with_directory(first).text
+        print(f"kneexo: first answer, {first.first_answer}:\n{text}", file=sys.stderr)
+        request.restart, request.answered = False, first.first_answer
     outcome = _with_directory(request) if request.fills_directory else request.run(request)
     if outcome.page:
         file = request.out
@@ -62,6 +66,9 @@ def interrupt_notice(request: Request) -> str:
     """
     if request.written:
         return f"the results are in {shown(request.out)}"
+    if request.answered:
+        answer = f"the first answer ({request.answered}) is in {shown(request.out)}"
+        return f"{answer}; {pieces_notice(request)}"
     return pieces_notice(request) or "nothing was written"
 
 
@@ -80,7 +87,7 @@ def _with_directory(request: Request) -> Outcome:
     def note_written() -> None:
         """Delete the finished pieces, unless some are unused, such as pieces of other settings."""
         request.written = True
-        if request.checkpoint is not None:
+        if request.checkpoint is not None and not request.first_answer:
             request.unused_pieces = request.checkpoint.remove()
 
     place = f"--out {shown(request.out)}"

@@ -48,6 +48,13 @@ class Request(argparse.Namespace):
     """Whether the command always imports Drake."""
     fills_directory: bool = False
     """Whether `out` is the directory for the files and figures of the outcome."""
+    first: Callable[[Request], Request | None] = staticmethod(lambda request: None)
+    """Returns a smaller request, whose outcome is written as a first answer, or None without one.
+
+    The finished pieces of the smaller request stay, because this request needs them too.
+    """
+    first_answer: str = ""
+    """Of what a smaller request is the answer, such as ``samples=50``. Empty: of everything."""
     stages: Sequence[Stage] = ()
     """The parts of the progress bar of the whole command, or nothing for no such bar."""
     resumable: bool = False
@@ -78,6 +85,8 @@ class Request(argparse.Namespace):
     """Number of finished pieces of other settings, which stay in the file."""
     written: bool = False
     """Whether the results are written."""
+    answered: str = ""
+    """The ``first_answer`` of the smaller request, as soon as its results are written."""
 
     @property
     def command(self) -> str:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable
 from contextlib import AbstractContextManager, nullcontext
+from copy import copy
 from typing import TYPE_CHECKING, Any
 
+from diagramc import available_cores
 from kneexo.command_line import arguments
 from kneexo.command_line.delivery import FILES
 from kneexo.command_line.html_page import page_file
@@ -50,6 +53,7 @@ def _add_study(group: Any, name: str, study: Study) -> None:
         study.detail,
         duration_s=sum(stage.duration_s for stage in stages),
         study=study,
+        first=first_request,
         stages=stages,
         resumable=study.resumable,
         fills_directory=True,
@@ -91,8 +95,29 @@ def _add_study(group: Any, name: str, study: Study) -> None:
         )
 
 
+_LEAST = 10
+"""Smallest number of plants that give a first answer."""
+
+_TOLD_S = 60.0
+"""A study whose typical duration in s is longer tells this duration before it starts."""
+
+
+def first_request(request: Request) -> Request | None:
+    """Return the request for a tenth of a study's plants, or None if a tenth is too few."""
+    settings = with_values(request.study.computation().settings(), request.settings)
+    tenths = {name: getattr(settings, name) // 10 for name in request.study.amounts}
+    if min(tenths.values(), default=0) < _LEAST:
+        return None
+    first = copy(request)
+    texts = [f"{name}={number}" for name, number in tenths.items()]
+    first.settings, first.first_answer = [*request.settings, *texts], ", ".join(texts)
+    return first
+
+
 def run_study(request: Request) -> Outcome:
     """Run a study; return results, report and figures. With ``--html`` add an HTML page.
+
+    A long study first tells its typical duration on stderr.
 
     The text of the outcome has the findings, with which the report begins, and where the files are.
     """
@@ -113,6 +138,10 @@ def run_study(request: Request) -> Outcome:
     from kneexo.command_line.output import to_json
 
     shown = study.presentation()  # imports Matplotlib: if this fails, it fails before the work
+    duration_s = sum(stage.duration_s for stage in request.stages)
+    if duration_s > _TOLD_S and not request.answered:
+        words = f"with default settings about {arguments.rounded(duration_s)} on two cores"
+        sys.stderr.write(f"kneexo: {words}; this machine has {available_cores()}\n")
     with _executor(request.workers, request.dask) as executor:
         result = computation.compute(
             scenario,

@@ -38,6 +38,7 @@ def assess(
     group's ``…_failure`` is the error message. Otherwise ``…_failure`` is an empty text.
     """
     metrics: dict[str, Any] = {}
+    loop = None
     if tracking:
         names = TRACKING_METRICS + INTERACTION_METRICS * (scenario.wearer.kind != "none")
         metrics |= dict.fromkeys(names, math.nan)
@@ -55,7 +56,7 @@ def assess(
     if bandwidth:
         metrics["bandwidth_hz"] = math.nan
         with failure_noted(metrics, "bandwidth_failure"):
-            metrics["bandwidth_hz"] = large_signal_bandwidth_hz(scenario)
+            metrics["bandwidth_hz"] = large_signal_bandwidth_hz(scenario, loop=loop)
             if math.isnan(metrics["bandwidth_hz"]):
                 metrics["bandwidth_failure"] = "no bandwidth: the gain does not cross 1/√2"
     return metrics

@@ -100,6 +100,8 @@ class Study:
     """Typical duration in s of drawing the figures, measured like the stages."""
     writing_s: float
     """Typical duration in s of writing the files, measured like the stages."""
+    amounts: tuple[str, ...] = ()
+    """Settings that are numbers of plants, of which a tenth gives a first answer."""
     label: str = ""
     """Heading of the study's settings in ``kneexo params``, or an empty text for ``command``."""
 
@@ -278,6 +280,7 @@ STUDIES = {
                 Stage("corners", 170.0, repeats=True),
                 Stage("sensitivities", 1.0),
             ),
+            amounts=("samples", "corners_max"),
             drawing_s=0.5,
             writing_s=2.0,
         ),

@@ -1,5 +1,6 @@
 import html
 import json
+import re
 import shlex
 
 import pytest
@@ -48,6 +49,49 @@ def test_an_interrupted_study_goes_on_with_identical_results(
     for name in ("bandwidth.json", "bandwidth.md"):
         assert (torn / name).read_bytes() == (whole / name).read_bytes()
     assert not (torn / "bandwidth.checkpoint.jsonl").exists()
+
+
+@pytest.mark.parametrize("interrupted", [False, True])
+def test_a_long_study_tells_its_cost_and_answers_from_a_tenth_of_its_plants(
+    capsys, tmp_path, replace_study, interrupted
+):
+    asked = []
+
+    def compute(scenario=Scenario(), *, settings, checkpoint, **_):
+        asked.append((settings.samples, settings.corners_max, settings.seed, len(checkpoint)))
+        if interrupted and len(asked) == 2:
+            raise KeyboardInterrupt
+        if "piece" not in checkpoint:
+            checkpoint.keep("piece", 1.0)
+        assert checkpoint["piece"] == 1.0
+
+    replace_study("robustness", compute)
+    command = ["study", "robustness", "--set=samples=230", "--set=seed=3", "--restart"]
+    assert main([*command, "--out", str(tmp_path)]) == (130 if interrupted else 0)
+    assert asked == [(23, 100, 3, 0), (230, 1000, 3, 1)]
+    cost, first, *_, last = capsys.readouterr().err.splitlines()
+    told = r"kneexo: with default settings about \d+ min on two cores; this machine has \d+"
+    assert re.fullmatch(told, cost)
+    assert first == "kneexo: first answer, samples=23, corners_max=100:"
+    report = json.loads((tmp_path / "robustness.json").read_text())
+    assert report["settings"]["samples"] == (23 if interrupted else 230)
+    pieces = tmp_path / "robustness.checkpoint.jsonl"
+    assert pieces.exists() == interrupted
+    if interrupted:
+        assert last == (
+            f"kneexo: interrupted; the first answer (samples=23, corners_max=100) is in {tmp_path}"
+            f"; 1 finished pieces are kept in {pieces}; the same command goes on from them"
+        )
+
+
+def test_few_plants_need_no_first_answer(capsys, tmp_path, replace_study):
+    asked = []
+    replace_study(
+        "robustness", lambda scenario=Scenario(), *, settings, **_: asked.append(settings.samples)
+    )
+    assert main(["study", "robustness", "--set=samples=99", "--out", str(tmp_path)]) == 0
+    assert asked == [99]
+    assert "first answer" not in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("study", STUDIES.values(), ids=lambda study: study.name)

@@ -1,6 +1,7 @@
 """One scenario in numbers: what is measured, and how failures are told."""
 
 import math
+from types import SimpleNamespace
 
 from kneexo.analysis.linear.sampled_loop import linearize_loop
 from kneexo.analysis.tracking.tracking import track
@@ -42,14 +43,23 @@ def test_only_what_is_asked_for():
 
 def test_the_bandwidth_is_that_of_the_references_own_sine(monkeypatch):
     asked = []
-    monkeypatch.setattr(assessment, "large_signal_bandwidth_hz", lambda s: asked.append(s) or 3.5)
+
+    def bandwidth(scenario, loop):
+        asked.append((scenario, loop))
+        return 3.5
+
+    monkeypatch.setattr(assessment, "large_signal_bandwidth_hz", bandwidth)
     numbers = assess(SHORT, tracking=False, margins=False, bandwidth=True)
     assert numbers == {"bandwidth_hz": 3.5, "bandwidth_failure": ""}
-    assert asked == [SHORT]
+    assert asked == [(SHORT, None)]
+    linear = SimpleNamespace(stable=False)
+    monkeypatch.setattr(assessment, "linearize_loop", lambda *_, **__: linear)
+    assess(SHORT, tracking=False, bandwidth=True)
+    assert asked[1] == (SHORT, linear)
 
 
 def test_a_gain_that_does_not_fall_is_reported(monkeypatch):
-    monkeypatch.setattr(assessment, "large_signal_bandwidth_hz", lambda s: math.nan)
+    monkeypatch.setattr(assessment, "large_signal_bandwidth_hz", lambda s, loop: math.nan)
     numbers = assess(SHORT, tracking=False, margins=False, bandwidth=True)
     assert numbers["bandwidth_failure"] == "no bandwidth: the gain does not cross 1/√2"
 

@@ -33,7 +33,7 @@ from kneexo.analysis.frequency.sine_estimate import (
     estimate_sine,
     motor_limits,
 )
-from kneexo.analysis.linear.sampled_loop import linearize_loop
+from kneexo.analysis.linear.sampled_loop import SampledLoop, linearize_loop
 from kneexo.common.result import Array
 from kneexo.errors import LinearizationError
 from kneexo.geometry import linkage
@@ -139,6 +139,7 @@ def follower_bandwidth_hz(scenario: Scenario) -> float:
 def large_signal_bandwidth_hz(
     scenario: Scenario = Scenario(),
     settings: SineEstimateSettings = SineEstimateSettings(averaged_cycles=2, largest_cycles=6),
+    loop: SampledLoop | None = None,
 ) -> float:
     """Return the closed loop's bandwidth in Hz at the amplitude of its sinusoidal reference.
 
@@ -151,6 +152,15 @@ def large_signal_bandwidth_hz(
     The result is nan when the gain does not fall below 1/√2 between `LOWEST_HZ` and the frequency
     with ten samples a period. Raises `ParameterError` when the reference is not a sine or does not
     move. Also raises the errors of `kneexo.simulation.simulate`.
+
+    Parameters
+    ----------
+    scenario
+        The closed loop and its sine.
+    settings
+        When the response to a sine counts as settled.
+    loop
+        The linear loop of ``scenario`` at the mean of its sine. None: the function computes it.
     """
     require_sine(scenario)
     highest = highest_frequency_hz(scenario)
@@ -166,7 +176,7 @@ def large_signal_bandwidth_hz(
         return log_gain if abs(log_gain) > _GAIN_TOLERANCE else 0.0
 
     bottom, top = math.log(LOWEST_HZ), math.log(highest)
-    start = min(max(bottom, math.log(0.8 * _expected_hz(scenario))), top)
+    start = min(max(bottom, math.log(0.8 * _expected_hz(scenario, loop))), top)
     return _first_fall_hz(excess, bottom, start, top)
 
 
@@ -194,7 +204,7 @@ def _first_fall_hz(
     return math.exp(float(scipy.optimize.brentq(excess, low, high, xtol=1e-3)))
 
 
-def _expected_hz(scenario: Scenario) -> float:
+def _expected_hz(scenario: Scenario, loop: SampledLoop | None) -> float:
     """Predict the bandwidth in Hz, so that the search for the measured bandwidth starts near it.
 
     The result is the smallest of up to three predictions. They follow from the speed limit, the
@@ -208,6 +218,6 @@ def _expected_hz(scenario: Scenario) -> float:
         acceleration_bound_hz(acceleration, amplitude),
     ]
     with suppress(LinearizationError):
-        loop = linearize_loop(scenario, knee_angle_deg=require_sine(scenario).mean_deg)
+        loop = loop or linearize_loop(scenario, knee_angle_deg=require_sine(scenario).mean_deg)
         limits.append(loop.bandwidth_hz())
     return float(np.nanmin(limits))  # nan: the linear gain does not fall below 1/√2

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -136,17 +136,18 @@ def cycle_responses(
     of neighbouring cycles and removes it.
     """
     means, amplitudes = np.empty((cycles, 3)), np.empty((cycles, 3), complex)
+    phase = 2.0 * np.pi * frequency_hz * run.time_s
+    basis = [np.ones_like(phase)]
+    for n in range(1, _HARMONICS + 1):
+        basis += [np.cos(n * phase), -np.sin(n * phase)]
+    rows = np.column_stack(basis)
+    signals = np.column_stack([run[output], run[reference], run.time_s])
     for cycle in range(cycles):
         # A sample on the border belongs to the next cycle, in spite of rounding of its time.
         limits = start_s + (cycle + np.arange(2)) / frequency_hz - 1e-9
         inside = slice(*np.searchsorted(run.time_s, limits))
-        time = run.time_s[inside]
-        phase = 2.0 * np.pi * frequency_hz * time
-        basis = [np.ones_like(phase)]
-        for n in range(1, _HARMONICS + 1):
-            basis += [np.cos(n * phase), -np.sin(n * phase)]
-        signals = (run[output][inside], run[reference][inside], time - limits.mean())
-        fitted = np.linalg.lstsq(np.column_stack(basis), np.column_stack(signals), rcond=None)[0]
+        about_middle = signals[inside] - [0.0, 0.0, limits.mean()]
+        fitted = np.linalg.lstsq(rows[inside], about_middle, rcond=None)[0]
         means[cycle], amplitudes[cycle] = fitted[0], fitted[1] + 1j * fitted[2]
     # The fit of a ramp gives the time to which a mean belongs and the fundamental of a drift.
     times = np.arange(cycles) / frequency_hz + means[:, 2]
@@ -213,19 +214,31 @@ def settled_run(
         The ``output`` and ``reference`` of `cycle_responses`.
     """
     ramp_s = max(settings.ramp_cycles / frequency_hz, settings.ramp_min_s)
-    cycles = min(settings.averaged_cycles + 1, settings.largest_cycles)
+    cycles, simulated = min(settings.averaged_cycles + 1, settings.largest_cycles), 0
     while True:
-        run = run_of(ramp_s, ramp_s + cycles / frequency_hz)
+        if simulated < cycles:
+            # The last run repeats no run before: it is long enough for both numbers of cycles.
+            simulated = cycles if 2 * cycles < settings.largest_cycles else settings.largest_cycles
+            whole = run_of(ramp_s, ramp_s + simulated / frequency_hz)
+        run = _begin(whole, ramp_s + cycles / frequency_hz)
         responses, means = cycle_responses(run, frequency_hz, ramp_s, cycles, **columns)
         count = settled_cycles(responses, settings.tolerance)
         settled = count >= settings.averaged_cycles
         if settled or cycles == settings.largest_cycles:
             break
+        if simulated == cycles:
+            del run, whole  # saves memory while other calls in lockstep hold runs too
         cycles = min(2 * cycles, settings.largest_cycles)
-        del run  # saves memory while other calls in lockstep hold runs too
     if not settled:
         count = max(settings.averaged_cycles, cycles // 2)
     return SettledRun(run, responses[-count:], means[-count:], settled, cycles)
+
+
+def _begin(run: Run, duration_s: float) -> Run:
+    """Return the samples of a run up to a time, as a run of this duration has them."""
+    count = int(np.searchsorted(run.time_s, duration_s * (1.0 + 1e-12), side="right"))
+    data = {name: values[:count] for name, values in run.data.items()}
+    return replace(run, time_s=run.time_s[:count], data=data)
 
 
 @needs_runs

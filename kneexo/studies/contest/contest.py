@@ -10,10 +10,9 @@ not used for tuning.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
-from itertools import chain
 from typing import Annotated, Any, Unpack
 
 import numpy as np
@@ -38,7 +37,6 @@ from kneexo.parameters.fields.quantity import Parameters, quantities, quantity
 from kneexo.parameters.paths import changed
 from kneexo.parameters.uncertainty import applicable, draw, realize
 from kneexo.simulation import needs_runs
-from kneexo.simulation.lockstep import ask, map_in_lockstep
 from kneexo.studies.assessment import assess
 from kneexo.studies.paper import PID_FEEDFORWARD, PID_PAPER, PID_TUNED
 from kneexo.studies.robustness.robustness import Values
@@ -312,22 +310,13 @@ def _contest(
     evaluations = len(searches) * settings.population * (settings.generations + 1)
     with progress_bar(evaluations, "tuning" if sweep.progress else None) as bar:
 
-        def objectives_deg(requests: Mapping[int, list[Candidate]]) -> Iterator[tuple[int, Array]]:
-            """Evaluate the candidates of all searches in one sweep, which fills more lanes."""
-            results = sweep.map(judge, list(chain.from_iterable(requests.values())))
-            bar.update(len(results))
-            for index, candidates in requests.items():
-                yield index, np.array(results[: len(candidates)])
-                del results[: len(candidates)]
+        def judged(entrants: Sequence[Values], most_deg: Array) -> Array:
+            candidates = map(Candidate, map(plants, entrants), most_deg.tolist())
+            result = np.array(sweep.map(judge, list(candidates)))
+            bar.update(len(entrants))
+            return result
 
-        def tune(search: tuple[str, int]) -> Tuning:
-            def judged(entrants: Sequence[Values], most_deg: Array) -> Array:
-                candidates = map(Candidate, map(plants, entrants), most_deg.tolist())
-                return np.asarray(ask(objectives_deg, list(candidates)))
-
-            return _tune(*search, settings, judged)
-
-        tunings = tuple(t for _, t in sorted(map_in_lockstep(tune, searches)))
+        tunings = tuple(_tune(name, seed, settings, judged) for name, seed in searches)
     best = {
         name: min((t for t in tunings if t.contestant == name), key=lambda t: t.objective_deg)
         for name in settings.contestants
@@ -475,16 +464,13 @@ def objective_deg(budget_rpm: float, least_disk_margin: float, candidate: Candid
         return float(np.sum([values["max_error_deg"] for values in tracked]) / count)
 
     for plant in candidate.plants:
-        tracked.append(assess(plant, margins=False))
-        if objective() > candidate.most_deg:
-            return objective()
-    if objective() > INFEASIBLE_DEG:  # decided by the runs
-        return objective()
-    # Last, because a linear loop takes twice as long as a run.
+        if objective() <= candidate.most_deg:
+            tracked.append(assess(plant, margins=False))
+    # Last, because a linear loop takes twice as long as a run, and some runs alone decide.
+    most_deg = min(candidate.most_deg, 2.0 * INFEASIBLE_DEG)
     for plant in candidate.plants:
-        linear.append(assess(plant, tracking=False))
-        if objective() > candidate.most_deg:
-            break
+        if objective() <= most_deg:
+            linear.append(assess(plant, tracking=False))
     return objective()
 
 

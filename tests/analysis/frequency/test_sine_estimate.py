@@ -14,6 +14,7 @@ from kneexo.analysis.frequency.sine_estimate import (
     estimate_sine,
     response_uncertainty,
     settled_cycles,
+    settled_run,
 )
 from kneexo.errors import ParameterError
 from kneexo.parameters import RampReference, Scenario, SimulationParameters, SineReference
@@ -123,6 +124,33 @@ def test_a_loop_that_settles_slowly_is_waited_for(monkeypatch):
     assert 0.5 * abs(estimate.response - 1.0) < estimate.uncertainty < 3e-3
     more = estimate_sine(scenario, SineEstimateSettings(averaged_cycles=12, largest_cycles=100))
     assert more.averaged_cycles >= 12
+
+
+@pytest.mark.parametrize("frequency", [2.0, 2.003])  # whole numbers of samples or not
+@pytest.mark.parametrize(("time_constant", "cycles"), [(0.05, 3), (1.0, 6)])
+def test_the_last_run_has_the_results_of_all_shorter_runs(
+    monkeypatch, time_constant, cycles, frequency
+):
+    durations = fake_loop(monkeypatch, time_constant)
+    scenario = Scenario(reference=SineReference(frequency_hz=frequency))
+
+    def settled(largest_cycles):
+        settings = SineEstimateSettings(averaged_cycles=2, largest_cycles=largest_cycles)
+        return settled_run(
+            frequency,
+            settings,
+            lambda _, duration_s: sine_estimate.simulate(
+                changed(scenario, {"simulation.duration_s": duration_s}), signals=()
+            ),
+        )
+
+    both, single = settled(6), settled(cycles)
+    assert durations == pytest.approx([0.5 + n / frequency for n in (6, cycles)])
+    assert both.cycles == single.cycles == cycles
+    assert np.array_equal(both.responses, single.responses)
+    assert np.array_equal(both.run.time_s, single.run.time_s)
+    for name, values in single.run.data.items():
+        assert np.array_equal(both.run[name], values)
 
 
 def test_a_loop_that_does_not_settle_is_reported(monkeypatch):
