@@ -43,7 +43,7 @@ def test_help_shows_only_defaults_that_tell_something(command, capsys, monkeypat
     ],
 )
 def test_durations_are_rounded_to_a_unit_that_one_expects(duration_s, text):
-    assert arguments._rounded(duration_s) == text
+    assert arguments.rounded(duration_s) == text
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "tcsh"])
