@@ -48,7 +48,7 @@ def test_terminal_json_and_page_have_the_verdict(capsys, short, tmp_path, undraw
     assert printed["verdict"]["lines"] == list(verdict.lines)
     page = (tmp_path / "simulate.html").read_text()
     items = "".join(f"<li>{html.escape(line)}</li>\n" for line in verdict.lines)
-    assert page.index(f"</h1>\n<ul>\n{items}") < page.index("<table>")
+    assert page.index(f"</nav>\n<ul>\n{items}") < page.index("<table>")
     # The terminal: the verdict, what is left out, notices, three numbers, the files.
     lines = text.splitlines()
     assert text.startswith("\n".join((*verdict.lines, *verdict.model_lines)) + "\n  error")
@@ -133,7 +133,7 @@ def test_linearize_begins_with_stability_margins_and_bandwidths(capsys, tmp_path
     document = json.loads((tmp_path / "linearization.json").read_text())
     assert document["verdict"] == {"lines": lines, "stable": True}
     page = (tmp_path / "linearize.html").read_text()
-    assert "</h1>\n<ul>\n<li>Stable at 40°; " in page
+    assert "</nav>\n<ul>\n<li>Stable at 40°; " in page
     assert f"<li>{html.escape(lines[2])}</li>" in page
 
 
