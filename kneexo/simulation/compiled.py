@@ -517,19 +517,21 @@ def simulate_together(
         return results
     parameters, states, inputs = zip(*run_arguments.values(), strict=True)
     options |= {"outputs": tuple(names), "record_period_s": scenarios[0].controller.sample_time_s}
-    reduced = _joined([reductions[index] for index in run_arguments]) if reductions else []
-    if scenarios[0].faults and not reduced:
-        keys = [_key_before_faults(model, each, options) for each in run_arguments.values()]
+    own = [reductions[index] if reductions else () for index in run_arguments]
+    if scenarios[0].faults:
+        settings = [options | {"reductions": tuple(each)} for each in own]
+        parts = list(zip(run_arguments.values(), settings, strict=True))
+        keys = [_key_before_faults(model, *part) for part in parts]
         states = tuple(
-            _before_faults(model, scenarios[index], each, options, key, keys.count(key) > 1)
-            for (index, each), key in zip(run_arguments.items(), keys, strict=True)
+            _before_faults(model, scenarios[index], *part, key, keys.count(key) > 1)
+            for index, part, key in zip(run_arguments, parts, keys, strict=True)
         )
     runs = model.simulate_batch(
         parameters,
         states,
         [scenarios[index].duration_s for index in run_arguments],
         inputs=inputs,
-        reductions=reduced,
+        reductions=_joined(own),
         **options,
         failures="return",
         # The workers of a sweep occupy the other cores.
@@ -580,7 +582,9 @@ def _before_faults(
         return state
     try:
         end_s = samples * period_s
-        run = model.simulate(parameters, state, end_s, inputs=inputs, resumable=True, **options)
+        (run,) = model.simulate_batch(
+            [parameters], state, end_s, inputs=inputs, resumable=True, threads=1, **options
+        )
     except KneexoError:
         return state
     after: State = _healthy.of((*key, samples), lambda: run.final)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from pydrake.systems.analysis import Simulator
 
+from diagramc import Reduction
 from diagramc.diagram_equations import equations_key
 from diagramc.equations.contexts import parameters_of, state_of
 from diagramc.equations.reader import read_equations
@@ -480,16 +481,24 @@ def assert_faulty_runs_are_whole_runs(monkeypatch, rng, preset, integrator, coun
         for _ in range(count)
     ]
     compiled._healthy.clear()
-    runs = compiled.simulate_together(scenarios, None, integrator)
+    means = [Reduction("mean", "knee_angle", after_s=after) for after in (0.0, 0.3, 1.1)]
+
+    def run_together():
+        return compiled.simulate_together(
+            scenarios, None, integrator, reductions=[means] * len(scenarios)
+        )
+
+    runs = run_together()
     assert any(samples for *_, samples in compiled._healthy)
     with monkeypatch.context() as patch:
         patch.setattr(compiled, "_before_faults", lambda model, scenario, run, *others: run[1])
-        whole = compiled.simulate_together(scenarios, None, integrator)
+        whole = run_together()
     for run, expected in zip(runs, whole, strict=True):
         assert type(run) is type(expected)
         if isinstance(expected, SimulationError):
             assert str(run) == str(expected)
             continue
+        np.testing.assert_array_equal(run.reduced.view(np.int64), expected.reduced.view(np.int64))
         for name, values in expected.columns.items():
             np.testing.assert_array_equal(run[name].view(np.int64), values.view(np.int64), name)
 
