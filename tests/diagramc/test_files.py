@@ -18,6 +18,9 @@ import pytest
 from diagramc import OutputError, lock_file, output_directory, write_files
 from diagramc.files import require_empty, temporary_folder
 
+# A shell starts jobs in the background without this handler, and a Python keeps it so.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
 NAMES = ("a.csv", "b.csv", "c.csv")
 
 
