@@ -528,7 +528,7 @@ const Page = (() => {
   function choosePlot() {
     parts.plots.one = byId("choose-plot").value;
     parts.drawn = null;
-    draw();
+    drawNow();
   }
 
   function listen() {
