@@ -262,11 +262,16 @@ def test_pinned_runs_stay_beside_the_present_one_and_are_in_the_link(browser, si
     page.evaluate("document.querySelector('#pins button').click()")
     browser.wait_for("document.querySelectorAll('#pins li').length === 1")
     assert np.isnan(page.curve("angle", -4)).all()
+    notices = []
     for value in (4.0, 5.0, 7.0, 8.0):
         page.evaluate("document.getElementById('pin').click()")
+        page.evaluate("new Promise(requestAnimationFrame).then(() => 0)")
+        notices.append(page.text("notice"))
         page.type(GEAR, value)
     assert page.evaluate("Page.state.pins.map(({ slot }) => slot)") == [0, 2, 3, 1]
     assert len(page.evaluate(lines)) == 4
+    assert notices[:3] == ["", "", ""]
+    assert notices[3].startswith(f"The oldest pinned run ({gear.replace('now 3', 'now 7')}")
 
 
 def test_two_cursors_measure_times_and_values(browser, single):
