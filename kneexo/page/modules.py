@@ -55,12 +55,13 @@ PERTURBATION = "plant:motor_speed_command"
 
 OUTPUTS = (
     *("knee_angle", "rod_extension", "sliding_variable", "motor_speed_command", "motor_speed"),
-    *("load_pressure", "rod_force", "shaft_power", "hydraulic_power"),
+    *("load_pressure", "rod_force", "moment_arm", "shaft_power", "hydraulic_power"),
+    *("motor_current", "motor_temperatures"),
     *("chamber_pressures", "relief_flow", "interaction_torque", "wearer_motion"),
 )
 """Names of the signals that the module of a loop outputs, if the scenario has them."""
 
-PROTECTED_OUTPUTS = ("moment_arm", "safety_state", "safety_reason")
+PROTECTED_OUTPUTS = ("safety_state", "safety_reason")
 """Names of the further signals that the module of a loop with protection outputs."""
 
 INTERVAL = (

@@ -13,7 +13,7 @@ const Page = (() => {
   const state = Setups.stateOf(data, location.hash);
   const results = [{}, {}];
   const byId = (id) => document.getElementById(id);
-  const parts = { latest: [null, null], pinned: null, remark: Setups.remarkOf(data, location.hash, state) };
+  const parts = { latest: [null, null], pinned: new Map(), remark: Setups.remarkOf(data, location.hash, state) };
   let drawing = false;
   let announcing = 0;
 
@@ -25,7 +25,7 @@ const Page = (() => {
     const model = Setups.modelOf(data, setup);
     const values = { ...Setups.valuesOf(data, setup), ...Setups.moduleValues(data, setup) };
     return { model: model.key, reference: setup.reference, values, duration_s: values[data.duration.name], band_deg: data.recovery_band_deg,
-      fault_s: Setups.thrownOf(data, setup)?.start_s };
+      fault_s: Setups.thrownOf(data, setup)?.start_s, fault: Setups.thrownOf(data, setup), isProtected: setup.protection === "on" };
   }
 
   function change(index) {
@@ -33,7 +33,7 @@ const Page = (() => {
     const fault = Setups.faultOf(data, setup);
     complain(fault && `${state.compare ? `Set-up ${"AB"[index]}: ` : ""}${fault}`);
     if (fault || !shownSetups().includes(index)) return;
-    const request = { ...requestOf(setup), view_s: parts.plots.range, fault: Setups.thrownOf(data, setup), isProtected: setup.protection === "on" };
+    const request = { ...requestOf(setup), view_s: parts.plots.range };
     parts.latest[index] = request;
     results[index].fresh = false;
     parts.stage.rest(LONGEST_RUN_MS);
@@ -42,10 +42,15 @@ const Page = (() => {
       parts.analyses.request(index, null);
       return;
     }
-    const sweep = requestOf({ ...setup, reference: "sine", fault: "none", protection: "off" });
+    const sweep = sweepOf(setup);
     const near = results[index].near_hz; // the search is quicker beside the last result
     if (near) sweep.near_hz = near;
     parts.analyses.request(index, { linear: request, sweep, frequencies: SWEEP_HZ });
+  }
+
+  /** The request of a set-up's sweep. */
+  function sweepOf(setup) {
+    return requestOf({ ...setup, reference: "sine", fault: "none", protection: "off" });
   }
 
   function onRun(index, answer, request) {
@@ -54,16 +59,21 @@ const Page = (() => {
       tellEnds();
       return;
     }
+    const fresh = !answer.unfinished && parts.latest[index] === request;
+    results[index] = { ...results[index], ...resultOf(state.setups[index], answer, request), fresh };
+    draw();
+  }
+
+  /** The result of a set-up's run, for curves and cards. */
+  function resultOf(setup, answer, request) {
     if (!request.isProtected) { // these states act on nothing
       delete answer.columns.state;
       delete answer.columns.reason;
     }
-    const setup = state.setups[index];
     const { sample_time_s } = data.modules[Setups.modelOf(data, setup).loop.module].table;
     const end_s = answer.time.at(-1) ?? 0;
-    results[index] = {
-      ...results[index], hasWearer: Setups.hasWearer(data, setup), margins: data.margins, band_deg: data.recovery_band_deg,
-      fresh: !answer.unfinished && parts.latest[index] === request,
+    return {
+      hasWearer: Setups.hasWearer(data, setup), margins: data.margins, band_deg: data.recovery_band_deg,
       run: {
         ...answer, fault: request.fault, faults: Setups.modelOf(data, setup).faults, isProtected: request.isProtected, duration_s: request.duration_s, reference: request.reference, step_s: request.values["reference.time_s"],
         part_s: answer.unfinished && request.duration_s - end_s > sample_time_s ? end_s : null,
@@ -72,7 +82,6 @@ const Page = (() => {
       sample_time_s,
       reference_key: JSON.stringify([request.reference, Object.entries(request.values).filter(([name]) => name.startsWith("reference."))]),
     };
-    draw();
   }
 
   const handlers = {
@@ -115,14 +124,19 @@ const Page = (() => {
       const runs = visible.map(({ run }) => run);
       if (runs[1]) runs[1].same_reference = visible[0].reference_key === visible[1].reference_key;
       if (runs.some((run, index) => parts.drawn?.[index] !== run) || parts.drawn?.length !== runs.length) {
-        parts.plots.show(runs, parts.pinned?.run);
+        parts.plots.chosen = state.curves;
+        parts.plots.show(runs, pinnedResults());
         parts.safety.show(runs);
         runs.forEach((run, index) => showOnStage(index, run));
         parts.stage.rest(runs.some((run) => run.unfinished) ? LONGEST_RUN_MS : STAGE_REST_MS);
         parts.drawn = runs;
       }
-      parts.board.show(visible, parts.pinned);
-      byId("pin").disabled = !parts.pinned && !isComplete(visible[0]);
+      const newest = pinnedResults().at(-1);
+      byId("numbers").style.setProperty("--pinned", `var(--pin-${newest?.slot})`);
+      parts.board.show(visible, newest);
+      showPins();
+      showChoice();
+      byId("pin").disabled = !isComplete(visible[0]) || state.pins.some((pin) => keyOf(pin) === keyOf(state.setups[0]));
       byId("save-csv").disabled = byId("save-png").disabled = runs.some((run) => run.unfinished);
       tellEnds();
       announce(visible);
@@ -135,13 +149,115 @@ const Page = (() => {
     return fresh && (hasWearer || (linear && sweep));
   }
 
-  /** Keep the present run of set-up A as a ghost behind the later ones, or let it go. */
+  // ---------------------------------------------------------------------- pinned runs
+
+  const keyOf = ({ slot, ...setup }) => JSON.stringify(setup);
+
+  /** The results of the pinned runs that are computed, the oldest first. */
+  function pinnedResults() {
+    return state.pins.flatMap((pin) => (parts.pinned.has(keyOf(pin)) ? [{ ...parts.pinned.get(keyOf(pin)), slot: pin.slot }] : []));
+  }
+
+  /** Keep the present run of set-up A behind the later ones. A page keeps `Setups.PINS` runs. */
   function pin() {
-    parts.pinned = parts.pinned ? null : { ...results[0], name: nameOf(0) };
-    byId("pin").setAttribute("aria-pressed", String(Boolean(parts.pinned)));
-    byId("pin").textContent = parts.pinned ? "Unpin" : "Pin run";
+    if (state.pins.length === Setups.PINS) {
+      parts.remark = `The oldest pinned run (${differencesOf(state.pins[0])}) is gone, because the page keeps ${Setups.PINS}.`;
+      state.pins.shift();
+    }
+    const slots = Array.from({ length: Setups.PINS }, (_, slot) => slot);
+    const slot = slots.find((one) => !state.pins.some((other) => other.slot === one));
+    state.pins.push({ ...Setups.copied(state.setups[0]), slot });
+    parts.pinned.set(keyOf(state.setups[0]), results[0]);
+    pinsChanged();
+  }
+
+  function pinsChanged() {
+    computePins();
+    parts.trail.note(Setups.linkOf(data, state));
     parts.drawn = null;
     draw();
+  }
+
+  /** Forget the runs that are no longer pinned, and compute those of a link, one after the other. */
+  function computePins() {
+    for (const key of parts.pinned.keys()) {
+      if (!state.pins.some((pin) => keyOf(pin) === key)) parts.pinned.delete(key);
+    }
+    parts.computing = (parts.computing ?? Promise.resolve()).then(async () => {
+      const ask = (kind, message) => new Promise((resolve) => { parts.analyses.crew.ask({ kind, setup: "pin", ...message }, resolve); });
+      for (const setup of [...state.pins]) {
+        const request = requestOf(setup);
+        if (parts.pinned.has(keyOf(setup))) continue;
+        const answer = await ask("run", request);
+        if (answer.error) continue;
+        const result = resultOf(setup, answer, request);
+        if (!result.hasWearer) Object.assign(result, { linear: await ask("linear", request), sweep: await ask("sweep", { ...sweepOf(setup), frequencies: [] }) });
+        parts.pinned.set(keyOf(setup), result);
+        parts.drawn = null;
+        draw();
+      }
+    });
+  }
+
+  /** In what a pinned set-up differs from set-up A, as "ratio of the gear 4 (now 6)". */
+  function differencesOf(pin) {
+    const present = state.setups[0];
+    const changes = [];
+    const note = (label, [before, now], unit) => { if (before !== now) changes.push(`${label} ${before} (now ${now})${unit && ` ${unit}`}`); };
+    for (const [label, words] of switchWords()) note(label, [pin, present].map(words), "");
+    for (const quantity of Setups.quantitiesOf(data, pin)) {
+      const now = Setups.quantitiesOf(data, present).find(({ name }) => name === quantity.name);
+      if (now) note(quantity.label, [[pin, quantity], [present, now]].map(([setup, one]) => Controls.text(one, Setups.valueOf(data, setup, one))), Setups.display(quantity).unit);
+    }
+    const more = changes.length > 3 ? `, and ${changes.length - 3} more` : "";
+    return changes.slice(0, 3).join(", ") + more || "the same values";
+  }
+
+  /** The legend of the pinned runs, each with a button that removes it. It stays while its words stay. */
+  function showPins() {
+    const words = state.pins.map((pin) => `${pin.slot} pinned: ${differencesOf(pin)}`);
+    if (words.join("\n") === parts.pinWords) return;
+    parts.pinWords = words.join("\n");
+    byId("pins").replaceChildren(...state.pins.map((pin, place) => {
+      const item = element("li", { class: `pin-${pin.slot}` }, words[place].slice(2));
+      const button = element("button", { type: "button", "aria-label": `Remove the run ${words[place].slice(2)}` }, "✕");
+      button.addEventListener("click", () => {
+        state.pins.splice(place, 1);
+        pinsChanged();
+        byId("pin").focus();
+      });
+      item.append(button);
+      return item;
+    }));
+  }
+
+  // --------------------------------------------------------------------------- choices
+
+  /** Fill the lists of curves: boxes to tick, and on a phone a choice of one. */
+  function fillChoice() {
+    for (const { name, title } of Curves.PLOTS) {
+      byId("choose-plot").append(element("option", { value: name }, title));
+      const box = element("input", { type: "checkbox", value: name });
+      const label = element("label");
+      label.append(box, title);
+      byId("choose-curves").append(label);
+      box.addEventListener("change", () => {
+        const chosen = Curves.PLOTS.map((plot) => plot.name).filter((one) => (one === name ? box.checked : state.curves.includes(one)));
+        if (chosen.length) state.curves = chosen;
+        parts.trail.note(Setups.linkOf(data, state));
+        parts.drawn = null;
+        draw();
+      });
+    }
+  }
+
+  /** Offer the curves that the shown runs have. */
+  function showChoice() {
+    for (const place of parts.plots.plots) {
+      const box = document.querySelector(`#choose-curves [value="${place.name}"]`);
+      box.checked = state.curves.includes(place.name);
+      box.parentElement.hidden = document.querySelector(`#choose-plot [value="${place.name}"]`).hidden = !parts.plots.has(place);
+    }
   }
 
   /** Put two cursors into the shown part of the run, or remove them. */
@@ -213,8 +329,7 @@ const Page = (() => {
     byId("key").replaceChildren(...key());
     const wearers = shownSetups().map((index) => Setups.hasWearer(data, state.setups[index]));
     byId("bode").hidden = wearers.every(Boolean);
-    byId("wearer-note").hidden = byId("torque-option").hidden = !wearers.some(Boolean);
-    byId("state-option").hidden = shownSetups().every((index) => state.setups[index].protection !== "on");
+    byId("wearer-note").hidden = !wearers.some(Boolean);
   }
 
   /** The sines of a set-up's sweep in words. */
@@ -231,8 +346,7 @@ const Page = (() => {
       return element("li", { class: `of-${letter}` }, nameOf(index));
     });
     const wearer = shownSetups().some((index) => Setups.hasWearer(data, state.setups[index]));
-    const lines = [["of-reference", "reference"], ...(wearer ? [["of-wearer", "wearer's knee"]] : []), ["of-limit", "limit of the command"],
-      ...(parts.pinned ? [["of-pinned", `pinned: ${parts.pinned.name}`]] : [])];
+    const lines = [["of-reference", "reference"], ...(wearer ? [["of-wearer", "wearer's knee"]] : []), ["of-limit", "limit"]];
     return [...items, ...lines.map(([name, text]) => element("li", { class: name }, text))];
   }
 
@@ -291,6 +405,7 @@ const Page = (() => {
     Object.assign(state, Setups.stateOf(data, location.hash));
     parts.remark = Setups.remarkOf(data, location.hash, state);
     parts.trail.arrive(event.state);
+    computePins();
     setCompare(state.compare);
   }
 
@@ -340,7 +455,7 @@ const Page = (() => {
 
   /** Save the curves as a picture, below the meaning of their lines. */
   function savePng() {
-    const items = [...byId("key").children].map((item) => [item.textContent, getComputedStyle(item).color]);
+    const items = Array.from(document.querySelectorAll("#key li, #pins li"), (item) => [item.firstChild.textContent, getComputedStyle(item).color]);
     parts.plots.picture(items).toBlob((blob) => save("curves.png", blob));
   }
 
@@ -411,10 +526,9 @@ const Page = (() => {
   // ---------------------------------------------------------------------------- start
 
   function choosePlot() {
-    const { value } = byId("choose-plot");
-    for (const figure of document.querySelectorAll("#plots .plot")) {
-      figure.classList.toggle("chosen", figure.dataset.plot === value);
-    }
+    parts.plots.one = byId("choose-plot").value;
+    parts.drawn = null;
+    drawNow();
   }
 
   function listen() {
@@ -471,8 +585,9 @@ const Page = (() => {
     parts.runs = new Runner.Runs(new Runner.Crew(source, models), onRun);
     parts.analyses = new Runner.Analyses(new Runner.Crew(source, models), REST_MS, handlers);
     parts.panel = new Controls.Panel(byId("panel"), data, state, onPanel, () => parts.plots.time ?? 0);
+    fillChoice();
     listen();
-    choosePlot();
+    computePins();
     setCompare(state.compare);
   }
 

@@ -7,15 +7,30 @@ const Curves = (() => {
   const RPM = 30 / Math.PI;
   const MINUS_3_DB = 20 * Math.log10(Math.SQRT1_2);
 
-  // Each plot has a column of a run, the factor to the unit of its axis, and perhaps an extra column.
+  // Extra lines of a plot: a column or a limit of the run, and the dashes of A and B. A line with a label has its value at the cursor.
+  const REFERENCE = { of: "reference", label: "reference", stroke: "ink", width: 1.25, dash: [[6, 4], [2, 4]] };
+  const WEARER = { of: "wearer", stroke: "wearer", width: 1.25, dash: [[10, 3, 2, 3], [10, 3, 2, 3]] };
+  const limit = (of, sign, label) => ({ of, sign, label, stroke: "limit", width: 1, dash: [[2, 3], [2, 6]] });
+  const CHAMBER = [limit("relief_pressure_pa", 1, "relief"), limit("pressure_rating_pa", 1, "rating")];
+
+  // Each plot has a column of a run, the factor to the unit of its axis, and perhaps extra lines. A `further` plot is
+  // shown if a user chooses it. Not each run has the column of an `optional` plot.
   const PLOTS = [
-    { name: "angle", title: "Knee angle", unit: "deg", factor: DEG, height: 150, extra: "reference" },
+    { name: "angle", title: "Knee angle", unit: "deg", factor: DEG, height: 150, extra: [REFERENCE, WEARER] },
     { name: "error", title: "Error, reference minus angle", unit: "deg", factor: DEG, height: 100 },
-    { name: "torque", title: "Torque of the wearer on the exoskeleton", unit: "N·m", factor: 1, height: 110 },
-    { name: "command", title: "Motor speed command", unit: "rpm", factor: RPM, height: 110, extra: "limit" },
-    { name: "state", title: "State of the protection", unit: "", factor: -1, height: 92, strip: true },
+    { name: "torque", title: "Torque of the wearer on the exoskeleton", unit: "N·m", factor: 1, height: 110, optional: true },
+    { name: "command", title: "Motor speed command", unit: "rpm", factor: RPM, height: 110,
+      extra: [limit("command_limit_rad_s", 1), limit("command_limit_rad_s", -1)] },
+    { name: "state", title: "State of the protection", unit: "", factor: -1, height: 92, strip: true, optional: true },
     { name: "pressure", title: "Load pressure", unit: "bar", factor: 1e-5, height: 100 },
+    { name: "kneeTorque", title: "Torque at the knee, positive flexes", unit: "N·m", factor: 1, height: 100, optional: true, further: true },
+    { name: "cap", title: "Pressure on the cap side", unit: "bar", factor: 1e-5, height: 100, extra: CHAMBER, optional: true, further: true },
+    { name: "rodSide", title: "Pressure on the rod side", unit: "bar", factor: 1e-5, height: 100, extra: CHAMBER, optional: true, further: true },
+    { name: "current", title: "Motor current", unit: "A", factor: 1, height: 100, optional: true, further: true },
+    { name: "winding", title: "Temperature of the winding", unit: "°C", factor: 1, height: 100, optional: true, further: true },
   ];
+  const START = PLOTS.filter(({ further }) => !further).map(({ name }) => name); // curves of a page that opens
+  const PINS = [[5, 4], [2, 3], [10, 3], [9, 3, 2, 3]]; // dashes of the pinned runs
 
   /** The present colour of that name in the style sheet. On paper it is that of light screens. */
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
@@ -66,7 +81,8 @@ const Curves = (() => {
   // Columns of a run, with the names that signals.csv of kneexo simulate has for them.
   const CSV = {
     knee_angle_rad: "angle", knee_reference_rad: "reference", motor_speed_command_rad_s: "command",
-    load_pressure_pa: "pressure", safety_state: "state", safety_reason: "reason", wearer_angle_rad: "wearer", interaction_torque_n_m: "torque",
+    load_pressure_pa: "pressure", cap_pressure_pa: "cap", rod_side_pressure_pa: "rodSide", motor_current_a: "current",
+    winding_temperature_degc: "winding", safety_state: "state", safety_reason: "reason", wearer_angle_rad: "wearer", interaction_torque_n_m: "torque",
   };
 
   /** The curves of a run as the text of a CSV file in SI units. */
@@ -79,7 +95,7 @@ const Curves = (() => {
 
   class RunPlots {
     /**
-     * Four plots in `parent`. `onSeek(t)` gets the time that a click chooses. While two cursors
+     * Plots in `parent`, those with the names `chosen`. `onSeek(t)` gets the time that a click chooses. While two cursors
      * measure, a click moves the nearer one, and `onMeasure([t1, t2])` gets their times.
      */
     constructor(parent, onCursor, onSeek, onMeasure) {
@@ -92,11 +108,16 @@ const Curves = (() => {
       this.range = null;
       this.states = []; // names of the rows of the strip
       this.hovered = false;
-      this.plots = PLOTS.map((plot, index) => this.make(plot, index === PLOTS.length - 1));
+      this.chosen = START;
+      this.one = "angle"; // on a phone
+      this.pinned = [];
+      this.shown = [];
+      this.plots = PLOTS.map((plot) => this.make(plot));
+      this.arrange();
       new ResizeObserver(() => this.resize()).observe(parent);
     }
 
-    make(plot, last) {
+    make(plot) {
       const figure = element("figure", { class: "plot", "data-plot": plot.name, tabindex: "-1" });
       const caption = element("figcaption");
       const title = element("span", { class: "plot-title" }, titleOf(plot));
@@ -104,9 +125,8 @@ const Curves = (() => {
       caption.append(title, values);
       const box = element("div", { role: "img", "aria-label": plot.title });
       figure.append(caption, box);
-      figure.hidden = plot.name === "torque" || Boolean(plot.strip); // until a run has it
       this.parent.append(figure);
-      const chart = new uPlot(this.options(plot, last), this.series(plot).map(() => []), box);
+      const chart = new uPlot(this.options(plot), this.series(plot).map(() => []), box);
       chart.over.addEventListener("pointerenter", () => { this.hovered = true; });
       chart.over.addEventListener("pointerleave", () => { this.hovered = false; });
       chart.over.addEventListener("click", () => {
@@ -118,31 +138,30 @@ const Curves = (() => {
       return { ...plot, chart, box, figure, values };
     }
 
-    /** Series in the order of the columns: time, A, B, the extra lines of A and of B, the pinned run. */
+    /** Series in the order of the columns: time, A, B, the extra lines of A and of B, the pinned runs. */
     series(plot) {
       const main = ["a", "b"].map((name) => ({ stroke: painted(name), width: 1.75, ...(plot.strip && { paths: () => null }) }));
       const extra = [0, 1].flatMap((index) => {
-        const stroke = (name) => painted(index ? "b" : name);
-        if (plot.extra === "reference") {
-          const wearer = { stroke: stroke("wearer"), width: 1.25, dash: [10, 3, 2, 3] };
-          return [{ stroke: stroke("ink"), width: 1.25, dash: index ? [2, 4] : [6, 4] }, wearer];
-        }
-        const limit = { stroke: stroke("limit"), width: 1, dash: index ? [2, 6] : [2, 3] };
-        return plot.extra === "limit" ? [limit, limit] : [];
+        return (plot.extra ?? []).map(({ stroke, width, dash }) => ({ stroke: painted(index ? "b" : stroke), width, dash: dash[index] }));
       });
-      const pinned = { stroke: painted("pinned"), width: 1.25, dash: [5, 4] };
-      return [{}, ...[...main, ...extra, pinned].map((line) => ({ ...line, points: { show: false } }))];
+      const pinned = PINS.map((dash, slot) => ({ stroke: painted(`pin-${slot}`), width: 1.5, dash }));
+      return [{}, ...[...main, ...extra, ...pinned].map((line) => ({ ...line, points: { show: false } }))];
     }
 
-    options(plot, last) {
+    /** Whether a plot has the labels of the time axis: the first and the last one, so that they stay in view. */
+    hasTimes({ name }) {
+      return this.shown.at(0)?.name === name || this.shown.at(-1)?.name === name;
+    }
+
+    options(plot) {
       return {
-        width: 600, height: plot.height + (last ? 24 : 0), legend: { show: false },
+        width: 600, height: plot.height, legend: { show: false },
         padding: [6, 16, 0, 0],
         cursor: { sync: { key: "run" }, drag: { x: true, y: false, setScale: true }, y: false },
         scales: { x: { time: false }, y: { range: (_, low, high) => (plot.strip ? [0.5 - this.states.length, 0.5] : padded(low, high)) } },
         axes: [
-          axis({ size: () => (last || this.single ? 30 : 6), values: (_, splits) =>
-            splits.map((value) => (last || this.single ? `${tick(value)} s` : "")) }),
+          axis({ size: () => (this.hasTimes(plot) ? 30 : 6), values: (_, splits) =>
+            splits.map((value) => (this.hasTimes(plot) ? `${tick(value)} s` : "")) }),
           plot.strip ? axis({ splits: () => this.states.map((_, row) => -row), values: () => this.states, gap: 2,
             font: "11px system-ui, sans-serif", ticks: { show: false }, grid: { show: false } })
             : axis({ space: 20, values: (_, splits) => splits.map(tick) }),
@@ -158,10 +177,10 @@ const Curves = (() => {
     }
 
     /**
-     * Show one or two runs, and perhaps a pinned one. The zoom stays the same if duration and kinds of
+     * Show one or two runs, and pinned ones: objects with slot and run. The zoom stays the same if duration and kinds of
      * reference stay the same, unless the first part of a run has set the zoom.
      */
-    show(runs, pinned = null) {
+    show(runs, pinned = []) {
       const longest = runs.reduce((a, b) => (b.time.length > a.time.length ? b : a));
       const time = longest.time;
       const end = Math.max(...runs.map((run) => run.duration_s));
@@ -172,8 +191,8 @@ const Curves = (() => {
       const keeps = again && (unfinished || !this.isFirst);
       Object.assign(this, { runs, pinned, end, kind, showing: true, isFirst: unfinished && (!again || this.isFirst) });
       const empty = new Array(time.length).fill(null);
-      for (const plot of this.plots) {
-        plot.figure.hidden = !runs.some((run) => run.columns[plot.name]);
+      this.arrange();
+      for (const plot of this.shown) {
         plot.data = this.columns(plot, time, empty);
         plot.data.forEach((column, index) => { plot.chart.series[index].show = column !== empty; }); // saves time
         plot.chart.setData(plot.data, false);
@@ -185,10 +204,24 @@ const Curves = (() => {
       if (this.cursors) this.measure(keeps ? this.cursors : this.quarters());
     }
 
+    /** Lay out the chosen plots that the runs have. A phone shows one plot at a time. The others cost nothing. */
+    arrange() {
+      const before = this.shown;
+      const wanted = this.single ? [this.one] : this.chosen;
+      const shown = this.plots.filter((plot) => this.has(plot) && wanted.includes(plot.name));
+      this.shown = shown.length ? shown : this.plots.slice(0, 1);
+      for (const plot of this.plots) plot.figure.hidden = !this.shown.includes(plot);
+      if (this.shown.length !== before.length || this.shown.some((plot, k) => plot !== before[k])) this.resize();
+    }
+
+    has({ name, optional }) {
+      return !optional || this.runs.some((run) => run.columns[name]);
+    }
+
     /** Measure between two times in s, or no longer if `times` is null. */
     measure(times) {
       this.cursors = times && times.map((time) => Math.min(Math.max(time, 0), this.end ?? 0));
-      for (const { chart } of this.plots) {
+      for (const { chart } of this.shown) {
         chart.redraw(false);
         this.read(chart);
       }
@@ -209,17 +242,17 @@ const Curves = (() => {
 
     /** The columns of the series of a plot at the times: `empty` for a series that the runs do not have. */
     columns(plot, time, empty) {
-      const column = (run, name, factor) =>
-        (run?.columns[name] ? onTime(run, run.columns[name], time, factor) : empty);
+      const column = (run, name, factor) => {
+        if (Number.isFinite(run?.limits[name])) return new Array(time.length).fill(factor * run.limits[name]);
+        return run?.columns[name] ? onTime(run, run.columns[name], time, factor) : empty;
+      };
       const [a, b] = this.runs;
       const main = [a, b].map((run) => column(run, plot.name, plot.factor));
       const extra = [a, b].flatMap((run) => {
-        if (plot.extra === "reference") {
-          return [column(run?.same_reference ? null : run, "reference", DEG), column(run, "wearer", DEG)];
-        }
-        return plot.extra === "limit" ? [1, -1].map((sign) => column(run, "limit", sign * RPM)) : [];
+        return (plot.extra ?? []).map(({ of, sign = 1 }) => (of === "reference" && run?.same_reference ? empty : column(run, of, sign * plot.factor)));
       });
-      return [time, ...main, ...extra, column(this.pinned, plot.name, plot.factor)];
+      const pinned = PINS.map((_, slot) => column(this.pinned.find((pin) => pin.slot === slot)?.run, plot.name, plot.factor));
+      return [time, ...main, ...extra, ...pinned];
     }
 
     follow(chart) {
@@ -235,7 +268,7 @@ const Curves = (() => {
       const start = Math.min(Math.max(low, 0), most - width);
       this.range = [start, start + width];
       this.showing = true;
-      for (const { chart } of this.plots) chart.setScale("x", { min: start, max: start + width });
+      for (const { chart } of this.shown) chart.setScale("x", { min: start, max: start + width });
       this.showing = false;
     }
 
@@ -253,7 +286,7 @@ const Curves = (() => {
     setTime(time) {
       this.time = time;
       if (this.hovered || !this.runs.length) return;
-      const [{ chart }] = this.plots;
+      const [{ chart }] = this.shown;
       const left = chart.valToPos(time, "x");
       const inside = left >= 0 && left <= chart.over.clientWidth;
       chart.setCursor({ left: inside ? left : -10, top: 0 });
@@ -265,18 +298,24 @@ const Curves = (() => {
       if (!plot?.data) return;
       if (this.cursors) plot.values.replaceChildren(...this.differences(plot));
       else this.readAt(plot, index);
-      if (chart === this.plots[0].chart) this.onCursor(index == null ? null : plot.data[0][index]);
+      if (chart === this.shown[0].chart) this.onCursor(index == null ? null : plot.data[0][index]);
     }
 
-    /** The values of each run at both cursors, and their difference. */
+    /** The column of a pinned run in a plot. */
+    pinnedColumn(plot, slot) {
+      return plot.data.at(slot - PINS.length);
+    }
+
+    /** The difference of each run between both cursors, and if a run is alone its values there. */
     differences(plot) {
       const rows = this.cursors.map((time) => nearest(plot.data[0], time));
       const columns = [...this.runs.map((_, run) => [`of-${"ab"[run]}`, "AB"[run], plot.data[run + 1]]),
-        ...(this.pinned ? [["of-pinned", "pinned", plot.data.at(-1)]] : [])];
+        ...this.pinned.map(({ slot }) => [`pin-${slot}`, "", this.pinnedColumn(plot, slot)])];
       return columns.map(([name, label, column]) => {
         const [first, second] = rows.map((row) => column[row]);
         if (first == null || second == null) return element("span", { class: name }, "–");
-        return element("span", { class: name }, `${columns.length > 1 ? `${label} ` : ""}${fixed(first)} → ${fixed(second)}, Δ ${signed(second - first)}`);
+        return element("span", { class: name }, 
+          `${columns.length > 1 ? label : `${fixed(first)} → ${fixed(second)},`} Δ ${signed(second - first)}`.trim());
       });
     }
 
@@ -291,40 +330,47 @@ const Curves = (() => {
         const text = `${this.runs.length > 1 ? `${name} ` : ""}${value == null ? "–" : fixed(value)}`;
         return element("span", { class: `of-${name.toLowerCase()}` }, text);
       })));
-      if (plot.extra === "reference" && index != null && plot.data[3][index] != null) {
-        plot.values.prepend(element("span", { class: "of-reference" }, `reference ${fixed(plot.data[3][index])}`));
-      }
-      const pinned = index == null ? null : plot.data.at(-1)[index];
-      if (pinned != null) {
+      if (index == null) return;
+      (plot.extra ?? []).forEach(({ label }, k) => {
+        const value = plot.data[3 + k][index];
+        if (label && value != null) plot.values.prepend(element("span", { class: "of-reference" }, `${label} ${fixed(value)}`));
+      });
+      for (const { slot } of this.pinned) {
+        const pinned = this.pinnedColumn(plot, slot)[index];
         const now = plot.data[1][index];
-        const change = now == null ? "" : ` (${signed(now - pinned)})`;
-        plot.values.append(element("span", { class: "of-pinned" }, `pinned ${fixed(pinned)}${change}`));
+        const change = now == null || this.pinned.length > 1 ? "" : ` (${signed(now - pinned)})`;
+        if (pinned != null) plot.values.append(element("span", { class: `pin-${slot}` }, `pinned ${fixed(pinned)}${change}`));
       }
     }
 
-    /** A canvas with all shown plots and their titles, below a line of words in colours. */
+    /** A canvas with all shown plots and their titles, below lines of words in colours. */
     picture(words) {
-      const shown = this.plots.filter(({ box }) => box.checkVisibility());
+      const { shown } = this;
       const scale = devicePixelRatio;
       const line = 24 * scale;
-      const width = shown[0].chart.ctx.canvas.width;
-      const height = shown.reduce((sum, { chart }) => sum + line + chart.ctx.canvas.height, line);
+      const { width } = shown[0].chart.ctx.canvas;
+      const ruler = element("canvas").getContext("2d");
+      ruler.font = `${13 * scale}px system-ui, sans-serif`;
+      const places = [];
+      let [right, rows] = [8 * scale, 1];
+      for (const [text, style] of words) {
+        const size = ruler.measureText(text).width;
+        if (right + size > width && right > 8 * scale) [right, rows] = [8 * scale, rows + 1];
+        places.push([text, style, right, rows]);
+        right += size + 16 * scale;
+      }
+      const height = shown.reduce((sum, { chart }) => sum + line + chart.ctx.canvas.height, rows * line);
       const canvas = Object.assign(element("canvas"), { width, height });
       const ctx = canvas.getContext("2d");
       ctx.fillStyle = colour("ground");
       ctx.fillRect(0, 0, width, height);
-      let x = 8 * scale;
-      const write = (text, style, weight, y) => {
+      const write = (text, style, weight, y, x = 8 * scale) => {
         ctx.font = `${weight} ${13 * scale}px system-ui, sans-serif`;
         ctx.fillStyle = style;
         ctx.fillText(text, x, y);
       };
-      for (const [text, style] of words) {
-        write(text, style, 400, 0.7 * line);
-        x += ctx.measureText(text).width + 16 * scale;
-      }
-      x = 8 * scale;
-      let y = line;
+      for (const [text, style, x, row] of places) write(text, style, 400, (row - 0.3) * line, x);
+      let y = rows * line;
       for (const { chart, title, unit } of shown) {
         write(titleOf({ title, unit }), colour("ink"), 600, y + 0.7 * line);
         ctx.drawImage(chart.ctx.canvas, 0, y + line);
@@ -333,14 +379,18 @@ const Curves = (() => {
       return canvas;
     }
 
-    /** Fit the plots to the width, or to `paper` px. A phone shows one plot at a time, with its time axis. */
-    resize(paper = 0) {
+    /** Fit the plots to the width, or to `paper` px, until it is 0. */
+    resize(paper = this.paper ?? 0) {
+      this.paper = paper;
       const width = paper || Math.floor(this.parent.clientWidth);
       if (width < 50) return;
-      this.single = !paper && getComputedStyle(this.parent).getPropertyValue("--single").trim() === "1";
-      this.plots.forEach(({ chart, height }, index) => {
-        chart.setSize({ width, height: height + (this.single || index === this.plots.length - 1 ? 24 : 0) });
-      });
+      const single = !paper && getComputedStyle(this.parent).getPropertyValue("--single").trim() === "1";
+      if (single !== Boolean(this.single)) {
+        this.single = single;
+        if (this.runs.length) this.show(this.runs, this.pinned);
+        else this.arrange();
+      }
+      for (const plot of this.shown) plot.chart.setSize({ width, height: plot.height + (this.hasTimes(plot) ? 24 : 0) });
     }
   }
 
@@ -423,5 +473,5 @@ const Curves = (() => {
     plot.box.setAttribute("aria-label", `${plot.title} over time: ${parts.join("; ")}`);
   }
 
-  return { MINUS_3_DB, PLOTS, RunPlots, axis, colour, csvOf, element, fixed, onTime, painted };
+  return { MINUS_3_DB, PLOTS, RunPlots, START, axis, colour, csvOf, element, fixed, onTime, painted };
 })();

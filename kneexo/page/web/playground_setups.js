@@ -11,6 +11,7 @@ const Setups = (() => {
   const SWITCHES = ["scenario", "controller", "load", "reference", "fault", "protection"];
   const PROTECTION_NAMES = { on: "on", off: "off" };
   const VERSION = "kneexo"; // name of the version in a link
+  const PINS = 4; // most pinned runs
 
   /** Unit and factor of a quantity on the page. Values, links and YAML have the unit of the scenario. */
   function display({ shown_unit: unit, shown_factor: factor }) {
@@ -219,9 +220,7 @@ const Setups = (() => {
   function linkOf(data, state) {
     const parameters = new URLSearchParams();
     if (state.compare !== data.compare) parameters.set("compare", state.compare ? "1" : "0");
-    state.setups.forEach((setup, index) => {
-      const start = data.setups[index];
-      const prefix = LINK_PREFIXES[index];
+    const write = (setup, prefix, start) => {
       for (const name of SWITCHES) {
         if (setup[name] !== start[name]) parameters.set(`${prefix}.${name}`, String(setup[name]));
       }
@@ -230,9 +229,19 @@ const Setups = (() => {
         const before = start.values[quantity.name] ?? defaultOf(data, setup, quantity);
         if (value !== before) parameters.set(`${prefix}.${quantity.name}`, String(value));
       }
-    });
+    };
+    state.setups.forEach((setup, index) => write(setup, LINK_PREFIXES[index], data.setups[index]));
+    for (const [name, text] of Object.entries(listsOf(state))) {
+      if (text) parameters.set(name, text);
+    }
+    for (const pin of state.pins) write(pin, `p${pin.slot}`, data.setups[0]);
     if (parameters.size) parameters.set(VERSION, data.kneexo);
     return parameters.toString();
+  }
+
+  /** The lists of a link: slots of the pinned runs, the oldest first, and names of the curves unless they are those of the start. */
+  function listsOf({ pins, curves }) {
+    return { pins: pins.map(({ slot }) => slot).join(" "), curves: curves.join(" ") === Curves.START.join(" ") ? "" : curves.join(" ") };
   }
 
   /** What a user should know about a link that gave a state: another version, values without effect. */
@@ -250,8 +259,9 @@ const Setups = (() => {
 
   /** Whether a state has the value of a link at a path such as a.plant.pump.gear_ratio. */
   function hasValue(data, state, path, text) {
+    if (path in listsOf(state)) return listsOf(state)[path] === text;
     const [prefix, ...names] = path.split(".");
-    const setup = state.setups[LINK_PREFIXES.indexOf(prefix)];
+    const setup = state.setups[LINK_PREFIXES.indexOf(prefix)] ?? state.pins.find(({ slot }) => `p${slot}` === prefix);
     const name = names.join(".");
     if (!setup) return false;
     if (SWITCHES.includes(name)) return String(setup[name]) === text;
@@ -264,7 +274,7 @@ const Setups = (() => {
     const parameters = new URLSearchParams(fragment.replace(/^#/, ""));
     const comparing = parameters.get("compare");
     const compare = ["0", "1"].includes(comparing) ? comparing === "1" : data.compare;
-    const setups = LINK_PREFIXES.map((prefix, index) => {
+    const setupAt = (prefix, index) => {
       const setup = fresh(data, index);
       const get = (name) => parameters.get(`${prefix}.${name}`);
       const scenario = /^\d{1,2}$/.test(get("scenario") ?? "") ? Number(get("scenario")) : -1;
@@ -285,8 +295,12 @@ const Setups = (() => {
       }
       if (faultOfThrown(data, setup)) setup.fault = "none";
       return setup;
-    });
-    return { compare, setups };
+    };
+    const listed = (name) => [...new Set((parameters.get(name) ?? "").split(" "))];
+    const pins = listed("pins").filter((slot) => /^\d$/.test(slot) && slot < PINS).map((slot) => ({ ...setupAt(`p${slot}`, 0), slot: Number(slot) }));
+    const chosen = listed("curves");
+    const curves = Curves.PLOTS.map(({ name }) => name).filter((name) => chosen.includes(name));
+    return { compare, setups: LINK_PREFIXES.map(setupAt), pins, curves: curves.length ? curves : Curves.START };
   }
 
   function choosePair(data, setup, controller, load) {
@@ -386,7 +400,7 @@ const Setups = (() => {
   }
 
   return {
-    CONTROLLER_NAMES, LOAD_NAMES, PROTECTION_NAMES, REFERENCE_NAMES, choices, choose, clamped, copied, defaultOf,
+    CONTROLLER_NAMES, LOAD_NAMES, PINS, PROTECTION_NAMES, REFERENCE_NAMES, choices, choose, clamped, copied, defaultOf,
     display, faultNames, faultOf, follow, fresh, hasWearer, linkOf, modelOf, moduleValues, parsed, thrownOf, quantitiesOf, references, remarkOf, setValue, shown, stateOf,
     valueOf, valuesOf, yamlOf,
   };

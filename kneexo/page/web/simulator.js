@@ -366,8 +366,8 @@ const Simulator = (() => {
     const { instance, columns, changes } = await prepare({ ...request, model, values }, pause, "run");
     const limits = limitsOf(model, values);
     const answerOf = (rows, end = null) => {
-      const signals = signalsOf(instance, columns[0].slice(0, rows), limits.command_limit_rad_s);
-      const { time, shaft, hydraulic, chambers, rate, kneeTorque, ...shown } = signals;
+      const signals = signalsOf(instance, columns[0].slice(0, rows));
+      const { time, shaft, hydraulic, rate, ...shown } = signals;
       const metrics = rows > 1 ? metricsOf(model, reference, values, limits, signals) : {};
       if (model.faults) metrics.protection = protectionMetrics(signals, model.faults, request.fault_s ?? 0);
       return { time, columns: shown, metrics, limits, end };
@@ -417,27 +417,27 @@ const Simulator = (() => {
   }
 
   // The signals of a run over time: the curves of a page, and those that only metrics need.
-  function signalsOf(instance, reference, limit) {
+  function signalsOf(instance, reference) {
     const rows = reference.length;
     const signal = (name) => instance.output(name, rows);
     const angle = signal("knee_angle_rad");
     const torque = signal("interaction_torque_n_m"); // null without a wearer
     const state = signal("safety_state"); // null without protection
     const arm = signal("moment_arm_m");
+    const further = { cap: "cap_pressure_pa", rodSide: "rod_side_pressure_pa", current: "motor_current_a", winding: "winding_temperature_degc" };
     return {
-      ...(state && { state, reason: signal("safety_reason"), speed: signal("motor_speed_rad_s"),
-        kneeTorque: signal("rod_force_n").map((force, tick) => force * arm[tick]) }),
+      ...(state && { state, reason: signal("safety_reason"), speed: signal("motor_speed_rad_s") }),
+      ...Object.fromEntries(Object.entries(further).map(([name, column]) => [name, signal(column)]).filter(([, column]) => column)),
+      kneeTorque: signal("rod_force_n").map((force, tick) => -force * arm[tick]), // r = −dx/dθ, and x is the extension
       ...(torque && { torque, wearer: signal("wearer_angle_rad"), rate: signal("wearer_rate_rad_s") }),
       time: Float64Array.from({ length: rows }, (_, tick) => tick * instance.table.sample_time_s),
       angle,
       reference,
       error: reference.map((value, tick) => value - angle[tick]),
       command: signal("motor_speed_command_rad_s"),
-      limit: new Float64Array(rows).fill(limit),
       pressure: signal("load_pressure_pa"),
       shaft: signal("shaft_power_w"),
       hydraulic: signal("hydraulic_power_w"),
-      chambers: ["cap_pressure_pa", "rod_side_pressure_pa"].map(signal).filter((column) => column),
     };
   }
 
@@ -605,7 +605,7 @@ const Simulator = (() => {
 
   const shareAbove = (values, bound) => share(values, (value) => Math.abs(value) > bound);
 
-  function pressureMetrics({ pressure, chambers: [cap, rodSide] }, limits) {
+  function pressureMetrics({ pressure, cap, rodSide }, limits) {
     const highest = cap?.map((value, tick) => Math.max(value, rodSide[tick]));
     return {
       peak_pressure_pa: largest(pressure),

@@ -228,12 +228,12 @@ def test_a_push_is_that_of_kneexo_and_must_end_within_the_run(browser, single, t
     assert page.evaluate(values) == {}
 
 
-def test_a_pinned_run_stays_beside_the_present_one(browser, single):
+def test_pinned_runs_stay_beside_the_present_one_and_are_in_the_link(browser, single):
     page = _Page(browser, single)
     before, number = page.curve("angle"), float(page.number("error")[0])
     page.evaluate("document.getElementById('pin').click()")
     page.type("controller.lambda_per_s", 8.0)
-    np.testing.assert_array_equal(page.curve("angle", -1), before)
+    np.testing.assert_array_equal(page.curve("angle", -4), before)
     assert np.abs(page.curve("angle") - before).max() > 0.01
     now = float(page.number("error")[0])
     line = "[data-number=error] .pinned"
@@ -241,11 +241,37 @@ def test_a_pinned_run_stays_beside_the_present_one(browser, single):
     change = re.fullmatch(r"pinned ([\d.]+) \(([+−][\d.]+)\)", text)
     assert float(change[1]) == number
     assert float(change[2].replace("−", "-")) == pytest.approx(now - number, rel=6e-3)
-    assert "pinned: sliding mode" in page.text("key")
+    second = page.curve("angle")
     page.evaluate("document.getElementById('pin').click()")
-    browser.wait_for("!document.getElementById('key').textContent.includes('pinned')")
-    assert np.isnan(page.curve("angle", -1)).all()
-    assert page.evaluate(f"document.querySelector('{line}').hidden")
+    page.type(GEAR, 3.0)
+    lines = "[...document.querySelectorAll('#pins li')].map((item) => item.firstChild.textContent)"
+    gear = "gear ratio 6 (now 3)"
+    rate = "λ, slope of the sliding surface 20 (now 8) 1/s"
+    assert page.evaluate(lines) == [f"pinned: {gear}, {rate}", f"pinned: {gear}"]
+    fragment = page.evaluate("Setups.linkOf(Page.data, Page.state)")
+    assert fragment.startswith(f"a.{GEAR}=3&a.controller.lambda_per_s=8&")
+    assert "&pins=0+1&p1.controller.lambda_per_s=8&" in fragment
+    for url in ("about:blank", f"{single.resolve().as_uri()}#{fragment}"):
+        browser.load(url=url)
+    page.wait()
+    browser.wait_for("[...Page.parts.pinned.values()].filter(({ sweep }) => sweep).length === 2")
+    page.evaluate("new Promise(requestAnimationFrame).then(() => 0)")
+    assert page.text("notice") == ""
+    np.testing.assert_array_equal(page.curve("angle", -4), before)
+    np.testing.assert_array_equal(page.curve("angle", -3), second)
+    page.evaluate("document.querySelector('#pins button').click()")
+    browser.wait_for("document.querySelectorAll('#pins li').length === 1")
+    assert np.isnan(page.curve("angle", -4)).all()
+    notices = []
+    for value in (4.0, 5.0, 7.0, 8.0):
+        page.evaluate("document.getElementById('pin').click()")
+        page.evaluate("new Promise(requestAnimationFrame).then(() => 0)")
+        notices.append(page.text("notice"))
+        page.type(GEAR, value)
+    assert page.evaluate("Page.state.pins.map(({ slot }) => slot)") == [0, 2, 3, 1]
+    assert len(page.evaluate(lines)) == 4
+    assert notices[:3] == ["", "", ""]
+    assert notices[3].startswith(f"The oldest pinned run ({gear.replace('now 3', 'now 7')}")
 
 
 def test_two_cursors_measure_times_and_values(browser, single):
@@ -265,6 +291,15 @@ def test_two_cursors_measure_times_and_values(browser, single):
             box.value = "{text}"; box.dispatchEvent(new Event("change")); }})()"""
         )
     assert page.evaluate("document.getElementById('cursor-1').value") == "2.5"
+    page.evaluate("document.getElementById('pin').click()")
+    page.type(GEAR, 5.0)
+    heights = "[...document.querySelectorAll('#plots figcaption')].map((one) => one.offsetHeight)"
+    assert max(page.evaluate(heights)) < 30  # captions stay on one line
+    assert re.search(r"^A Δ [+−][\d.]+Δ [+−][\d.]+$", read()[1])
+    page.type(GEAR, 6.0)
+    page.evaluate("document.querySelector('#pins button').click()")
+    browser.wait_for("!document.querySelector('#pins li')")
+    page.evaluate("new Promise(requestAnimationFrame).then(() => 0)")
     first, second = page.curve("angle")[[1250, 2500]]
     words, curve = read()
     assert words == "Δt = 2.5 s, 1/Δt = 0.4 Hz"
@@ -385,10 +420,10 @@ def test_the_saved_files_are_the_run_of_kneexo(browser, single, tmp_path):
     page.evaluate("document.getElementById('text-dialog').close()")
     picture = imread(saved("curves.png", "save-png"))[..., :3]
     width = page.evaluate("document.querySelector('#plots canvas').width")
-    assert picture.shape[:2] == (96 + sum((150, 100, 110, 100)) + 24 + 24, width)
+    assert picture.shape[:2] == (96 + sum((150, 100, 110, 100)) + 24 + 2 * 24, width)
     is_curve = np.abs(picture - np.array([0.0, 0x62, 0xA8]) / 255.0).max(axis=2) < 0.02
-    tops = 24 + np.cumsum([0, 174, 124, 134])
-    for top, height in zip(tops, (174, 124, 134, 148), strict=True):
+    tops = 24 + np.cumsum([0, 198, 124, 134])
+    for top, height in zip(tops, (198, 124, 134, 148), strict=True):
         assert is_curve[top + 24 : top + height].sum() > 200  # each plot has its curve
     page.evaluate("document.getElementById('copy-link').click()")
     assert page.evaluate("document.getElementById('save-text').hidden")

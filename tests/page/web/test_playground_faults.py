@@ -194,6 +194,35 @@ def check_peaks(metrics, scenario, run, rel):
     assert metrics["safe_time_s"] == pytest.approx(expected, rel=0.0, abs=LATE_S)
 
 
+def test_further_curves_are_chosen_and_are_those_of_kneexo(browser, page_file, tmp_path):
+    link = "a.simulation.duration_s=3&curves=angle+kneeTorque+cap+rodSide+current+gone"
+    page = _Page(browser, page_file, link)
+    shown = """[...document.querySelectorAll("#plots .plot")].filter((one) => !one.hidden)
+      .map((one) => one.dataset.plot)"""
+    names = ["angle", "kneeTorque", "cap", "rodSide", "current"]
+    assert page.evaluate(shown) == names
+    assert page.text("notice").startswith("One value of the link does not fit")
+    _, result = in_kneexo(page, tmp_path)
+    run = result.run
+    torque = -run["rod_force_n"] * run["moment_arm_m"]
+    expected = {"kneeTorque": torque, "cap": 1e-5 * run["cap_pressure_pa"]}
+    expected |= {"rodSide": 1e-5 * run["rod_side_pressure_pa"], "current": run["motor_current_a"]}
+    plots = "Page.parts.plots.plots.find(({ name }) => name === '%s')"
+    for name, column in expected.items():
+        curve = page.evaluate(f"Array.from({plots % name}.data[1])")
+        np.testing.assert_allclose(curve, column, rtol=0, atol=1e-6 * np.abs(column).max())
+    full, cylinder = result.scenario.plant.full_order, result.scenario.plant.cylinder
+    limits = [1e-5 * full.relief_pressure_pa, 1e-5 * cylinder.pressure_rating_pa]
+    assert page.evaluate(f"{plots % 'cap'}.data.slice(3, 5).map((line) => line[0])") == limits
+    page.evaluate("document.querySelector('#choose-curves [value=cap]').click()")
+    browser.wait_for("location.hash.includes('curves=angle+kneeTorque+rodSide+current')")
+    assert page.evaluate(shown) == ["angle", "kneeTorque", "rodSide", "current"]
+    offered = """[...document.querySelectorAll("#choose-curves label")]
+      .filter((one) => !one.hidden).map((one) => one.firstChild.value)"""
+    assert "torque" not in page.evaluate(offered)  # no wearer
+    assert "winding" not in page.evaluate(offered)  # no temperatures
+
+
 def test_the_diagram_is_the_table_and_the_present_state_is_lit(browser, page_file):
     page = _Page(browser, page_file, "a.fault=emergency_stop")
     edges = page.evaluate(
