@@ -13,7 +13,7 @@ const Page = (() => {
   const state = Setups.stateOf(data, location.hash);
   const results = [{}, {}];
   const byId = (id) => document.getElementById(id);
-  const parts = { latest: [null, null], pinned: null, remark: Setups.remarkOf(data, location.hash, state) };
+  const parts = { latest: [null, null], asked: [null, null], pinned: null, remark: Setups.remarkOf(data, location.hash, state) };
   let drawing = false;
   let announcing = 0;
 
@@ -39,13 +39,18 @@ const Page = (() => {
     parts.stage.rest(LONGEST_RUN_MS);
     parts.runs.request(index, request);
     if (Setups.hasWearer(data, setup)) {
+      parts.asked[index] = null;
       parts.analyses.request(index, null);
       return;
     }
-    const sweep = requestOf({ ...setup, reference: "sine", fault: "none", protection: "off" });
+    const calm = { ...setup, fault: "none", protection: "off" }; // of these and of a push, margins and sweep feel nothing
+    const [linear, sweep] = [requestOf(calm), requestOf({ ...calm, reference: "sine" })];
+    const asked = JSON.stringify([linear, sweep], (name, value) => (name.startsWith("push.") ? undefined : value));
+    if (parts.asked[index] === asked) return;
+    parts.asked[index] = asked;
     const near = results[index].near_hz; // the search is quicker beside the last result
     if (near) sweep.near_hz = near;
-    parts.analyses.request(index, { linear: request, sweep, frequencies: SWEEP_HZ });
+    parts.analyses.request(index, { linear, sweep, frequencies: SWEEP_HZ });
   }
 
   function onRun(index, answer, request) {
@@ -278,6 +283,7 @@ const Page = (() => {
     if (!compare) {
       parts.panel.index = 0;
       parts.bode.clear(1);
+      parts.asked[1] = null;
     }
     parts.panel.build();
     chooseStageIfNeeded();
@@ -332,10 +338,13 @@ const Page = (() => {
       `${page}#${Setups.linkOf(data, state)}`);
   }
 
+  /** Name of a file of the set-up whose sliders are shown. */
+  const fileOf = (name, type) => `${name}${state.compare ? `_${"AB"[parts.panel.index]}` : ""}.${type}`;
+
   /** Save the shown run of the set-up whose sliders are shown. */
   function saveCsv() {
     const { run } = results[parts.panel.index];
-    save("signals.csv", Curves.csvOf(run));
+    save(fileOf("signals", "csv"), Curves.csvOf(run));
   }
 
   /** Save the curves as a picture, below the meaning of their lines. */
@@ -350,7 +359,7 @@ const Page = (() => {
     const fault = Setups.faultOf(data, state.setups[index]);
     showText(title, fault ? `kneexo refuses this file. ${fault}`
       : "Save this text as FILE.yaml. The command kneexo simulate FILE.yaml --out run makes the same run.",
-      Setups.yamlOf(data, state.setups[index]), "scenario.yaml");
+      Setups.yamlOf(data, state.setups[index]), fileOf("scenario", "yaml"));
   }
 
   // ---------------------------------------------------------------------------- print
@@ -444,7 +453,6 @@ const Page = (() => {
     on("measure", toggleCursors);
     for (const id of ["cursor-1", "cursor-2"]) on(id, typeCursors, "change");
     on("zoom-all", () => parts.plots.zoomAll());
-    on("sweep", () => shownSetups().forEach(change));
     on("choose-plot", choosePlot, "change");
     addEventListener("beforeprint", () => onPrint(true));
     addEventListener("afterprint", () => onPrint(false));
@@ -472,6 +480,7 @@ const Page = (() => {
     parts.analyses = new Runner.Analyses(new Runner.Crew(source, models), REST_MS, handlers);
     parts.panel = new Controls.Panel(byId("panel"), data, state, onPanel, () => parts.plots.time ?? 0);
     listen();
+    new ResizeObserver(() => document.documentElement.style.setProperty("--curves", `${byId("curves").offsetHeight}px`)).observe(byId("curves"));
     choosePlot();
     setCompare(state.compare);
   }

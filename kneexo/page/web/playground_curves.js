@@ -2,6 +2,7 @@
 "use strict";
 
 const Curves = (() => {
+  const DESIGN_PX = 900; // height of a window whose plots have the heights below
   const FONT = "12px system-ui, sans-serif";
   const DEG = 180 / Math.PI;
   const RPM = 30 / Math.PI;
@@ -94,6 +95,7 @@ const Curves = (() => {
       this.hovered = false;
       this.plots = PLOTS.map((plot, index) => this.make(plot, index === PLOTS.length - 1));
       new ResizeObserver(() => this.resize()).observe(parent);
+      addEventListener("resize", () => this.resize()); // of the height
     }
 
     make(plot, last) {
@@ -181,6 +183,7 @@ const Curves = (() => {
         describe(plot, runs);
       }
       this.showing = false;
+      this.parent.classList.remove("waiting");
       this.zoom(keeps ? this.range : eventOf(runs) ?? [0, end]);
       if (this.cursors) this.measure(keeps ? this.cursors : this.quarters());
     }
@@ -333,13 +336,14 @@ const Curves = (() => {
       return canvas;
     }
 
-    /** Fit the plots to the width, or to `paper` px. A phone shows one plot at a time, with its time axis. */
+    /** Fit the plots to the window, or to `paper` px. A phone shows one plot at a time, with its time axis. */
     resize(paper = 0) {
       const width = paper || Math.floor(this.parent.clientWidth);
       if (width < 50) return;
       this.single = !paper && getComputedStyle(this.parent).getPropertyValue("--single").trim() === "1";
+      const tall = paper || this.single ? 1 : Math.max(1, innerHeight / DESIGN_PX);
       this.plots.forEach(({ chart, height }, index) => {
-        chart.setSize({ width, height: height + (this.single || index === this.plots.length - 1 ? 24 : 0) });
+        chart.setSize({ width, height: Math.round(tall * height) + (this.single || index === this.plots.length - 1 ? 24 : 0) });
       });
     }
   }
