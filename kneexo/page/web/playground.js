@@ -347,10 +347,18 @@ const Page = (() => {
     save(fileOf("signals", "csv"), Curves.csvOf(run));
   }
 
-  /** Save the curves as a picture, below the meaning of their lines. */
+  /** The values of a set-up that are not the defaults, in words. */
+  function changesOf(index) {
+    const setup = state.setups[index];
+    const changed = Setups.quantitiesOf(data, setup).filter((q) => Setups.valueOf(data, setup, q) !== Setups.defaultOf(data, setup, q));
+    const words = changed.map((q) => `${q.label} ${Controls.text(q, Setups.valueOf(data, setup, q))} ${Setups.display(q).unit}`.trim());
+    return [nameOf(index), ...words].join(", ");
+  }
+
+  /** Save the curves as a picture, between the meaning of their lines and their values. */
   function savePng() {
-    const items = [...byId("key").children].map((item) => [item.textContent, getComputedStyle(item).color]);
-    parts.plots.picture(items).toBlob((blob) => save("curves.png", blob));
+    const items = [...byId("key").children].map((item) => [item.className.replace("of-", ""), item.textContent, getComputedStyle(item).color]);
+    parts.plots.picture(items, [...shownSetups().map(changesOf), captionOfValues()]).toBlob((blob) => save("curves.png", blob));
   }
 
   function showYaml() {
@@ -500,7 +508,7 @@ const Page = (() => {
     return Object.fromEntries(data.scenarios.flatMap(({ models }) => models.map((model) => [model.key, model])));
   }
 
-  return { data, draw, parts, results, start, state };
+  return { changesOf, data, draw, parts, results, start, state };
 })();
 
 try {

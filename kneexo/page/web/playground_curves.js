@@ -8,6 +8,8 @@ const Curves = (() => {
   const RPM = 30 / Math.PI;
   const MINUS_3_DB = 20 * Math.log10(Math.SQRT1_2);
 
+  const DASHES = { reference: [6, 4], wearer: [10, 3, 2, 3], limit: [2, 3], pinned: [5, 4] };
+
   // Each plot has a column of a run, the factor to the unit of its axis, and perhaps an extra column.
   const PLOTS = [
     { name: "angle", title: "Knee angle", unit: "deg", factor: DEG, height: 150, extra: "reference" },
@@ -126,13 +128,13 @@ const Curves = (() => {
       const extra = [0, 1].flatMap((index) => {
         const stroke = (name) => painted(index ? "b" : name);
         if (plot.extra === "reference") {
-          const wearer = { stroke: stroke("wearer"), width: 1.25, dash: [10, 3, 2, 3] };
-          return [{ stroke: stroke("ink"), width: 1.25, dash: index ? [2, 4] : [6, 4] }, wearer];
+          const wearer = { stroke: stroke("wearer"), width: 1.25, dash: DASHES.wearer };
+          return [{ stroke: stroke("ink"), width: 1.25, dash: index ? [2, 4] : DASHES.reference }, wearer];
         }
-        const limit = { stroke: stroke("limit"), width: 1, dash: index ? [2, 6] : [2, 3] };
+        const limit = { stroke: stroke("limit"), width: 1, dash: index ? [2, 6] : DASHES.limit };
         return plot.extra === "limit" ? [limit, limit] : [];
       });
-      const pinned = { stroke: painted("pinned"), width: 1.25, dash: [5, 4] };
+      const pinned = { stroke: painted("pinned"), width: 1.25, dash: DASHES.pinned };
       return [{}, ...[...main, ...extra, pinned].map((line) => ({ ...line, points: { show: false } }))];
     }
 
@@ -305,13 +307,13 @@ const Curves = (() => {
       }
     }
 
-    /** A canvas with all shown plots and their titles, below a line of words in colours. */
-    picture(words) {
+    /** A canvas with all shown plots and their titles, below a line of [name, words, colour] and above lines of text. */
+    picture(words, lines) {
       const shown = this.plots.filter(({ box }) => box.checkVisibility());
       const scale = devicePixelRatio;
       const line = 24 * scale;
       const width = shown[0].chart.ctx.canvas.width;
-      const height = shown.reduce((sum, { chart }) => sum + line + chart.ctx.canvas.height, line);
+      const height = shown.reduce((sum, { chart }) => sum + line + chart.ctx.canvas.height, line * (1 + lines.length));
       const canvas = Object.assign(element("canvas"), { width, height });
       const ctx = canvas.getContext("2d");
       ctx.fillStyle = colour("ground");
@@ -320,9 +322,16 @@ const Curves = (() => {
       const write = (text, style, weight, y) => {
         ctx.font = `${weight} ${13 * scale}px system-ui, sans-serif`;
         ctx.fillStyle = style;
-        ctx.fillText(text, x, y);
+        ctx.fillText(text, x, y, width - 16 * scale);
       };
-      for (const [text, style] of words) {
+      for (const [name, text, style] of words) {
+        Object.assign(ctx, { strokeStyle: style, lineWidth: 2 * scale });
+        ctx.setLineDash((DASHES[name] ?? []).map((length) => length * scale));
+        ctx.beginPath();
+        ctx.moveTo(x, 0.5 * line);
+        ctx.lineTo(x += 26 * scale, 0.5 * line);
+        ctx.stroke();
+        x += 6 * scale;
         write(text, style, 400, 0.7 * line);
         x += ctx.measureText(text).width + 16 * scale;
       }
@@ -333,6 +342,7 @@ const Curves = (() => {
         ctx.drawImage(chart.ctx.canvas, 0, y + line);
         y += line + chart.ctx.canvas.height;
       }
+      lines.forEach((text, k) => write(text, colour("soft"), 400, y + (k + 0.7) * line));
       return canvas;
     }
 
