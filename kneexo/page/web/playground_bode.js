@@ -75,7 +75,7 @@ const Bode = (() => {
       const y = chart.valToPos(value, "y", true);
       if (y < chart.bbox.top || y > chart.bbox.top + chart.bbox.height) return;
       ctx.beginPath();
-      const size = (index ? 6.5 : 4) * devicePixelRatio; // B stays visible behind A
+      const size = (index ? 5.5 : 3.5) * devicePixelRatio; // B stays visible behind A
       if (index === 0) ctx.arc(x, y, size, 0, 2 * Math.PI);
       else ctx.rect(x - size, y - size, 2 * size, 2 * size);
       ctx.fillStyle = colour(point.saturated_share > SATURATED ? NAMES[index] : "ground");

@@ -493,6 +493,16 @@ def test_the_saved_files_are_the_run_of_kneexo(browser, single, tmp_path):
         assert is_curve[top + 24 : top + height].sum() > 200  # each plot has its curve
     page.evaluate("document.getElementById('copy-link').click()")
     assert page.evaluate("document.getElementById('save-text').hidden")
+    page.evaluate("document.getElementById('text-dialog').close()")
+    page.click("compare", 1)
+    accent = "getComputedStyle(document.querySelector('#panel input[type=range]')).accentColor"
+    for letter, colour in (("A", "rgb(0, 98, 168)"), ("B", "rgb(184, 72, 10)")):
+        page.click(f"set-up-{letter.lower()}", 1)
+        saved(f"signals_{letter}.csv", "save-csv")
+        page.evaluate("document.getElementById('copy-yaml').click()")
+        saved(f"scenario_{letter}.yaml", "save-text")
+        page.evaluate("document.getElementById('text-dialog').close()")
+        assert page.evaluate(accent) == colour
 
 
 def test_a_link_carries_the_values(browser, single, tmp_path):
