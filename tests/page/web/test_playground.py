@@ -915,6 +915,8 @@ def test_a_dark_screen_has_a_dark_page_and_light_paper(browser, single):
     browser.emulate(scheme="dark")
     browser.wait_for("matchMedia('(prefers-color-scheme: dark)').matches")
     assert ground() == "rgb(20, 23, 27)"
+    box = "getComputedStyle(document.querySelector('.stage-box')).backgroundImage"
+    assert "rgb(141, 153, 166)" in page.evaluate(box)
     assert is_drawn(dark_blue)
     page.evaluate("dispatchEvent(new Event('beforeprint'))")
     assert is_drawn(light_blue)
