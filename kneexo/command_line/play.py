@@ -47,7 +47,12 @@ def play(request: Request) -> Outcome:
     ``--compare`` is without the changes of ``--set``.
     """
     from kneexo.command_line.output import to_json
-    from kneexo.page.playground import LONGEST_RUN_S, playground_page
+    from kneexo.page.playground import (
+        LONGEST_RUN_S,
+        missing_models,
+        page_of,
+        playground_data,
+    )
     from kneexo.parameters import Scenario
     from kneexo.view.web_page import require_page_name
 
@@ -63,8 +68,10 @@ def play(request: Request) -> Outcome:
         loaded.append(Scenario.preset(request.compare))
     # With several files the error does not say which one is at fault.
     with named_in_errors(paths[0] if len(paths) == 1 else None):
-        page = playground_page(loaded, names)
-    shortened_runs = [
+        data = playground_data(loaded, names)
+    page = page_of(data)
+    notes = [f"kneexo: {shown(text)}" for text in missing_models(data)]
+    notes += [
         f"kneexo: {shown(name)}: a run on the page has the first {LONGEST_RUN_S:g} of "
         f"{scenario.duration_s:g} s"
         for name, scenario in zip(names, loaded, strict=True)
@@ -75,6 +82,6 @@ def play(request: Request) -> Outcome:
         f"{shown(request.out)} ({size_mb:.1f} MB): {', '.join(map(shown, names))}; open it in a "
         f"browser\n",
         to_json({"kneexo": __version__, "page": str(request.out), "scenarios": names}),
-        shortened_runs,
+        notes,
         page=page,
     )

@@ -117,6 +117,7 @@ SHIPPED: Mapping[str, Mapping[str, Any]] = {
     "paper with load": {"plant": {"load": "knee"}},
     "bench": with_preset("bench", {}),
     "leg": with_preset("leg", {}),
+    "leg without load": with_preset("leg", {"plant": {"load": "none"}}),
     "protected": with_preset("protected", {}),
 }
 """Scenarios whose modules come with the package, with sliding mode and with PID.

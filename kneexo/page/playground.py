@@ -73,14 +73,14 @@ def playground_page(scenarios: Sequence[Scenario], names: Sequence[str]) -> str:
     opens. With a single scenario, the user can compare the loop with another
     kind of controller.
 
-    Raises `ParameterError` for no scenario or more than `MOST_SCENARIOS`, and the errors of
-    `web_model`.
+    Raises the errors of `playground_data`.
     """
-    if not 1 <= len(scenarios) <= MOST_SCENARIOS:
-        raise ParameterError(
-            f"{len(scenarios)} scenarios: a page has at least 1 and at most {MOST_SCENARIOS}"
-        )
-    data = playground_data(scenarios, names)
+    return page_of(playground_data(scenarios, names))
+
+
+def page_of(data: dict[str, Any]) -> str:
+    """Return the HTML page with data of `playground_data`."""
+    names = [entry["name"] for entry in data["scenarios"]]
     styles = (*STAGE_STYLES, "page/web/playground.css")
     scripts = (*STAGE_SCRIPTS, *_SCRIPTS)
     return self_contained_page(
@@ -98,7 +98,13 @@ def playground_data(scenarios: Sequence[Scenario], names: Sequence[str]) -> dict
     """Return the data of a page.
 
     They are modules, scenarios, groups of sliders, and the two set-ups that the page can compare.
+    Raises `ParameterError` for no scenario or more than `MOST_SCENARIOS`, and the errors of
+    `web_model`.
     """
+    if not 1 <= len(scenarios) <= MOST_SCENARIOS:
+        raise ParameterError(
+            f"{len(scenarios)} scenarios: a page has at least 1 and at most {MOST_SCENARIOS}"
+        )
     entries = [_entry(scenario, name) for scenario, name in zip(scenarios, names, strict=True)]
     models = [model for entry in entries for model in entry["models"]]
     first = {"scenario": 0, **entries[0]["start"], "values": {}}
@@ -121,6 +127,16 @@ def playground_data(scenarios: Sequence[Scenario], names: Sequence[str]) -> dict
             "simulation.duration_s", longest_s, "s", ""
         ),
     }
+
+
+def missing_models(data: dict[str, Any]) -> list[str]:
+    """Return a sentence for each reason why controllers and loads are not on a page."""
+    return [
+        f"{entry['name']}: the page has no "
+        f"{', no '.join(f'{controller} with load {load}' for controller, load in pairs)}. {reason}"
+        for entry in data["scenarios"]
+        for reason, pairs in entry["missing"].items()
+    ]
 
 
 def _entry(scenario: Scenario, name: str) -> dict[str, Any]:

@@ -9,7 +9,7 @@ import yaml
 from kneexo.errors import ParameterError
 from kneexo.page import playground
 from kneexo.page.model import controller_of
-from kneexo.page.playground import playground_data, playground_page
+from kneexo.page.playground import missing_models, playground_data, playground_page
 from kneexo.parameters import Scenario
 from kneexo.parameters.paths import changed
 from kneexo.parameters.presets import PRESETS
@@ -85,6 +85,10 @@ def test_models_that_cannot_be_made_are_left_out_with_the_reason():
     assert entry["missing"] == {
         "no compiler for this structure": [("pid", "knee"), ("pid", "none")]
     }
+    assert missing_models({"scenarios": [entry]}) == [
+        "x: the page has no pid with load knee, no pid with load none. "
+        "no compiler for this structure"
+    ]
 
 
 def test_a_wearer_has_models_of_the_modes_that_need_no_biological_moment():

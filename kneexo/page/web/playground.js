@@ -13,7 +13,7 @@ const Page = (() => {
   const state = Setups.stateOf(data, location.hash);
   const results = [{}, {}];
   const byId = (id) => document.getElementById(id);
-  const parts = { latest: [null, null], pinned: new Map(), remark: Setups.remarkOf(data, location.hash, state) };
+  const parts = { latest: [null, null], asked: [null, null], pinned: new Map(), remark: Setups.remarkOf(data, location.hash, state) };
   let drawing = false;
   let announcing = 0;
 
@@ -39,19 +39,26 @@ const Page = (() => {
     parts.stage.rest(LONGEST_RUN_MS);
     parts.runs.request(index, request);
     if (Setups.hasWearer(data, setup)) {
+      parts.asked[index] = null;
       parts.analyses.request(index, null);
       return;
     }
-    const sweep = sweepOf(setup);
+    const [linear, sweep] = [requestOf(calm(setup)), sweepOf(setup)];
+    const asked = JSON.stringify([linear, sweep], (name, value) => (name.startsWith("push.") ? undefined : value));
+    if (parts.asked[index] === asked) return;
+    parts.asked[index] = asked;
     const near = results[index].near_hz; // the search is quicker beside the last result
     if (near) sweep.near_hz = near;
-    parts.analyses.request(index, { linear: request, sweep, frequencies: SWEEP_HZ });
+    parts.analyses.request(index, { linear, sweep, frequencies: SWEEP_HZ });
   }
 
   /** The request of a set-up's sweep. */
   function sweepOf(setup) {
-    return requestOf({ ...setup, reference: "sine", fault: "none", protection: "off" });
+    return requestOf({ ...calm(setup), reference: "sine" });
   }
+
+  /** A set-up whose margins and sweep are those of another one. Fault, protection and push change neither. */
+  const calm = (setup) => ({ ...setup, fault: "none", protection: "off" });
 
   function onRun(index, answer, request) {
     results[index].error = answer.error;
@@ -392,6 +399,7 @@ const Page = (() => {
     if (!compare) {
       parts.panel.index = 0;
       parts.bode.clear(1);
+      parts.asked[1] = null;
     }
     parts.panel.build();
     chooseStageIfNeeded();
@@ -447,16 +455,27 @@ const Page = (() => {
       `${page}#${Setups.linkOf(data, state)}`);
   }
 
+  /** Name of a file of the set-up whose sliders are shown. */
+  const fileOf = (name, type) => `${name}${state.compare ? `_${"AB"[parts.panel.index]}` : ""}.${type}`;
+
   /** Save the shown run of the set-up whose sliders are shown. */
   function saveCsv() {
     const { run } = results[parts.panel.index];
-    save("signals.csv", Curves.csvOf(run));
+    save(fileOf("signals", "csv"), Curves.csvOf(run));
   }
 
-  /** Save the curves as a picture, below the meaning of their lines. */
+  /** The values of a set-up that are not the defaults, in words. */
+  function changesOf(index) {
+    const setup = state.setups[index];
+    const changed = Setups.quantitiesOf(data, setup).filter((q) => Setups.valueOf(data, setup, q) !== Setups.defaultOf(data, setup, q));
+    const words = changed.map((q) => `${q.label} ${Controls.text(q, Setups.valueOf(data, setup, q))} ${Setups.display(q).unit}`.trim());
+    return [nameOf(index), ...words].join(", ");
+  }
+
+  /** Save the curves as a picture, between the meaning of their lines and their values. */
   function savePng() {
-    const items = Array.from(document.querySelectorAll("#key li, #pins li"), (item) => [item.firstChild.textContent, getComputedStyle(item).color]);
-    parts.plots.picture(items).toBlob((blob) => save("curves.png", blob));
+    const items = Array.from(document.querySelectorAll("#key li, #pins li"), (item) => [item.className.replace("of-", ""), item.firstChild.textContent, getComputedStyle(item).color]);
+    parts.plots.picture(items, [...shownSetups().map(changesOf), captionOfValues()]).toBlob((blob) => save("curves.png", blob));
   }
 
   function showYaml() {
@@ -465,7 +484,7 @@ const Page = (() => {
     const fault = Setups.faultOf(data, state.setups[index]);
     showText(title, fault ? `kneexo refuses this file. ${fault}`
       : "Save this text as FILE.yaml. The command kneexo simulate FILE.yaml --out run makes the same run.",
-      Setups.yamlOf(data, state.setups[index]), "scenario.yaml");
+      Setups.yamlOf(data, state.setups[index]), fileOf("scenario", "yaml"));
   }
 
   // ---------------------------------------------------------------------------- print
@@ -558,7 +577,6 @@ const Page = (() => {
     on("measure", toggleCursors);
     for (const id of ["cursor-1", "cursor-2"]) on(id, typeCursors, "change");
     on("zoom-all", () => parts.plots.zoomAll());
-    on("sweep", () => shownSetups().forEach(change));
     on("choose-plot", choosePlot, "change");
     addEventListener("beforeprint", () => onPrint(true));
     addEventListener("afterprint", () => onPrint(false));
@@ -588,6 +606,7 @@ const Page = (() => {
     fillChoice();
     listen();
     computePins();
+    new ResizeObserver(() => document.documentElement.style.setProperty("--curves", `${byId("curves").offsetHeight}px`)).observe(byId("curves"));
     setCompare(state.compare);
   }
 
@@ -606,7 +625,7 @@ const Page = (() => {
     return Object.fromEntries(data.scenarios.flatMap(({ models }) => models.map((model) => [model.key, model])));
   }
 
-  return { data, draw, parts, results, start, state };
+  return { changesOf, data, draw, parts, results, start, state };
 })();
 
 try {

@@ -62,10 +62,10 @@ const Bode = (() => {
     marks(chart, ctx, plot) {
       ctx.setLineDash([]);
       ctx.lineWidth = 1.75 * devicePixelRatio;
-      this.points.forEach((points, index) => {
+      for (const index of [1, 0]) {
         ctx.strokeStyle = colour(NAMES[index]);
-        for (const point of points) this.mark(chart, ctx, plot, index, point);
-      });
+        for (const point of this.points[index]) this.mark(chart, ctx, plot, index, point);
+      }
     }
 
     mark(chart, ctx, plot, index, point) {
@@ -75,7 +75,7 @@ const Bode = (() => {
       const y = chart.valToPos(value, "y", true);
       if (y < chart.bbox.top || y > chart.bbox.top + chart.bbox.height) return;
       ctx.beginPath();
-      const size = (index ? 3.5 : 5) * devicePixelRatio; // A stays visible behind B
+      const size = (index ? 5.5 : 3.5) * devicePixelRatio; // B stays visible behind A
       if (index === 0) ctx.arc(x, y, size, 0, 2 * Math.PI);
       else ctx.rect(x - size, y - size, 2 * size, 2 * size);
       ctx.fillStyle = colour(point.saturated_share > SATURATED ? NAMES[index] : "ground");

@@ -48,9 +48,9 @@ const Controls = (() => {
     build() {
       const focused = document.activeElement?.id;
       this.rows = new Map();
+      this.parent.dataset.setup = "ab"[this.index];
       this.hint = element("p", { id: "hint", "aria-hidden": "true" });
-      this.parent.replaceChildren(this.head(), ...this.switches(), ...this.missing(), ...this.groups(), this.hint);
-      this.tell(null);
+      this.parent.replaceChildren(this.head(), ...this.switches(), ...this.groups(), this.hint);
       if (focused && !document.activeElement?.id) document.getElementById(focused)?.focus();
       this.refresh();
     }
@@ -101,10 +101,11 @@ const Controls = (() => {
 
     switches() {
       const { data, setup } = this;
+      const all = (name) => [...Setups.choices(data, setup, name), ...Setups.missing(data, setup, name)];
       const lists = [
         ["scenario", "Scenario", data.scenarios.map((scenario, i) => [i, scenario.name])],
-        ["controller", "Controller", names(Setups.choices(data, setup, "controller"), Setups.CONTROLLER_NAMES)],
-        ["load", "Load", names(Setups.choices(data, setup, "load"), Setups.LOAD_NAMES)],
+        ["controller", "Controller", names(all("controller"), Setups.CONTROLLER_NAMES)],
+        ["load", "Load", names(all("load"), Setups.LOAD_NAMES)],
         ["reference", "Reference", names(Setups.references(data, setup), Setups.REFERENCE_NAMES)],
         ["protection", "Protection", Setups.modelOf(data, setup).faults ? Object.entries(Setups.PROTECTION_NAMES) : []],
         ["fault", "Throw a fault", Object.entries(Setups.faultNames(data, setup))],
@@ -113,28 +114,23 @@ const Controls = (() => {
         .map(([name, title, choices]) => this.switch(name, title, choices));
     }
 
-    /** A line for each reason why a controller or load is not on this page. */
-    missing() {
-      return Object.entries(this.data.scenarios[this.setup.scenario].missing).map(([reason, pairs]) => {
-        const words = pairs.map(([controller, load]) =>
-          `${Setups.CONTROLLER_NAMES[controller] ?? controller} with load ${Setups.LOAD_NAMES[load] ?? load}`);
-        return element("p", { class: "missing" }, `Not on this page: ${words.join(", ")}. ${reason}`);
-      });
-    }
-
     switch(name, title, choices) {
+      const { data, setup } = this;
       const field = element("fieldset", { class: `switch ${name}` });
       field.append(element("legend", {}, title));
-      for (const [choice, label] of choices) {
+      for (const [choice, text] of choices) {
         const id = `${name}-${choice}`;
         const input = element("input", { type: "radio", name, id });
+        const label = element("label", { for: id }, text);
+        input.disabled = Setups.missing(data, setup, name).includes(choice);
+        if (input.disabled) label.title = "not on this page";
         input.checked = this.setup[name] === choice;
         input.addEventListener("change", () => {
           Setups.choose(this.data, this.setup, name, choice);
           this.build();
           this.onChange(this.index);
         });
-        field.append(input, element("label", { for: id }, label));
+        field.append(input, label);
       }
       return field;
     }
@@ -178,7 +174,11 @@ const Controls = (() => {
       slider.addEventListener("input", () => this.slide(quantity, Number(slider.value)));
       box.addEventListener("change", () => this.type(quantity, box));
       row.append(label, slider, box, element("span", { class: "unit" }, unit), reset, note, described);
+      let before; // a finger that scrolls the page sets the slider first
+      slider.addEventListener("pointerdown", () => { before = Setups.valueOf(this.data, this.setup, quantity); });
+      slider.addEventListener("pointercancel", () => this.set(quantity, before));
       for (const event of ["pointerenter", "focusin"]) row.addEventListener(event, () => this.tell(quantity));
+      for (const event of ["pointerleave", "focusout"]) row.addEventListener(event, () => this.tell(null));
       this.rows.set(quantity, { row, slider, box, reset, note });
       return row;
     }
@@ -189,11 +189,9 @@ const Controls = (() => {
       this.set(start, Number(this.now().toFixed(3)));
     }
 
-    /** Show range and source of a quantity below the sliders. */
+    /** Show range and source of a quantity at the lower edge of the window. */
     tell(quantity) {
-      this.hint.textContent = quantity
-        ? `${quantity.label}: ${hint(quantity)}`
-        : matchMedia("(hover: hover)").matches ? "Point at a value to read its range and source." : "";
+      this.hint.textContent = quantity ? `${quantity.label}: ${hint(quantity)}` : "";
     }
 
     type(quantity, box) {

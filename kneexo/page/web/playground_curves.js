@@ -2,6 +2,7 @@
 "use strict";
 
 const Curves = (() => {
+  const DESIGN_PX = 900; // height of a window whose plots have the heights below
   const FONT = "12px system-ui, sans-serif";
   const DEG = 180 / Math.PI;
   const RPM = 30 / Math.PI;
@@ -31,6 +32,7 @@ const Curves = (() => {
   ];
   const START = PLOTS.filter(({ further }) => !further).map(({ name }) => name); // curves of a page that opens
   const PINS = [[5, 4], [2, 3], [10, 3], [9, 3, 2, 3]]; // dashes of the pinned runs
+  const DASHES = { reference: REFERENCE.dash[0], wearer: WEARER.dash[0], limit: CHAMBER[0].dash[0], ...Object.fromEntries(PINS.map((dash, slot) => [`pin-${slot}`, dash])) };
 
   /** The present colour of that name in the style sheet. On paper it is that of light screens. */
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
@@ -115,6 +117,7 @@ const Curves = (() => {
       this.plots = PLOTS.map((plot) => this.make(plot));
       this.arrange();
       new ResizeObserver(() => this.resize()).observe(parent);
+      addEventListener("resize", () => this.resize()); // of the height
     }
 
     make(plot) {
@@ -200,6 +203,7 @@ const Curves = (() => {
         describe(plot, runs);
       }
       this.showing = false;
+      this.parent.classList.remove("waiting");
       this.zoom(keeps ? this.range : eventOf(runs) ?? [0, end]);
       if (this.cursors) this.measure(keeps ? this.cursors : this.quarters());
     }
@@ -343,8 +347,8 @@ const Curves = (() => {
       }
     }
 
-    /** A canvas with all shown plots and their titles, below lines of words in colours. */
-    picture(words) {
+    /** A canvas with all shown plots and their titles, below a legend of [name, words, colour] and above lines of text. */
+    picture(words, lines) {
       const { shown } = this;
       const scale = devicePixelRatio;
       const line = 24 * scale;
@@ -353,13 +357,13 @@ const Curves = (() => {
       ruler.font = `${13 * scale}px system-ui, sans-serif`;
       const places = [];
       let [right, rows] = [8 * scale, 1];
-      for (const [text, style] of words) {
-        const size = ruler.measureText(text).width;
+      for (const [name, text, style] of words) {
+        const size = 32 * scale + ruler.measureText(text).width;
         if (right + size > width && right > 8 * scale) [right, rows] = [8 * scale, rows + 1];
-        places.push([text, style, right, rows]);
+        places.push([name, text, style, right, rows]);
         right += size + 16 * scale;
       }
-      const height = shown.reduce((sum, { chart }) => sum + line + chart.ctx.canvas.height, rows * line);
+      const height = shown.reduce((sum, { chart }) => sum + line + chart.ctx.canvas.height, (rows + lines.length) * line);
       const canvas = Object.assign(element("canvas"), { width, height });
       const ctx = canvas.getContext("2d");
       ctx.fillStyle = colour("ground");
@@ -367,19 +371,28 @@ const Curves = (() => {
       const write = (text, style, weight, y, x = 8 * scale) => {
         ctx.font = `${weight} ${13 * scale}px system-ui, sans-serif`;
         ctx.fillStyle = style;
-        ctx.fillText(text, x, y);
+        ctx.fillText(text, x, y, width - 16 * scale);
       };
-      for (const [text, style, x, row] of places) write(text, style, 400, (row - 0.3) * line, x);
+      for (const [name, text, style, x, row] of places) {
+        Object.assign(ctx, { strokeStyle: style, lineWidth: 2 * scale });
+        ctx.setLineDash((DASHES[name] ?? []).map((length) => length * scale));
+        ctx.beginPath();
+        ctx.moveTo(x, (row - 0.5) * line);
+        ctx.lineTo(x + 26 * scale, (row - 0.5) * line);
+        ctx.stroke();
+        write(text, style, 400, (row - 0.3) * line, x + 32 * scale);
+      }
       let y = rows * line;
       for (const { chart, title, unit } of shown) {
         write(titleOf({ title, unit }), colour("ink"), 600, y + 0.7 * line);
         ctx.drawImage(chart.ctx.canvas, 0, y + line);
         y += line + chart.ctx.canvas.height;
       }
+      lines.forEach((text, k) => write(text, colour("soft"), 400, y + (k + 0.7) * line));
       return canvas;
     }
 
-    /** Fit the plots to the width, or to `paper` px, until it is 0. */
+    /** Fit the plots to the window, or to `paper` px, until it is 0. A phone shows one plot at a time. */
     resize(paper = this.paper ?? 0) {
       this.paper = paper;
       const width = paper || Math.floor(this.parent.clientWidth);
@@ -390,7 +403,8 @@ const Curves = (() => {
         if (this.runs.length) this.show(this.runs, this.pinned);
         else this.arrange();
       }
-      for (const plot of this.shown) plot.chart.setSize({ width, height: plot.height + (this.hasTimes(plot) ? 24 : 0) });
+      const tall = paper || single ? 1 : Math.max(1, innerHeight / DESIGN_PX);
+      for (const plot of this.shown) plot.chart.setSize({ width, height: Math.round(tall * plot.height) + (this.hasTimes(plot) ? 24 : 0) });
     }
   }
 

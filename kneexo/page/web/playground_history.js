@@ -3,7 +3,8 @@
 
 const Addresses = (() => {
   /**
-   * Writes the values into the address when they rest, as a new entry of the browser's history.
+   * Writes the values into the address when they rest and no pointer is down, as a new entry of the
+   * browser's history. So a drag is one entry.
    * `onChange` is called after each entry. In a frame or a notebook the history is that of the page
    * around the frame, and the address stays as it is.
    */
@@ -12,15 +13,23 @@ const Addresses = (() => {
       Object.assign(this, { rest_ms, onChange, timer: 0, active: self === top });
       this.step = (this.active && history.state?.step) || 0;
       this.last = this.step;
+      for (const type of ["pointerdown", "pointerup", "pointercancel"]) {
+        addEventListener(type, () => {
+          this.held = type === "pointerdown";
+          if (!this.held && this.timer) this.note(this.fragment);
+        });
+      }
     }
 
     /** Write a fragment after a rest, unless the address has it. */
     note(fragment) {
+      this.fragment = fragment;
       clearTimeout(this.timer);
-      if (this.active) this.timer = setTimeout(() => this.write(fragment), this.rest_ms);
+      if (this.active) this.timer = setTimeout(() => this.held || this.write(fragment), this.rest_ms);
     }
 
     write(fragment) {
+      this.timer = 0;
       if (location.hash.replace(/^#/, "") === fragment) return;
       this.step += 1;
       this.last = this.step;
@@ -31,6 +40,7 @@ const Addresses = (() => {
     /** Take the step of an entry to which the browser has gone. */
     arrive(state) {
       clearTimeout(this.timer);
+      this.timer = 0;
       this.step = state?.step ?? 0;
       this.last = Math.max(this.last, this.step);
       this.onChange();

@@ -54,6 +54,14 @@ const Setups = (() => {
       all.some((model) => model[name] === choice && model[other] === setup[other]));
   }
 
+  /** The choices of a switch that have no model with the present choice of the other switch. */
+  function missing(data, setup, name) {
+    const other = name === "controller" ? "load" : "controller";
+    const pairs = Object.values(data.scenarios[setup.scenario].missing).flat();
+    return pairs.map(([controller, load]) => ({ controller, load }))
+      .filter((pair) => pair[other] === setup[other]).map((pair) => pair[name]);
+  }
+
   /** Whether the loop of a set-up has a wearer. */
   function hasWearer(data, setup) {
     return modelOf(data, setup).wearer;
@@ -401,7 +409,7 @@ const Setups = (() => {
 
   return {
     CONTROLLER_NAMES, LOAD_NAMES, PINS, PROTECTION_NAMES, REFERENCE_NAMES, choices, choose, clamped, copied, defaultOf,
-    display, faultNames, faultOf, follow, fresh, hasWearer, linkOf, modelOf, moduleValues, parsed, thrownOf, quantitiesOf, references, remarkOf, setValue, shown, stateOf,
+    display, faultNames, faultOf, follow, fresh, hasWearer, linkOf, missing, modelOf, moduleValues, parsed, thrownOf, quantitiesOf, references, remarkOf, setValue, shown, stateOf,
     valueOf, valuesOf, yamlOf,
   };
 })();

@@ -294,7 +294,7 @@ const Stage = (() => {
       play.textContent = this.playing ? "❚❚ Pause" : "▶ Play";
       slider.max = this.duration;
       slider.value = this.time;
-      clock.textContent = `${this.time.toFixed(2)} of ${this.duration.toFixed(1)} s`;
+      clock.textContent = this.duration === 0 ? "computing …" : `${this.time.toFixed(2)} of ${this.duration.toFixed(1)} s`;
       slider.setAttribute("aria-valuetext", clock.textContent);
     }
   }

@@ -136,6 +136,102 @@ def test_a_phone_shows_numbers_beside_the_moving_slider(browser, single):
     browser.require_width()
 
 
+SEEN = """(() => { const { activeElement: at } = document;
+  if (at === document.body) return null;
+  document.getElementById("hint").style.pointerEvents = "auto"; // counts as a cover
+  const shown = at.matches(".switch input") ? at.nextElementSibling : at;
+  const { left, top, width, height } = shown.getBoundingClientRect();
+  const hit = document.elementFromPoint(left + width / 2, top + height / 2);
+  return [at.id || at.className || at.tagName, shown.contains(hit)]; })()"""
+"""Name of the element with the focus, and whether its middle is in sight; null without focus."""
+
+
+@pytest.mark.parametrize(("width", "height"), [(1440, 900), (720, 450), (390, 844)])
+def test_no_focus_is_hidden(browser, single, width, height):
+    page = _Page(browser, single, width=width, height=height)
+    page.evaluate("for (const more of document.querySelectorAll('details')) more.open = true")
+    tab = {"key": "Tab", "code": "Tab", "windowsVirtualKeyCode": 9}
+    for modifiers in (0, 8):  # Shift
+        seen = []
+        while len(seen) < 300:
+            browser.call("Input.dispatchKeyEvent", type="keyDown", modifiers=modifiers, **tab)
+            if (focus := page.evaluate(SEEN)) is None:
+                break
+            seen.append(focus)
+        assert len(seen) > 60
+        assert [name for name, is_seen in seen if not is_seen] == []
+        page.evaluate("document.activeElement.blur()")
+    box = page.evaluate(
+        f"""(() => {{ const slider = document.getElementById("q-{GEAR}");
+        slider.scrollIntoView({{ block: "end" }});
+        return slider.getBoundingClientRect().toJSON(); }})()"""
+    )
+    mouse = {"button": "left", "clickCount": 1, "x": box["x"] + 3, "y": box["bottom"] - 3}
+    for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
+        browser.call("Input.dispatchMouseEvent", type=kind, **mouse)
+    assert page.evaluate(f"Page.state.setups[0].values['{GEAR}']") == 1
+
+
+def test_a_swipe_scrolls_and_a_drag_sets_a_slider_by_one_entry(browser, single):
+    page = _Page(browser, single, width=390, height=844, phone=True)
+    slider = f"document.getElementById('q-{GEAR}')"
+    for across in (0, 60):
+        page.evaluate(f"{slider}.scrollIntoView({{block: 'center'}})")
+        before = page.evaluate("scrollY")
+        box = page.evaluate(f"{slider}.getBoundingClientRect().toJSON()")
+        x, y = box["x"] + 100, box["y"] + box["height"] / 2
+        for step in range(11):
+            if step == 5 and across:  # a rest within a drag
+                page.evaluate("new Promise((resolve) => setTimeout(resolve, 700)).then(() => 0)")
+            up = 0 if across else 20 * step
+            at = [{"x": x + across * step / 10, "y": y - up}]
+            kind = "touchMove" if step else "touchStart"
+            browser.call("Input.dispatchTouchEvent", type=kind, touchPoints=at)
+        browser.call("Input.dispatchTouchEvent", type="touchEnd", touchPoints=[])
+        page.evaluate("new Promise((resolve) => setTimeout(resolve, 700)).then(() => 0)")
+        assert page.evaluate(f"{GEAR!r} in Page.state.setups[0].values") is bool(across)
+        assert (page.evaluate("scrollY") > before + 50) is not bool(across)
+        assert (page.evaluate("history.state?.step") or 0) == bool(across)
+
+
+def test_a_phone_shows_the_curves_then_the_sliders(browser, single):
+    page = _Page(browser, single, width=390, height=844, phone=True)
+    tops = """["curves", "panel", "leg", "numbers", "bode"].map((name) =>
+      document.getElementById(name).getBoundingClientRect().top)"""
+    assert page.evaluate(tops) == sorted(page.evaluate(tops))
+    first = "document.querySelector('#panel input[type=range]').getBoundingClientRect().bottom"
+    assert page.evaluate(first) < 844
+    assert page.evaluate("document.getElementById('curves').offsetHeight") <= 844 / 3
+
+
+def test_plots_grow_with_a_large_window(browser, single):
+    heights = []
+    for width, height in ((1440, 900), (2560, 1440)):
+        page = _Page(browser, single, width=width, height=height)
+        heights.append(page.evaluate("document.querySelector('#plots canvas').clientHeight"))
+        edges = """["header h1", "#numbers", "header .actions", "#panel"].map((name) =>
+          document.querySelector(name).getBoundingClientRect()).map(({ left, right }, k) =>
+          (k < 2 ? left : right))"""
+        title, numbers, actions, panel = page.evaluate(edges)
+        assert [title, actions] == pytest.approx([numbers, panel], abs=0.5)
+    assert heights[1] == 1.6 * heights[0] == 240
+
+
+def test_the_sweep_stays_when_a_push_changes_and_starts_anew_with_the_loop(browser, single):
+    page = _Page(browser, single)
+    page.click("load-knee")
+    browser.wait_for("Page.results[0].swept")
+    page.evaluate(
+        "(({ bode }) => { Page.cleared = 0; const clear = bode.clear.bind(bode);"
+        "bode.clear = (...more) => { Page.cleared += 1; clear(...more); }; })(Page.parts)"
+    )
+    points = page.evaluate("Page.parts.bode.points[0].length")
+    page.type("push.torque_n_m", 3)
+    assert page.evaluate("[Page.cleared, Page.parts.bode.points[0].length]") == [0, points]
+    page.type(GEAR, 5)
+    assert page.evaluate("Page.cleared") == 1
+
+
 def test_long_names_fit_a_phone(browser, two):
     _Page(browser, two, width=390, height=844, phone=True).wait(1)
     browser.require_width()
@@ -420,13 +516,28 @@ def test_the_saved_files_are_the_run_of_kneexo(browser, single, tmp_path):
     page.evaluate("document.getElementById('text-dialog').close()")
     picture = imread(saved("curves.png", "save-png"))[..., :3]
     width = page.evaluate("document.querySelector('#plots canvas').width")
-    assert picture.shape[:2] == (96 + sum((150, 100, 110, 100)) + 24 + 2 * 24, width)
+    assert picture.shape[:2] == (96 + sum((150, 100, 110, 100)) + 24 + 2 * 24 + 48, width)
+    is_ink = np.abs(picture - np.array([0x1F, 0x23, 0x28]) / 255.0).max(axis=2) < 0.1
+    runs = np.diff(np.flatnonzero(np.diff(is_ink[12, :300].astype(int))))[:5]
+    assert list(runs[:3]) == pytest.approx([6, 4, 6], abs=1)  # the reference is dashed
+    assert "slope of the sliding surface 12 1/s" in page.evaluate("Page.changesOf(0)")
+    assert (picture[-48:].min(axis=2) < 0.6).any(axis=1).sum() > 16  # two lines of text
     is_curve = np.abs(picture - np.array([0.0, 0x62, 0xA8]) / 255.0).max(axis=2) < 0.02
     tops = 24 + np.cumsum([0, 198, 124, 134])
     for top, height in zip(tops, (198, 124, 134, 148), strict=True):
         assert is_curve[top + 24 : top + height].sum() > 200  # each plot has its curve
     page.evaluate("document.getElementById('copy-link').click()")
     assert page.evaluate("document.getElementById('save-text').hidden")
+    page.evaluate("document.getElementById('text-dialog').close()")
+    page.click("compare", 1)
+    accent = "getComputedStyle(document.querySelector('#panel input[type=range]')).accentColor"
+    for letter, colour in (("A", "rgb(0, 98, 168)"), ("B", "rgb(184, 72, 10)")):
+        page.click(f"set-up-{letter.lower()}", 1)
+        saved(f"signals_{letter}.csv", "save-csv")
+        page.evaluate("document.getElementById('copy-yaml').click()")
+        saved(f"scenario_{letter}.yaml", "save-text")
+        page.evaluate("document.getElementById('text-dialog').close()")
+        assert page.evaluate(accent) == colour
 
 
 def test_a_link_carries_the_values(browser, single, tmp_path):
@@ -682,6 +793,11 @@ def test_nothing_is_drawn_before_the_first_run(browser, single):
       .filter((value) => value !== null)"""
     assert browser.evaluate(values) == []
     assert browser.evaluate("document.querySelectorAll('.card:not([hidden])').length") == 0
+    waiting = """[document.querySelector("#stage output").textContent,
+      getComputedStyle(document.getElementById("plots"), "::before").content,
+      ...[...document.querySelectorAll("#plots canvas")].map((e) => e.checkVisibility(
+        { visibilityProperty: true }))]"""
+    assert set(browser.evaluate(waiting)) == {"computing …", '"computing …"', False}
     assert browser.evaluate("document.querySelector('[data-plot=torque]').hidden")
     for name in ("zoom-in", "zoom-all", "measure", "save-csv"):
         browser.evaluate(f"document.getElementById('{name}').click()")
@@ -834,6 +950,8 @@ def test_a_dark_screen_has_a_dark_page_and_light_paper(browser, single):
     browser.emulate(scheme="dark")
     browser.wait_for("matchMedia('(prefers-color-scheme: dark)').matches")
     assert ground() == "rgb(20, 23, 27)"
+    box = "getComputedStyle(document.querySelector('.stage-box')).backgroundImage"
+    assert "rgb(141, 153, 166)" in page.evaluate(box)
     assert is_drawn(dark_blue)
     page.evaluate("dispatchEvent(new Event('beforeprint'))")
     assert is_drawn(light_blue)
@@ -856,7 +974,10 @@ def test_paper_has_values_numbers_and_curves(browser, single):
     shown = """[...document.querySelectorAll(
       "#panel, #values, #plots .plot:not([hidden]) canvas, #numbers, .stage-legend, #pin")]
     .map(element => element.checkVisibility())"""
-    assert page.evaluate(shown) == [True, True, False, True, True, True, True, False, True]
+    assert page.evaluate(shown) == [True, False, True, True, True, True, False, True, True]
+    wide = """[...document.querySelectorAll("#plots .plot:not([hidden]) canvas")].map((e) =>
+      e.clientWidth - document.getElementById("plots").clientWidth)"""
+    assert np.abs(page.evaluate(wide)).max() <= 1
     caption = page.evaluate("document.querySelector('#values caption').textContent")
     assert re.match(rf"Values of this page: kneexo {__version__}, \d{{4}}-\d\d-\d\d", caption)
     assert caption.endswith(f"#a.{GEAR}=4.5&kneexo={__version__}")

@@ -109,11 +109,14 @@ def test_zero_torque_and_impedance_stand_beside_each_other(browser, page_file, t
     browser.require_width()
 
 
-def test_a_choice_that_is_not_on_the_page_is_a_line_with_the_reason(browser, page_file, tmp_path):
+def test_a_choice_that_is_not_on_the_page_is_grey(browser, page_file, tmp_path):
     text, missing = page_file.read_text(encoding="utf-8"), {"needs Zig & more": [["pid", "knee"]]}
     assert text.count('"missing":{}') == 1
     file = tmp_path / "missing.html"
     file.write_text(text.replace('"missing":{}', f'"missing":{json.dumps(missing)}'), "utf-8")
     opened(browser, file)
-    line = browser.evaluate("document.querySelector('#panel .missing').textContent")
-    assert line == "Not on this page: PID with load weight of the shank. needs Zig & more"
+    choice = "document.getElementById('controller-pid')"
+    grey = (
+        f"[{choice}.disabled, {choice}.nextElementSibling.title, panel.textContent.includes('Zig')]"
+    )
+    assert browser.evaluate(grey) == [True, "not on this page", False]
