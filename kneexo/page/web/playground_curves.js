@@ -118,7 +118,7 @@ const Curves = (() => {
       return { ...plot, chart, box, figure, values };
     }
 
-    /** Series in the order of the columns: time, A, B, the extra lines of A and of B, the pinned run. */
+    /** Series in the order of the columns: time, A, B, their extra lines, both without a push, the pinned run. */
     series(plot) {
       const main = ["a", "b"].map((name) => ({ stroke: painted(name), width: 1.75, ...(plot.strip && { paths: () => null }) }));
       const extra = [0, 1].flatMap((index) => {
@@ -130,8 +130,9 @@ const Curves = (() => {
         const limit = { stroke: stroke("limit"), width: 1, dash: index ? [2, 6] : [2, 3] };
         return plot.extra === "limit" ? [limit, limit] : [];
       });
+      const free = ["a", "b"].map((name) => ({ stroke: painted(name), width: 1, dash: [3, 3] }));
       const pinned = { stroke: painted("pinned"), width: 1.25, dash: [5, 4] };
-      return [{}, ...[...main, ...extra, pinned].map((line) => ({ ...line, points: { show: false } }))];
+      return [{}, ...[...main, ...extra, ...free, pinned].map((line) => ({ ...line, points: { show: false } }))];
     }
 
     options(plot, last) {
@@ -165,7 +166,7 @@ const Curves = (() => {
       const longest = runs.reduce((a, b) => (b.time.length > a.time.length ? b : a));
       const time = longest.time;
       const end = Math.max(...runs.map((run) => run.duration_s));
-      const kind = runs.map((run) => `${run.reference} ${run.fault ? `${run.fault.label} ${run.fault.start_s}` : ""}`).join(" ");
+      const kind = runs.map((run) => `${run.reference} ${run.fault ? `${run.fault.label} ${run.fault.start_s}` : ""}${run.push ? ` push ${run.push.start_s}` : ""}`).join(" ");
       this.states = Object.keys(runs.find((run) => run.columns.state)?.faults.states ?? {});
       const again = this.end === end && this.kind === kind && this.range !== null;
       const unfinished = runs.some((run) => run.unfinished);
@@ -219,7 +220,8 @@ const Curves = (() => {
         }
         return plot.extra === "limit" ? [1, -1].map((sign) => column(run, "limit", sign * RPM)) : [];
       });
-      return [time, ...main, ...extra, column(this.pinned, plot.name, plot.factor)];
+      const free = [a, b].map((run) => column(run?.free && { time: run.time, columns: run.free }, plot.name, plot.factor));
+      return [time, ...main, ...extra, ...free, column(this.pinned, plot.name, plot.factor)];
     }
 
     follow(chart) {
@@ -369,11 +371,20 @@ const Curves = (() => {
       const width = Math.max(end - start, 0.1);
       return [start - width, end + 2 * width];
     }
+    const pushes = runs.filter(({ push }) => push);
+    if (pushes.length) return aroundPushes(pushes);
     const ends = runs.map(({ step_s: start, metrics: { settling_time_s: settling, push } }) =>
       (settling > 0 && !push ? [start, start + 3 * settling] : null));
     if (!ends.every(Boolean)) return null;
     const [first, last] = [Math.min(...ends.map(([start]) => start)), Math.max(...ends.map(([, end]) => end))];
     return [first - 0.15 * (last - first), last];
+  }
+
+  /** The times around pushes, until all knees are back. */
+  function aroundPushes(runs) {
+    const start = Math.min(...runs.map(({ push }) => push.start_s));
+    const end = Math.max(...runs.map(({ push, metrics }) => Math.max(push.end_s, push.start_s + (metrics.push?.recovery_time_s ?? 1))));
+    return [start - 0.3 * (end - start), end + 0.7 * (end - start)];
   }
 
   /** A line with a number at a time of a plot. */
