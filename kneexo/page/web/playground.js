@@ -82,7 +82,7 @@ const Page = (() => {
     return {
       hasWearer: Setups.hasWearer(data, setup), margins: data.margins, band_deg: data.recovery_band_deg,
       run: {
-        ...answer, fault: request.fault, faults: Setups.modelOf(data, setup).faults, isProtected: request.isProtected, duration_s: request.duration_s, reference: request.reference, step_s: request.values["reference.time_s"],
+        ...answer, push: Setups.pushOf(request.values), fault: request.fault, faults: Setups.modelOf(data, setup).faults, isProtected: request.isProtected, duration_s: request.duration_s, reference: request.reference, step_s: request.values["reference.time_s"],
         part_s: answer.unfinished && request.duration_s - end_s > sample_time_s ? end_s : null,
       },
       frequency: request.reference === "sine" ? request.values["reference.frequency_hz"] : null,
@@ -149,6 +149,14 @@ const Page = (() => {
       announce(visible);
     }
     caption();
+    allowPush();
+  }
+
+  /** Let the user push the legs that have a push. */
+  function allowPush() {
+    const pushes = shownSetups().map((index) => Setups.quantitiesOf(data, state.setups[index]).find(({ name }) => name === "push.torque_n_m"));
+    pushes.forEach((push, index) => { parts.stage.legs[index].canPush = push?.high ?? 0; });
+    parts.stage._bar.push.hidden = !pushes[parts.panel.index];
   }
 
   /** Whether a result has all its numbers. */
@@ -289,10 +297,10 @@ const Page = (() => {
   }
 
   /** Show a run on the stage. The first part of a run has no place there, because its end would stop the time. */
-  function showOnStage(index, { time, columns, unfinished }) {
+  function showOnStage(index, { time, columns, push, unfinished }) {
     if (unfinished) return;
     const { angle, reference, pressure, wearer, torque } = columns;
-    parts.stage.setRun(index, { time, angle, reference, pressure, ...(torque && { wearer, torque }) });
+    parts.stage.setRun(index, { time, angle, reference, pressure, push, ...(torque && { wearer, torque }) });
     parts.stage.setName(index, nameOf(index));
   }
 
@@ -366,13 +374,32 @@ const Page = (() => {
     parts.stage?.remove();
     const box = element("div");
     byId("stage").append(box);
-    parts.stage = new Stage(box, { legs: legs.map((scenario) => data.scenarios[scenario].leg), trace: false, playing });
+    parts.stage = new Stage(box, { legs: legs.map((scenario) => data.scenarios[scenario].leg), trace: false, playing, onPush });
     box.addEventListener("stagetime", ({ detail }) => {
       parts.plots.setTime(detail);
       if (!parts.plots.hovered) parts.safety.at(detail); // also at a time beyond the zoom
     });
     parts.legs = legs.join(" ");
     parts.drawn = null;
+  }
+
+  /** Push a set-up, or that of the panel with its torque, at the time of the leg. */
+  function onPush(index, torque) {
+    const { panel } = parts;
+    if (index !== null && index !== panel.index) panel.select(index);
+    const quantities = [...panel.rows.keys()];
+    const [size, start, duration] = ["torque_n_m", "start_s", "duration_s"].map((name) => quantities.find((q) => q.name === `push.${name}`));
+    const value = (quantity) => Setups.valueOf(data, panel.setup, quantity);
+    const latest = value(data.duration) - value(duration);
+    Setups.setValue(data, panel.setup, size, torque ?? (value(size) || size.high / 10));
+    panel.refreshRow(size);
+    panel.set(start, Math.max(0, Math.min(sampleTime(), latest)));
+  }
+
+  /** The time of the leg, rounded to a sample. */
+  function sampleTime() {
+    const { sample_time_s: period } = data.modules[Setups.modelOf(data, parts.panel.setup).loop.module].table;
+    return Number((Math.round(parts.stage.time / period) * period).toFixed(9));
   }
 
   function showTime(time) {
@@ -602,7 +629,7 @@ const Page = (() => {
     parts.bode = new Bode.BodePlots(byId("bode-plots"));
     parts.runs = new Runner.Runs(new Runner.Crew(source, models), onRun);
     parts.analyses = new Runner.Analyses(new Runner.Crew(source, models), REST_MS, handlers);
-    parts.panel = new Controls.Panel(byId("panel"), data, state, onPanel, () => parts.plots.time ?? 0);
+    parts.panel = new Controls.Panel(byId("panel"), data, state, onPanel, sampleTime);
     fillChoice();
     listen();
     computePins();

@@ -186,7 +186,7 @@ const Controls = (() => {
     /** Let the fault start at the time that the leg shows. */
     throwNow(quantities) {
       const start = quantities.find(({ name }) => name === "fault.start_s");
-      this.set(start, Number(this.now().toFixed(3)));
+      this.set(start, this.now());
     }
 
     /** Show range and source of a quantity at the lower edge of the window. */

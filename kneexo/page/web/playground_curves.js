@@ -141,14 +141,15 @@ const Curves = (() => {
       return { ...plot, chart, box, figure, values };
     }
 
-    /** Series in the order of the columns: time, A, B, the extra lines of A and of B, the pinned runs. */
+    /** Series in the order of the columns: time, A, B, their extra lines, both without a push, the pinned runs. */
     series(plot) {
       const main = ["a", "b"].map((name) => ({ stroke: painted(name), width: 1.75, ...(plot.strip && { paths: () => null }) }));
       const extra = [0, 1].flatMap((index) => {
         return (plot.extra ?? []).map(({ stroke, width, dash }) => ({ stroke: painted(index ? "b" : stroke), width, dash: dash[index] }));
       });
+      const free = ["a", "b"].map((name) => ({ stroke: painted(name), width: 1, dash: [3, 3] }));
       const pinned = PINS.map((dash, slot) => ({ stroke: painted(`pin-${slot}`), width: 1.5, dash }));
-      return [{}, ...[...main, ...extra, ...pinned].map((line) => ({ ...line, points: { show: false } }))];
+      return [{}, ...[...main, ...extra, ...free, ...pinned].map((line) => ({ ...line, points: { show: false } }))];
     }
 
     /** Whether a plot has the labels of the time axis: the first and the last one, so that they stay in view. */
@@ -187,7 +188,7 @@ const Curves = (() => {
       const longest = runs.reduce((a, b) => (b.time.length > a.time.length ? b : a));
       const time = longest.time;
       const end = Math.max(...runs.map((run) => run.duration_s));
-      const kind = runs.map((run) => `${run.reference} ${run.fault ? `${run.fault.label} ${run.fault.start_s}` : ""}`).join(" ");
+      const kind = runs.map((run) => `${run.reference} ${run.fault ? `${run.fault.label} ${run.fault.start_s}` : ""}${run.push ? ` push ${run.push.start_s}` : ""}`).join(" ");
       this.states = Object.keys(runs.find((run) => run.columns.state)?.faults.states ?? {});
       const again = this.end === end && this.kind === kind && this.range !== null;
       const unfinished = runs.some((run) => run.unfinished);
@@ -247,7 +248,7 @@ const Curves = (() => {
     /** The columns of the series of a plot at the times: `empty` for a series that the runs do not have. */
     columns(plot, time, empty) {
       const column = (run, name, factor) => {
-        if (Number.isFinite(run?.limits[name])) return new Array(time.length).fill(factor * run.limits[name]);
+        if (Number.isFinite(run?.limits?.[name])) return new Array(time.length).fill(factor * run.limits[name]);
         return run?.columns[name] ? onTime(run, run.columns[name], time, factor) : empty;
       };
       const [a, b] = this.runs;
@@ -255,8 +256,9 @@ const Curves = (() => {
       const extra = [a, b].flatMap((run) => {
         return (plot.extra ?? []).map(({ of, sign = 1 }) => (of === "reference" && run?.same_reference ? empty : column(run, of, sign * plot.factor)));
       });
+      const free = [a, b].map((run) => column(run?.free && { time: run.time, columns: run.free }, plot.name, plot.factor));
       const pinned = PINS.map((_, slot) => column(this.pinned.find((pin) => pin.slot === slot)?.run, plot.name, plot.factor));
-      return [time, ...main, ...extra, ...pinned];
+      return [time, ...main, ...extra, ...free, ...pinned];
     }
 
     follow(chart) {
@@ -433,11 +435,20 @@ const Curves = (() => {
       const width = Math.max(end - start, 0.1);
       return [start - width, end + 2 * width];
     }
+    const pushes = runs.filter(({ push }) => push);
+    if (pushes.length) return aroundPushes(pushes);
     const ends = runs.map(({ step_s: start, metrics: { settling_time_s: settling, push } }) =>
       (settling > 0 && !push ? [start, start + 3 * settling] : null));
     if (!ends.every(Boolean)) return null;
     const [first, last] = [Math.min(...ends.map(([start]) => start)), Math.max(...ends.map(([, end]) => end))];
     return [first - 0.15 * (last - first), last];
+  }
+
+  /** The times around pushes, until all knees are back. */
+  function aroundPushes(runs) {
+    const start = Math.min(...runs.map(({ push }) => push.start_s));
+    const end = Math.max(...runs.map(({ push, metrics }) => Math.max(push.end_s, push.start_s + (metrics.push?.recovery_time_s ?? 1))));
+    return [start - 0.3 * (end - start), end + 0.7 * (end - start)];
   }
 
   /** A line with a number at a time of a plot. */

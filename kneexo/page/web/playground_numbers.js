@@ -25,7 +25,7 @@ const Numbers = (() => {
 
   function ofRecovery({ run, band_deg: band }) {
     if (run.metrics.push.recovery_time_s === null) return [`not back within ±${shown(band)}°`, "bad"];
-    return [`after its start within ±${shown(band)}° of the run without it`, "good"];
+    return [`from the start of the push until within ±${shown(band)}° of the run without it`, "good"];
   }
 
   function ofCycle({ period_s: period, lowest_pressure_pa: low, highest_pressure_pa: high }) {
@@ -138,7 +138,7 @@ const Numbers = (() => {
     { name: "deviation", wearer: false, when: isPushed, label: "Push deviation", unit: "deg",
       value: ({ run }) => shown(run.metrics.push.largest_deviation_rad * DEG),
       word: () => ["largest, from the run without a push", "plain"] },
-    { name: "recovery", wearer: false, when: isPushed, label: "Recovery time", unit: "s",
+    { name: "recovery", wearer: false, when: isPushed, label: "Back after", unit: "s",
       value: ({ run }) => shown(run.metrics.push.recovery_time_s), word: ofRecovery },
     { name: "detected", when: isThrown, label: "Detected after", unit: "ms",
       value: ({ run }) => shown(sinceFault(run, run.metrics.protection.stop?.time_s), 4), word: ({ run }) => ofDetection(run) },

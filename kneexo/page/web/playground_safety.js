@@ -55,6 +55,7 @@ const Safety = (() => {
     runs.forEach((run, index) => {
       if (plot.strip && run.columns.state) drawStates(chart, run, index, runs.length, x, scale);
       if (run.fault && !(isSame && index)) drawFault(chart, run.fault, index, isSame ? 1 : runs.length, plot, x, scale);
+      if (run.push) drawFault(chart, run.push, index + (run.fault ? runs.length : 0), runs.length, plot, x, scale);
     });
     ctx.restore();
   }
@@ -84,7 +85,7 @@ const Safety = (() => {
     if (start_s > chart.scales.x.max) return;
     const { ctx, bbox } = chart;
     const [left, right] = [start_s, end_s].map(x);
-    const mark = colour(count > 1 ? "ab"[index] : "bad");
+    const mark = colour(count > 1 ? "ab"[index % 2] : "bad");
     ctx.fillStyle = ctx.strokeStyle = mark;
     ctx.globalAlpha = 0.1;
     ctx.fillRect(left, bbox.top, right - left, bbox.height);
@@ -97,7 +98,7 @@ const Safety = (() => {
     ctx.lineTo(left, bbox.top + bbox.height);
     ctx.stroke();
     if (plot.name !== "angle") return;
-    const words = `${count > 1 ? `${"AB"[index]}: ` : ""}${label}`;
+    const words = `${count > 1 ? `${"AB"[index % 2]}: ` : ""}${label}`;
     const outside = left + 6 * scale + ctx.measureText(words).width > bbox.left + bbox.width;
     ctx.textAlign = outside ? "right" : "left";
     ctx.fillText(words, left + (outside ? -4 : 4) * scale, bbox.top + (12 + 13 * index) * scale);

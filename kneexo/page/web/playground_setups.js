@@ -109,6 +109,11 @@ const Setups = (() => {
     return { label: faults.choices[setup.fault].label, start_s, duration_s, end_s, reset_s };
   }
 
+  /** The push of values: label, torque, start and end; null without a push. */
+  function pushOf({ "push.torque_n_m": torque, "push.start_s": start_s, "push.duration_s": duration_s }) {
+    return torque ? { label: `push, ${shown(torque)} N·m`, torque, start_s, end_s: start_s + duration_s } : null;
+  }
+
   /** Values of the module that throw the fault of a set-up, and that put thresholds out of reach without protection. */
   function moduleValues(data, setup) {
     const { faults } = modelOf(data, setup);
@@ -409,7 +414,7 @@ const Setups = (() => {
 
   return {
     CONTROLLER_NAMES, LOAD_NAMES, PINS, PROTECTION_NAMES, REFERENCE_NAMES, choices, choose, clamped, copied, defaultOf,
-    display, faultNames, faultOf, follow, fresh, hasWearer, linkOf, missing, modelOf, moduleValues, parsed, thrownOf, quantitiesOf, references, remarkOf, setValue, shown, stateOf,
+    display, faultNames, faultOf, follow, fresh, hasWearer, linkOf, missing, modelOf, moduleValues, parsed, pushOf, thrownOf, quantitiesOf, references, remarkOf, setValue, shown, stateOf,
     valueOf, valuesOf, yamlOf,
   };
 })();

@@ -86,11 +86,15 @@ const Simulator = (() => {
       return this.view(this.wasm.inputs() + 8 * index * (this.ticks + 1), this.ticks + 1);
     }
 
+    get outputs() {
+      return this.view(this.wasm.outputs(), this.table.outputs.length * (this.ticks + 1));
+    }
+
     // Return a copy of the first ``rows`` values of an output, or null if the module lacks it.
-    output(name, rows) {
+    output(name, rows, outputs = this.outputs) {
       const index = this.table.outputs.indexOf(name);
       if (index < 0) return null;
-      return this.view(this.wasm.outputs() + 8 * index * (this.ticks + 1), rows).slice();
+      return outputs.slice(index * (this.ticks + 1), index * (this.ticks + 1) + rows);
     }
 
     states() {
@@ -98,32 +102,65 @@ const Simulator = (() => {
       return this.view(this.wasm.states(), states.length + discrete.length);
     }
 
-    // Start and step through all rows. Return the number of rows before a failure. ``pause`` gets the
-    // number of ticks until then, and may throw. ``changes`` maps ticks to the parameters that are
-    // valid from then on. The memory before the first change is kept for `goOn`.
+    // Keep moments of the next run, from which later runs with other changes go on, or keep nothing. The moments
+    // of the last run stay if the next one has the same parameters and inputs.
+    keep(run) {
+      const { kept } = this;
+      const isSame = run && kept?.inputs === run.inputs && kept.parameters.every((value, k) => value === run.parameters[k]);
+      if (!isSame) this.kept = run && { ...run, moments: [], outputs: null };
+    }
+
+    // Step through all rows. Return the number of rows before a failure. ``pause`` gets the number of ticks
+    // until then, and may throw. ``changes`` maps ticks to the parameters that are valid from then on.
     async run(pause, changes = new Map()) {
-      this.kept = null;
-      if (this.wasm.start()) return 0;
       const stops = [...changes.keys(), this.ticks].sort((a, b) => a - b);
-      let tick = 0;
+      let tick = this.from = this.begin(stops[0]);
+      if (tick === null) return 0;
       for (const [index, stop] of stops.entries()) {
-        tick = await this.advance(tick, stop, pause);
+        tick = await this.advance(tick, stop, pause, index === 0);
         if (tick < stop || !changes.has(stop)) break;
-        if (index === 0) this.kept = { tick, memory: this.wasm.memory.buffer.slice(0) };
         this.view(this.wasm.params(), changes.get(stop).length).set(changes.get(stop));
       }
+      if (this.kept && !changes.size) this.keepOutputs(tick);
       return tick + 1;
+    }
+
+    // Start, or go back to a moment if all outputs of the run without changes are known. Return the tick,
+    // or null if the start fails.
+    begin(latest) {
+      if (this.kept?.outputs) {
+        this.outputs.set(this.kept.outputs);
+        return this.restore(latest);
+      }
+      if (this.wasm.start()) return null;
+      if (this.kept) this.kept.moments = [this.moment(0)];
+      return 0;
     }
 
     // Go on from the first change of the last run, as if there were no change.
     async goOn(pause) {
-      const { tick, memory } = this.kept;
-      new Uint8Array(this.wasm.memory.buffer).set(new Uint8Array(memory));
-      return await this.advance(tick, this.ticks, pause) + 1;
+      if (!this.kept.outputs) this.keepOutputs(await this.advance(this.restore(this.ticks), this.ticks, pause, true));
     }
 
-    // Step from a tick to another one, in pieces of about `PIECE_MS`. Return the tick before a failure.
-    async advance(tick, stop, pause) {
+    keepOutputs(tick) {
+      Object.assign(this.kept, { outputs: this.outputs.slice(), isWhole: tick === this.ticks });
+    }
+
+    // All memory before the rows: parameters, states and status.
+    moment(tick) {
+      return { tick, memory: new Uint8Array(this.wasm.memory.buffer, 0, this.wasm.inputs()).slice() };
+    }
+
+    // Go back to the last moment that is not after a tick. Return its tick.
+    restore(latest) {
+      const { tick, memory } = this.kept.moments.findLast((moment) => moment.tick <= latest);
+      new Uint8Array(this.wasm.memory.buffer).set(memory);
+      return tick;
+    }
+
+    // Step from a tick to another one, in pieces of about `PIECE_MS`, and perhaps keep the moment after each
+    // piece. Return the tick before a failure.
+    async advance(tick, stop, pause, keeps) {
       let piece = PIECE_TICKS[0];
       while (tick < stop) {
         const start = performance.now();
@@ -131,6 +168,7 @@ const Simulator = (() => {
         const good = this.wasm.advance(tick, count);
         tick += good;
         if (good < count) break;
+        if (keeps && tick > this.kept?.moments.at(-1).tick) this.kept.moments.push(this.moment(tick));
         const wanted = (count * PIECE_MS) / Math.max(performance.now() - start, 0.1);
         piece = Math.round(Math.min(Math.max(wanted, PIECE_TICKS[0]), PIECE_TICKS[1]));
         if (tick < this.ticks) await pause(tick);
@@ -335,8 +373,10 @@ const Simulator = (() => {
     const period_s = instance.table.sample_time_s;
     const { columns, inputs } = await inputsOf(request, ticks, period_s, pause, `${purpose} ${setup}`);
     const all = { ...values, start_angle_rad: columns[0][0], start_rate_rad_s: columns[1][0] };
-    instance.prepare(parametersOf(model.loop, all), ticks);
+    const parameters = parametersOf(model.loop, all);
+    instance.prepare(parameters, ticks);
     inputs.forEach((column, index) => instance.input(index).set(column));
+    instance.keep(purpose === "run" && PUSH[0] in values ? { parameters, inputs } : null);
     return { instance, columns, changes: pushOf(model, all, period_s) };
   }
 
@@ -370,7 +410,13 @@ const Simulator = (() => {
       const { time, shaft, hydraulic, rate, ...shown } = signals;
       const metrics = rows > 1 ? metricsOf(model, reference, values, limits, signals) : {};
       if (model.faults) metrics.protection = protectionMetrics(signals, model.faults, request.fault_s ?? 0);
-      return { time, columns: shown, metrics, limits, end };
+      return { time, columns: shown, metrics, limits, end, free: freeOf(rows) };
+    };
+    // The curves without the push, if they are known.
+    const freeOf = (rows) => {
+      if (!changes.size || !instance.kept.isWhole) return null;
+      const { angle, error, command, pressure } = signalsOf(instance, columns[0].slice(0, rows), instance.kept.outputs);
+      return { angle, error, command, pressure };
     };
     const isDue = partsOf(instance, request.view_s ?? [0, duration_s]);
     const rows = await instance.run(async (tick) => {
@@ -378,21 +424,24 @@ const Simulator = (() => {
       if (isDue(tick)) send({ unfinished: true, ...answerOf(tick + 1) });
     }, changes);
     const answer = answerOf(rows, instance.endAt(rows));
-    if (!instance.kept || answer.end) return answer;
-    const free = await freeAngle(request, instance, pause, () => send({ unfinished: true, ...answerOf(rows) }));
-    if (free) answer.metrics.push = pushMetrics({ time: answer.time, angle: answer.columns.angle }, free, values[PUSH[1]], request.band_deg);
+    if (!changes.size || answer.end) return answer;
+    if (!instance.kept.outputs) send({ unfinished: true, ...answerOf(rows) });
+    await instance.goOn(pause);
+    answer.free ??= freeOf(rows);
+    if (answer.free) answer.metrics.push = pushMetrics({ time: answer.time, angle: answer.columns.angle }, answer.free.angle, values[PUSH[1]], request.band_deg);
     return answer;
   }
 
   // Return a function that tells whether a part of a run that begins now is due at a tick.
-  function partsOf({ ticks, table: { sample_time_s: period_s } }, [low, high]) {
+  function partsOf(instance, [low, high]) {
+    const { ticks, table: { sample_time_s: period_s } } = instance;
     const start = performance.now();
     let due = FIRST_PART_MS;
     let seen = false; // the end of the time in view
     return (tick) => {
       const passed = performance.now() - start;
       const isSeen = tick * period_s >= high;
-      if (tick * period_s <= low || (passed * (ticks - tick)) / tick < SOON_MS) return false;
+      if (tick * period_s <= low || (passed * (ticks - tick)) / (tick - (instance.from ?? 0)) < SOON_MS) return false;
       if (passed < due && (seen || !isSeen)) return false;
       seen = isSeen;
       due = passed + NEXT_PART_MS;
@@ -400,26 +449,10 @@ const Simulator = (() => {
     };
   }
 
-  const freeRuns = new Map(); // by set-up: the model and values of the last run without its push, and its angle
-
-  // The angle of the last run of an instance as if there were no push, or null if that run ends early.
-  // A change of the push alone does not change it. ``wait`` is called before a computation.
-  async function freeAngle({ setup = 0, ...request }, instance, pause, wait) {
-    const values = Object.entries(request.values).filter(([name]) => !PUSH.includes(name));
-    const key = JSON.stringify([request.reference, request.duration_s, values]);
-    const known = freeRuns.get(setup);
-    if (known?.key === key && known.instance === instance && known.model === modelOf(request)) return known.angle;
-    wait();
-    const rows = await instance.goOn(pause);
-    const angle = instance.endAt(rows) ? null : instance.output("knee_angle_rad", rows);
-    freeRuns.set(setup, { key, instance, model: modelOf(request), angle });
-    return angle;
-  }
-
   // The signals of a run over time: the curves of a page, and those that only metrics need.
-  function signalsOf(instance, reference) {
+  function signalsOf(instance, reference, outputs = instance.outputs) {
     const rows = reference.length;
-    const signal = (name) => instance.output(name, rows);
+    const signal = (name) => instance.output(name, rows, outputs);
     const angle = signal("knee_angle_rad");
     const torque = signal("interaction_torque_n_m"); // null without a wearer
     const state = signal("safety_state"); // null without protection

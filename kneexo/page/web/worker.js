@@ -27,7 +27,7 @@
   };
 
   const buffersOf = (answer) =>
-    [answer, answer.columns ?? {}].flatMap(Object.values).filter(ArrayBuffer.isView).map((a) => a.buffer);
+    [answer, answer.columns ?? {}, answer.free ?? {}].flatMap(Object.values).filter(ArrayBuffer.isView).map((a) => a.buffer);
 
   const finite = (value) => (Number.isNaN(value) ? null : value);
 

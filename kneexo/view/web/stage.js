@@ -13,17 +13,22 @@ const Stage = (() => {
   const LEAST_SHARPNESS = 0.5;
   const MANY_LEGS = 3;
   const PAPER_PX = 600;
+  const SHANK_M = [0.05, 0.46, 0.09]; // where a pointer grabs the shank: from, to, and half its width
 
   const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
   class Stage {
     /**
      * Without `trace` there is no plot of the error, and with `flat` no WebGL. Without `playing` the
-     * stage stands still until the user starts it.
+     * stage stands still until the user starts it. A leg with `canPush`, the torque in N·m of an arrow that is a
+     * quarter turn, can be pushed: `onPush(index, torque)` gets the torque in N·m of a drag on its shank.
      */
-    constructor(element, { legs, trace = true, flat = false, playing = true }) {
+    constructor(element, { legs, trace = true, flat = false, playing = true, onPush = null }) {
       this.element = element;
       this.legs = legs.map((data) => new StageModel.Leg(data));
+      this.onPush = onPush;
+      this.pull = null; // the push that the user draws: index of the leg, torque in N·m, and a pointer
+      this._places = [];
       this.orbit = { ...HOME };
       this.time = 0;
       this.speed = 1;
@@ -104,6 +109,46 @@ const Stage = (() => {
       this._updateNow();
     }
 
+    /** The place of a pointer on a leg in the plane of the knee: angle in rad, and whether it is on the shank. */
+    _placeOf(index, { offsetX, offsetY, target }) {
+      const leg = this.legs[index];
+      const [x, z, turn] = leg.pose("shank", leg.at(this.time).angle);
+      const place = this._places[index];
+      const pixels = target.width / target.clientWidth;
+      const [[left, top], along, up] = [place(x, z), place(x + 0.1, z), place(x, z + 0.1)];
+      const [a, b, c, d] = [along[0] - left, along[1] - top, up[0] - left, up[1] - top];
+      const [right, down] = [offsetX * pixels - left, offsetY * pixels - top];
+      const [u, v] = [(d * right - c * down), (a * down - b * right)].map((n) => (0.1 * n) / (a * d - b * c));
+      const [ahead, aside] = [u * Math.cos(turn) + v * Math.sin(turn), v * Math.cos(turn) - u * Math.sin(turn)];
+      return { angle: Math.atan2(aside, ahead), isOnShank: ahead > SHANK_M[0] && ahead < SHANK_M[1] && Math.abs(aside) < SHANK_M[2] };
+    }
+
+    /** Begin a push with a pointer on the shank. Return whether there is one. */
+    grab(index, event) {
+      if (!this.onPush || !this.legs[index].canPush || !this._places[index]) return false;
+      const { angle, isOnShank } = this._placeOf(index, event);
+      if (!isOnShank) return false;
+      this.pause();
+      this.pull = { index, torque: 0, pointer: event.pointerId, angle };
+      return true;
+    }
+
+    /** Draw the push whose arrow ends at the pointer. */
+    drag(event) {
+      const { index, angle } = this.pull;
+      const most = this.legs[index].canPush;
+      this.pull.torque = Math.round(clamp((-2 / Math.PI) * (this._placeOf(index, event).angle - angle), -1, 1) * most);
+      this._updateNow();
+    }
+
+    /** End the push, and make it unless the user takes it back. */
+    release(isPushed) {
+      const { pull } = this;
+      this.pull = null;
+      this._updateNow();
+      if (pull && isPushed && pull.torque) this.onPush(pull.index, pull.torque);
+    }
+
     enlarge(factor) {
       this.orbit.zoom = clamp(this.orbit.zoom * factor, 0.5, 8);
       this._updateNow();
@@ -167,7 +212,7 @@ const Stage = (() => {
     _listen() {
       const { signal } = this._removed;
       StageElements.listenToKeys(this.element, this);
-      for (const { whole } of this._figures) StageElements.listenToGestures(whole, this);
+      this._figures.forEach(({ whole }, index) => StageElements.listenToGestures(whole, this, index));
       this._visible = new Set();
       const seen = new IntersectionObserver((entries) => {
         for (const { target, isIntersecting } of entries) {
@@ -274,10 +319,12 @@ const Stage = (() => {
       }
       const place = this._drawing.draw(index, canvas, orbit, onlyLinkage);
       const leg = this.legs[index];
-      const { torque, angle } = leg.at(this.time);
-      if (torque === undefined || onlyLinkage) return;
-      const shank = leg.pose("shank", angle);
-      StageArrow.draw(canvas.getContext("2d"), shank, torque, this._quarterTurn, place, columns / width);
+      if (onlyLinkage) return;
+      this._places[index] = place;
+      const { torque: worn, angle } = leg.at(this.time);
+      const torque = worn ?? (this.pull?.index === index ? this.pull.torque : leg.pushAt(this.time));
+      const scale = worn === undefined ? leg.canPush : this._quarterTurn;
+      if (torque) StageArrow.draw(canvas.getContext("2d"), leg.pose("shank", angle), torque, scale, place, columns / width);
     }
 
     _write(figure, leg) {

@@ -68,15 +68,18 @@ const StageElements = (() => {
     loop.addEventListener("change", () => (stage.loop = loop.checked));
     const view = make("button", { type: "button", textContent: "Reset view" });
     view.addEventListener("click", () => stage.resetView());
+    const push = make("button", { type: "button", textContent: "Push here", hidden: true, title: "push at this time (P), or drag the shank" });
+    push.addEventListener("click", () => stage.onPush(null));
     const element = make("div", { className: "stage-bar" }, [
       play,
       slider,
       clock,
       make("label", {}, ["Speed ", speed]),
       make("label", {}, [loop, " Repeat"]),
+      push,
       view,
     ]);
-    return { element, play, slider, clock };
+    return { element, push, play, slider, clock };
   }
 
   /** A small canvas with the drawing of `draw`. */
@@ -198,8 +201,8 @@ const StageElements = (() => {
     }
   }
 
-  /** A drag turns the legs. Two fingers, or Ctrl and the wheel, enlarge them. Other gestures scroll. */
-  function listenToGestures(canvas, stage) {
+  /** A drag on the shank pushes it, another drag turns the legs. Two fingers, or Ctrl and the wheel, enlarge them. Other gestures scroll. */
+  function listenToGestures(canvas, stage, index) {
     const pointers = new Map();
     const gap = () => {
       const [a, b] = [...pointers.values()];
@@ -208,18 +211,25 @@ const StageElements = (() => {
     canvas.addEventListener("pointerdown", (event) => {
       canvas.setPointerCapture(event.pointerId);
       pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
+      if (pointers.size > 1) stage.release(false);
+      else stage.grab(index, event);
     });
+    canvas.addEventListener("touchstart", (event) => stage.pull && event.preventDefault(), { passive: false }); // no scrolling
     canvas.addEventListener("pointermove", (event) => {
       const last = pointers.get(event.pointerId);
       if (!last) return;
       const before = pointers.size > 1 ? gap() : 0;
       const next = { x: event.clientX, y: event.clientY };
       pointers.set(event.pointerId, next);
-      if (pointers.size > 1) stage.enlarge(gap() / (before || 1));
+      if (stage.pull?.pointer === event.pointerId) stage.drag(event);
+      else if (pointers.size > 1) stage.enlarge(gap() / (before || 1));
       else stage.turn(0.008 * (last.x - next.x), 0.008 * (next.y - last.y));
     });
     for (const type of ["pointerup", "pointercancel"]) {
-      canvas.addEventListener(type, (event) => pointers.delete(event.pointerId));
+      canvas.addEventListener(type, (event) => {
+        pointers.delete(event.pointerId);
+        if (stage.pull?.pointer === event.pointerId) stage.release(type === "pointerup");
+      });
     }
     canvas.addEventListener("wheel", (event) => {
       if (!event.ctrlKey) return;
@@ -253,6 +263,8 @@ const StageElements = (() => {
       "+": () => stage.enlarge(1.15),
       "-": () => stage.enlarge(1 / 1.15),
       0: () => stage.resetView(),
+      Escape: () => stage.release(false),
+      p: () => stage._bar.push.checkVisibility() && stage.onPush(null),
     };
     element.addEventListener("keydown", (event) => {
       if (event.ctrlKey || event.altKey || event.metaKey) return;

@@ -52,6 +52,12 @@ const StageModel = (() => {
       return { ...common, wearer: mix(wearer ?? angle), ...(torque && { torque: mix(torque) }) };
     }
 
+    /** Torque in N·m of the push of the run that acts at a time, or 0. */
+    pushAt(t) {
+      const { torque, start_s, end_s } = this.run?.push ?? {};
+      return t >= start_s && t < end_s ? torque : 0;
+    }
+
     /** Pose of a frame at a knee angle in rad: x and z of its origin in m, turn of its x axis in rad. */
     pose(frame, angle) {
       const { low_rad: low, high_rad: high, rows } = this.data;

@@ -197,8 +197,9 @@ const StageSolid = (() => {
       const target = canvas.getContext("2d");
       target.clearRect(0, 0, width, height);
       target.drawImage(source, 0, source.height - height, width, height, 0, 0, width, height);
+      const seen = this.camera.projectionMatrix.clone().multiply(this.camera.matrixWorldInverse); // the camera moves on
       return (x, z) => {
-        const at = new THREE.Vector3(x, 0, z).project(this.camera);
+        const at = new THREE.Vector3(x, 0, z).applyMatrix4(seen);
         return [(0.5 + 0.5 * at.x) * width, (0.5 - 0.5 * at.y) * height];
       };
     }

@@ -434,9 +434,18 @@ def test_a_push_on_a_page_is_that_of_kneexo(worker, name):
     assert answer["parts"][-1]["columns"] == answer["columns"]  # before the run without the push
     again = worker.ask(values=values, band_deg=RECOVERY_BAND_DEG, **request)
     assert again["metrics"] == answer["metrics"]
+    assert again["columns"] == answer["columns"]  # goes on from a moment before the push
     assert all(len(part["time"]) < len(again["time"]) for part in again["parts"])  # it is known
     quiet = worker.ask(values=values | {"push.torque_n_m": 0.0}, **request)
     assert "push" not in quiet["metrics"]
+    free = {name: quiet["columns"][name] for name in answer["free"]}
+    assert answer["free"] == free
+    for setup, start_s in enumerate((4.5, 0.0, 2.5, 5.9), 1):  # the last one in the last piece
+        pushed = values | {"push.start_s": start_s, "push.duration_s": 0.1}
+        uncut = worker.ask(values=pushed, setup=setup, **request)
+        cut = worker.ask(values=pushed, **request)
+        assert cut["columns"] == uncut["columns"]
+        assert (cut["metrics"], cut["free"]) == (uncut["metrics"], free)
     largest = np.max(np.abs(np.subtract(answer["columns"]["angle"], quiet["columns"]["angle"])))
     assert metrics["largest_deviation_rad"] == largest  # as if the push had not been
     points = [
