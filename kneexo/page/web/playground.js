@@ -156,7 +156,7 @@ const Page = (() => {
   function allowPush() {
     const pushes = shownSetups().map((index) => Setups.quantitiesOf(data, state.setups[index]).find(({ name }) => name === "push.torque_n_m"));
     pushes.forEach((push, index) => { parts.stage.legs[index].canPush = push?.high ?? 0; });
-    parts.stage._bar.push.hidden = !pushes[parts.panel.index];
+    parts.stage.showPush(Boolean(pushes[parts.panel.index]));
   }
 
   /** Whether a result has all its numbers. */

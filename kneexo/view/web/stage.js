@@ -70,6 +70,11 @@ const Stage = (() => {
       }
     }
 
+    /** Show or hide the button that pushes. */
+    showPush(isShown) {
+      this._bar.push.hidden = !isShown;
+    }
+
     setName(index, name) {
       this.legs[index].name = name;
       this._trace?.show();

@@ -110,7 +110,7 @@ def test_pushes_at_the_time_of_the_leg_are_those_of_kneexo(browser, tmp_path, pr
         assert largest == pytest.approx(result.push.largest_deviation_deg, rel=1e-6)
         low, high = browser.evaluate("Page.parts.plots.range")
         assert low < written.push.start_s < written.push.end_s < high < 8.0
-        ghost = browser.evaluate("Array.from(Page.parts.plots.plots[0].data.at(-3))")
+        ghost = browser.evaluate("Array.from(Page.parts.plots.plots[0].data.at(-6))")
         pushed = browser.evaluate("Array.from(Page.parts.plots.plots[0].data[1])")
         assert np.abs(np.subtract(ghost, pushed)).max() == pytest.approx(largest)
         browser.require_health()
