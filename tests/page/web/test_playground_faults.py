@@ -262,6 +262,9 @@ def test_the_address_keeps_the_fault_and_wrong_values_are_one_line_each(browser,
     browser.require_health()
 
 
+SHOWN_CARDS = "[...document.querySelectorAll('.card')].filter((c) => !c.hidden)"
+
+
 def test_a_and_b_show_a_fault_with_and_without_protection(browser, page_file, tmp_path):
     link = (
         "a.fault=encoder_frozen&b.fault=encoder_frozen&b.protection=off&b.controller=smc&compare=1"
@@ -272,6 +275,27 @@ def test_a_and_b_show_a_fault_with_and_without_protection(browser, page_file, tm
         for index in (0, 1):
             check_run(page.run(index), in_kneexo(page, tmp_path, index)[1])
         assert page.text("key").startswith("A: sliding modeB: sliding mode, no protection")
+        # The unprotected knee shows its worst: the window has the largest error and torque of B.
+        low, high = page.evaluate("Page.parts.plots.range")
+        run = in_kneexo(page, tmp_path, 1)[1].run
+        for values in (
+            run["knee_reference_rad"] - run["knee_angle_rad"],
+            run["rod_force_n"] * run["moment_arm_m"],
+        ):
+            since = run.time_s >= START_S
+            assert low < run.time_s[since][np.abs(values[since]).argmax()] <= high
+        cards = page.evaluate(f"{SHOWN_CARDS}.map((c) => c.dataset.number)")
+        assert cards == [
+            *("detected", "safe", "fault-error", "fault-torque", "pressure", "saturated", "linear")
+        ]
+        # A number of the loop without the fault has no mark.
+        kind = "document.querySelector('[data-number=linear] .word').dataset.kind"
+        assert page.evaluate(kind) == "plain"
+        share = in_kneexo(page, tmp_path, 1)[1].verdict.saturated_share
+        number = page.evaluate(
+            "document.querySelectorAll('[data-number=saturated] .number')[1].textContent"
+        )
+        assert float(number) == pytest.approx(100.0 * share, rel=5e-3)
         browser.require_health()
         browser.require_width()
 
