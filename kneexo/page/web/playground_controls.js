@@ -128,13 +128,15 @@ const Controls = (() => {
       for (const [choice, label] of choices) {
         const id = `${name}-${choice}`;
         const input = element("input", { type: "radio", name, id });
+        const refusal = Setups.refusalOf(this.setup, name, choice);
+        input.disabled = Boolean(refusal);
         input.checked = this.setup[name] === choice;
         input.addEventListener("change", () => {
           Setups.choose(this.data, this.setup, name, choice);
           this.build();
           this.onChange(this.index);
         });
-        field.append(input, element("label", { for: id }, label));
+        field.append(input, element("label", { for: id, ...(refusal && { title: refusal }) }, label));
       }
       return field;
     }

@@ -190,7 +190,7 @@ def test_the_numbers_on_the_page_are_those_of_kneexo(browser, single):
         samples = math.floor(margins.delay_margin_s / scenario.controller.sample_time_s)
         assert page.number("delay")[1] == f"{samples} samples"
         assert page.number("gain")[1] == f"{20.0 * math.log10(margins.gain_margin):.2g} dB"
-        # The stub of the paper holds no weight: its pressure is far below a hundredth of the rating.
+        # The paper's knee has no weight: its pressure is far below a hundredth of the rating.
         assert page.evaluate('document.querySelector("[data-number=pressure]").hidden')
     assert "saturated most of the time" in page.number("saturated")[1]
     assert "does not follow" in page.number("error")[1]

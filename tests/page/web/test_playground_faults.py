@@ -247,6 +247,32 @@ def test_the_address_keeps_the_fault_and_wrong_values_are_one_line_each(browser,
     page.evaluate(typed("fault.duration_s", 0))
     page.evaluate(typed("fault.reset_s", 30))
     assert page.text("notice") == f"The reset is pressed at 30 s, but the run lasts 12 s. {late}"
+    page.evaluate(typed("fault.reset_s", 0))
+    page.evaluate(typed("fault.start_s", 20))
+    stale = "document.body.classList.contains('stale')"
+    assert page.evaluate(stale)
+    before = page.evaluate("[Page.parts.stage.duration, Page.parts.legs, Page.parts.drawn.length]")
+    page.evaluate("document.getElementById('compare').click()")
+    page.evaluate("new Promise(requestAnimationFrame).then(() => 0)")
+    reason = f"The fault begins at 20 s, but the run lasts 12 s. {late}"
+    assert page.text("notice") == f"Set-up A: {reason} Set-up B: {reason}"
+    after = page.evaluate("[Page.parts.stage.duration, Page.parts.legs, Page.parts.drawn.length]")
+    assert after == before  # nothing new can be drawn
+    page.evaluate("document.getElementById('compare').click()")
+    page.evaluate(typed("fault.start_s", 4))
+    page.wait()
+    assert not page.evaluate(stale)
+    page.evaluate("document.getElementById('fault-emergency_stop').click()")
+    off, stop = (
+        f"((i) => [i.disabled, i.nextSibling.title])(document.getElementById('{name}'))"
+        for name in ("protection-off", "fault-emergency_stop")
+    )
+    words = "The emergency stop acts through the protection. %s first."
+    assert page.evaluate(off) == [True, words % "Choose another fault"]
+    assert page.evaluate(stop) == [False, ""]
+    page.evaluate("document.getElementById('fault-none').click()")
+    page.evaluate("document.getElementById('protection-off').click()")
+    assert page.evaluate(stop) == [True, words % "Turn the protection on"]
     gear = "a.plant.pump.gear_ratio=5"
     for link, fault in (
         (f"a.fault=meteorite&{gear}", "none"),
