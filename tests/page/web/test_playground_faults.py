@@ -217,7 +217,13 @@ def test_the_diagram_is_the_table_and_the_present_state_is_lit(browser, page_fil
     ):
         page.evaluate(f"(Page.parts.stage.pause(), Page.parts.stage.seek({time_s}), 0)")
         page.browser.wait_for(f"{lit}.join() === '{state}'")
-        assert page.text("safety").count(STATES[state]) >= 1
+        now = page.evaluate("document.querySelector('#safety .now').textContent")
+        meaning = STATES[state].split("; the windings")[0]
+        assert now.removeprefix(f"{state} – {meaning}") in ("", "; the windings are shorted")
+        assert ("shorted" in now) == (state == "released")
+    assert "bypass" not in page.text("safety")  # the safe state is the dynamic brake
+    bold = "[...document.querySelectorAll('#safety .event.lit')].map((e) => e.textContent)"
+    assert page.evaluate(bold) == ["standstill"]
     browser.require_health()
 
 
