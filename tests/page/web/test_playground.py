@@ -128,7 +128,7 @@ def test_a_phone_shows_numbers_beside_the_moving_slider(browser, single):
       const box = document.getElementById(name).getBoundingClientRect();
       return [box.top, box.bottom]; }})"""
     brief, slider = page.evaluate(boxes)
-    assert 0.0 <= brief[0] < brief[1] <= slider[0] < slider[1] <= 844.0
+    assert 0.0 <= brief[0] < brief[1] <= slider[0] < slider[1] < 845.0  # a scroll has whole px
     error, margin = (page.number(name)[0] for name in ("error", "phase"))
     words = page.text("brief")
     assert words.startswith(f"Largest error {error}deg")
@@ -666,7 +666,7 @@ def test_numbers_of_an_unfinished_run_are_marked(browser, single):
     assert page.evaluate(marked) == []
     page.evaluate(f"{unfinished}(3.25)")
     page.evaluate(frame)
-    assert page.evaluate(marked) == ["error", "saturated", "pressure"]
+    assert page.evaluate(marked) == ["error", "saturated"]
     number, word = page.number("error")
     assert float(number) == pytest.approx(0.5 * float(before), rel=0.01)
     assert word == "first 3.3 s of 30 s"
