@@ -142,6 +142,8 @@ def fault_data(scenario: Scenario) -> dict[str, Any]:
     for state in reached:
         ends = (row.next_state for row in rows if row.state == state)
         reached += (end for end in dict.fromkeys(ends) if end not in reached)
+    safe = SAFE_STATES[protection.safe_state]
+    meanings = {**STATES, "released": f"the speed command is zero; {safe}"}
     causes = ("", *(detector.event for detector in DETECTORS.values()), "emergency", "overdue")
     clocks = {f"{_PREFIX}{n}.{f}": IDLE_S for n in choices for f in ("start_s", "duration_s")}
     sizes = {f"{_PREFIX}{n}.size": c["size"] for n, c in choices.items() if "quantity" in c}
@@ -158,11 +160,11 @@ def fault_data(scenario: Scenario) -> dict[str, Any]:
         "off": dict.fromkeys(thresholds, UNREACHABLE),
         "fault": throw.name,
         "protection": "off" if scenario.protection is None else "on",
-        "safe": SAFE_STATES[protection.safe_state],
+        "safe": safe,
         "standstill_rad_s": protection.standstill_rpm * RPM,
         "overdue_s": protection.overdue_s,
         "names": list(STATES),
-        "states": {state: STATES[state] for state in STATES if state in reached},
+        "states": {state: meanings[state] for state in STATES if state in reached},
         "events": EVENTS,
         "reasons": REASONS,
         "causes": causes,

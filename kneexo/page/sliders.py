@@ -79,6 +79,8 @@ _DEG = ("deg", 180.0 / math.pi)
 _CC_REV = ("cc/rev", 2e6 * math.pi)
 _DECADE = "a factor of about ten around the paper's value"
 _ALARM = "false alarms to hardly a detection"
+LEAKAGE = ("cm³/(s·bar)", 1e11)
+"""Unit of a leakage on the page, and the factor from m³/(s·Pa)."""
 _LEAK = "from none to ten times the assumed leakage of the pump"
 
 SLIDERS: Mapping[type[Parameters], Mapping[str, Slider]] = {
@@ -101,8 +103,12 @@ SLIDERS: Mapping[type[Parameters], Mapping[str, Slider]] = {
         "displacement_m3_per_rad": Slider(
             "displacement of the pump", 3e-8, 5e-7, "pumps of 0.2 to 3 cc/rev", "log", _CC_REV
         ),
-        "internal_leakage_m3_per_s_pa": Slider("internal leakage of the pump", 0.0, 2e-12, _LEAK),
-        "external_leakage_m3_per_s_pa": Slider("external leakage of the pump", 0.0, 2e-12, _LEAK),
+        "internal_leakage_m3_per_s_pa": Slider(
+            "internal leakage of the pump", 0.0, 2e-12, _LEAK, shown=LEAKAGE
+        ),
+        "external_leakage_m3_per_s_pa": Slider(
+            "external leakage of the pump", 0.0, 2e-12, _LEAK, shown=LEAKAGE
+        ),
     },
     CylinderParameters: {
         "mass_kg": Slider("moving mass", 1.2, 2.5, "the bounds of Table 2, widened"),
@@ -112,7 +118,7 @@ SLIDERS: Mapping[type[Parameters], Mapping[str, Slider]] = {
         "damping_n_s_per_m": Slider(
             "damping of the rod", 0.0, 500.0, "from the paper's value to heavy viscous friction"
         ),
-        "leakage_m3_per_s_pa": Slider("leakage of the piston", 0.0, 2e-12, _LEAK),
+        "leakage_m3_per_s_pa": Slider("leakage of the piston", 0.0, 2e-12, _LEAK, shown=LEAKAGE),
         "stiffness_n_per_m": Slider(
             "stiffness on the rod", 0.0, 2000.0, "up to 300 N at the end of the stroke"
         ),

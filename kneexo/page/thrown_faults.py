@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from kneexo.errors import ParameterError
-from kneexo.page.sliders import Slider
+from kneexo.page.sliders import LEAKAGE, Slider
 from kneexo.parameters.paths import value_at
 from kneexo.parameters.scenario import Scenario
 from kneexo.parameters.task.fault import FAULTY_SIGNALS, FaultParameters, Kind
@@ -75,7 +75,7 @@ THROWN_FAULTS: Mapping[str, ThrownFault] = {
             1e-9,
             "worn to torn seal",
             "log",
-            ("cm³/(s·bar)", 1e11),
+            LEAKAGE,
         ),
         "m³/(s·Pa)",
     ),

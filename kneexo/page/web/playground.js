@@ -30,9 +30,8 @@ const Page = (() => {
 
   function change(index) {
     const setup = state.setups[index];
-    const fault = Setups.faultOf(data, setup);
-    complain(fault && `${state.compare ? `Set-up ${"AB"[index]}: ` : ""}${fault}`);
-    if (fault || !shownSetups().includes(index)) return;
+    complain();
+    if (Setups.faultOf(data, setup) || !shownSetups().includes(index)) return;
     const request = { ...requestOf(setup), view_s: parts.plots.range };
     parts.latest[index] = request;
     results[index].fresh = false;
@@ -131,6 +130,7 @@ const Page = (() => {
       const runs = visible.map(({ run }) => run);
       if (runs[1]) runs[1].same_reference = visible[0].reference_key === visible[1].reference_key;
       if (runs.some((run, index) => parts.drawn?.[index] !== run) || parts.drawn?.length !== runs.length) {
+        chooseStageIfNeeded();
         parts.plots.chosen = state.curves;
         parts.plots.show(runs, pinnedResults());
         parts.safety.show(runs);
@@ -319,13 +319,18 @@ const Page = (() => {
       const text = error || (run?.end && `The run ended at ${Setups.shown(run.end.time_s)} s: ${run.end.reason}`);
       return text ? [`${state.compare ? `${"AB"[index]}: ` : ""}${text}`] : [];
     });
-    const faults = shownSetups().map((index) => Setups.faultOf(data, state.setups[index])).filter(Boolean);
-    complain([...faults, ...ends].join(" "));
+    complain(ends);
   }
 
-  function complain(fault) {
+  /** Tell why set-ups cannot run, and how runs ended. The results of a set-up that cannot run are pale. */
+  function complain(ends = []) {
+    const faults = shownSetups().flatMap((index) => {
+      const fault = Setups.faultOf(data, state.setups[index]);
+      return fault ? [`${state.compare ? `Set-up ${"AB"[index]}: ` : ""}${fault}`] : [];
+    });
+    document.body.classList.toggle("stale", faults.length > 0);
     const notice = byId("notice");
-    const text = [parts.remark, fault].filter(Boolean).join(" ");
+    const text = [parts.remark, ...faults, ...ends].filter(Boolean).join(" ");
     if (notice.textContent !== text) notice.textContent = text;
     notice.hidden = !text;
   }
@@ -410,7 +415,6 @@ const Page = (() => {
   function onPanel(index) {
     parts.remark = "";
     parts.trail.note(Setups.linkOf(data, state));
-    chooseStageIfNeeded();
     change(index);
   }
 
@@ -429,8 +433,8 @@ const Page = (() => {
       parts.asked[1] = null;
     }
     parts.panel.build();
-    chooseStageIfNeeded();
     for (const index of shownSetups()) change(index);
+    draw();
   }
 
   // ------------------------------------------------------------------------- history
@@ -634,6 +638,7 @@ const Page = (() => {
     listen();
     computePins();
     new ResizeObserver(() => document.documentElement.style.setProperty("--curves", `${byId("curves").offsetHeight}px`)).observe(byId("curves"));
+    chooseStage();
     setCompare(state.compare);
   }
 

@@ -121,9 +121,9 @@ const Controls = (() => {
       for (const [choice, text] of choices) {
         const id = `${name}-${choice}`;
         const input = element("input", { type: "radio", name, id });
-        const label = element("label", { for: id }, text);
-        input.disabled = Setups.missing(data, setup, name).includes(choice);
-        if (input.disabled) label.title = "not on this page";
+        const refusal = Setups.missing(data, setup, name).includes(choice) ? "not on this page" : Setups.refusalOf(setup, name, choice);
+        const label = element("label", { for: id, ...(refusal && { title: refusal }) }, text);
+        input.disabled = Boolean(refusal);
         input.checked = this.setup[name] === choice;
         input.addEventListener("change", () => {
           Setups.choose(this.data, this.setup, name, choice);

@@ -18,11 +18,11 @@ const Curves = (() => {
   // shown if a user chooses it. Not each run has the column of an `optional` plot.
   const PLOTS = [
     { name: "angle", title: "Knee angle", unit: "deg", factor: DEG, height: 150, extra: [REFERENCE, WEARER] },
+    { name: "state", title: "State of the protection", unit: "", factor: -1, height: 92, strip: true, optional: true },
     { name: "error", title: "Error, reference minus angle", unit: "deg", factor: DEG, height: 100 },
     { name: "torque", title: "Torque of the wearer on the exoskeleton", unit: "N·m", factor: 1, height: 110, optional: true },
     { name: "command", title: "Motor speed command", unit: "rpm", factor: RPM, height: 110,
       extra: [limit("command_limit_rad_s", 1), limit("command_limit_rad_s", -1)] },
-    { name: "state", title: "State of the protection", unit: "", factor: -1, height: 92, strip: true, optional: true },
     { name: "pressure", title: "Load pressure", unit: "bar", factor: 1e-5, height: 100 },
     { name: "kneeTorque", title: "Torque at the knee, positive flexes", unit: "N·m", factor: 1, height: 100, optional: true, further: true },
     { name: "cap", title: "Pressure on the cap side", unit: "bar", factor: 1e-5, height: 100, extra: CHAMBER, optional: true, further: true },
@@ -427,11 +427,15 @@ const Curves = (() => {
 
   const titleOf = ({ title, unit }) => (unit ? `${title} (${unit})` : title);
 
-  /** The times around the steps of all runs, or null if a run does not settle after a step. */
+  /**
+   * The times around the faults or steps of all runs, or null if a run does not settle after a step. A run with
+   * a fault that never is safe shows its largest error and torque too, so that it looks no better than it is.
+   */
   function eventOf(runs) {
-    const safe = runs.map(({ fault, metrics: { protection } }) => (fault && protection.safe_time_s) || null);
-    if (safe.some(Boolean)) {
-      const [start, end] = [Math.min(...runs.map(({ fault }) => fault?.start_s ?? Infinity)), Math.max(...safe)];
+    const faulty = runs.filter(({ fault }) => fault);
+    if (faulty.length) {
+      const start = Math.min(...faulty.map(({ fault }) => fault.start_s));
+      const end = Math.max(...faulty.map(({ metrics: { protection: { safe_time_s: safe, worst_time_s: worst } } }) => safe ?? worst));
       const width = Math.max(end - start, 0.1);
       return [start - width, end + 2 * width];
     }

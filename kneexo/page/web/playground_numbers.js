@@ -5,6 +5,7 @@ const Numbers = (() => {
   const { element } = Curves;
   const { shown } = Setups;
   const DEG = 180 / Math.PI;
+  const LEAST_SHARE = 0.01; // of the rating: a smaller pressure, as of a knee without weight, tells nothing
 
   // Each verdict is [words, class]. The classes are good, fair, bad and plain.
   function ofError(run) {
@@ -19,7 +20,7 @@ const Numbers = (() => {
     return run.metrics.settling_time_s === null ? ["does not settle", "bad"] : ["to within 2 % of the step", "good"];
   }
 
-  const hasStep = ({ run }) => run.metrics.settling_time_s !== undefined; // null if the knee does not settle
+  const hasStep = (result) => !isThrown(result) && result.run.metrics.settling_time_s !== undefined; // null if the knee does not settle
 
   const isPushed = ({ run }) => Boolean(run.metrics.push);
 
@@ -75,8 +76,10 @@ const Numbers = (() => {
     const peak = run.metrics.peak_pressure_pa;
     const rating = run.limits.pressure_rating_pa;
     const share = peak / rating;
-    const text = `${shown(100 * share, 2)} % of the rating, ${shown(rating * 1e-5)} bar`;
-    return [text, share <= 0.8 ? "good" : share <= 1 ? "fair" : "bad"];
+    const { relief_share: relief } = run.metrics;
+    const valves = relief > 0 ? `; relief valves open for ${shown(100 * relief, 2)} % of the run` : "";
+    const text = `${shown(100 * share, 2)} % of the rating, ${shown(rating * 1e-5)} bar${valves}`;
+    return [text, relief > 0 ? "bad" : share <= 0.8 ? "good" : share <= 1 ? "fair" : "bad"];
   }
 
   function margin(linear, name, factor) {
@@ -85,7 +88,19 @@ const Numbers = (() => {
     return value == null || value === Infinity ? "∞" : shown(factor * value);
   }
 
+  const decibels = (gain) => `${shown(20 * Math.log10(gain), 2)} dB`;
+
+  /** The margins of the loop in one line, beside a fault or a push, for which they do not hold. */
+  function ofLoop({ linear }) {
+    const [phase, gain, delay] = [["phase_margin_deg", 1], ["gain_margin", 1], ["delay_margin_s", 1e3]].map((one) => margin(linear, ...one));
+    return [`without fault or push; margins ${phase}°, ${gain}, ${delay} ms`, "plain"];
+  }
+
   const isThrown = ({ run }) => Boolean(run.fault || run.metrics.protection?.stop);
+
+  const isPlain = (result) => !isThrown(result) && !isPushed(result);
+
+  const hasPressure = ({ run }) => run.metrics.peak_pressure_pa > LEAST_SHARE * run.limits.pressure_rating_pa;
 
   /** Milliseconds from the start of the fault to a time of the run, or nan. */
   function sinceFault({ fault }, time_s) {
@@ -122,6 +137,14 @@ const Numbers = (() => {
       value: ({ run }) => shown(run.metrics.power_from_wearer_w), word: () => ["mean power", "plain"] },
     { name: "power-to-wearer", label: "Wearer gets", unit: "W", wearer: true,
       value: ({ run }) => shown(run.metrics.power_to_wearer_w), word: () => ["mean power", "plain"] },
+    { name: "detected", when: isThrown, label: "Detected after", unit: "ms",
+      value: ({ run }) => shown(sinceFault(run, run.metrics.protection.stop?.time_s), 4), word: ({ run }) => ofDetection(run) },
+    { name: "safe", when: isThrown, label: "Safe after", unit: "ms",
+      value: ({ run }) => shown(sinceFault(run, run.metrics.protection.safe_time_s), 4), word: ({ run }) => ofSafety(run) },
+    { name: "fault-error", when: isThrown, label: "Peak error", unit: "deg",
+      value: ({ run }) => shown(run.metrics.protection.largest_error_rad * DEG), word: ({ run }) => ofReach(run) },
+    { name: "fault-torque", when: isThrown, label: "Peak knee torque", unit: "N·m",
+      value: ({ run }) => shown(run.metrics.protection.peak_torque_n_m), word: ({ run }) => ofReach(run) },
     { name: "settling", wearer: false, when: hasStep, label: "Settling time", unit: "s",
       value: ({ run }) => shown(run.metrics.settling_time_s), word: ({ run }) => ofSettling(run) },
     { name: "rise", wearer: false, when: hasStep, label: "Rise time", unit: "s",
@@ -133,42 +156,36 @@ const Numbers = (() => {
     { name: "cycle", when: ({ run }) => Boolean(run.metrics.limit_cycle), label: "Motion at rest", unit: "deg",
       value: ({ run }) => `±${shown(run.metrics.limit_cycle.amplitude_rad * DEG, 2)}`,
       word: ({ run }) => ofCycle(run.metrics.limit_cycle) },
-    { name: "error", wearer: false, when: (result) => !hasStep(result), label: "Largest error", unit: "deg",
+    { name: "error", wearer: false, when: (result) => !hasStep(result) && !isThrown(result), label: "Largest error", unit: "deg",
       value: ({ run }) => shown(run.metrics.largest_error_rad * DEG), word: ({ run }) => ofError(run) },
     { name: "deviation", wearer: false, when: isPushed, label: "Push deviation", unit: "deg",
       value: ({ run }) => shown(run.metrics.push.largest_deviation_rad * DEG),
       word: () => ["largest, from the run without a push", "plain"] },
     { name: "recovery", wearer: false, when: isPushed, label: "Back after", unit: "s",
       value: ({ run }) => shown(run.metrics.push.recovery_time_s), word: ofRecovery },
-    { name: "detected", when: isThrown, label: "Detected after", unit: "ms",
-      value: ({ run }) => shown(sinceFault(run, run.metrics.protection.stop?.time_s), 4), word: ({ run }) => ofDetection(run) },
-    { name: "safe", when: isThrown, label: "Safe after", unit: "ms",
-      value: ({ run }) => shown(sinceFault(run, run.metrics.protection.safe_time_s), 4), word: ({ run }) => ofSafety(run) },
-    { name: "fault-error", when: isThrown, label: "Peak error", unit: "deg",
-      value: ({ run }) => shown(run.metrics.protection.largest_error_rad * DEG), word: ({ run }) => ofReach(run) },
-    { name: "fault-torque", when: isThrown, label: "Peak torque", unit: "N·m",
-      value: ({ run }) => shown(run.metrics.protection.peak_torque_n_m), word: ({ run }) => ofReach(run) },
+    { name: "pressure", when: hasPressure, label: "Peak pressure", unit: "bar",
+      value: ({ run }) => shown(1e-5 * run.metrics.peak_pressure_pa), word: ({ run }) => ofPressure(run) },
     { name: "saturated", label: "Time at the limit", unit: "%",
       value: ({ run }) => shown(100 * run.metrics.saturated_share), word: ({ run }) => ofShare(run.metrics.saturated_share) },
-    { name: "bandwidth", analysis: true, wearer: false, label: "Bandwidth", unit: "Hz",
+    { name: "bandwidth", analysis: true, wearer: false, when: isPlain, label: "Bandwidth", unit: "Hz",
       value: ({ sweep }) => (sweep && Number.isFinite(sweep.minus_3_db_hz) ? shown(sweep.minus_3_db_hz) : "–"),
       word: ({ sweep, frequency }) => ofBandwidth(sweep, frequency) },
-    { name: "phase", analysis: true, wearer: false, label: "Phase margin", unit: "deg",
+    { name: "phase", analysis: true, wearer: false, when: isPlain, label: "Phase margin", unit: "deg",
       value: ({ linear }) => margin(linear, "phase_margin_deg", 1),
       word: ({ linear, margins }) => ofMargin(linear, linear?.phase_margin_deg, margins.phase_deg) },
-    { name: "gain", analysis: true, wearer: false, label: "Gain margin", unit: "",
+    { name: "gain", analysis: true, wearer: false, when: isPlain, label: "Gain margin", unit: "",
       value: ({ linear }) => margin(linear, "gain_margin", 1),
-      word: ({ linear, margins }) => ofMargin(linear, linear?.gain_margin, margins.gain) },
-    { name: "delay", analysis: true, wearer: false, label: "Delay margin", unit: "ms",
+      word: ({ linear, margins }) => ofMargin(linear, linear?.gain_margin, margins.gain, decibels) },
+    { name: "delay", analysis: true, wearer: false, when: isPlain, label: "Delay margin", unit: "ms",
       value: ({ linear }) => margin(linear, "delay_margin_s", 1e3),
       word: ({ linear, margins, sample_time_s: sample }) => ofMargin(linear, linear?.delay_margin_s,
         margins.delay_samples.map((count) => count * sample), (value) => `${Math.floor(value / sample)} samples`) },
-    { name: "pressure", label: "Peak pressure", unit: "bar",
-      value: ({ run }) => shown(1e-5 * run.metrics.peak_pressure_pa), word: ({ run }) => ofPressure(run) },
+    { name: "linear", analysis: true, wearer: false, when: (result) => !isPlain(result), label: "Bandwidth", unit: "Hz",
+      value: ({ sweep }) => (sweep && Number.isFinite(sweep.minus_3_db_hz) ? shown(sweep.minus_3_db_hz) : "–"), word: ofLoop },
   ];
 
   // Rows that a phone shows beside the sliders.
-  const BRIEF = ["rms-torque", "settling", "overshoot", "error", "recovery", "detected", "safe", "saturated", "phase"];
+  const BRIEF = ["rms-torque", "settling", "overshoot", "error", "recovery", "detected", "safe", "fault-torque", "saturated", "phase"];
 
   /** Cards of numbers. Each card has a value and a verdict for each set-up. `brief` shows a few of them. */
   class Board {

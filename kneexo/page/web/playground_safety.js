@@ -117,8 +117,13 @@ const Safety = (() => {
   function lines(events, x, y, anchor) {
     const text = drawn("text", { "text-anchor": anchor });
     const rows = [];
-    for (let k = 0; k < events.length; k += WORDS) rows.push(events.slice(k, k + WORDS).join(", "));
-    rows.forEach((row, k) => text.append(drawn("tspan", { x, y: y + 4 + 13 * (k - (rows.length - 1) / 2) }, row + (k < rows.length - 1 ? "," : ""))));
+    for (let k = 0; k < events.length; k += WORDS) rows.push(events.slice(k, k + WORDS));
+    rows.forEach((row, k) => {
+      const line = drawn("tspan", { x, y: y + 4 + 13 * (k - (rows.length - 1) / 2) });
+      const words = row.map((event) => drawn("tspan", { class: "event", "data-event": event }, event));
+      line.append(...words.flatMap((word, i) => (i ? [", ", word] : [word])), k < rows.length - 1 ? "," : "");
+      text.append(line);
+    });
     return text;
   }
 
@@ -197,7 +202,11 @@ const Safety = (() => {
       const present = this.runs.map(({ run }) => stateAt(run, time));
       const last = this.changes.map((changes) => changes.findLast(({ time_s }) => time_s < time));
       for (const [state, box] of this.boxes) box.classList.toggle("lit", present.includes(state));
-      for (const [key, edge] of this.edges) edge.classList.toggle("lit", last.some((change) => change && key === `${change.from} ${change.to}`));
+      for (const [key, edge] of this.edges) {
+        const events = last.filter((change) => change && key === `${change.from} ${change.to}`).map(({ event }) => event);
+        edge.classList.toggle("lit", events.length > 0);
+        for (const word of edge.querySelectorAll(".event")) word.classList.toggle("lit", events.includes(word.dataset.event));
+      }
       this.now.textContent = this.runs.map(({ index }, k) => `${this.runs.length > 1 ? `${"AB"[index]}: ` : ""}${present[k]} – ${this.faults.states[present[k]]}`).join("; ");
     }
   }

@@ -211,11 +211,19 @@ const Setups = (() => {
       + "or extend the run.";
   }
 
+  /** Why a set-up cannot have a choice of a switch, or an empty text. Only the protection hears the emergency stop. */
+  function refusalOf(setup, name = "fault", choice = setup.fault) {
+    const { fault, protection } = { ...setup, [name]: choice };
+    if (fault !== "emergency_stop" || protection !== "off") return "";
+    return `The emergency stop acts through the protection. ${name === "fault" ? "Turn the protection on" : "Choose another fault"} first.`;
+  }
+
   /** Why a run cannot contain the fault of a set-up, or an empty text. */
   function faultOfThrown(data, setup) {
     const thrown = thrownOf(data, setup);
     if (!thrown) return "";
-    if (setup.fault === "emergency_stop" && setup.protection === "off") return "The emergency stop needs the protection. Turn it on.";
+    const refused = refusalOf(setup);
+    if (refused) return refused;
     const run_s = valuesOf(data, setup)[data.duration.name];
     const last_s = run_s - data.modules[modelOf(data, setup).loop.module].table.sample_time_s;
     const { start_s, end_s, reset_s } = thrown;
@@ -414,7 +422,7 @@ const Setups = (() => {
 
   return {
     CONTROLLER_NAMES, LOAD_NAMES, PINS, PROTECTION_NAMES, REFERENCE_NAMES, choices, choose, clamped, copied, defaultOf,
-    display, faultNames, faultOf, follow, fresh, hasWearer, linkOf, missing, modelOf, moduleValues, parsed, pushOf, thrownOf, quantitiesOf, references, remarkOf, setValue, shown, stateOf,
+    display, faultNames, faultOf, follow, fresh, hasWearer, linkOf, missing, modelOf, moduleValues, parsed, pushOf, thrownOf, quantitiesOf, references, refusalOf, remarkOf, setValue, shown, stateOf,
     valueOf, valuesOf, yamlOf,
   };
 })();

@@ -714,6 +714,11 @@ const Simulator = (() => {
       safe_time_s: safe < 0 ? null : time[Math.max(safe - 1, 0)],
       largest_error_rad: largest(error.subarray(first, end)),
       peak_torque_n_m: largest(kneeTorque.subarray(first, end)),
+      worst_time_s: Math.max(...[error, kneeTorque].map((all) => {
+        const part = all.subarray(first, end);
+        const size = largest(part);
+        return time[first + part.findIndex((value) => Math.abs(value) === size)];
+      })),
     };
   }
 

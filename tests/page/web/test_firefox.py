@@ -91,7 +91,7 @@ def firefox(tmp_path_factory):
 
 
 LAMBDA = "q-controller.lambda_per_s"
-READY = """[...document.querySelectorAll(".card:not([hidden])")].length === 7
+READY = """[...document.querySelectorAll(".card:not([hidden])")].length === 6
   && ![...document.querySelectorAll(".word")].some((word) => word.textContent === "computing")"""
 ERROR = "document.querySelector('[data-number=error] .number').textContent"
 

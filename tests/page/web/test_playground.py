@@ -128,7 +128,7 @@ def test_a_phone_shows_numbers_beside_the_moving_slider(browser, single):
       const box = document.getElementById(name).getBoundingClientRect();
       return [box.top, box.bottom]; }})"""
     brief, slider = page.evaluate(boxes)
-    assert 0.0 <= brief[0] < brief[1] <= slider[0] < slider[1] <= 844.0
+    assert 0.0 <= brief[0] < brief[1] <= slider[0] < slider[1] < 845.0  # a scroll has whole px
     error, margin = (page.number(name)[0] for name in ("error", "phase"))
     words = page.text("brief")
     assert words.startswith(f"Largest error {error}deg")
@@ -280,17 +280,14 @@ def test_the_numbers_on_the_page_are_those_of_kneexo(browser, single):
         margins = linearize_loop(scenario, knee_angle_deg=40.0).margins()
         assert _same(page.number("error")[0], metrics.max_error_deg)
         assert _same(page.number("saturated")[0], 100.0 * metrics.saturated_share)
-        assert _same(page.number("pressure")[0], 10.0 * metrics.peak_pressure_mpa)
         assert _same(page.number("phase")[0], margins.phase_margin_deg)
         assert _same(page.number("gain")[0], margins.gain_margin)
         assert _same(page.number("delay")[0], 1e3 * margins.delay_margin_s)
         samples = math.floor(margins.delay_margin_s / scenario.controller.sample_time_s)
         assert page.number("delay")[1] == f"{samples} samples"
-        share = re.fullmatch(r"([\d.]+) % of the rating, 35 bar", page.number("pressure")[1])[1]
-        rating_mpa = 1e-6 * scenario.plant.cylinder.pressure_rating_pa
-        assert float(share) == pytest.approx(
-            100.0 * metrics.peak_pressure_mpa / rating_mpa, rel=0.06
-        )
+        assert page.number("gain")[1] == f"{20.0 * math.log10(margins.gain_margin):.2g} dB"
+        # The paper's knee has no weight: its pressure is far below a hundredth of the rating.
+        assert page.evaluate('document.querySelector("[data-number=pressure]").hidden')
     assert "saturated most of the time" in page.number("saturated")[1]
     assert "does not follow" in page.number("error")[1]
     assert _same(page.number("bandwidth")[0], large_signal_bandwidth_hz(Scenario()))
@@ -820,7 +817,7 @@ def test_numbers_of_an_unfinished_run_are_marked(browser, single):
     assert page.evaluate(marked) == []
     page.evaluate(f"{unfinished}(3.25)")
     page.evaluate(frame)
-    assert page.evaluate(marked) == ["error", "saturated", "pressure"]
+    assert page.evaluate(marked) == ["error", "saturated"]
     number, word = page.number("error")
     assert float(number) == pytest.approx(0.5 * float(before), rel=0.01)
     assert word == "first 3.3 s of 30 s"

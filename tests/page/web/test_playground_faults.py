@@ -246,7 +246,13 @@ def test_the_diagram_is_the_table_and_the_present_state_is_lit(browser, page_fil
     ):
         page.evaluate(f"(Page.parts.stage.pause(), Page.parts.stage.seek({time_s}), 0)")
         page.browser.wait_for(f"{lit}.join() === '{state}'")
-        assert page.text("safety").count(STATES[state]) >= 1
+        now = page.evaluate("document.querySelector('#safety .now').textContent")
+        meaning = STATES[state].split("; the windings")[0]
+        assert now.removeprefix(f"{state} – {meaning}") in ("", "; the windings are shorted")
+        assert ("shorted" in now) == (state == "released")
+    assert "bypass" not in page.text("safety")  # the safe state is the dynamic brake
+    bold = "[...document.querySelectorAll('#safety .event.lit')].map((e) => e.textContent)"
+    assert page.evaluate(bold) == ["standstill"]
     browser.require_health()
 
 
@@ -276,6 +282,32 @@ def test_the_address_keeps_the_fault_and_wrong_values_are_one_line_each(browser,
     page.evaluate(typed("fault.duration_s", 0))
     page.evaluate(typed("fault.reset_s", 30))
     assert page.text("notice") == f"The reset is pressed at 30 s, but the run lasts 12 s. {late}"
+    page.evaluate(typed("fault.reset_s", 0))
+    page.evaluate(typed("fault.start_s", 20))
+    stale = "document.body.classList.contains('stale')"
+    assert page.evaluate(stale)
+    before = page.evaluate("[Page.parts.stage.duration, Page.parts.legs, Page.parts.drawn.length]")
+    page.evaluate("document.getElementById('compare').click()")
+    page.evaluate("new Promise(requestAnimationFrame).then(() => 0)")
+    reason = f"The fault begins at 20 s, but the run lasts 12 s. {late}"
+    assert page.text("notice") == f"Set-up A: {reason} Set-up B: {reason}"
+    after = page.evaluate("[Page.parts.stage.duration, Page.parts.legs, Page.parts.drawn.length]")
+    assert after == before  # nothing new can be drawn
+    page.evaluate("document.getElementById('compare').click()")
+    page.evaluate(typed("fault.start_s", 4))
+    page.wait()
+    assert not page.evaluate(stale)
+    page.evaluate("document.getElementById('fault-emergency_stop').click()")
+    off, stop = (
+        f"((i) => [i.disabled, i.nextSibling.title])(document.getElementById('{name}'))"
+        for name in ("protection-off", "fault-emergency_stop")
+    )
+    words = "The emergency stop acts through the protection. %s first."
+    assert page.evaluate(off) == [True, words % "Choose another fault"]
+    assert page.evaluate(stop) == [False, ""]
+    page.evaluate("document.getElementById('fault-none').click()")
+    page.evaluate("document.getElementById('protection-off').click()")
+    assert page.evaluate(stop) == [True, words % "Turn the protection on"]
     gear = "a.plant.pump.gear_ratio=5"
     for link, fault in (
         (f"a.fault=meteorite&{gear}", "none"),
@@ -291,6 +323,9 @@ def test_the_address_keeps_the_fault_and_wrong_values_are_one_line_each(browser,
     browser.require_health()
 
 
+SHOWN_CARDS = "[...document.querySelectorAll('.card')].filter((c) => !c.hidden)"
+
+
 def test_a_and_b_show_a_fault_with_and_without_protection(browser, page_file, tmp_path):
     link = (
         "a.fault=encoder_frozen&b.fault=encoder_frozen&b.protection=off&b.controller=smc&compare=1"
@@ -301,6 +336,27 @@ def test_a_and_b_show_a_fault_with_and_without_protection(browser, page_file, tm
         for index in (0, 1):
             check_run(page.run(index), in_kneexo(page, tmp_path, index)[1])
         assert page.text("key").startswith("A: sliding modeB: sliding mode, no protection")
+        # The unprotected knee shows its worst: the window has the largest error and torque of B.
+        low, high = page.evaluate("Page.parts.plots.range")
+        run = in_kneexo(page, tmp_path, 1)[1].run
+        for values in (
+            run["knee_reference_rad"] - run["knee_angle_rad"],
+            run["rod_force_n"] * run["moment_arm_m"],
+        ):
+            since = run.time_s >= START_S
+            assert low < run.time_s[since][np.abs(values[since]).argmax()] <= high
+        cards = page.evaluate(f"{SHOWN_CARDS}.map((c) => c.dataset.number)")
+        assert cards == [
+            *("detected", "safe", "fault-error", "fault-torque", "pressure", "saturated", "linear")
+        ]
+        # A number of the loop without the fault has no mark.
+        kind = "document.querySelector('[data-number=linear] .word').dataset.kind"
+        assert page.evaluate(kind) == "plain"
+        share = in_kneexo(page, tmp_path, 1)[1].verdict.saturated_share
+        number = page.evaluate(
+            "document.querySelectorAll('[data-number=saturated] .number')[1].textContent"
+        )
+        assert float(number) == pytest.approx(100.0 * share, rel=5e-3)
         browser.require_health()
         browser.require_width()
 
