@@ -155,7 +155,7 @@ const Page = (() => {
   /** Let the user push the legs that have a push. */
   function allowPush() {
     const pushes = shownSetups().map((index) => Setups.quantitiesOf(data, state.setups[index]).find(({ name }) => name === "push.torque_n_m"));
-    pushes.forEach((push, index) => { parts.stage.legs[index].canPush = push?.high ?? 0; });
+    parts.stage.legs.forEach((leg, index) => { leg.canPush = pushes[index]?.high ?? 0; }); // the stage follows the drawn runs
     parts.stage.showPush(Boolean(pushes[parts.panel.index]));
   }
 

@@ -432,7 +432,7 @@ const Curves = (() => {
    * a fault that never is safe shows its largest error and torque too, so that it looks no better than it is.
    */
   function eventOf(runs) {
-    const faulty = runs.filter(({ fault }) => fault);
+    const faulty = runs.filter(({ fault, metrics }) => fault && metrics.protection.worst_time_s !== null);
     if (faulty.length) {
       const start = Math.min(...faulty.map(({ fault }) => fault.start_s));
       const end = Math.max(...faulty.map(({ metrics: { protection: { safe_time_s: safe, worst_time_s: worst } } }) => safe ?? worst));

@@ -714,7 +714,7 @@ const Simulator = (() => {
       safe_time_s: safe < 0 ? null : time[Math.max(safe - 1, 0)],
       largest_error_rad: largest(error.subarray(first, end)),
       peak_torque_n_m: largest(kneeTorque.subarray(first, end)),
-      worst_time_s: Math.max(...[error, kneeTorque].map((all) => {
+      worst_time_s: first >= time.length ? null : Math.max(...[error, kneeTorque].map((all) => {
         const part = all.subarray(first, end);
         const size = largest(part);
         return time[first + part.findIndex((value) => Math.abs(value) === size)];
@@ -742,5 +742,5 @@ const Simulator = (() => {
     };
   }
 
-  return { load, modelOf, periodOf, instanceOf, parametersOf, limitsOf, valuesOf, rangeOf, partsOf, simulate, run, radians };
+  return { load, modelOf, periodOf, instanceOf, parametersOf, limitsOf, valuesOf, rangeOf, partsOf, protectionMetrics, simulate, run, radians };
 })();

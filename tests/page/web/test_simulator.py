@@ -82,6 +82,17 @@ def test_the_values_of_a_request_replace_the_defaults(worker):
     assert worker.evaluate(script) == {"a": 1.0, "b": 5.0, "c": 6.0}
 
 
+def test_the_worst_time_counts_from_the_fault_and_is_none_before_it(worker):
+    signals = {"time": [0, 1, 2], "state": [0, 0, 0], "reason": [0, 0, 0], "speed": [1, 1, 1]}
+    signals |= {"error": [9, 1, -3], "kneeTorque": [9, 2, 1]}
+    arrays = ", ".join(f"{name}: new Float64Array({values})" for name, values in signals.items())
+    names = "{names: ['operating', 'stopped', 'released'], standstill_rad_s: 1}"
+    script = f"[1, 2.5].map((start) => Simulator.protectionMetrics({{{arrays}}}, {names}, start))"
+    after, before = worker.evaluate(script)
+    assert [after["worst_time_s"], before["worst_time_s"]] == [2.0, None]
+    assert [after["largest_error_rad"], after["peak_torque_n_m"]] == [3.0, 2.0]
+
+
 def test_parts_come_when_the_view_is_full_and_then_rarely_and_not_shortly_before_the_end(worker):
     """A run of 10 s of which one second takes 20 ms."""
     script = """((view) => {
