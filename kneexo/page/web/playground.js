@@ -146,6 +146,7 @@ const Page = (() => {
       byId("pin").disabled = !isComplete(visible[0]) || state.pins.some((pin) => keyOf(pin) === keyOf(state.setups[0]));
       byId("save-csv").disabled = byId("save-png").disabled = runs.some((run) => run.unfinished);
       tellEnds();
+      if (visible.every(({ run }) => !run.unfinished)) Numbers.writeSentences(byId("sentence"), visible);
       announce(visible);
     }
     caption();

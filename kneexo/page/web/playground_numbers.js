@@ -255,24 +255,67 @@ const Numbers = (() => {
     return now === before ? " (same)" : ` (${now < before ? "" : "+"}${shown(now - before)})`;
   }
 
-  /** One sentence for a screen reader. */
-  function sentence(results) {
-    return results.map((result, index) => {
-      const name = results.length > 1 ? `${"AB"[index]}: ` : "";
-      const { run } = result;
-      if (run.end) return `${name}the run ended at ${shown(run.end.time_s)} s: ${run.end.reason}.`;
-      const hz = result.sweep?.minus_3_db_hz;
-      if (result.hasWearer) return `${name}torque of the wearer ${shown(run.metrics.rms_torque_n_m)} newton metres rms.`;
-      const cycle = run.metrics.limit_cycle ? `hunts at rest by ${shown(run.metrics.limit_cycle.amplitude_rad * DEG, 2)} degrees, ` : "";
-      const [words] = isThrown(result) ? ofDetection(run) : [""];
-      const detected = words && `fault detected after ${shown(sinceFault(run, run.metrics.protection.stop?.time_s), 4)} milliseconds, ${words}, `;
-      const error = hasStep(result) ? `${ofSettling(run)[0]}, settling time ${shown(run.metrics.settling_time_s)} seconds`
-        : `largest error ${shown(run.metrics.largest_error_rad * DEG)} degrees`;
-      return `${name}${detected}${error}, ${cycle}`
-        + `motor at its limit ${shown(100 * run.metrics.saturated_share)} percent of the time`
-        + `${Number.isFinite(hz) ? `, bandwidth ${shown(hz)} hertz` : ""}.`;
-    }).join(" ");
+  /**
+   * What a run shows first, as texts and [number, plot, card]. The words are those of kneexo simulate
+   * (kneexo/analysis/tracking).
+   */
+  function sentenceOf(result) {
+    const { run, sweep, frequency } = result;
+    const { metrics, fault, isProtected, faults } = run;
+    if (run.end) return [`The run ended at ${shown(run.end.time_s)} s: ${run.end.reason}.`];
+    if (result.hasWearer) {
+      return ["The wearer feels ", [`${shown(metrics.rms_torque_n_m)} N·m`, "torque", "rms-torque"], " rms, and at most ",
+        [`${shown(metrics.peak_torque_n_m)} N·m`, "torque", "peak-torque"], "."];
+    }
+    if (isThrown(result)) {
+      const { stop, safe_time_s: safe, largest_error_rad: error, peak_torque_n_m: torque } = metrics.protection;
+      const stop_ms = sinceFault(run, stop?.time_s);
+      const reach = [[`${shown(error * DEG)}°`, "error", "fault-error"], ", the torque at the knee ", [`${shown(torque)} N·m`, "kneeTorque", "fault-torque"], "."];
+      if (!isProtected) return ["No protection: from the fault on the error reaches ", ...reach];
+      if (!stop) return ["No detector trips: from the fault on the error reaches ", ...reach];
+      const when = Number.isFinite(stop_ms) ? [[`${shown(stop_ms)} ms`, "state", "detected"], " after the fault"] : [`at ${shown(stop.time_s)} s`, fault ? " before the fault" : ""];
+      const safety = safe === null ? "; the motor does not become safe" : [`; safe ${fault ? "" : "at "}`, [fault ? `${shown(sinceFault(run, safe))} ms` : `${shown(safe)} s`, "state", "safe"], fault ? " after the fault" : ""];
+      return ["Stopped ", ...when, ` by the ${stop.reason < faults.reasons.indexOf("emergency stop") ? "detector " : ""}${faults.reasons[stop.reason]}`, ...safety, ". Until then the error reaches ", ...reach];
+    }
+    const error = [`${shown(metrics.largest_error_rad * DEG)}°`, "error", "error"];
+    const start = !hasStep(result) ? [metrics.tracks ? "Tracks: largest error " : "Does not track: largest error ", error]
+      : metrics.settling_time_s === null ? ["Does not settle after the step"]
+        : ["Settles in ", [`${shown(metrics.settling_time_s)} s`, "angle", "settling"], ", overshoot ", [`${shown(metrics.overshoot_percent)} %`, "angle", "overshoot"]];
+    const cycle = metrics.limit_cycle ? ["; hunts at rest by ", [`±${shown(metrics.limit_cycle.amplitude_rad * DEG, 2)}°`, "angle", "cycle"]] : [];
+    const push = metrics.push ? ["; the push moves the knee by ", [`${shown(metrics.push.largest_deviation_rad * DEG)}°`, "angle", "deviation"]] : [];
+    const hz = sweep?.minus_3_db_hz;
+    const band = Number.isFinite(hz) ? [" −3 dB at ", [`${shown(hz)} Hz`, "bode", "bandwidth"], frequency ? `; the reference has ${shown(frequency)} Hz.` : "."] : [];
+    return [...start, ...cycle, ...push, ".", ...band];
   }
 
-  return { Board, sentence };
+  /** The sentences of the set-ups as one text. */
+  function sentence(results) {
+    const texts = results.map((result) => sentenceOf(result).map((part) => (typeof part === "string" ? part : part[0])).join(""));
+    return texts.map((text, index) => (results.length > 1 ? `${"AB"[index]}: ${text}` : text)).join(" ");
+  }
+
+  /** Write the sentences, in which each number is a button that shows its curve, or its card. */
+  function writeSentences(parent, results) {
+    const text = sentence(results);
+    if (parent.dataset.text === text) return; // the focus stays
+    parent.dataset.text = text;
+    parent.replaceChildren(...results.map((result, index) => {
+      const line = element("p", { class: `of-${"ab"[index]}` }, results.length > 1 ? `${"AB"[index]}: ` : "");
+      for (const part of sentenceOf(result)) line.append(typeof part === "string" ? part : linked(part));
+      return line;
+    }));
+  }
+
+  function linked([text, plot, card]) {
+    const button = element("button", { type: "button", class: "number" }, text);
+    button.addEventListener("click", () => {
+      const curve = document.querySelector(plot === "bode" ? "#bode" : `[data-plot="${plot}"]:not([hidden])`);
+      const shownAt = curve?.checkVisibility() ? curve : document.querySelector(`[data-number="${card}"]`);
+      shownAt.scrollIntoView({ block: "nearest" });
+      shownAt.animate([{ background: "#ffb00066" }, {}], 1500);
+    });
+    return button;
+  }
+
+  return { Board, sentence, writeSentences };
 })();

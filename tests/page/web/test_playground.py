@@ -292,6 +292,10 @@ def test_the_numbers_on_the_page_are_those_of_kneexo(browser, single):
     assert "does not follow" in page.number("error")[1]
     assert _same(page.number("bandwidth")[0], large_signal_bandwidth_hz(Scenario()))
     assert page.number("bandwidth")[1] == "−3 dB, below the sine's 0.3 Hz"
+    words = r"Does not track: largest error (\S+)°\. −3 dB at (\S+) Hz; the reference has 0\.3 Hz\."
+    error, bandwidth = re.fullmatch(words, page.text("sentence")).groups()
+    assert _same(error, metrics.max_error_deg)
+    assert _same(bandwidth, large_signal_bandwidth_hz(Scenario()))
 
 
 def test_a_push_is_that_of_kneexo_and_must_end_within_the_run(browser, single, tmp_path):

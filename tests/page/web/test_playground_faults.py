@@ -1,6 +1,7 @@
 """The page with protection: a fault that is thrown there, and the same fault in kneexo."""
 
 import json
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -326,6 +327,14 @@ def test_the_address_keeps_the_fault_and_wrong_values_are_one_line_each(browser,
 SHOWN_CARDS = "[...document.querySelectorAll('.card')].filter((c) => !c.hidden)"
 
 
+SENTENCES = (
+    r"A: Stopped (\S+) ms after the fault by the detector flow; safe (\S+) ms after the fault\. "
+    r"Until then the error reaches \S+°, the torque at the knee \S+ N·m\."
+    r"B: No protection: from the fault on the error reaches (\S+)°, the torque at the knee "
+    r"(\S+) N·m\."
+)
+
+
 def test_a_and_b_show_a_fault_with_and_without_protection(browser, page_file, tmp_path):
     link = (
         "a.fault=encoder_frozen&b.fault=encoder_frozen&b.protection=off&b.controller=smc&compare=1"
@@ -352,6 +361,15 @@ def test_a_and_b_show_a_fault_with_and_without_protection(browser, page_file, tm
         # A number of the loop without the fault has no mark.
         kind = "document.querySelector('[data-number=linear] .word').dataset.kind"
         assert page.evaluate(kind) == "plain"
+        stop = in_kneexo(page, tmp_path, 0)[1].verdict.stop
+        worst = [
+            np.degrees(page.run(1)["metrics"]["protection"]["largest_error_rad"]),
+            page.run(1)["metrics"]["protection"]["peak_torque_n_m"],
+        ]
+        words = re.fullmatch(SENTENCES, page.text("sentence")).groups()
+        stopped_ms, safe_ms = (1e3 * (time - stop.fault_s) for time in (stop.time_s, stop.safe_s))
+        for word, value in zip(words, [stopped_ms, safe_ms, *worst], strict=True):
+            assert float(word) == pytest.approx(value, rel=5e-3)
         share = in_kneexo(page, tmp_path, 1)[1].verdict.saturated_share
         number = page.evaluate(
             "document.querySelectorAll('[data-number=saturated] .number')[1].textContent"
