@@ -629,7 +629,8 @@ const Page = (() => {
     showSteps();
     parts.board = new Numbers.Board(byId("numbers"), byId("brief"));
     parts.safety = new Safety.Diagram(byId("safety"));
-    parts.plots = new Curves.RunPlots(byId("plots"), showTime, (time) => parts.stage.seek(time), showCursors);
+    parts.plots = new Curves.RunPlots(byId("plots"), showTime, (time) => parts.stage.seek(time), showCursors,
+      (part, speed) => parts.stage.showPart(part, speed));
     parts.bode = new Bode.BodePlots(byId("bode-plots"));
     parts.runs = new Runner.Runs(new Runner.Crew(source, models), onRun);
     parts.analyses = new Runner.Analyses(new Runner.Crew(source, models), REST_MS, handlers);
