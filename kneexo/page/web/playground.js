@@ -366,7 +366,8 @@ const Page = (() => {
       return element("li", { class: `of-${letter}` }, nameOf(index));
     });
     const wearer = shownSetups().some((index) => Setups.hasWearer(data, state.setups[index]));
-    const lines = [["of-reference", "reference"], ...(wearer ? [["of-wearer", "wearer's knee"]] : []), ["of-limit", "limit"]];
+    const lines = [["of-reference", "reference"], ...(wearer ? [["of-wearer", "wearer's knee"]] : []), ["of-limit", "limit"],
+      ...(shownSetups().some((index) => results[index].run?.free) ? [["of-free", "without the push"]] : [])];
     return [...items, ...lines.map(([name, text]) => element("li", { class: name }, text))];
   }
 

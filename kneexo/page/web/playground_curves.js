@@ -33,7 +33,8 @@ const Curves = (() => {
   ];
   const START = PLOTS.filter(({ further }) => !further).map(({ name }) => name); // curves of a page that opens
   const PINS = [[5, 4], [2, 3], [10, 3], [9, 3, 2, 3]]; // dashes of the pinned runs
-  const DASHES = { reference: REFERENCE.dash[0], wearer: WEARER.dash[0], limit: CHAMBER[0].dash[0], ...Object.fromEntries(PINS.map((dash, slot) => [`pin-${slot}`, dash])) };
+  const FREE_DASH = [3, 3]; // without a push
+  const DASHES = { free: FREE_DASH, reference: REFERENCE.dash[0], wearer: WEARER.dash[0], limit: CHAMBER[0].dash[0], ...Object.fromEntries(PINS.map((dash, slot) => [`pin-${slot}`, dash])) };
 
   /** The present colour of that name in the style sheet. On paper it is that of light screens. */
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
@@ -152,7 +153,7 @@ const Curves = (() => {
       const extra = [0, 1].flatMap((index) => {
         return (plot.extra ?? []).map(({ stroke, width, dash }) => ({ stroke: painted(index ? "b" : stroke), width, dash: dash[index] }));
       });
-      const free = ["a", "b"].map((name) => ({ stroke: painted(name), width: 1, dash: [3, 3] }));
+      const free = ["a", "b"].map((name) => ({ stroke: painted(name), width: 1, dash: FREE_DASH }));
       const pinned = PINS.map((dash, slot) => ({ stroke: painted(`pin-${slot}`), width: 1.5, dash }));
       return [{}, ...[...main, ...extra, ...free, ...pinned].map((line) => ({ ...line, points: { show: false } }))];
     }
