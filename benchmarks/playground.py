@@ -10,6 +10,7 @@ with the new values. The program prints, in ms,
 - median and 90th percentile of the wait for the first curve of the part in view,
 - median of the wait for the numbers of the whole run,
 - the longest time without a new curve while the slider moves 60 times a second,
+- median and 90th percentile of the wait from a push by the key P to the curve of the pushed leg,
 - the times from a move of the slider to the margins and to the −3 dB frequency. Both start when the
   slider has rested for 350 ms. A page with a wearer has neither.
 
@@ -27,6 +28,7 @@ import json
 import math
 import os
 import statistics
+import sys
 import tempfile
 import time
 from itertools import pairwise
@@ -55,6 +57,7 @@ let moved = 0;
 for (const kind of ["pointermove", "pointerdown"]) {
   addEventListener(kind, ({ timeStamp }) => { moved = timeStamp; }, true);
 }
+addEventListener("keydown", ({ timeStamp }) => waits.push({ start: timeStamp }), true);
 addEventListener("input", () => waits.push({ start: moved }), true);
 const afterPicture = (action) => {  // the page draws in a frame, and the message follows this frame
   const { port1, port2 } = new MessageChannel();
@@ -80,6 +83,7 @@ board.show = (results, ...more) => {
 def new_browser(folder: Path) -> Any:
     """The browser of the tests, with its profile in a folder."""
     file = Path(__file__).parents[1] / "tests" / "conftest.py"
+    sys.path.append(str(file.parent / "shared"))
     spec = importlib.util.spec_from_file_location("conftest", file)
     assert spec is not None
     assert spec.loader is not None
@@ -123,7 +127,7 @@ def waits(browser: Any, repeats: int) -> dict[str, float]:
     mouse = Mouse(browser)
     for step in range(repeats):
         mouse.move(-4.0 * (1 + step % 6))
-        browser.wait_for(f"waits.length === {step + 1} && waits.at(-1).numbers", 60.0)
+        browser.wait_for(f"waits.length === {step + 1} && waits.at(-1).numbers")
         time.sleep(0.2 + 0.02 * (step % 7))  # another moment of the frames of the view
     times = browser.evaluate("waits")
     browser.evaluate("globalThis.pictures = [performance.now()]")
@@ -139,10 +143,31 @@ def waits(browser: Any, repeats: int) -> dict[str, float]:
     first = [wait["curve"] for wait in times]
     return {
         "curve": statistics.median(first),
-        "curve p90": sorted(first)[math.ceil(0.9 * len(first)) - 1],
+        "curve p90": percentile_90(first),
         "numbers": statistics.median([wait["numbers"] for wait in times]),
         "gap": max(after - before for before, after in pairwise(curves)),
     }
+
+
+def pushes(browser: Any, repeats: int) -> dict[str, float]:
+    """The waits after pushes of the leg at several times."""
+    browser.evaluate("document.getElementById('load-knee')?.click()")
+    browser.wait_for("Page.results[0].fresh")
+    browser.evaluate("(Page.parts.stage.pause(), waits.length = 0)")
+    for step in range(repeats):
+        browser.evaluate(f"Page.parts.stage.seek({3.0 + 22.0 * (0.618 * step % 1.0)})")
+        time.sleep(0.3)
+        browser.evaluate("document.querySelector('.whole canvas').focus()")
+        browser.call("Input.dispatchKeyEvent", type="keyDown", key="p")
+        browser.call("Input.dispatchKeyEvent", type="keyUp", key="p")
+        browser.wait_for(f"waits.length === {step + 1} && waits.at(-1).numbers")
+    first = browser.evaluate("waits.map(({ curve }) => curve)")
+    return {"curve": statistics.median(first), "curve p90": percentile_90(first)}
+
+
+def percentile_90(values: list[float]) -> float:
+    """The 90th percentile."""
+    return sorted(values)[math.ceil(0.9 * len(values)) - 1]
 
 
 def analyses(browser: Any) -> dict[str, float]:
@@ -197,8 +222,7 @@ def measured(browser: Any, file: Path, repeats: int) -> dict[str, dict[str, floa
     browser.open(file, width=1440, height=900)
     browser.wait_for(
         "window.opened_ms && (({ fresh, hasWearer, swept }) => hasWearer ? fresh : swept)"
-        "(Page.results[0])",
-        300.0,
+        "(Page.results[0])"
     )
     page = {"MB": file.stat().st_size / 1e6, "opens": browser.evaluate("opened_ms")}
     found = {"page": page, "difference": differences(browser, file.parent)}
@@ -208,6 +232,7 @@ def measured(browser: Any, file: Path, repeats: int) -> dict[str, dict[str, floa
         found[name] = waits(browser, repeats)
     if not browser.evaluate("Page.results[0].hasWearer"):
         found["analyses"] = analyses(browser)
+        found["push"] = pushes(browser, repeats)
     browser.require_health()
     return found
 

@@ -367,7 +367,8 @@ const Page = (() => {
       return element("li", { class: `of-${letter}` }, nameOf(index));
     });
     const wearer = shownSetups().some((index) => Setups.hasWearer(data, state.setups[index]));
-    const lines = [["of-reference", "reference"], ...(wearer ? [["of-wearer", "wearer's knee"]] : []), ["of-limit", "limit"]];
+    const lines = [["of-reference", "reference"], ...(wearer ? [["of-wearer", "wearer's knee"]] : []), ["of-limit", "limit"],
+      ...(shownSetups().some((index) => results[index].run?.free) ? [["of-free", "without the push"]] : [])];
     return [...items, ...lines.map(([name, text]) => element("li", { class: name }, text))];
   }
 
@@ -630,7 +631,8 @@ const Page = (() => {
     showSteps();
     parts.board = new Numbers.Board(byId("numbers"), byId("brief"));
     parts.safety = new Safety.Diagram(byId("safety"));
-    parts.plots = new Curves.RunPlots(byId("plots"), showTime, (time) => parts.stage.seek(time), showCursors);
+    parts.plots = new Curves.RunPlots(byId("plots"), showTime, (time) => parts.stage.seek(time), showCursors,
+      (part, speed) => parts.stage.showPart(part, speed));
     parts.bode = new Bode.BodePlots(byId("bode-plots"));
     parts.runs = new Runner.Runs(new Runner.Crew(source, models), onRun);
     parts.analyses = new Runner.Analyses(new Runner.Crew(source, models), REST_MS, handlers);

@@ -4,6 +4,7 @@
 const Curves = (() => {
   const DESIGN_PX = 900; // height of a window whose plots have the heights below
   const FONT = "12px system-ui, sans-serif";
+  const EVENT_SPEED = 0.25; // of the leg after a step, fault or push
   const DEG = 180 / Math.PI;
   const RPM = 30 / Math.PI;
   const MINUS_3_DB = 20 * Math.log10(Math.SQRT1_2);
@@ -32,7 +33,8 @@ const Curves = (() => {
   ];
   const START = PLOTS.filter(({ further }) => !further).map(({ name }) => name); // curves of a page that opens
   const PINS = [[5, 4], [2, 3], [10, 3], [9, 3, 2, 3]]; // dashes of the pinned runs
-  const DASHES = { reference: REFERENCE.dash[0], wearer: WEARER.dash[0], limit: CHAMBER[0].dash[0], ...Object.fromEntries(PINS.map((dash, slot) => [`pin-${slot}`, dash])) };
+  const FREE_DASH = [3, 3]; // without a push
+  const DASHES = { free: FREE_DASH, reference: REFERENCE.dash[0], wearer: WEARER.dash[0], limit: CHAMBER[0].dash[0], ...Object.fromEntries(PINS.map((dash, slot) => [`pin-${slot}`, dash])) };
 
   /** The present colour of that name in the style sheet. On paper it is that of light screens. */
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
@@ -98,10 +100,12 @@ const Curves = (() => {
   class RunPlots {
     /**
      * Plots in `parent`, those with the names `chosen`. `onSeek(t)` gets the time that a click chooses. While two cursors
-     * measure, a click moves the nearer one, and `onMeasure([t1, t2])` gets their times.
+     * measure, a click moves the nearer one, and `onMeasure([t1, t2])` gets their times. `onPart([low, high], speed)`
+     * gets the part of the run in view, or null for the whole run, and the speed of an event.
      */
-    constructor(parent, onCursor, onSeek, onMeasure) {
+    constructor(parent, onCursor, onSeek, onMeasure, onPart) {
       this.onMeasure = onMeasure;
+      this.onPart = onPart;
       this.cursors = null;
       this.parent = parent;
       this.onCursor = onCursor;
@@ -130,6 +134,8 @@ const Curves = (() => {
       figure.append(caption, box);
       this.parent.append(figure);
       const chart = new uPlot(this.options(plot), this.series(plot).map(() => []), box);
+      const head = element("div", { class: "playhead" });
+      chart.over.append(head);
       chart.over.addEventListener("pointerenter", () => { this.hovered = true; });
       chart.over.addEventListener("pointerleave", () => { this.hovered = false; });
       chart.over.addEventListener("click", () => {
@@ -138,7 +144,7 @@ const Curves = (() => {
         if (this.cursors) this.measure(this.withNearest(time));
         else this.onSeek(time);
       });
-      return { ...plot, chart, box, figure, values };
+      return { ...plot, chart, box, figure, values, head };
     }
 
     /** Series in the order of the columns: time, A, B, their extra lines, both without a push, the pinned runs. */
@@ -147,7 +153,7 @@ const Curves = (() => {
       const extra = [0, 1].flatMap((index) => {
         return (plot.extra ?? []).map(({ stroke, width, dash }) => ({ stroke: painted(index ? "b" : stroke), width, dash: dash[index] }));
       });
-      const free = ["a", "b"].map((name) => ({ stroke: painted(name), width: 1, dash: [3, 3] }));
+      const free = ["a", "b"].map((name) => ({ stroke: painted(name), width: 1, dash: FREE_DASH }));
       const pinned = PINS.map((dash, slot) => ({ stroke: painted(`pin-${slot}`), width: 1.5, dash }));
       return [{}, ...[...main, ...extra, ...free, ...pinned].map((line) => ({ ...line, points: { show: false } }))];
     }
@@ -174,7 +180,7 @@ const Curves = (() => {
         hooks: {
           setScale: [(chart, key) => key === "x" && this.follow(chart)],
           setCursor: [(chart) => this.read(chart)],
-          draw: [(chart) => Safety.drawRuns(chart, this.runs, plot),
+          draw: [(chart) => Safety.drawRuns(chart, this.runs, plot), () => this.moveHeads(),
             (chart) => this.cursors?.forEach((time, k) => drawCursor(chart, time, `${k + 1}`))],
         },
       };
@@ -205,7 +211,8 @@ const Curves = (() => {
       }
       this.showing = false;
       this.parent.classList.remove("waiting");
-      this.zoom(keeps ? this.range : eventOf(runs) ?? [0, end]);
+      const event = keeps ? null : eventOf(runs);
+      this.zoom(keeps ? this.range : event ?? [0, end], event ? EVENT_SPEED : undefined);
       if (this.cursors) this.measure(keeps ? this.cursors : this.quarters());
     }
 
@@ -268,7 +275,7 @@ const Curves = (() => {
       this.zoom([min, max]);
     }
 
-    zoom([low, high]) {
+    zoom([low, high], speed) {
       const most = this.end ?? 1;
       const width = Math.min(most, Math.max(high - low, most / 1000));
       const start = Math.min(Math.max(low, 0), most - width);
@@ -276,6 +283,7 @@ const Curves = (() => {
       this.showing = true;
       for (const { chart } of this.shown) chart.setScale("x", { min: start, max: start + width });
       this.showing = false;
+      this.onPart(width < most ? this.range : null, speed);
     }
 
     zoomBy(factor) {
@@ -288,9 +296,19 @@ const Curves = (() => {
 
     zoomAll() { if (this.range) this.zoom([0, this.end]); }
 
-    /** Put the cursor at the time of the stage, unless a pointer reads the curves. */
+    /** Put the playheads at the time of the stage. */
+    moveHeads() {
+      for (const { chart, head } of this.shown) {
+        const left = chart.valToPos(this.time ?? 0, "x");
+        head.hidden = !(left >= 0 && left <= chart.over.clientWidth);
+        head.style.left = `${left}px`;
+      }
+    }
+
+    /** Show the time of the stage, and put the cursor there unless a pointer reads the curves. */
     setTime(time) {
       this.time = time;
+      this.moveHeads();
       if (this.hovered || !this.runs.length) return;
       const [{ chart }] = this.shown;
       const left = chart.valToPos(time, "x");

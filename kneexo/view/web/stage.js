@@ -31,6 +31,7 @@ const Stage = (() => {
       this._places = [];
       this.orbit = { ...HOME };
       this.time = 0;
+      this.part = null;
       this.speed = 1;
       this.loop = true;
       this.playing = false;
@@ -70,6 +71,16 @@ const Stage = (() => {
       }
     }
 
+    /** Play a part [low, high] in s of the runs alone, or for null the whole runs at speed 1. */
+    showPart(part, speed = part ? this.speed : 1) {
+      if (String(part) === String(this.part)) return;
+      Object.assign(this, { part, speed });
+      if (part && (this.time < part[0] || this.time > part[1])) this.time = part[0];
+      this._bar.speed.value = speed;
+      this._bar.repeated.textContent = part ? " Repeat this part" : " Repeat";
+      this._update();
+    }
+
     /** Show or hide the button that pushes. */
     showPush(isShown) {
       this._bar.push.hidden = !isShown;
@@ -83,7 +94,8 @@ const Stage = (() => {
 
     play() {
       if (this.duration === 0) return;
-      if (!this.loop && this.time >= this.duration) this.time = 0;
+      const [low, high] = this._played();
+      if (!this.loop && this.time >= high) this.time = low;
       this._hasPlayed = true;
       this.playing = true;
       this._last = null;
@@ -273,13 +285,20 @@ const Stage = (() => {
     _advance(now) {
       const passed = this._last === null ? 0 : Math.min((now - this._last) / 1000, 0.25);
       this._last = now;
+      const [low, high] = this._played();
       this.time += this.speed * passed;
-      if (this.time < this.duration) return;
-      if (this.loop) this.time %= this.duration;
+      if (this.time < high) return;
+      if (this.loop) this.time = low + ((this.time - high) % (high - low));
       else {
-        this.time = this.duration;
+        this.time = high;
         this.playing = false;
       }
+    }
+
+    /** The times between which the legs play: those of the part, unless the user has gone to a time behind the part. */
+    _played() {
+      const [low, high] = this.part ?? [0, this.duration];
+      return this.time <= high && low < this.duration ? [low, Math.min(high, this.duration)] : [0, this.duration];
     }
 
     /** Reduce the pixels while frames take too long. A still picture has all pixels. */

@@ -66,6 +66,7 @@ const StageElements = (() => {
     speed.addEventListener("change", () => (stage.speed = Number(speed.value)));
     const loop = make("input", { type: "checkbox", checked: true });
     loop.addEventListener("change", () => (stage.loop = loop.checked));
+    const repeated = make("span", { textContent: " Repeat" });
     const view = make("button", { type: "button", textContent: "Reset view" });
     view.addEventListener("click", () => stage.resetView());
     const push = make("button", { type: "button", textContent: "Push here", hidden: true, title: "push at this time (P), or drag the shank" });
@@ -75,11 +76,11 @@ const StageElements = (() => {
       slider,
       clock,
       make("label", {}, ["Speed ", speed]),
-      make("label", {}, [loop, " Repeat"]),
+      make("label", {}, [loop, repeated]),
       push,
       view,
     ]);
-    return { element, push, play, slider, clock };
+    return { element, push, play, slider, clock, speed, repeated };
   }
 
   /** A small canvas with the drawing of `draw`. */

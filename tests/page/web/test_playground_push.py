@@ -15,16 +15,17 @@ COLUMNS = {
     "command": "motor_speed_command_rad_s",
     "pressure": "load_pressure_pa",
 }
-POINTS = """(() => {
+POINTS = """((leg) => {
   const { stage } = Page.parts;
-  const box = document.querySelector(".whole canvas").getBoundingClientRect();
-  const { angle } = stage.legs[0].at(stage.time);
-  const [x, z, turn] = stage.legs[0].pose("shank", angle);
-  const ratio = document.querySelector(".whole canvas").width / box.width;
-  return [0, 0.3].map((swing) => stage._places[0](
+  const canvas = document.querySelectorAll(".whole canvas")[leg];
+  const box = canvas.getBoundingClientRect();
+  const { angle } = stage.legs[leg].at(stage.time);
+  const [x, z, turn] = stage.legs[leg].pose("shank", angle);
+  const ratio = canvas.width / box.width;
+  return [0, 0.3].map((swing) => stage._places[leg](
     x + 0.25 * Math.cos(turn - swing), z + 0.25 * Math.sin(turn - swing)))
     .map(([a, b]) => [box.left + a / ratio, box.top + b / ratio]);
-})()"""
+})"""
 """Points in the window: on the middle of the shank, and 0.3 rad further in flexion."""
 FRAMES = "new Promise((d) => requestAnimationFrame(() => requestAnimationFrame(d))).then(() => 0)"
 
@@ -46,12 +47,12 @@ class _Hand:
         self.browser.call("Input.dispatchMouseEvent", type=f"mouse{kind}", x=x, y=y, **button)
 
 
-def drag(browser, touch=False, escape=False, offset=(0.0, 0.0)):
+def drag(browser, touch=False, escape=False, offset=(0.0, 0.0), leg=0):
     """Drag from the shank, or beside it."""
     browser.evaluate("document.querySelector('.whole canvas').scrollIntoView({block: 'center'})")
     browser.evaluate(FRAMES)
     hand = _Hand(browser, touch)
-    start, end = (np.add(point, offset).tolist() for point in browser.evaluate(POINTS))
+    start, end = (np.add(point, offset).tolist() for point in browser.evaluate(f"{POINTS}({leg})"))
     hand.send("Pressed", start)
     hand.send("Moved", end)
     browser.evaluate(FRAMES)
@@ -132,4 +133,79 @@ def test_escape_takes_a_push_back_and_a_drag_elsewhere_turns(browser, tmp_path):
     assert browser.evaluate("Page.parts.stage.orbit.azimuth") != azimuth
     browser.evaluate("document.getElementById('load-none')?.click()")
     browser.wait_for("Page.results[0].fresh")
+    browser.require_health()
+
+
+SHADE = """((time) => {
+  const { ctx, bbox } = Page.parts.plots.plots[1].chart;
+  const x = Page.parts.plots.plots[1].chart.valToPos(time, "x", true);
+  const [red, green] = ctx.getImageData(Math.round(x), bbox.top + bbox.height - 4, 1, 1).data;
+  return red - green;
+})"""
+"""How red the ground of the curves is at a time."""
+PLAYED = """(async () => {
+  const { stage } = Page.parts;
+  const times = [];
+  stage.speed = 4;
+  stage.play();
+  for (let ends = 0; ends < 2; ends += times.at(-1) < times.at(-2)) {
+    await new Promise((done) => stage.element.addEventListener("stagetime", done, { once: true }));
+    times.push(stage.time);
+  }
+  stage.pause();
+  return times;
+})()"""
+HEADS = """Page.parts.plots.shown.map(({ head, chart }) =>
+  head.hidden ? null : chart.posToVal(head.offsetLeft + 1, "x"))"""
+
+
+def test_a_flat_leg_repeats_the_part_in_view_and_each_set_up_is_pushed(browser, tmp_path):
+    file = tmp_path / "push.html"
+    scenario = Scenario.preset("leg").changed({"simulation.duration_s": 8.0})
+    file.write_text(playground_page([scenario], ["leg"]), encoding="utf-8")
+    no_webgl = "HTMLCanvasElement.prototype.getContext = new Proxy(HTMLCanvasElement.prototype"
+    no_webgl += ".getContext, { apply: (f, on, [kind, ...more]) => kind.startsWith('webgl')"
+    no_webgl += " ? null : Reflect.apply(f, on, [kind, ...more]) })"
+    browser.open(file, width=1440, height=900, script=no_webgl)
+    browser.wait_for("Page.results[0].fresh && Page.parts.stage.duration > 7")
+    played = "[Page.parts.stage.part, Page.parts.stage.speed]"
+    assert browser.evaluate(played) == [None, 1]
+    browser.evaluate("(Page.parts.stage.seek(3), 0)")
+    drag(browser)
+    settle(browser)
+    low, high = browser.evaluate("Page.parts.plots.range")
+    assert browser.evaluate(played) == [[low, high], 0.25]
+    assert browser.evaluate("document.getElementById('key').innerText").endswith("without the push")
+    assert browser.evaluate(f"{SHADE}(3.1)") > 5 > abs(browser.evaluate(f"{SHADE}(2.97)"))
+    times = browser.evaluate(PLAYED)
+    assert low <= min(times)
+    assert max(times) <= high
+    browser.evaluate("(Page.parts.stage.seek(3.05), 0)")
+    browser.wait_for("Page.parts.plots.time === 3.05")
+    x, y = browser.evaluate("""(({ left, top, width }) => [left + 0.9 * width, top + 9])(
+        document.querySelector(".u-over").getBoundingClientRect())""")
+    browser.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
+    hovered = f"t = {low + 0.9 * (high - low):.2f} s"
+    browser.wait_for(f"document.getElementById('cursor-time').textContent === '{hovered}'")
+    assert browser.evaluate(HEADS) == pytest.approx([3.05] * 4, abs=0.01)
+    browser.evaluate("document.getElementById('zoom-all').click()")
+    browser.evaluate(FRAMES)
+    assert browser.evaluate(played) == [None, 1]
+    assert browser.evaluate(HEADS) == pytest.approx([3.05] * 4, abs=0.05)
+    pushes = """Page.state.setups.map(({ values }) =>
+      ["torque_n_m", "start_s"].map((name) => values[`push.${name}`]))"""
+    first = browser.evaluate(pushes)[0]
+    browser.evaluate("document.getElementById('compare').click()")
+    browser.wait_for("Page.results[1].fresh && Page.parts.stage.legs[1].run")
+    browser.evaluate("(Page.parts.stage.seek(5), 0)")
+    browser.evaluate(FRAMES)
+    drag(browser, leg=1)
+    browser.wait_for("Page.results[1].fresh")
+    assert browser.evaluate(pushes) == [first, [pytest.approx(first[0], abs=6), 5]]
+    browser.evaluate("document.getElementById('set-up-a').click()")
+    browser.evaluate("(Page.parts.stage.seek(6), 0)")
+    browser.evaluate("""[...document.querySelectorAll(".stage-bar button")]
+      .find((button) => button.textContent === "Push here").click()""")
+    assert browser.evaluate(pushes)[0] == [first[0], 6]
+    assert browser.evaluate(pushes)[1][1] == 5
     browser.require_health()

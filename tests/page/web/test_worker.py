@@ -436,6 +436,8 @@ def test_a_push_on_a_page_is_that_of_kneexo(worker, name):
     assert again["metrics"] == answer["metrics"]
     assert again["columns"] == answer["columns"]  # goes on from a moment before the push
     assert all(len(part["time"]) < len(again["time"]) for part in again["parts"])  # it is known
+    size = "Simulator.instanceOf(Simulator.modelOf({ model: 'model' }).loop.module, 'run 0')"
+    assert worker.evaluate(f"{size}.kept.moments[0].memory.length") < 1e5  # quick to copy
     quiet = worker.ask(values=values | {"push.torque_n_m": 0.0}, **request)
     assert "push" not in quiet["metrics"]
     free = {name: quiet["columns"][name] for name in answer["free"]}
