@@ -17,8 +17,6 @@ from hypothesis import given, strategies as st
 
 from kneexo.errors import ParameterError
 from kneexo.parameters import (
-    HINGE,
-    WEARERS,
     CsvReference,
     GaitReference,
     LawParameters,
@@ -130,27 +128,6 @@ def test_a_number_has_unit_range_and_provenance(key: str) -> None:
     assert longest == suffix(unit_of(field)) or counts_samples
 
 
-DECLARED = Path(__file__).with_name("declared_numbers.txt")
-
-
-def declared_numbers() -> str:
-    """Default, unit and range of each number, and the sets of numbers that have a name."""
-    lines = [
-        f"{key} = {field.default} {unit_of(field)} {allowed_range(field)}".rstrip()
-        for key, (_, _, field) in sorted(NUMBERS.items())
-    ]
-    sets = {f"WEARERS {name}": values for name, values in WEARERS.items()} | {"HINGE": HINGE}
-    for name, values in sets.items():
-        changed = values.model_dump(exclude_defaults=True)
-        lines += [f"{name}: {path} = {value}" for path, value in sorted(changed.items())]
-    return "\n".join(lines) + "\n"
-
-
-def test_no_declared_number_changes_unseen() -> None:
-    """After a change that is meant, ``python tests/parameters/test_every_class.py`` writes them."""
-    assert declared_numbers() == DECLARED.read_text(encoding="utf-8")
-
-
 @every_class
 def test_a_class_is_documented_frozen_and_its_own_plain_data(model: typing.Any) -> None:
     assert model.__doc__
@@ -257,7 +234,3 @@ def test_every_field_refuses_every_wrong_value_in_one_line_of_ours(model: typing
                 assert line.startswith(f"{model.__name__}: "), line
                 assert re.search("must |unknown name|cannot be|has no argument", line), line
     assert refused >= len(WRONG)
-
-
-if __name__ == "__main__":
-    DECLARED.write_text(declared_numbers(), encoding="utf-8")
