@@ -32,7 +32,7 @@ _AT_BOUND = 1e-4  # of the range
 _CONFIDENCE = 0.95
 _ALIKE = 0.95  # correlation of two unknowns that a note names
 _FOLLOWS = 0.25  # neighbouring lags are alike, so with 5 % expected a tenth is no rarity
-_REWEIGHTED = 10  # at most; the weights settle to 1 % in two or three
+_REWEIGHTED = 10  # at most, until the noise changes by less than 1 %
 
 
 class _Problem:

@@ -31,8 +31,8 @@ The runs keep a relative tolerance of 1e-8, so differences over 2e-3 of the rang
 noise in the worst row and less in the mean of many.
 """
 _NAMED = 0.1  # share of the largest part of a direction; smaller parts are not named
-_MOST_TERMS = 30  # of an autoregression; the criterion by Schwarz chose at most 5 in the tests
-_PASSES = 2  # of the correction for the fit; a third pass changes an interval by below 1 %
+_MOST_TERMS = 30  # of an autoregression; the criterion by Schwarz chooses how many
+_PASSES = 2  # of the correction for the fit; in a test passes 2 and 3 changed intervals by 1 %
 
 
 def stacked(pieces: Sequence[Array]) -> Array:
