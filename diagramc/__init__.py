@@ -6,7 +6,8 @@ The equations are written once, in the leaf systems. They pass through these fol
   equal operations are stored once, and rewrites the graph for speed;
 - ``native/`` turns the graph into machine code, stores the code on disk and runs it;
 - ``c/`` and ``fmu/`` print the graph as C99 and pack it as an FMU;
-- ``linear/`` makes linear models from the derivatives of the graph.
+- ``linear/`` makes linear models from the derivatives of the graph;
+- ``identification/`` fits a compiled model to logs of a machine.
 
 ``testing.py`` tests leaf systems, also those that do not compile.
 
@@ -93,6 +94,8 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
         initial_states as initial_states,
     )
     from .fmu.variables import FmuParameter as FmuParameter
+    from .identification.fit import Fit as Fit, identify as identify
+    from .identification.log import Log as Log, Unknown as Unknown
     from .interruption import interrupt_later as interrupt_later
     from .linear.advice import Obstacle as Obstacle, advice as advice
     from .linear.equilibrium import find_equilibrium as find_equilibrium
@@ -167,6 +170,8 @@ else:
         "fmu.fmu": ("FMI_VERSIONS", "Fmu"),
         "fmu.parameters": ("context_parameters", "initial_states"),
         "fmu.variables": ("FmuParameter",),
+        "identification.fit": ("Fit", "identify"),
+        "identification.log": ("Log", "Unknown"),
         "interruption": ("interrupt_later",),
         "linear.advice": ("Obstacle", "advice"),
         "linear.equilibrium": ("find_equilibrium",),

@@ -9,11 +9,12 @@ def calls(monkeypatch):
     """The scenarios and names of each page, which is only its mark."""
     calls = []
 
-    def page(scenarios, names):
+    def data(scenarios, names):
         calls.append((scenarios, names))
-        return "a page"
+        return {"scenarios": []}
 
-    monkeypatch.setattr(playground, "playground_page", page)
+    monkeypatch.setattr(playground, "playground_data", data)
+    monkeypatch.setattr(playground, "page_of", lambda data: "a page")
     return calls
 
 

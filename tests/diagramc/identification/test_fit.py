@@ -1,0 +1,275 @@
+"""Fits to logs of an independent program: a motor with lag and dead band moves a spring's mass."""
+
+import numpy as np
+import pytest
+from pydrake.symbolic import Variable, max as larger, min as smaller
+from pydrake.systems.primitives import SymbolicVectorSystem
+from scipy.integrate import solve_ivp
+
+from diagramc import InputTable, Log, ParameterError, Unknown, compile_diagram, identify
+
+T, HELD, ROWS = 0.01, 15, 495
+X, V = "y0[0]", "y0[1]"
+UNKNOWNS = (
+    Unknown(".0[0]", 0.02, 0.2, unit="s"),  # lag
+    Unknown(".0[1]", 2.0, 20.0),  # gain
+    Unknown(".0[2]", 0.02, 0.4),  # dead band
+    Unknown(".0[3]", 10.0, 100.0),  # stiffness
+    Unknown(".0[4]", 0.3, 6.0),  # damping
+    Unknown(f"{X}.delay_s", 0.0, 0.04, unit="s"),
+    Unknown(f"{X}.bias", -0.3, 0.3),
+    Unknown(f"{V}.gain", 0.5, 2.0),
+)
+TRUE = np.array([0.06, 8.0, 0.15, 40.0, 1.5, 0.012, 0.05, 1.1])
+NOISE = np.array([0.01, 0.1])
+COMMAND = np.repeat(np.random.default_rng(5).uniform(-1.0, 1.0, ROWS // HELD + 1), HELD)
+
+
+@pytest.fixture(scope="module")
+def model():
+    v, x, w, u = (Variable(name) for name in "vxwu")
+    p = lag, gain, dead, k, d = [Variable(name) for name in ("lag", "gain", "dead", "k", "d")]
+    driven = larger(u - dead, 0.0) + smaller(u + dead, 0.0)
+    rates = [(gain * driven - v) / lag, w, v - k * x - d * w]
+    return compile_diagram(
+        SymbolicVectorSystem(
+            state=[v, x, w], input=[u], parameter=p, dynamics=rates, output=[x, v]
+        ),
+        inputs=["u0"],
+    )
+
+
+def machine(true, start=(0.0, 0.0, 0.0)):
+    """The sensors of an own program at any times (n,): (n, 2)."""
+    lag, gain, dead, k, d, delay, bias, factor = true
+    y, solutions = np.array(start), []
+    for i, u in enumerate(COMMAND[::HELD]):
+        target = gain * np.sign(u) * max(abs(u) - dead, 0.0)
+        matrix = np.array([[-1.0 / lag, 0.0, 0.0], [0.0, 0.0, 1.0], [1.0, -k, -d]])
+        push = np.array([target / lag, 0.0, 0.0])
+        span = (i * HELD * T, (i + 1) * HELD * T)
+        run = solve_ivp(
+            lambda t, y, a=matrix, b=push: a @ y + b,
+            span,
+            y,
+            rtol=1e-9,
+            atol=1e-11,
+            dense_output=True,
+        )
+        solutions.append(run.sol)
+        y = run.y[:, -1]
+
+    def states(time_s):
+        piece = np.clip(time_s / (HELD * T) + 1e-9, 0, len(solutions) - 1).astype(int)
+        return np.array([solutions[i](t) for i, t in zip(piece, time_s, strict=True)])
+
+    def sensors(time_s):
+        x = states(np.maximum(time_s - delay, 0.0))[:, 1]
+        return np.stack([x + bias, factor * states(time_s)[:, 0]], axis=1)
+
+    return sensors
+
+
+@pytest.fixture(scope="module")
+def sensors():
+    return machine(TRUE)
+
+
+def log_of(sensors, seed=0, noise=0.0, colour=0.0, rows=ROWS, step=0.0):
+    """A log with jitter of the stamps and noise that is an autoregression of first order."""
+    random = np.random.default_rng(seed)
+    time_s = np.maximum((np.arange(rows) + random.uniform(-0.2, 0.2, rows)) * T, 0.0)
+    e = random.standard_normal((rows + 200, 2))
+    for i in range(1, len(e)):
+        e[i] = colour * e[i - 1] + np.sqrt(1.0 - colour**2) * e[i]
+    y = sensors(time_s) + noise * NOISE * e[200:]
+    if step:
+        y[:, 0] = np.round(y[:, 0] / step) * step
+    return Log(time_s, {X: y[:, 0], V: y[:, 1]}, T, {"u0": COMMAND[:rows]})
+
+
+def z_of(values):
+    return np.array([u.place(v) for u, v in zip(UNKNOWNS, values, strict=True)])
+
+
+def test_a_log_without_noise_gives_back_each_number(model, sensors):
+    fit = identify(model, log_of(sensors, rows=120), UNKNOWNS)
+    np.testing.assert_allclose(list(fit.values.values()), TRUE, rtol=1e-4)
+    assert min(*fit.train.values(), *fit.validation.values()) > 99.99
+    assert set(fit.words.values()) == {"bounded"}
+
+
+def test_a_sensor_shows_gain_times_the_delayed_output_plus_bias(model, sensors):
+    log = log_of(sensors, rows=80)
+    doubled = {X: 2.0 * (log.measured[X] - 0.05) + 0.05, V: log.measured[V]}
+    log = Log(log.time_s, doubled, T, log.inputs)
+    unknowns = [*UNKNOWNS[5:], Unknown(f"{X}.gain", 0.5, 4.0)]
+    fit = identify(model, log, unknowns, parameters=TRUE[:5])
+    np.testing.assert_allclose(list(fit.values.values()), [0.012, 0.05, 1.1, 2.0], rtol=1e-4)
+
+
+@pytest.mark.parametrize("low", [0.5, -1.0])
+def test_the_slope_is_the_derivative_of_the_value_by_its_place(low):
+    unknown, place, h = Unknown("mass", low, 7.0), 0.3, 1e-5
+    difference = (unknown.value(place + h) - unknown.value(place - h)) / (2.0 * h)
+    assert unknown.slope(unknown.value(place)) == pytest.approx(difference, rel=1e-8)
+    assert unknown.place(unknown.value(place)) == pytest.approx(place)
+
+
+@pytest.mark.slow
+def test_intervals_hold_what_they_promise_and_errors_are_those_of_cramer_and_rao(model, sensors):
+    time_s = np.arange(ROWS) * T
+    z, columns = z_of(TRUE), []
+    for c in range(z.size):  # of the own program
+        ends = []
+        for step in (1e-3, -1e-3):
+            moved = z.copy()
+            moved[c] += step
+            values = [u.value(p) for u, p in zip(UNKNOWNS, moved, strict=True)]
+            ends.append(machine(values)(time_s) / NOISE)
+        columns.append((ends[0] - ends[1]).ravel() / 2e-3)
+    bound = np.sqrt(np.diag(np.linalg.inv(np.array(columns) @ np.array(columns).T)))
+    for colour in (0.0, 0.8):
+        inside, errors = [], []
+        for seed in range(200):
+            log = log_of(sensors, seed, 1.0, colour, step=0.002)
+            fit = identify(model, log, UNKNOWNS, validation=0.0, threads=1)
+            ends = np.array(list(fit.interval.values()))
+            inside.append((ends[:, 0] <= TRUE) & (ends[:, 1] >= TRUE))
+            errors.append(z_of(fit.values.values()) - z)
+        share = np.mean(inside, axis=0)
+        assert share.min() >= 0.9
+        assert 0.935 <= share.mean() <= 0.965
+        if not colour:
+            assert np.max(np.sqrt(np.mean(np.square(errors), axis=0)) / bound) <= 1.2
+
+
+def test_a_combination_is_named_with_its_partner(model, sensors):
+    log = log_of(sensors, rows=100)
+    alone = Log(log.time_s, {V: log.measured[V]}, T, log.inputs)
+    unknowns = [UNKNOWNS[1], UNKNOWNS[7]]  # gain of motor and of sensor
+    fit = identify(model, alone, unknowns, parameters=TRUE[:5])
+    (note,) = (note for note in fit.notes if "cannot tell" in note)
+    assert "up 10 %" in note
+    assert "down 9.1 %" in note
+    assert "fix " in note
+    assert ".0[1]" in note
+    assert f"{V}.gain" in note
+
+
+def test_an_unknown_without_effect_is_refused_by_name(model, sensors):
+    log = log_of(sensors, rows=60)
+    alone = Log(log.time_s, {V: log.measured[V]}, T, log.inputs)
+    with pytest.raises(ParameterError, match=r"\.0\[3\]: has no effect"):
+        identify(model, alone, UNKNOWNS[:4], parameters=TRUE[:5])
+
+
+def test_an_unknown_at_its_bound_has_a_one_sided_interval(model, sensors):
+    short = Unknown(".0[0]", 0.08, 0.2, start=0.2)  # the true lag is 0.06 s
+    log = log_of(sensors, noise=0.3, rows=100)
+    fit = identify(model, log, [short], parameters=TRUE[:5])
+    assert fit.words[".0[0]"] == "one-sided"
+    assert fit.interval[".0[0]"][0] == pytest.approx(0.08)
+    assert any("moved off its bound" in note for note in fit.notes)
+
+
+def test_a_hole_makes_segments_with_states_of_their_own(model):
+    start = (1.0, 0.1, 0.0)
+    whole = log_of(machine(TRUE, start), rows=140)
+    rows = np.r_[0:55, 85:140]
+    log = Log(
+        whole.time_s[rows],
+        {name: values[rows] for name, values in whole.measured.items()},
+        T,
+        {"u0": COMMAND[rows]},
+    )
+    with pytest.raises(ParameterError, match="hole of more than ten"):
+        identify(model, log, UNKNOWNS)
+    states = [Unknown(name, -9.0, 9.0) for name in model.state_names]
+    fit = identify(model, log, (*UNKNOWNS[5:], *states), parameters=TRUE[:5], validation=0.0)
+    first = [fit.values[f"{name} (log 1, segment 1)"] for name in model.state_names]
+    np.testing.assert_allclose(first, start, atol=1e-3)
+    assert len(fit.values) == 9
+    assert len(fit.residuals) == 2
+    assert fit.values[f"{X}.delay_s"] == pytest.approx(0.012, rel=1e-3)
+
+
+def test_a_loss_for_outliers_ignores_them(model, sensors):
+    log = log_of(sensors, noise=0.1, rows=100)
+    spoiled = {name: values.copy() for name, values in log.measured.items()}
+    for values in spoiled.values():
+        values[::20] += 5.0
+    spoiled[X][3] = np.nan
+    wrong = Log(log.time_s, spoiled, T, log.inputs)
+    errors = []
+    for loss in ("linear", "cauchy"):
+        fit = identify(model, wrong, UNKNOWNS, loss=loss, validation=0.0)
+        errors.append(np.abs(z_of(fit.values.values()) - z_of(TRUE)).max())
+    np.testing.assert_allclose(list(fit.noise.values()), 0.1 * NOISE, rtol=0.5)
+    assert errors[1] < 0.2 * errors[0]
+
+
+def test_a_held_out_log_an_input_table_and_a_profile(model, sensors):
+    log = log_of(sensors, noise=1.0, rows=100)
+    table = InputTable(np.arange(1, 100) * T, COMMAND[:100, None, None])
+    same = Log(log.time_s, log.measured, T, table)
+    options = {"parameters": TRUE[:5], "held_out": [log_of(sensors, 1, 1.0, rows=60)]}
+    fits = [identify(model, which, UNKNOWNS[5:], **options) for which in (log, same)]
+    assert fits[0].values == fits[1].values
+    assert fits[0].validation.keys() == {X, V}
+    np.testing.assert_allclose(fits[0].profile(f"{V}.gain"), fits[0].interval[f"{V}.gain"], 0.01)
+    assert "± (95 %)" in str(fits[0])
+
+
+def test_a_second_minimum_as_good_is_told(model, sensors):
+    """The output sees the square of the unknown."""
+    a, x = Variable("a"), Variable("x")
+    squared = compile_diagram(
+        SymbolicVectorSystem(state=[x], parameter=[a], dynamics=[a * a - x], output=[x])
+    )
+    time_s = np.arange(60) * T
+    y = 4.0 * (1.0 - np.exp(-time_s)) + 1e-3 * np.random.default_rng(0).standard_normal(60)
+    fit = identify(squared, Log(time_s, {"y0": y}, T), [Unknown(".0[0]", -5.0, 5.0, 1.0)], starts=6)
+    assert abs(fit.values[".0[0]"]) == pytest.approx(2.0, rel=1e-2)
+    assert fit.words[".0[0]"] == "several minima"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"time_s": [0.0, 0.2, 0.1]}, "time goes back or stands at row 2, 0.1 s"),
+        ({"measured": {X: [1.0, 2.0]}}, r"has the shape \(2,\) for 3 times"),
+        ({"measured": {X: [np.nan] * 3}}, "is nan from row 0"),
+        ({"sample_time_s": 0.0}, "sample_time_s = 0 s: must be finite and > 0"),
+    ],
+)
+def test_a_wrong_log_is_refused(change, message):
+    given = {"time_s": [0.0, 0.1, 0.2], "measured": {X: [1.0] * 3}, "sample_time_s": 0.1}
+    with pytest.raises(ParameterError, match=message):
+        Log(**(given | change))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"unknowns": [Unknown("mass", 1.0, 2.0)]}, "unknown 'mass': must be one of"),
+        ({"unknowns": UNKNOWNS[:1] * 2}, "is unknown twice"),
+        ({"loss": "square"}, "a loss of linear"),
+        ({"measured": {"z": np.ones(60)}}, "output 'z': must be one of"),
+        ({"rows": 15}, "rows from 0 s; must have 20"),
+        ({"inputs": {}}, "inputs must be those of the model: u0"),
+    ],
+)
+def test_a_wrong_argument_is_refused(model, sensors, changes, message):
+    log = log_of(sensors, rows=changes.pop("rows", 60))
+    given = {"measured": log.measured, "inputs": log.inputs}
+    given |= {name: changes.pop(name) for name in ("measured", "inputs") if name in changes}
+    arguments = {"unknowns": UNKNOWNS} | changes
+    with pytest.raises(ParameterError, match=message):
+        identify(model, Log(log.time_s, given["measured"], T, given["inputs"]), **arguments)
+
+
+@pytest.mark.parametrize("numbers", [(2.0, 1.0, None), (1.0, np.inf, None), (1.0, 2.0, 3.0)])
+def test_a_wrong_range_is_refused(numbers):
+    with pytest.raises(ParameterError, match="mass: "):
+        Unknown("mass", *numbers)
