@@ -137,8 +137,8 @@ def test_escape_takes_a_push_back_and_a_drag_elsewhere_turns(browser, tmp_path):
 
 
 SHADE = """((time) => {
-  const { ctx, bbox } = Page.parts.plots.plots[1].chart;
-  const x = Page.parts.plots.plots[1].chart.valToPos(time, "x", true);
+  const { ctx, bbox } = Page.parts.plots.shown[1].chart;
+  const x = Page.parts.plots.shown[1].chart.valToPos(time, "x", true);
   const [red, green] = ctx.getImageData(Math.round(x), bbox.top + bbox.height - 4, 1, 1).data;
   return red - green;
 })"""
