@@ -89,7 +89,8 @@ if __name__ == "__main__":
     import sys
     import tempfile
 
-    sys.path.append(str(Path(__file__).with_name("shared")))
+    tests = Path(__file__).parents[1]
+    sys.path[:0] = [str(tests), str(tests / "shared")]
     from conftest import _Browser
 
     with tempfile.TemporaryDirectory() as folder:
