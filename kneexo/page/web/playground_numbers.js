@@ -273,8 +273,10 @@ const Numbers = (() => {
       const reach = [[`${shown(error * DEG)}°`, "error", "fault-error"], ", the torque at the knee ", [`${shown(torque)} N·m`, "kneeTorque", "fault-torque"], "."];
       if (!isProtected) return ["No protection: from the fault on the error reaches ", ...reach];
       if (!stop) return ["No detector trips: from the fault on the error reaches ", ...reach];
-      const when = Number.isFinite(stop_ms) ? [[`${shown(stop_ms)} ms`, "state", "detected"], " after the fault"] : [`at ${shown(stop.time_s)} s`, fault ? " before the fault" : ""];
-      const safety = safe === null ? "; the motor does not become safe" : [`; safe ${fault ? "" : "at "}`, [fault ? `${shown(sinceFault(run, safe))} ms` : `${shown(safe)} s`, "state", "safe"], fault ? " after the fault" : ""];
+      const late = stop_ms > 0; // the emergency stop itself, and a false alarm, are not
+      const [from_s, then] = late ? [fault.start_s, "the fault"] : [stop.time_s, "it"];
+      const when = late ? [[`${shown(stop_ms, 4)} ms`, "state", "detected"], " after the fault"] : [`at ${shown(stop.time_s)} s`];
+      const safety = safe === null ? ["; the motor does not become safe"] : ["; safe ", [`${shown(1e3 * (safe - from_s), 4)} ms`, "state", "safe"], ` after ${then}`];
       return ["Stopped ", ...when, ` by the ${stop.reason < faults.reasons.indexOf("emergency stop") ? "detector " : ""}${faults.reasons[stop.reason]}`, ...safety, ". Until then the error reaches ", ...reach];
     }
     const error = [`${shown(metrics.largest_error_rad * DEG)}°`, "error", "error"];
