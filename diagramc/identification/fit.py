@@ -234,9 +234,9 @@ def identify(
         Logs that take no part in the fit. Only their own initial states are fitted to them.
     loss
         ``linear``, or for outliers ``huber``, ``soft_l1`` or ``cauchy``.
-    starts
-        Number of starts. The first is that of the unknowns, the others are a Latin hypercube with
-        ``seed``.
+    starts, seed
+        Number of starts. The first is that of the unknowns, the others are a Latin hypercube whose
+        seed is ``seed``.
     options
         ``integrator``, ``tolerance``, ``step_s`` and ``threads`` as in `CompiledModel.simulate`.
 

@@ -14,8 +14,10 @@ from ..arguments import positive
 from ..errors import ParameterError, shown
 from ..run_data import Array, InputTable
 
-HOLE = 10.0  # in sample times; a hole of a few samples is bridged by the held command
-FEWEST = 20  # compared rows of a segment; fewer have no statistics of residuals
+HOLE = 10.0
+"""Longest gap between two rows of a segment in sample times. The held command bridges it."""
+FEWEST = 20
+"""Least number of rows of a segment; fewer have no statistics of residuals."""
 
 
 @dataclass(frozen=True)
