@@ -64,14 +64,15 @@ def test_the_examples_print_what_the_page_shows(numbers, tmp_path, monkeypatch, 
     [
         pytest.param(0, marks=pytest.mark.slow, id="a pendulum"),
         pytest.param(1, id="a MultibodyPlant"),
-        pytest.param(2, id="a test of a leaf"),
-        pytest.param(3, id="a failed run"),
+        pytest.param(2, id="a fit"),
+        pytest.param(3, id="a test of a leaf"),
+        pytest.param(4, id="a failed run"),
     ],
 )
 def test_the_examples_of_the_first_page_print_what_it_shows(index, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     codes, texts = (blocks(kind, FIRST_PAGE) for kind in ("python", "text"))
-    assert len(codes) == len(texts) == 4
+    assert len(codes) == len(texts) == 5
     exec(compile(codes[index], "an example", "exec"), {"__name__": __name__})
     require_alike(capsys.readouterr().out, texts[index])
 
