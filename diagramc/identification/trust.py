@@ -90,7 +90,7 @@ def covariance_of(
     count as independent of each other. With white noise B is JᵀJ. A correlation time is
     1 + 2 Σ ρ_l, in rows.
 
-    R comes from an autoregression: see `_spectrum`. The fit takes from the residuals what the
+    R comes from an autoregression: see ``_spectrum``. The fit takes from the residuals what the
     columns of J can follow: r = (1 − P) noise with the projection P on J. The autocovariance of the
     residuals is therefore too small by that of P R + R P − P R P. Two passes add this part.
 
