@@ -20,7 +20,8 @@ from .source import CSource
 from .template import rendered
 
 _TARGET = ("-target", "wasm32-wasi", "-mexec-model=reactor")  # a reactor has no main
-_FLAGS = (*REQUIRED_FLAGS, "-O3", "-s")
+_STACK_BYTES = 2**24  # what Zig chooses too
+_FLAGS = (*REQUIRED_FLAGS, "-O3", "-s", f"-Wl,-z,stack-size={_STACK_BYTES}")
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,8 @@ class WasmModule:
     RK4 in a tick. ``rosenbrock_tolerance`` is the tolerance of the Rosenbrock method, or None.
     ``params``, ``inputs``, ``outputs``, ``states`` and ``discrete`` are lists of names in the order
     of the memory. ``params`` ends with the initial states. ``defaults`` has the values of
-    ``params``. ``sha256`` is the checksum of the module.
+    ``params``. The first ``stack_bytes`` of the memory are the stack, which is empty between two
+    calls. ``sha256`` is the checksum of the module.
     """
 
 
@@ -72,6 +74,7 @@ def wasm_table(source: CSource) -> dict[str, Any]:
         "outputs": [field.name for field in source.plan.outputs],
         "states": list(equations.states),
         "discrete": list(equations.discrete),
+        "stack_bytes": _STACK_BYTES,
     }
 
 

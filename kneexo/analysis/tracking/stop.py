@@ -66,7 +66,7 @@ class Stop(Result):
         turn = f"the knee turns {self.turn_deg:.3g}° at up to {self.torque_n_m:.3g} N·m"
         state = f"{self.safe_state}: {SAFE_STATES[self.safe_state]}"
         if math.isnan(self.safe_s):
-            return f"{line}; {turn}, and the motor does not become safe ({state})."
+            return f"{line}; {turn}, and the motor is not safe when the run ends ({state})."
         then = "the fault" if stop_ms > 0.0 else "it"
         line += f"; safe {safe_ms:.4g} ms after {then} ({state}). Until then {turn}, and then "
         return f"{line}{self.safe_turn_deg:.3g}° at up to {self.safe_torque_n_m:.3g} N·m."

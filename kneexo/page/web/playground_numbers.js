@@ -117,7 +117,7 @@ const Numbers = (() => {
   function ofSafety({ isProtected, faults, metrics: { protection: { stop, safe_time_s: time } } }) {
     if (!isProtected) return ["no protection", "plain"];
     if (time !== null) return [faults.safe, "good"];
-    return [stop ? "the motor never stands" : "the motor is not stopped", "bad"];
+    return [stop ? "not within the run" : "the motor is not stopped", "bad"];
   }
 
   /** The part of a run for which the largest values after a fault count. */
@@ -276,7 +276,7 @@ const Numbers = (() => {
       const late = stop_ms > 0; // the emergency stop itself, and a false alarm, are not
       const [from_s, then] = late ? [fault.start_s, "the fault"] : [stop.time_s, "it"];
       const when = late ? [[`${shown(stop_ms, 4)} ms`, "state", "detected"], " after the fault"] : [`at ${shown(stop.time_s)} s`];
-      const safety = safe === null ? ["; the motor does not become safe"] : ["; safe ", [`${shown(1e3 * (safe - from_s), 4)} ms`, "state", "safe"], ` after ${then}`];
+      const safety = safe === null ? ["; the motor is not safe when the run ends"] : ["; safe ", [`${shown(1e3 * (safe - from_s), 4)} ms`, "state", "safe"], ` after ${then}`];
       return ["Stopped ", ...when, ` by the ${stop.reason < faults.reasons.indexOf("emergency stop") ? "detector " : ""}${faults.reasons[stop.reason]}`, ...safety, ". Until then the error reaches ", ...reach];
     }
     const error = [`${shown(metrics.largest_error_rad * DEG)}°`, "error", "error"];

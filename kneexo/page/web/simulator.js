@@ -8,7 +8,6 @@ const Simulator = (() => {
   const PIECE_TICKS = [100, 20000]; // fewest and most ticks of a piece
   const FIRST_PART_MS = 16; // time after which the page gets the first part of a run
   const NEXT_PART_MS = 200;
-  const STACK_BYTES = 2 ** 24; // the linker of Zig puts the data behind a stack of this size
   const SOON_MS = 24; // a run that ends within this time needs no part before
   const STATUS = {
     1: "an input is not finite or out of its range",
@@ -150,13 +149,14 @@ const Simulator = (() => {
     // All memory between the stack, which is empty now, and the rows: parameters, states and status. A copy of the
     // stack too would take ten times as long as the run.
     moment(tick) {
-      return { tick, memory: new Uint8Array(this.wasm.memory.buffer, STACK_BYTES, this.wasm.inputs() - STACK_BYTES).slice() };
+      const { stack_bytes: start } = this.table;
+      return { tick, memory: new Uint8Array(this.wasm.memory.buffer, start, this.wasm.inputs() - start).slice() };
     }
 
     // Go back to the last moment that is not after a tick. Return its tick.
     restore(latest) {
       const { tick, memory } = this.kept.moments.findLast((moment) => moment.tick <= latest);
-      new Uint8Array(this.wasm.memory.buffer).set(memory, STACK_BYTES);
+      new Uint8Array(this.wasm.memory.buffer).set(memory, this.table.stack_bytes);
       return tick;
     }
 
