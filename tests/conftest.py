@@ -404,6 +404,10 @@ class _Browser:
         options = ["--headless=new", "--no-sandbox", "--disable-dev-shm-usage"]
         options += [
             "--disable-features=BackForwardCache",  # a page that is left ends with its frames
+            # As Playwright does: a page or frame that Chromium takes for hidden waits for no test.
+            "--disable-backgrounding-occluded-windows",
+            "--disable-renderer-backgrounding",
+            "--disable-background-timer-throttling",
             "--enable-unsafe-swiftshader",
             "--remote-debugging-pipe",
             f"--user-data-dir={profile}",
@@ -426,13 +430,14 @@ class _Browser:
         )
         os.close(to_chromium)
         os.close(from_chromium)
-        self._received, self._count, self._session = b"", 0, None
+        self._received, self._count = b"", 0
+        self._page = self._session = None  # that of a frame, while its test runs
         self._folder, self._loaded = profile, False
         self.console = []
         """Lines that tell of a fault: level or exception, and text."""
         target = self.call("Target.createTarget", url="about:blank")["targetId"]
         attached = self.call("Target.attachToTarget", targetId=target, flatten=True)
-        self._session = attached["sessionId"]
+        self._page = self._session = attached["sessionId"]
         for domain in ("Page", "Runtime", "Log", "Network"):
             self.call(f"{domain}.enable")
 
@@ -440,8 +445,8 @@ class _Browser:
         """The result of a command of the protocol; events until then are heard."""
         self._count += 1
         message = {"id": self._count, "method": method, "params": parameters}
-        if self._session:
-            message["sessionId"] = self._session
+        if session := self._page if method.startswith("Page.") else self._session:
+            message["sessionId"] = session
         os.write(self._out, json.dumps(message).encode() + b"\0")
         while (answer := self._next()).get("id") != self._count:
             pass

@@ -108,6 +108,7 @@ def frame_in(browser, file, **size):
     try:
         for domain in ("Runtime", "Log", "Network"):
             browser.call(f"{domain}.enable")
+        browser.picture()  # once a frame showed nothing for 30 s; a picture makes Chromium draw
         yield
     finally:
         browser._session = outer
