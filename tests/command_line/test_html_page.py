@@ -157,7 +157,7 @@ def rows_of(report):
     return len(re.findall(r"^\|(?! --- )", report, re.MULTILINE))
 
 
-@pytest.mark.slow
+@pytest.mark.slow(gate=2)
 @pytest.mark.parametrize(
     ("command", "report", "figures", "view"),
     [

@@ -458,6 +458,7 @@ def test_samples_and_the_numbers_of_a_design_are_in_the_yaml(browser, tmp_path):
     assert load_scenario(file).reference == SineReference()
 
 
+@pytest.mark.slow(gate=1)
 @pytest.mark.parametrize("reference", ["sine", "step", "ramp"])
 def test_the_yaml_of_the_page_runs_as_the_page_does(browser, single, tmp_path, reference):
     page = _Page(browser, single)

@@ -139,6 +139,7 @@ CASES = [
 """Links: each fault, other sizes and times, without protection, a reset, and a false alarm."""
 
 
+@pytest.mark.slow(gate=7)
 @pytest.mark.parametrize("link", CASES)
 def test_a_fault_does_on_the_page_what_it_does_in_kneexo(browser, page_file, tmp_path, link):
     if "start_s" not in link and "fault=" in link:
@@ -405,6 +406,7 @@ def test_a_scenario_with_a_fault_of_the_page_opens_with_it(browser, page_file, t
     assert load_scenario(tmp_path / "again.yaml") == scenario
 
 
+@pytest.mark.slow(gate=0)
 def test_a_scenario_without_protection_stands_beside_one_with_it(browser, tmp_path):
     """The switch of the fault belongs to the scenario that has protection."""
     scenarios = [

@@ -71,6 +71,7 @@ def settle(browser):
     browser.evaluate(FRAMES)
 
 
+@pytest.mark.slow(gate=1)
 @pytest.mark.parametrize("preset", ["paper", "leg", "protected"])
 def test_pushes_at_the_time_of_the_leg_are_those_of_kneexo(browser, tmp_path, preset):
     scenario = Scenario.preset(preset).changed(
