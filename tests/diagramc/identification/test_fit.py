@@ -116,7 +116,7 @@ def test_the_slope_is_the_derivative_of_the_value_by_its_place(low):
     assert unknown.place(unknown.value(place)) == pytest.approx(place)
 
 
-@pytest.mark.slow
+@pytest.mark.slow(gate=0)
 def test_intervals_hold_what_they_promise_and_errors_are_those_of_cramer_and_rao(model, sensors):
     time_s = np.arange(ROWS) * T
     z, columns = z_of(TRUE), []
