@@ -13,6 +13,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
+from kneexo.analysis.tracking.clauses import CAUSES
 from kneexo.errors import ParameterError
 from kneexo.page.maps import Map
 from kneexo.page.sliders import Slider
@@ -121,8 +122,9 @@ def fault_data(scenario: Scenario) -> dict[str, Any]:
         Motor speed that counts as standstill, and longest start and stop.
     ``names``, ``states``
         Names of all states by their number, and the states that are reached with their meanings.
-    ``events``, ``reasons``, ``causes``
-        Events with their meanings, names of the reasons by their number, and their events.
+    ``events``, ``reasons``, ``stopped_by``, ``causes``
+        Events with their meanings; names of the reasons by their number, what stopped the motor in
+        words, and their events.
     ``transitions``
         Rows of state, event and next state, in order of the priority of the events.
     """
@@ -167,6 +169,7 @@ def fault_data(scenario: Scenario) -> dict[str, Any]:
         "states": {state: meanings[state] for state in STATES if state in reached},
         "events": EVENTS,
         "reasons": REASONS,
+        "stopped_by": list(CAUSES.values()),
         "causes": causes,
         "transitions": [(r.state, r.event, r.next_state) for r in rows if r.state in reached],
     }

@@ -17,7 +17,6 @@ import numpy as np
 from diagramc import CSource, InputTable, input_table
 from kneexo.analysis.frequency.sine_estimate import motor_limits
 from kneexo.analysis.tracking.limit_cycle import REST_RAD, SMALLEST_CYCLE_DEG, SUSTAINED
-from kneexo.analysis.tracking.tracking import SETTLING_BAND
 from kneexo.analysis.tracking.verdict import ERROR_SHARE, LARGEST_COUNT_DEG
 from kneexo.common.result import Array
 from kneexo.diagrams.closed_loop import plant_start
@@ -51,6 +50,7 @@ from kneexo.parameters import (
     StepReference,
     TorqueParameters,
 )
+from kneexo.parameters.criteria import SETTLING_BAND
 from kneexo.parameters.fields.fields import source_of as provenance_of, unit_of
 from kneexo.parameters.fields.quantity import Parameters
 from kneexo.parameters.paths import changed, value_at
@@ -428,7 +428,6 @@ _LIMITS: Mapping[str, Callable[[Scenario], float]] = {
     "motor_speed_limit_rad_s": lambda scenario: motor_limits(scenario)[0],
     "motor_acceleration_limit_rad_s2": lambda scenario: motor_limits(scenario)[1],
     "pressure_rating_pa": lambda scenario: scenario.plant.cylinder.pressure_rating_pa,
-    "power_rating_w": lambda scenario: scenario.plant.pump.rated_power_w,
     "relief_pressure_pa": _relief_pressure,
 }
 """Functions that return a bound of a signal; inf: the scenario has no such bound."""

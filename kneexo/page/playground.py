@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from itertools import product
 from typing import Any
 
+from kneexo.analysis.tracking.clauses import CLAUSES
 from kneexo.diagrams.wearer import moment_of
 from kneexo.errors import KneexoError, ParameterError
 from kneexo.page.model import web_model, web_modules, with_structure
@@ -119,6 +120,7 @@ def playground_data(scenarios: Sequence[Scenario], names: Sequence[str]) -> dict
         "scenarios": entries,
         "setups": [first, second],
         "compare": len(entries) > 1,
+        "clauses": CLAUSES,
         "margins": MARGINS,
         "recovery_band_deg": RECOVERY_BAND_DEG,
         "groups": [{"title": title, "prefixes": prefixes} for title, prefixes in _GROUPS.items()],

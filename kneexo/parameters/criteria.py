@@ -1,4 +1,4 @@
-"""Bounds by which kneexo judges margins, recoveries from a push and faults; −3 dB as a gain."""
+"""Bounds by which kneexo judges margins, steps, pushes and faults; −3 dB as a gain."""
 
 import math
 
@@ -7,6 +7,9 @@ MINUS_3_DB = 1.0 / math.sqrt(2.0)
 
 SOUND_DISK_MARGIN = 0.5
 """Smallest disk margin of a sound loop. Assumption: 28° of phase alone, or gains of 0.6…1.67."""
+
+SETTLING_BAND = 0.02
+"""Share of a step within which its response is settled: 2 %, as usual (``stepinfo``)."""
 
 RECOVERY_BAND_DEG = 0.1
 """A knee has recovered from a push when it is this near, in deg, to its run without the push.

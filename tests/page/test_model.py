@@ -49,7 +49,6 @@ def test_the_limits_follow_the_sliders():
     assert command == pytest.approx(2000.0 * rpm, rel=1e-14)
     assert map_value(limits["motor_speed_limit_rad_s"], speed) == pytest.approx(2000 * rpm)
     assert limits["pressure_rating_pa"] == 3.5e6
-    assert limits["power_rating_w"] == 200.0
     assert limits["knee_high_rad"] == math.radians(90.0)
     relief = {"plant.full_order.relief_pressure_pa": 2.2e6}
     assert map_value(limits["relief_pressure_pa"], relief) == 2.2e6

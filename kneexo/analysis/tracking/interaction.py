@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kneexo.analysis.signals import periods_in
+from kneexo.analysis.tracking.clauses import said
 from kneexo.common.result import Array, Result
 from kneexo.errors import ResultError
 from kneexo.simulation import Run
@@ -56,8 +57,7 @@ class InteractionMetrics(Result):
         ratio = self.assistance_ratio
         assistance = "" if math.isnan(ratio) else f"; assistance ratio {ratio:.3g}"
         return (
-            f"Interaction torque {self.rms_torque_n_m:.3g} N·m rms, peak "
-            f"{self.peak_torque_n_m:.3g} N·m at {self.peak_time_s:.4g} s; the wearer gives "
+            f"{said('wearer', **vars(self))} at {self.peak_time_s:.4g} s; the wearer gives "
             f"{self.power_from_wearer_w:.3g} W and gets {self.power_to_wearer_w:.3g} W{assistance}."
         )
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kneexo.analysis.tracking.clauses import said
 from kneexo.common.result import Result
 from kneexo.simulation import Run
 
@@ -40,9 +41,8 @@ class LimitCycle(Result):
     def line(self) -> str:
         """One line with the numbers of the limit cycle."""
         return (
-            f"Hunts at rest: the reference is constant from {self.start_s:.4g} s on, and the knee "
-            f"moves ±{self.amplitude_deg:.3g}° with a period of {self.period_s:.3g} s, the load "
-            f"pressure from {self.lowest_pressure_mpa:.2g} to {self.highest_pressure_mpa:.2g} MPa."
+            f"{said('hunts', **vars(self))}, the load pressure from "
+            f"{self.lowest_pressure_mpa:.2g} to {self.highest_pressure_mpa:.2g} MPa."
         )
 
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from kneexo.analysis.tracking.clauses import CAUSES, said
 from kneexo.common.result import Array, Result
 from kneexo.diagrams.signals import columns
 from kneexo.parameters import Scenario
@@ -57,19 +58,20 @@ class Stop(Result):
     @property
     def line(self) -> str:
         """When and why; time from the fault to the stop and the safe motor; turns and torques."""
-        cause = "overdue start" if self.reason == "start" else self.reason
-        if detector := DETECTORS.get(cause):
-            cause = f"detector {cause} ({self.residual:.4g} > {self.threshold:g} {detector.unit})"
+        cause = CAUSES[self.reason]
+        if detector := DETECTORS.get(self.reason):
+            cause += f" ({self.residual:.4g} > {self.threshold:g} {detector.unit})"
         stop_ms, safe_ms = (1e3 * (time_s - self.fault_s) for time_s in (self.time_s, self.safe_s))
-        line = f"Stopped at {self.time_s:.4g} s by the {cause}"
-        line += f", {stop_ms:.4g} ms after the fault" if stop_ms > 0.0 else ""
-        turn = f"the knee turns {self.turn_deg:.3g}° at up to {self.torque_n_m:.3g} N·m"
-        state = f"{self.safe_state}: {SAFE_STATES[self.safe_state]}"
+        numbers = vars(self) | {"cause": cause, "stop_ms": stop_ms, "safe_ms": safe_ms}
+        clauses, end = ["stopped", "safe"], "."
+        if stop_ms > 0.0:
+            clauses = ["stopped", "after the fault", "safe after the fault"]
         if math.isnan(self.safe_s):
-            return f"{line}; {turn}, and the motor is not safe when the run ends ({state})."
-        then = "the fault" if stop_ms > 0.0 else "it"
-        line += f"; safe {safe_ms:.4g} ms after {then} ({state}). Until then {turn}, and then "
-        return f"{line}{self.safe_turn_deg:.3g}° at up to {self.safe_torque_n_m:.3g} N·m."
+            clauses[-1] = "not safe"
+        else:
+            end = f", and then {self.safe_turn_deg:.3g}° at up to {self.safe_torque_n_m:.3g} N·m."
+        state = f"({self.safe_state}: {SAFE_STATES[self.safe_state]})"
+        return f"{said(*clauses, **numbers)} {state}{said('until safe', **numbers)}{end}"
 
 
 def first_stop(scenario: Scenario, run: Run) -> Stop | None:

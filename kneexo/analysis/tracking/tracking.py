@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from kneexo.analysis.signals import settled_s, to_rpm
+from kneexo.analysis.tracking.clauses import said
 from kneexo.analysis.tracking.interaction import INTERACTION_SIGNALS, TORQUE_SIGNALS
 from kneexo.analysis.tracking.limit_cycle import limit_cycle
 from kneexo.analysis.tracking.reductions import (
@@ -28,7 +29,7 @@ from kneexo.diagrams import available_signals
 from kneexo.diagrams.signals import PROTECTION_OUTPUTS
 from kneexo.law.decision import makers_called_once
 from kneexo.parameters import Scenario
-from kneexo.parameters.criteria import RECOVERY_BAND_DEG
+from kneexo.parameters.criteria import RECOVERY_BAND_DEG, SETTLING_BAND
 from kneexo.parameters.device.safety_states import STATES
 from kneexo.parameters.scenario_file import as_scenario
 from kneexo.simulation import Run, needs_runs, simulate
@@ -153,10 +154,6 @@ def run_metrics(
     return TrackingMetrics(**all_metrics(reduce_signals(reductions, time_s, signals)))
 
 
-SETTLING_BAND = 0.02
-"""Share of a step within which its response is settled: 2 %, as usual (``stepinfo``)."""
-
-
 @dataclass(frozen=True, repr=False)
 class StepMetrics(Result):
     """Metrics of the response to a step of the reference, as MATLAB's ``stepinfo`` defines them.
@@ -187,15 +184,10 @@ class StepMetrics(Result):
     @property
     def line(self) -> str:
         """One line with the metrics."""
-        band = f"within {100.0 * SETTLING_BAND:g} % of the step of {abs(self.step_deg):.3g}°"
-        rise = "does not reach 90 %"
-        if math.isfinite(self.rise_time_s):
-            rise = f"rise time {self.rise_time_s:.3g} s"
-        rest = f"{rise}, overshoot {self.overshoot_percent:.2g} %, "
-        rest += f"final error {self.final_error_deg:.3g}°."
-        if self.settles:
-            return f"Tracks: {band} from {self.settling_time_s:.3g} s after it; {rest}"
-        return f"Does not track: not {band} at the end; {rest}"
+        settles = "settles" if self.settles else "does not settle"
+        rises = "rises" if math.isfinite(self.rise_time_s) else "does not rise"
+        numbers = vars(self) | {"step_deg": abs(self.step_deg)}
+        return f"{said(settles, rises, 'overshoots', **numbers)}."
 
 
 def step_metrics(
@@ -252,7 +244,7 @@ class PushResponse(Result):
         elif math.isfinite(self.recovery_time_s):
             back = f"is back {self.recovery_time_s:.3g} s after its start,"
         return (
-            f"The push moves the knee by {self.largest_deviation_deg:.3g}°. The knee {back} within "
+            f"{said('push', **vars(self))}. The knee {back} within "
             f"{RECOVERY_BAND_DEG:g}° of the run without it."
         )
 

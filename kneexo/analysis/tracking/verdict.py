@@ -20,6 +20,7 @@ from kneexo.analysis.signals import (
     share_above,
     to_rpm,
 )
+from kneexo.analysis.tracking.clauses import said
 from kneexo.analysis.tracking.interaction import (
     INTERACTION_SIGNALS,
     TORQUE_SIGNALS,
@@ -308,21 +309,17 @@ def _tracking(
     max_error_deg, time_s = float(error_deg[worst]), float(run.time_s[worst])
     bound_deg, reason = _error_bound(scenario)
     tracks: bool | None = max_error_deg <= bound_deg
-    lines = [
-        f"{'Tracks' if tracks else 'Does not track'}: largest error {max_error_deg:.3g}° at "
-        f"{time_s:.4g} s; the bound is {bound_deg:.3g}° ({reason})."
-    ]
-    if scenario.controller.kind == "torque":
-        tracks, lines = None, []
-    elif step is not None:
-        tracks, lines = step[0], [step[1]]
     fields = {
-        "tracks": tracks,
         "max_error_deg": max_error_deg,
         "max_error_time_s": time_s,
         "error_bound_deg": bound_deg,
     }
-    return fields, lines
+    lines = [f"{said('tracks' if tracks else 'does not track', **fields)} ({reason})."]
+    if scenario.controller.kind == "torque":
+        tracks, lines = None, []
+    elif step is not None:
+        tracks, lines = step[0], [step[1]]
+    return {"tracks": tracks, **fields}, lines
 
 
 def _torques(scenario: Scenario, run: Run, stop: Stop | None) -> tuple[dict[str, Any], list[str]]:

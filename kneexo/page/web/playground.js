@@ -79,7 +79,7 @@ const Page = (() => {
     const { sample_time_s } = data.modules[Setups.modelOf(data, setup).loop.module].table;
     const end_s = answer.time.at(-1) ?? 0;
     return {
-      hasWearer: Setups.hasWearer(data, setup), margins: data.margins, band_deg: data.recovery_band_deg,
+      hasWearer: Setups.hasWearer(data, setup), clauses: data.clauses, margins: data.margins, band_deg: data.recovery_band_deg,
       run: {
         ...answer, push: Setups.pushOf(request.values), fault: request.fault, faults: Setups.modelOf(data, setup).faults, isProtected: request.isProtected, duration_s: request.duration_s, reference: request.reference, step_s: request.values["reference.time_s"],
         part_s: answer.unfinished && request.duration_s - end_s > sample_time_s ? end_s : null,
@@ -130,7 +130,7 @@ const Page = (() => {
       const runs = visible.map(({ run }) => run);
       if (runs[1]) runs[1].same_reference = visible[0].reference_key === visible[1].reference_key;
       if (runs.some((run, index) => parts.drawn?.[index] !== run) || parts.drawn?.length !== runs.length) {
-        chooseStageIfNeeded();
+        chooseStage();
         parts.plots.chosen = state.curves;
         parts.plots.show(runs, pinnedResults());
         parts.safety.show(runs);
@@ -317,7 +317,7 @@ const Page = (() => {
   function tellEnds() {
     const ends = shownSetups().flatMap((index) => {
       const { error, run } = results[index];
-      const text = error || (run?.end && `The run ended at ${Setups.shown(run.end.time_s)} s: ${run.end.reason}`);
+      const text = error || (run?.end && Numbers.endOf(run));
       return text ? [`${state.compare ? `${"AB"[index]}: ` : ""}${text}`] : [];
     });
     complain(ends);
@@ -362,10 +362,7 @@ const Page = (() => {
   }
 
   function key() {
-    const items = shownSetups().map((index) => {
-      const letter = "ab"[index];
-      return element("li", { class: `of-${letter}` }, nameOf(index));
-    });
+    const items = shownSetups().map((index) => element("li", { class: `of-${"ab"[index]}` }, nameOf(index)));
     const wearer = shownSetups().some((index) => Setups.hasWearer(data, state.setups[index]));
     const lines = [["of-reference", "reference"], ...(wearer ? [["of-wearer", "wearer's knee"]] : []), ["of-limit", "limit"],
       ...(shownSetups().some((index) => results[index].run?.free) ? [["of-free", "without the push"]] : [])];
@@ -374,9 +371,10 @@ const Page = (() => {
 
   // ---------------------------------------------------------------------------- parts
 
-  /** Make the stage for the legs that are compared. A browser has few WebGL contexts, so only one stage exists. */
+  /** Make the stage for the legs that are compared, unless it is there. A browser has few WebGL contexts, so only one stage exists. */
   function chooseStage() {
     const legs = shownSetups().map((index) => state.setups[index].scenario);
+    if (parts.legs === legs.join(" ")) return;
     const playing = !parts.stage?.duration || parts.stage.playing;
     parts.stage?.remove();
     const box = element("div");
@@ -418,11 +416,6 @@ const Page = (() => {
     parts.remark = "";
     parts.trail.note(Setups.linkOf(data, state));
     change(index);
-  }
-
-  function chooseStageIfNeeded() {
-    const name = shownSetups().map((index) => state.setups[index].scenario).join(" ");
-    if (parts.legs !== name) chooseStage();
   }
 
   function setCompare(compare) {
@@ -529,21 +522,18 @@ const Page = (() => {
     const head = element("tr");
     head.append(...["Value", ...indices.map((i) => nameOf(i)), "Unit"].map((text) => element("th", { scope: "col" }, text)));
     table.append(element("caption", {}, captionOfValues()), head);
-    for (const [label, words] of switchWords()) {
+    const addRow = (label, words, unit = "") => {
       const row = element("tr");
-      row.append(element("th", { scope: "row" }, label), ...indices.map((i) => element("td", {}, words(state.setups[i]))), element("td"));
+      row.append(element("th", { scope: "row" }, label), ...indices.map((i) => element("td", {}, words(state.setups[i]))), element("td", {}, unit));
       table.append(row);
-    }
+    };
+    for (const [label, words] of switchWords()) addRow(label, words);
     const quantities = new Map(indices.flatMap((i) => Setups.quantitiesOf(data, state.setups[i])).map((q) => [q.name, q]));
     for (const quantity of quantities.values()) {
-      const row = element("tr");
-      row.append(element("th", { scope: "row" }, quantity.label));
-      for (const index of indices) {
-        const present = Setups.quantitiesOf(data, state.setups[index]).find((q) => q.name === quantity.name);
-        row.append(element("td", {}, present ? Controls.text(present, Setups.valueOf(data, state.setups[index], present)) : "–"));
-      }
-      row.append(element("td", {}, Setups.display(quantity).unit));
-      table.append(row);
+      addRow(quantity.label, (setup) => {
+        const present = Setups.quantitiesOf(data, setup).find((q) => q.name === quantity.name);
+        return present ? Controls.text(present, Setups.valueOf(data, setup, present)) : "–";
+      }, Setups.display(quantity).unit);
     }
     byId("values").replaceChildren(table);
   }
@@ -577,12 +567,6 @@ const Page = (() => {
 
   // ---------------------------------------------------------------------------- start
 
-  function choosePlot() {
-    parts.plots.one = byId("choose-plot").value;
-    parts.drawn = null;
-    drawNow();
-  }
-
   function listen() {
     const on = (id, action, event = "click") => byId(id).addEventListener(event, action);
     on("compare", () => {
@@ -610,7 +594,11 @@ const Page = (() => {
     on("measure", toggleCursors);
     for (const id of ["cursor-1", "cursor-2"]) on(id, typeCursors, "change");
     on("zoom-all", () => parts.plots.zoomAll());
-    on("choose-plot", choosePlot, "change");
+    on("choose-plot", () => {
+      parts.plots.one = byId("choose-plot").value;
+      parts.drawn = null;
+      drawNow();
+    }, "change");
     addEventListener("beforeprint", () => onPrint(true));
     addEventListener("afterprint", () => onPrint(false));
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => onPrint(false)); // draws the curves anew
@@ -625,7 +613,7 @@ const Page = (() => {
     byId("made-by").textContent = `kneexo ${data.kneexo} made this page. The page needs no network and sends no data.`;
     const text = JSON.parse(byId("worker").textContent);
     const source = `data:text/javascript,${encodeURIComponent(text)}`; // VS Code blocks blobs
-    const models = { modules: data.modules, models: modelsByKey() };
+    const models = { modules: data.modules, models: Object.fromEntries(data.scenarios.flatMap(({ models }) => models.map((model) => [model.key, model]))) };
     parts.trail = new Addresses.Trail(REST_MS, showSteps);
     byId("undo").hidden = byId("redo").hidden = !parts.trail.active;
     showSteps();
@@ -653,11 +641,6 @@ const Page = (() => {
       if (samples) model.references.samples ??= samples;
     }));
     return page;
-  }
-
-  /** Models by key, for the workers. */
-  function modelsByKey() {
-    return Object.fromEntries(data.scenarios.flatMap(({ models }) => models.map((model) => [model.key, model])));
   }
 
   return { changesOf, data, draw, parts, results, start, state };

@@ -2,7 +2,7 @@
 "use strict";
 
 const Bode = (() => {
-  const { MINUS_3_DB, axis, colour, element, fixed, painted } = Curves;
+  const { MINUS_3_DB, axis, colour, drawLine, element, fixed, painted } = Curves;
   const NAMES = ["a", "b"]; // of the colours
   const SATURATED = 0.01; // share of the time from which a point counts as limited by the motor
   const PLOTS = [
@@ -10,8 +10,10 @@ const Bode = (() => {
     { name: "phase", title: "Phase (deg)", height: 160 },
   ];
 
-  function db(gain) {
-    return 20 * Math.log10(gain);
+  /** The value of a point in a plot, or null. */
+  function valueOf({ name }, point) {
+    const value = name === "phase" ? point?.phase_deg : 20 * Math.log10(point?.gain);
+    return Number.isFinite(value) ? value : null;
   }
 
   class BodePlots {
@@ -69,8 +71,8 @@ const Bode = (() => {
     }
 
     mark(chart, ctx, plot, index, point) {
-      const value = plot.name === "phase" ? point.phase_deg : db(point.gain);
-      if (!Number.isFinite(value)) return;
+      const value = valueOf(plot, point);
+      if (value === null) return;
       const x = chart.valToPos(point.frequency_hz, "x", true);
       const y = chart.valToPos(value, "y", true);
       if (y < chart.bbox.top || y > chart.bbox.top + chart.bbox.height) return;
@@ -89,8 +91,11 @@ const Bode = (() => {
       ctx.save();
       ctx.font = `${12 * devicePixelRatio}px system-ui, sans-serif`;
       if (plot.name === "gain") this.level(chart, ctx, bbox);
+      ctx.setLineDash([2 * devicePixelRatio, 3 * devicePixelRatio]);
       this.minus3db.forEach((hz, index) => {
-        if (hz) this.vertical(chart, ctx, bbox, hz, colour(NAMES[index]), [2, 3]);
+        const x = chart.valToPos(hz, "x", true);
+        ctx.strokeStyle = colour(NAMES[index]);
+        if (hz) drawLine(ctx, x, bbox.top, x, bbox.top + bbox.height);
       });
       this.marks(chart, ctx, plot);
       ctx.restore();
@@ -100,23 +105,10 @@ const Bode = (() => {
       const y = chart.valToPos(MINUS_3_DB, "y", true);
       ctx.strokeStyle = colour("limit");
       ctx.setLineDash([6 * devicePixelRatio, 4 * devicePixelRatio]);
-      ctx.beginPath();
-      ctx.moveTo(bbox.left, y);
-      ctx.lineTo(bbox.left + bbox.width, y);
-      ctx.stroke();
+      drawLine(ctx, bbox.left, y, bbox.left + bbox.width, y);
       ctx.fillStyle = colour("soft");
       ctx.textAlign = "right";
       ctx.fillText("−3 dB", bbox.left + bbox.width - 4 * devicePixelRatio, y - 5 * devicePixelRatio);
-    }
-
-    vertical(chart, ctx, bbox, hz, stroke, dash) {
-      const x = chart.valToPos(hz, "x", true);
-      ctx.strokeStyle = stroke;
-      ctx.setLineDash(dash.map((length) => length * devicePixelRatio));
-      ctx.beginPath();
-      ctx.moveTo(x, bbox.top);
-      ctx.lineTo(x, bbox.top + bbox.height);
-      ctx.stroke();
     }
 
     clear(index, frequencies = this.frequencies) {
@@ -146,11 +138,7 @@ const Bode = (() => {
       for (const { chart, name, box, title } of this.plots) {
         const values = this.points.map((points) => {
           const at = new Map(points.map((point) => [point.frequency_hz, point]));
-          return grid.map((hz) => {
-            const point = at.get(hz);
-            const value = point && (name === "gain" ? db(point.gain) : point.phase_deg);
-            return Number.isFinite(value) ? value : null;
-          });
+          return grid.map((hz) => valueOf({ name }, at.get(hz)));
         });
         chart.setData([grid, ...values]);
         box.setAttribute("aria-label", `${title} over frequency. ${this.summary()}`);

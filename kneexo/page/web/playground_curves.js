@@ -104,20 +104,8 @@ const Curves = (() => {
      * gets the part of the run in view, or null for the whole run, and the speed of an event.
      */
     constructor(parent, onCursor, onSeek, onMeasure, onPart) {
-      this.onMeasure = onMeasure;
-      this.onPart = onPart;
-      this.cursors = null;
-      this.parent = parent;
-      this.onCursor = onCursor;
-      this.onSeek = onSeek;
-      this.runs = [];
-      this.range = null;
-      this.states = []; // names of the rows of the strip
-      this.hovered = false;
-      this.chosen = START;
-      this.one = "angle"; // on a phone
-      this.pinned = [];
-      this.shown = [];
+      Object.assign(this, { parent, onCursor, onSeek, onMeasure, onPart, cursors: null, range: null, hovered: false, chosen: START });
+      Object.assign(this, { runs: [], pinned: [], shown: [], states: [], one: "angle" }); // rows of the strip, and the plot of a phone
       this.plots = PLOTS.map((plot) => this.make(plot));
       this.arrange();
       new ResizeObserver(() => this.resize()).observe(parent);
@@ -396,10 +384,7 @@ const Curves = (() => {
       for (const [name, text, style, x, row] of places) {
         Object.assign(ctx, { strokeStyle: style, lineWidth: 2 * scale });
         ctx.setLineDash((DASHES[name] ?? []).map((length) => length * scale));
-        ctx.beginPath();
-        ctx.moveTo(x, (row - 0.5) * line);
-        ctx.lineTo(x + 26 * scale, (row - 0.5) * line);
-        ctx.stroke();
+        drawLine(ctx, x, (row - 0.5) * line, x + 26 * scale, (row - 0.5) * line);
         write(text, style, 400, (row - 0.3) * line, x + 32 * scale);
       }
       let y = rows * line;
@@ -473,6 +458,13 @@ const Curves = (() => {
     return [start - 0.3 * (end - start), end + 0.7 * (end - start)];
   }
 
+  function drawLine(ctx, x, y, toX, toY) {
+    ctx.beginPath();
+    ctx.moveTo(x, y);
+    ctx.lineTo(toX, toY);
+    ctx.stroke();
+  }
+
   /** A line with a number at a time of a plot. */
   function drawCursor(chart, time, number) {
     const { ctx, bbox } = chart;
@@ -483,10 +475,7 @@ const Curves = (() => {
     ctx.setLineDash([]);
     ctx.textAlign = "left";
     ctx.lineWidth = devicePixelRatio;
-    ctx.beginPath();
-    ctx.moveTo(x, bbox.top);
-    ctx.lineTo(x, bbox.top + bbox.height);
-    ctx.stroke();
+    drawLine(ctx, x, bbox.top, x, bbox.top + bbox.height);
     ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
     ctx.fillText(number, x + 3 * devicePixelRatio, bbox.top + 10 * devicePixelRatio);
     ctx.restore();
@@ -520,5 +509,5 @@ const Curves = (() => {
     plot.box.setAttribute("aria-label", `${plot.title} over time: ${parts.join("; ")}`);
   }
 
-  return { MINUS_3_DB, PLOTS, RunPlots, START, axis, colour, csvOf, element, fixed, onTime, painted };
+  return { MINUS_3_DB, PLOTS, RunPlots, START, axis, colour, csvOf, drawLine, element, fixed, onTime, painted };
 })();

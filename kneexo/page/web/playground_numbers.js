@@ -8,16 +8,10 @@ const Numbers = (() => {
   const LEAST_SHARE = 0.01; // of the rating: a smaller pressure, as of a knee without weight, tells nothing
 
   // Each verdict is [words, class]. The classes are good, fair, bad and plain.
-  function ofError(run) {
-    const bound = run.metrics.error_bound_rad;
-    if (run.end) return ["the run ended early", "bad"];
-    if (run.metrics.tracks) return [`follows (bound ${shown(bound * DEG)}°)`, "good"];
-    return [`does not follow (bound ${shown(bound * DEG)}°)`, "bad"];
-  }
-
-  function ofSettling(run) {
-    if (run.end) return ["the run ended early", "bad"];
-    return run.metrics.settling_time_s === null ? ["does not settle", "bad"] : ["to within 2 % of the step", "good"];
+  function ofError({ end, metrics }) {
+    if (end) return ["the run ended early", "bad"];
+    if (metrics.settling_time_s !== undefined) return metrics.tracks ? ["to within 2 % of the step", "good"] : ["does not settle", "bad"];
+    return [`${metrics.tracks ? "follows" : "does not follow"} (bound ${shown(metrics.error_bound_rad * DEG)}°)`, metrics.tracks ? "good" : "bad"];
   }
 
   const hasStep = (result) => !isThrown(result) && result.run.metrics.settling_time_s !== undefined; // null if the knee does not settle
@@ -33,11 +27,9 @@ const Numbers = (() => {
     return [`hunts every ${shown(period)} s, ${shown(1e-5 * low, 2)} … ${shown(1e-5 * high, 2)} bar`, "fair"];
   }
 
-  function ofShare(share) {
-    if (!Number.isFinite(share)) return ["", "plain"];
-    if (share === 0) return ["never", "good"];
-    if (share > 0.5) return ["saturated most of the time", "bad"];
-    return share < 0.05 ? ["seldom", "fair"] : ["the motor limits the knee", "bad"];
+  function ofShare({ metrics: { saturated_share: share }, limits }) {
+    const words = share === 0 ? "never" : share > 0.5 ? "saturated most of the time" : share < 0.05 ? "seldom" : "the motor limits the knee";
+    return [`${words}; the limit of the command is ${shown((limits.command_limit_rad_s * 30) / Math.PI, 4)} rpm`, share === 0 ? "good" : share < 0.05 ? "fair" : "bad"];
   }
 
   function ofBandwidth(result, frequency) {
@@ -120,9 +112,9 @@ const Numbers = (() => {
     return [stop ? "not within the run" : "the motor is not stopped", "bad"];
   }
 
-  /** The part of a run for which the largest values after a fault count. */
-  function ofReach({ fault, metrics: { protection } }) {
-    return [`${fault ? "from the fault on" : "from the start on"}${protection.safe_time_s === null ? "" : ", until safe"}`, "plain"];
+  /** The part of a run for which the largest values count. */
+  function ofReach({ metrics: { protection: { stop, fault_s, safe_time_s: safe_s } } }) {
+    return [`largest from the ${stop?.time_s === fault_s ? "stop" : "fault"} on${safe_s === null ? ", never safe" : ""}`, "plain"];
   }
 
   // If a row has `wearer`, it is only for set-ups with a wearer (true) or without a wearer (false).
@@ -141,12 +133,12 @@ const Numbers = (() => {
       value: ({ run }) => shown(sinceFault(run, run.metrics.protection.stop?.time_s), 4), word: ({ run }) => ofDetection(run) },
     { name: "safe", when: isThrown, label: "Safe after", unit: "ms",
       value: ({ run }) => shown(sinceFault(run, run.metrics.protection.safe_time_s), 4), word: ({ run }) => ofSafety(run) },
-    { name: "fault-error", when: isThrown, label: "Peak error", unit: "deg",
+    { name: "fault-error", when: isThrown, label: "Error until safe", unit: "deg",
       value: ({ run }) => shown(run.metrics.protection.largest_error_rad * DEG), word: ({ run }) => ofReach(run) },
-    { name: "fault-torque", when: isThrown, label: "Peak knee torque", unit: "N·m",
-      value: ({ run }) => shown(run.metrics.protection.peak_torque_n_m), word: ({ run }) => ofReach(run) },
+    { name: "fault-torque", when: isThrown, label: "Torque until safe", unit: "N·m",
+      value: ({ run }) => shown(run.metrics.protection.torque_n_m), word: ({ run }) => ofReach(run) },
     { name: "settling", wearer: false, when: hasStep, label: "Settling time", unit: "s",
-      value: ({ run }) => shown(run.metrics.settling_time_s), word: ({ run }) => ofSettling(run) },
+      value: ({ run }) => shown(run.metrics.settling_time_s), word: ({ run }) => ofError(run) },
     { name: "rise", wearer: false, when: hasStep, label: "Rise time", unit: "s",
       value: ({ run }) => shown(run.metrics.rise_time_s), word: () => ["from 10 to 90 % of the step", "plain"] },
     { name: "overshoot", wearer: false, when: hasStep, label: "Overshoot", unit: "%",
@@ -166,9 +158,9 @@ const Numbers = (() => {
     { name: "pressure", when: hasPressure, label: "Peak pressure", unit: "bar",
       value: ({ run }) => shown(1e-5 * run.metrics.peak_pressure_pa), word: ({ run }) => ofPressure(run) },
     { name: "saturated", label: "Time at the limit", unit: "%",
-      value: ({ run }) => shown(100 * run.metrics.saturated_share), word: ({ run }) => ofShare(run.metrics.saturated_share) },
+      value: ({ run }) => shown(100 * run.metrics.saturated_share), word: ({ run }) => ofShare(run) },
     { name: "bandwidth", analysis: true, wearer: false, when: isPlain, label: "Bandwidth", unit: "Hz",
-      value: ({ sweep }) => (sweep && Number.isFinite(sweep.minus_3_db_hz) ? shown(sweep.minus_3_db_hz) : "–"),
+      value: ({ sweep }) => shown(sweep?.minus_3_db_hz),
       word: ({ sweep, frequency }) => ofBandwidth(sweep, frequency) },
     { name: "phase", analysis: true, wearer: false, when: isPlain, label: "Phase margin", unit: "deg",
       value: ({ linear }) => margin(linear, "phase_margin_deg", 1),
@@ -181,7 +173,7 @@ const Numbers = (() => {
       word: ({ linear, margins, sample_time_s: sample }) => ofMargin(linear, linear?.delay_margin_s,
         margins.delay_samples.map((count) => count * sample), (value) => `${Math.floor(value / sample)} samples`) },
     { name: "linear", analysis: true, wearer: false, when: (result) => !isPlain(result), label: "Bandwidth", unit: "Hz",
-      value: ({ sweep }) => (sweep && Number.isFinite(sweep.minus_3_db_hz) ? shown(sweep.minus_3_db_hz) : "–"), word: ofLoop },
+      value: ({ sweep }) => shown(sweep?.minus_3_db_hz), word: ofLoop },
   ];
 
   // Rows that a phone shows beside the sliders.
@@ -255,40 +247,47 @@ const Numbers = (() => {
     return now === before ? " (same)" : ` (${now < before ? "" : "+"}${shown(now - before)})`;
   }
 
-  /**
-   * What a run shows first, as texts and [number, plot, card]. The words are those of kneexo simulate
-   * (kneexo/analysis/tracking).
-   */
-  function sentenceOf(result) {
-    const { run, sweep, frequency } = result;
-    const { metrics, fault, isProtected, faults } = run;
-    if (run.end) return [`The run ended at ${shown(run.end.time_s)} s: ${run.end.reason}.`];
-    if (result.hasWearer) {
-      return ["The wearer feels ", [`${shown(metrics.rms_torque_n_m)} N·m`, "torque", "rms-torque"], " rms, and at most ",
-        [`${shown(metrics.peak_torque_n_m)} N·m`, "torque", "peak-torque"], "."];
-    }
-    if (isThrown(result)) {
-      const { stop, safe_time_s: safe, largest_error_rad: error, peak_torque_n_m: torque } = metrics.protection;
-      const stop_ms = sinceFault(run, stop?.time_s);
-      const reach = [[`${shown(error * DEG)}°`, "error", "fault-error"], ", the torque at the knee ", [`${shown(torque)} N·m`, "kneeTorque", "fault-torque"], "."];
-      if (!isProtected) return ["No protection: from the fault on the error reaches ", ...reach];
-      if (!stop) return ["No detector trips: from the fault on the error reaches ", ...reach];
-      const late = stop_ms > 0; // the emergency stop itself, and a false alarm, are not
-      const [from_s, then] = late ? [fault.start_s, "the fault"] : [stop.time_s, "it"];
-      const when = late ? [[`${shown(stop_ms, 4)} ms`, "state", "detected"], " after the fault"] : [`at ${shown(stop.time_s)} s`];
-      const safety = safe === null ? ["; the motor is not safe when the run ends"] : ["; safe ", [`${shown(1e3 * (safe - from_s), 4)} ms`, "state", "safe"], ` after ${then}`];
-      return ["Stopped ", ...when, ` by the ${stop.reason < faults.reasons.indexOf("emergency stop") ? "detector " : ""}${faults.reasons[stop.reason]}`, ...safety, ". Until then the error reaches ", ...reach];
-    }
-    const error = [`${shown(metrics.largest_error_rad * DEG)}°`, "error", "error"];
-    const start = !hasStep(result) ? [metrics.tracks ? "Tracks: largest error " : "Does not track: largest error ", error]
-      : metrics.settling_time_s === null ? ["Does not settle after the step"]
-        : ["Settles in ", [`${shown(metrics.settling_time_s)} s`, "angle", "settling"], ", overshoot ", [`${shown(metrics.overshoot_percent)} %`, "angle", "overshoot"]];
-    const cycle = metrics.limit_cycle ? ["; hunts at rest by ", [`±${shown(metrics.limit_cycle.amplitude_rad * DEG, 2)}°`, "angle", "cycle"]] : [];
-    const push = metrics.push ? ["; the push moves the knee by ", [`${shown(metrics.push.largest_deviation_rad * DEG)}°`, "angle", "deviation"]] : [];
-    const hz = sweep?.minus_3_db_hz;
-    const band = Number.isFinite(hz) ? [" −3 dB at ", [`${shown(hz)} Hz`, "bode", "bandwidth"], frequency ? `; the reference has ${shown(frequency)} Hz.` : "."] : [];
-    return [...start, ...cycle, ...push, ".", ...band];
+  // The plot and the card of a number of a sentence.
+  const LINKS = {
+    max_error_deg: ["error", "error"], settling_time_s: ["angle", "settling"], rise_time_s: ["angle", "rise"],
+    overshoot_percent: ["angle", "overshoot"], final_error_deg: ["error", "final-error"], amplitude_deg: ["angle", "cycle"],
+    largest_deviation_deg: ["angle", "deviation"], bandwidth_hz: ["bode", "bandwidth"],
+    rms_torque_n_m: ["torque", "rms-torque"], peak_torque_n_m: ["torque", "peak-torque"],
+    stop_ms: ["state", "detected"], safe_ms: ["state", "safe"], turn_deg: ["angle", "fault-error"], torque_n_m: ["kneeTorque", "fault-torque"],
+  };
+
+  /** A clause of kneexo/analysis/tracking/clauses.py with its numbers, as texts and [number and unit, plot, card]. */
+  function filled(clause, numbers) {
+    return clause.split(/(\{\w+:\.\dg\} ?[^\s.,;]+)/).map((part) => {
+      const [, name, digits, unit] = part.match(/^\{(\w+):\.(\d)g\}(.+)/) ?? [];
+      if (!name) return part.replace("{cause}", numbers.cause);
+      const text = shown(numbers[name], digits) + unit;
+      return LINKS[name] ? [text, ...LINKS[name]] : text;
+    });
   }
+
+  /** What a run shows first, in the clauses that kneexo simulate prints; see `filled`. */
+  function sentenceOf(result) {
+    const { run, sweep, clauses, hasWearer } = result;
+    const { limit_cycle: cycle, push, protection, tracks, ...metrics } = run.metrics;
+    if (run.end) return [`${endOf(run)}.`];
+    const { stop, safe_time_s: safe_s, fault_s } = protection ?? {};
+    const [stop_ms, safe_ms] = [stop?.time_s, safe_s].map((time_s) => 1e3 * (time_s - fault_s));
+    const angles = { max_error: metrics.largest_error_rad, error_bound: metrics.error_bound_rad, step: Math.abs(metrics.step_rad),
+      final_error: metrics.final_error_rad, amplitude: cycle?.amplitude_rad, largest_deviation: push?.largest_deviation_rad, turn: protection?.turn_rad };
+    const numbers = { ...metrics, ...cycle, ...protection, ...stop, stop_ms, safe_ms, cause: run.faults?.stopped_by[stop?.reason], bandwidth_hz: sweep?.minus_3_db_hz,
+      ...Object.fromEntries(Object.entries(angles).map(([name, angle]) => [`${name}_deg`, angle * DEG])) };
+    const after = stop_ms > 0 ? " after the fault" : "";
+    const first = hasWearer ? ["wearer"]
+      : stop ? ["stopped", after && "after the fault", safe_s === null ? "not safe" : `safe${after}`, "until safe"]
+        : metrics.settling_time_s === undefined ? [tracks ? "tracks" : "does not track"]
+          : [tracks ? "settles" : "does not settle", metrics.rise_time_s === null ? "does not rise" : "rises", "overshoots"];
+    const sentences = [first, cycle && ["hunts"], push && ["push"], numbers.bandwidth_hz && !isThrown(result) && ["bandwidth"]];
+    return sentences.filter(Boolean).flatMap((names, k) =>
+      [k ? " " : "", ...names.filter(Boolean).flatMap((name) => filled(clauses[name], numbers)), "."]);
+  }
+
+  const endOf = ({ end }) => `The run ended at ${shown(end.time_s)} s: ${end.reason}`;
 
   /** The sentences of the set-ups as one text. */
   function sentence(results) {
@@ -312,12 +311,12 @@ const Numbers = (() => {
     const button = element("button", { type: "button", class: "number" }, text);
     button.addEventListener("click", () => {
       const curve = document.querySelector(plot === "bode" ? "#bode" : `[data-plot="${plot}"]:not([hidden])`);
-      const shownAt = curve?.checkVisibility() ? curve : document.querySelector(`[data-number="${card}"]`);
+      const shownAt = curve?.checkVisibility() ? curve : document.querySelector(`[data-number="${card}"]:not([hidden])`) ?? document.getElementById("numbers");
       shownAt.scrollIntoView({ block: "nearest" });
       shownAt.animate([{ background: "#ffb00066" }, {}], 1500);
     });
     return button;
   }
 
-  return { Board, sentence, writeSentences };
+  return { Board, endOf, sentence, writeSentences };
 })();

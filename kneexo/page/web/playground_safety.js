@@ -2,7 +2,7 @@
 "use strict";
 
 const Safety = (() => {
-  const { colour, element } = Curves;
+  const { colour, drawLine, element } = Curves;
   const SVG = "http://www.w3.org/2000/svg";
   const [STEP, WIDTH, HEIGHT, LEFT, TOP] = [66, 96, 30, 58, 4]; // of the boxes, in px
   const [MIDDLE, RIGHT] = [LEFT + WIDTH / 2, LEFT + WIDTH];
@@ -93,10 +93,7 @@ const Safety = (() => {
     if (start_s < chart.scales.x.min) return;
     ctx.lineWidth = scale;
     ctx.setLineDash([4 * scale, 3 * scale]);
-    ctx.beginPath();
-    ctx.moveTo(left, bbox.top);
-    ctx.lineTo(left, bbox.top + bbox.height);
-    ctx.stroke();
+    drawLine(ctx, left, bbox.top, left, bbox.top + bbox.height);
     if (plot.name !== "angle") return;
     const words = `${count > 1 ? `${"AB"[index % 2]}: ` : ""}${label}`;
     const outside = left + 6 * scale + ctx.measureText(words).width > bbox.left + bbox.width;

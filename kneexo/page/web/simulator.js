@@ -241,14 +241,7 @@ const Simulator = (() => {
 
   // Return all limits at the present values.
   function limitsOf(model, values) {
-    const names = [
-      "command_limit_rad_s",
-      "motor_speed_limit_rad_s",
-      "motor_acceleration_limit_rad_s2",
-      "pressure_rating_pa",
-      "power_rating_w",
-      "relief_pressure_pa",
-    ];
+    const names = ["command_limit_rad_s", "motor_speed_limit_rad_s", "motor_acceleration_limit_rad_s2", "pressure_rating_pa", "relief_pressure_pa"];
     return Object.fromEntries(names.map((name) => [name, limitOf(model.limits[name], values)]));
   }
 
@@ -409,9 +402,9 @@ const Simulator = (() => {
     const limits = limitsOf(model, values);
     const answerOf = (rows, end = null) => {
       const signals = signalsOf(instance, columns[0].slice(0, rows));
-      const { time, shaft, hydraulic, rate, ...shown } = signals;
+      const { time, rate, ...shown } = signals;
       const metrics = rows > 1 ? metricsOf(model, reference, values, limits, signals) : {};
-      if (model.faults) metrics.protection = protectionMetrics(signals, model.faults, request.fault_s ?? 0);
+      if (model.faults) metrics.protection = protectionMetrics(signals, model.faults, request.fault_s ?? Infinity);
       return { time, columns: shown, metrics, limits, end, free: freeOf(rows) };
     };
     // The curves without the push, if they are known.
@@ -471,8 +464,6 @@ const Simulator = (() => {
       error: reference.map((value, tick) => value - angle[tick]),
       command: signal("motor_speed_command_rad_s"),
       pressure: signal("load_pressure_pa"),
-      shaft: signal("shaft_power_w"),
-      hydraulic: signal("hydraulic_power_w"),
     };
   }
 
@@ -485,30 +476,17 @@ const Simulator = (() => {
     return most;
   }
 
-  function mean(values, term) {
-    let sum = 0;
-    for (let k = 0; k < values.length; k++) sum += term(values[k]);
-    return sum / values.length;
+  function share(values, holds) {
+    let count = 0;
+    for (let k = 0; k < values.length; k++) count += holds(Math.abs(values[k]));
+    return count / values.length;
   }
-
-  const share = (values, holds) => mean(values, (value) => (holds(value) ? 1 : 0));
-
-  const rms = (values) => Math.sqrt(mean(values, (value) => value * value));
-
-  const saturatedShare = (command, limit) =>
-    share(command, (value) => Math.abs(value) >= limit * (1 - 1e-6));
 
   // The integral over time by the trapezoidal rule.
   function integral(values, period, term) {
     let sum = 0;
     for (let k = 1; k < values.length; k++) sum += term(values[k - 1]) + term(values[k]);
     return 0.5 * period * sum;
-  }
-
-  function meanChange(values) {
-    let sum = 0;
-    for (let k = 1; k < values.length; k++) sum += Math.abs(values[k] - values[k - 1]);
-    return sum / (values.length - 1);
   }
 
   // The index of the first sample at or after a time.
@@ -576,18 +554,13 @@ const Simulator = (() => {
     return radians(Math.max(bound, Math.min(largestCountDeg, Math.max(...angles.map(at)))));
   }
 
-  // Metrics of a run from a time on.
-  function settledMetrics({ time, error: all, command }, settled) {
+  // The largest error of a run from a time on.
+  function settledError({ time, error: all }, settled) {
     const first = indexAt(time, settled);
     const error = all.subarray(first);
     const size = largest(error);
     const worst = error.findIndex((value) => Math.abs(value) === size);
-    return {
-      largest_error_rad: size,
-      largest_error_time_s: time[first + worst],
-      rms_error_rad: rms(error),
-      mean_command_change_rad_s: meanChange(command.subarray(first)),
-    };
+    return { largest_error_rad: size, max_error_time_s: time[first + worst] };
   }
 
   // The number of whole periods of a run, as periods_in in kneexo/analysis/signals.py. The last one may lack its
@@ -599,10 +572,11 @@ const Simulator = (() => {
   function metricsOf(model, reference, values, limits, signals) {
     const period_s = reference === "sine" ? 1 / values["reference.frequency_hz"] : 0;
     const periods = periodsOf(signals, period_s);
-    const main = settledMetrics(signals, periods >= 2 ? period_s : 0); // as settled_s in signals.py
+    const main = settledError(signals, periods >= 2 ? period_s : 0); // as settled_s in signals.py
     const cycle = limitCycle(signals, model.criteria);
     const step = reference === "step" ? stepMetrics(signals, values, cycle, model.criteria) : null;
-    const { time } = signals;
+    const { time, cap, rodSide } = signals;
+    const highest = cap?.map((value, tick) => Math.max(value, rodSide[tick]));
     const bound = errorBound(model, rangeOf(model, reference, values, time[time.length - 1]));
     return {
       ...main,
@@ -610,12 +584,9 @@ const Simulator = (() => {
       limit_cycle: cycle,
       error_bound_rad: bound,
       tracks: signals.torque ? null : step ? step.settling_time_s !== null : main.largest_error_rad <= bound,
-      largest_error_overall_rad: largest(signals.error),
-      rms_error_overall_rad: rms(signals.error),
-      saturated_share: saturatedShare(signals.command, limits.command_limit_rad_s),
-      peak_command_rad_s: largest(signals.command),
-      ...pressureMetrics(signals, limits),
-      ...powerMetrics(signals, limits),
+      saturated_share: share(signals.command, (value) => value >= limits.command_limit_rad_s * (1 - 1e-6)),
+      peak_pressure_pa: largest(signals.pressure),
+      relief_share: highest ? share(highest, (value) => value > limits.relief_pressure_pa) : null,
       ...interactionMetrics(signals, period_s, periods),
     };
   }
@@ -635,28 +606,6 @@ const Simulator = (() => {
       peak_torque_n_m: largest(torques),
       power_from_wearer_w: integral(power, share, (value) => Math.max(value, 0)),
       power_to_wearer_w: integral(power, share, (value) => Math.max(-value, 0)),
-    };
-  }
-
-  const shareAbove = (values, bound) => share(values, (value) => Math.abs(value) > bound);
-
-  function pressureMetrics({ pressure, cap, rodSide }, limits) {
-    const highest = cap?.map((value, tick) => Math.max(value, rodSide[tick]));
-    return {
-      peak_pressure_pa: largest(pressure),
-      pressure_over_rating_share: shareAbove(pressure, limits.pressure_rating_pa),
-      relief_share: highest ? shareAbove(highest, limits.relief_pressure_pa) : null,
-    };
-  }
-
-  function powerMetrics({ time, shaft, hydraulic }, limits) {
-    const period = time[1] - time[0];
-    return {
-      peak_shaft_power_w: largest(shaft),
-      power_over_rating_share: shareAbove(shaft, limits.power_rating_w),
-      shaft_energy_j: integral(shaft, period, (value) => value),
-      shaft_energy_delivered_j: integral(shaft, period, (value) => Math.max(value, 0)),
-      hydraulic_energy_j: integral(hydraulic, period, (value) => value),
     };
   }
 
@@ -701,13 +650,13 @@ const Simulator = (() => {
     };
   }
 
-  // When and why the protection stopped the motor, when the knee was safe, and the largest error and torque on the
-  // knee until then. All count from a time on. A signal at a sample shows the state before the update at this sample,
-  // so the supervisor decided a sample before, as in kneexo/analysis/tracking/verdict.py.
-  function protectionMetrics({ time, state, reason, speed, error, kneeTorque }, { names, standstill_rad_s }, from_s) {
-    const first = indexAt(time, from_s);
+  // When and why the protection stopped the motor, when the knee was safe, and the largest error, turn and torque of
+  // the knee until then. All count from the fault on, or from a stop before the fault. A signal at a sample shows the state before the update at this sample,
+  // so the supervisor decided a sample before, as in kneexo/analysis/tracking/stop.py.
+  function protectionMetrics({ time, state, reason, speed, angle, error, kneeTorque }, { names, standstill_rad_s }, from_s) {
     const [stopped, released] = ["stopped", "released"].map((name) => names.indexOf(name));
     const stop = reason.findIndex((value) => value > 0);
+    const first = Math.min(indexAt(time, from_s), stop < 0 ? Infinity : Math.max(stop - 1, 0));
     const safe = state.findIndex((value, k) => k >= first
       && (value === released || (value === stopped && Math.abs(speed[k]) < standstill_rad_s)));
     const end = safe < 0 ? time.length : safe + 1;
@@ -715,7 +664,9 @@ const Simulator = (() => {
       stop: stop < 0 ? null : { time_s: time[Math.max(stop - 1, 0)], reason: reason[stop] },
       safe_time_s: safe < 0 ? null : time[Math.max(safe - 1, 0)],
       largest_error_rad: largest(error.subarray(first, end)),
-      peak_torque_n_m: largest(kneeTorque.subarray(first, end)),
+      fault_s: time[first],
+      turn_rad: largest(angle.subarray(first, end).map((value) => value - angle[first])),
+      torque_n_m: largest(kneeTorque.subarray(first, end)),
       worst_time_s: first >= time.length ? null : Math.max(...[error, kneeTorque].map((all) => {
         const part = all.subarray(first, end);
         const size = largest(part);
@@ -737,6 +688,7 @@ const Simulator = (() => {
     // A limit cycle that leaves the band goes on for ever, also if the run ends in the band.
     const latest = cycle ? (time[time.length - 1] - begin) / 2 : Number.MAX_VALUE;
     return {
+      step_rad: end - start,
       rise_time_s: high < 0 ? null : time[first + high] - time[first + low],
       overshoot_percent: 100 * Math.max(0, response.reduce((a, b) => Math.max(a, b)) - 1),
       settling_time_s: since <= latest ? since : null,

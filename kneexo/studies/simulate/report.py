@@ -8,7 +8,7 @@ import numpy as np
 
 from kneexo.analysis import TrackingResult
 from kneexo.analysis.signals import settled_s, to_rpm
-from kneexo.analysis.tracking.tracking import SETTLING_BAND
+from kneexo.parameters.criteria import SETTLING_BAND
 from kneexo.studies.markdown import number
 from kneexo.studies.template import filled
 

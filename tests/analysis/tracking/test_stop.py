@@ -49,8 +49,8 @@ def test_a_stop_without_fault_detector_or_safe_motor_says_so():
         motor_speed_rad_s=10 * [90],
     )
     assert first_stop(held, run).line == (
-        "Stopped at 5.008 s by the emergency stop; the knee turns 26° at up to 45 N·m, and the "
-        "motor is not safe when the run ends (zero_speed: the motor stands)."
+        "Stopped at 5.008 s by the emergency stop; the motor is not safe when the run ends "
+        "(zero_speed: the motor stands). Until then the knee turns 26° at up to 45 N·m."
     )
     line = first_stop(PROTECTED, run_of(active_faults=10 * [0])).line
     assert "emergency" not in line

@@ -69,7 +69,6 @@ def test_a_limit_is_a_number_a_quantity_a_map_or_none(worker):
         "motor_speed_limit_rad_s": 3.0,
         "motor_acceleration_limit_rad_s2": math.inf,
         "pressure_rating_pa": 5.0,
-        "power_rating_w": math.inf,
         "relief_pressure_pa": math.inf,
     }
 
@@ -84,13 +83,13 @@ def test_the_values_of_a_request_replace_the_defaults(worker):
 
 def test_the_worst_time_counts_from_the_fault_and_is_none_before_it(worker):
     signals = {"time": [0, 1, 2], "state": [0, 0, 0], "reason": [0, 0, 0], "speed": [1, 1, 1]}
-    signals |= {"error": [9, 1, -3], "kneeTorque": [9, 2, 1]}
+    signals |= {"angle": [0, 0, 0], "error": [9, 1, -3], "kneeTorque": [9, 2, 1]}
     arrays = ", ".join(f"{name}: new Float64Array({values})" for name, values in signals.items())
     names = "{names: ['operating', 'stopped', 'released'], standstill_rad_s: 1}"
     script = f"[1, 2.5].map((start) => Simulator.protectionMetrics({{{arrays}}}, {names}, start))"
     after, before = worker.evaluate(script)
     assert [after["worst_time_s"], before["worst_time_s"]] == [2.0, None]
-    assert [after["largest_error_rad"], after["peak_torque_n_m"]] == [3.0, 2.0]
+    assert [after["largest_error_rad"], after["torque_n_m"]] == [3.0, 2.0]
 
 
 def test_parts_come_when_the_view_is_full_and_then_rarely_and_not_shortly_before_the_end(worker):
