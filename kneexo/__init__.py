@@ -8,6 +8,7 @@ The short names for users, as in ``import kneexo as kx``:
 - `kneexo.analysis.responses.bode`: its frequency response
 - `kneexo.analysis.responses.step`: its step response
 - `kneexo.analysis.design_linkage`: search a four-bar linkage that follows a knee
+- `kneexo.analysis.fit`: fit it to a log of the real machine
 - `kneexo.analysis.batches.batch`: simulate many variants of it
 - `kneexo.page.play.play`: make a page with sliders on which a scenario runs in the browser
 - `kneexo.simulation.compile`: machine code of a scenario, or of a Drake diagram with symbolic
@@ -47,6 +48,7 @@ __all__ = [
     "bode",
     "compile",
     "design_linkage",
+    "fit",
     "linearize",
     "play",
     "step",
@@ -54,7 +56,7 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and for editors
-    from kneexo.analysis import design_linkage as design_linkage, track as track
+    from kneexo.analysis import design_linkage as design_linkage, fit as fit, track as track
     from kneexo.analysis.batches import batch as batch
     from kneexo.analysis.responses import bode as bode, linearize as linearize, step as step
     from kneexo.page.play import play as play
@@ -67,6 +69,7 @@ else:
         "bode": "kneexo.analysis.responses",
         "compile": "kneexo.simulation",
         "design_linkage": "kneexo.analysis",
+        "fit": "kneexo.analysis",
         "linearize": "kneexo.analysis.responses",
         "play": "kneexo.page.play",
         "step": "kneexo.analysis.responses",

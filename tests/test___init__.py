@@ -19,6 +19,7 @@ HOMES = {
     "bode": responses,
     "compile": simulation,
     "design_linkage": analysis,
+    "fit": analysis,
     "linearize": responses,
     "play": play,
     "step": responses,

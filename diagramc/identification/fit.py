@@ -148,6 +148,11 @@ class Fit:
         deviation = np.sqrt(np.diag(self.covariance))
         return self.covariance / np.outer(deviation, deviation)
 
+    @property
+    def predicted(self) -> tuple[Array, ...]:
+        """Predicted values (rows, elements) of each segment, also in rows held out."""
+        return tuple(self._problem.prediction.predict(self._z))
+
     def profile(self, name: str) -> tuple[float, float]:
         """Return the interval of an unknown by the profile of its likelihood.
 
@@ -393,7 +398,7 @@ def _trusted(problem: _Problem, best: Any, others: Sequence[Any], notes: list[st
     slope = np.array([u.slope(v) for u, v in zip(unknowns, values.values(), strict=True)])
     times_s = times * prediction.segments[0].log.sample_time_s
     commands = [
-        np.array([prediction.case(i, z)[2].value(time) for time in segment.time_s])
+        np.array([*map(prediction.case(i, z)[2].value, segment.time_s)])
         for i, segment in enumerate(prediction.segments)
     ]
     white_p = {}

@@ -36,6 +36,7 @@ examples:
   kneexo study contest --out contest   sliding mode against PID, tuned alike
   kneexo size --out size               what a faster knee would take
   kneexo design --out linkage          a linkage for a wearer's knee
+  kneexo fit log.csv my.yaml --out fit the scenario that fits a log
   kneexo diagram --out pictures        the block diagram
   kneexo export fmu --out knee.fmu     the controller for another simulator
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Iterable
 from contextlib import AbstractContextManager, nullcontext
@@ -58,6 +59,9 @@ def _add_study(group: Any, name: str, study: Study) -> None:
         resumable=study.resumable,
         fills_directory=True,
     )
+    for name, (metavar, text) in study.arguments.items():
+        count = None if name.startswith("-") else "?"
+        parser.add_argument(name, nargs=count, metavar=metavar, help=text)
     if study.takes_scenario:
         arguments.add_scenario(parser, study.setup or arguments.PAPER)
     arguments.add_engine(parser)
@@ -130,6 +134,11 @@ def run_study(request: Request) -> Outcome:
         options["checkpoint"] = request.checkpoint = Checkpoint(path, resume=resume)
     computation = study.computation()
     scenario = request.load(request.scenario, computation.scenario)
+    for name in study.arguments:
+        if (text := getattr(request, name.lstrip("-"))) is not None:
+            value = text.split(",") if name.startswith("-") else text
+            change = f"{name.lstrip('-')}={json.dumps(value, ensure_ascii=False)}"
+            request.settings = [change, *request.settings]
     settings = with_values(computation.settings(), request.settings)
     from kneexo.parameters.scenario_file import load_uncertainty, scenario_files
 
@@ -167,6 +176,7 @@ def run_study(request: Request) -> Outcome:
         files |= scenario_files(failed, failure_file(number), request.out)
     for file_name, made in shown.scenarios(result).items():
         files |= scenario_files(made, file_name, request.out)
+        files[file_name] = f"{shown.comments(result)}{files[file_name]!s}"
     text = f"{plain_text(head_of(report))}\n{files_line(request.out, files, figures)}"
     return Outcome(text, document, files=files, figures=figures)
 

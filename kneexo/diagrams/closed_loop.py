@@ -177,6 +177,25 @@ _INPUTS = {
 """By the signals that no part of the loop offers, the inputs of the loop in their order."""
 
 
+def make_open_loop(scenario: Scenario) -> Diagram:
+    """Build the loop of a scenario without controller, drive, bus and faults.
+
+    The input ``motor_speed_command`` is what arrives at the motor. A wearer moves along the input
+    ``knee_reference`` (4,). Outputs: the `SIGNALS` that are left. For errors see
+    `make_closed_loop`.
+    """
+    kept = {"plant", "encoder", "encoder_phase", "phase_sum", "wearer", "cuff", "load_cell"}
+    kept |= {"knee_reference"} if scenario.wearer.kind != "none" else set()
+    parts = loop_parts(scenario, external_reference=True)
+    builder = DiagramBuilder()
+    ports, inputs = wire(builder, [part for part in parts if part.name in kept])
+    export_inputs(builder, inputs, by_name("motor_speed_command") | _INPUTS)
+    for name in SIGNALS:
+        if name in ports:
+            builder.ExportOutput(ports[name], name)
+    return builder.Build()
+
+
 def loop_parts(
     scenario: Scenario,
     *,

@@ -41,6 +41,7 @@ from kneexo.diagrams.closed_loop import (
     chosen_signals,
     loop_values,
     make_closed_loop,
+    make_open_loop,
     plant_start,
 )
 from kneexo.diagrams.controller import (
@@ -206,6 +207,20 @@ def _model(key: str, scenario: Scenario) -> CompiledModel:
         return compile_by_key(key, partial(_diagram, key, scenario), inputs=inputs, outputs=outputs)
 
     return _models.of(key, make)
+
+
+def compile_open_loop(scenario: Scenario) -> CompiledModel:
+    """Compile the loop of a scenario without its controller: `make_open_loop`.
+
+    The inputs are ``motor_speed_command`` and, with a wearer, ``knee_reference``. `scenario_run`
+    takes this model too, with the inputs.
+    """
+    key, make = f"open loop {structure_key(scenario)}", partial(make_open_loop, scenario)
+    inputs = [
+        "motor_speed_command",
+        *(["knee_reference"] if scenario.wearer.kind != "none" else []),
+    ]
+    return _models.of(key, lambda: compile_by_key(key, make, inputs=inputs))
 
 
 _COMMAND_AND_STATE = f"controller/law:{COMMAND_AND_STATE}"
@@ -381,11 +396,23 @@ def _joint_table(has_law_command: bool, reference: Any, moment: MomentTable | No
     return stack_tables(*tables) if len(tables) > 1 else tables[0]
 
 
-def scenario_run(scenario: Scenario, model: CompiledModel) -> tuple[Array, State, InputTable]:
+def scenario_run(
+    scenario: Scenario, model: CompiledModel, inputs: InputTable | None = None
+) -> tuple[Array, State, InputTable]:
     """Return parameters, initialized state and input table of a scenario for its compiled model.
 
-    The input table is empty unless the reference has samples or the wearer a moment. Raises
-    `ParameterError` and `LinkageError` as `make_closed_loop` does.
+    Parameters
+    ----------
+    scenario, model
+        The scenario, and a model of its loop or open loop.
+    inputs
+        Input table of the model. None: that of the reference with samples and of the wearer's
+        moment, or an empty table.
+
+    Raises
+    ------
+    ParameterError, LinkageError
+        As in `make_closed_loop`.
     """
     knee_reference.require_reference_in_range(scenario.reference, scenario.plant.knee)
     values, start = scenario_values(scenario), scenario_start(scenario)
@@ -394,7 +421,9 @@ def scenario_run(scenario: Scenario, model: CompiledModel) -> tuple[Array, State
     continuous = np.array([start.get(name, 0.0) for name in model.state_names])
     discrete = np.array([start.get(name, 0.0) for name in model.discrete_names])
     state = State(continuous, discrete)
-    inputs = _joint_table(LAW_COMMAND in model.inputs, scenario.reference, moment_of(scenario))
+    if inputs is None:
+        moment = moment_of(scenario)
+        inputs = _joint_table(LAW_COMMAND in model.inputs, scenario.reference, moment)
     return parameters, model.initialized(parameters, state, inputs), inputs
 
 

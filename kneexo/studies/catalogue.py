@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from kneexo.common.progress import Stage
@@ -62,6 +62,8 @@ class Presentation:
     """
     scenarios: Callable[[Any], Mapping[str, Scenario]] = lambda result: {}
     """Returns the scenarios that the study has made, by the names of their files."""
+    comments: Callable[[Any], str] = lambda result: ""
+    """Returns the comment lines with which the files of these scenarios begin."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,11 @@ class Study:
     """Imports what shows a result of the study."""
     setup: str = ""
     """Description of the default scenario, or an empty text for the paper's setup."""
+    arguments: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    """Settings that are arguments of the command too: by name or option, metavar and help.
+
+    An option has a list of texts with commas between them.
+    """
     takes_scenario: bool = True
     """False if the command always runs the scenarios of the paper."""
     uncertain: bool = False
@@ -212,6 +219,19 @@ def _design_shown() -> Presentation:
     from kneexo.studies.design import figures, report
 
     return Presentation(report.report, figures.figures, scenarios=report.scenarios)
+
+
+def _fit() -> Computation:
+    from kneexo.studies.fit import FitSettings, fit_study
+
+    return Computation(FitSettings, fit_study)
+
+
+def _fit_shown() -> Presentation:
+    from kneexo.studies.fit import figures, report
+
+    own = Presentation(report.report, figures.figures, scenarios=report.scenarios)
+    return replace(own, comments=report.comments)
 
 
 def _wearer() -> Computation:
@@ -372,6 +392,23 @@ STUDIES = {
             presentation=_design_shown,
             resumable=False,
             stages=(Stage("search", 3.0),),
+            drawing_s=0.2,
+            writing_s=0.5,
+        ),
+        Study(
+            "fit",
+            "fit",
+            "fit a scenario to a log of the real machine, and say how far to trust each number",
+            "Open loop from the logged command, and in the whole loop. Writes fitted.yaml.",
+            computation=_fit,
+            presentation=_fit_shown,
+            arguments={
+                "log": ("LOG.csv", "the log, with columns of a signals.csv of `kneexo simulate`"),
+                "--parameters": ("NAME[=LOW:HIGH],…", "what to find: plant.pump.lag_s=0.001:0.1"),
+                "--columns": ("NAME=COLUMN,…", "other names and units: time_s=t_ms*0.001"),
+            },
+            resumable=False,
+            stages=(Stage("fit", 4.0),),
             drawing_s=0.2,
             writing_s=0.5,
         ),

@@ -179,6 +179,7 @@ REFUSED = (
     ("mechanism", {}, {"knee": "no.csv"}, "knee: .*no.csv: cannot be read: No such file"),
     ("mechanism", {}, {"knee": "left"}, "knee = 'left': must be gait2392, the path of"),
     ("mechanism", {}, {"knee": SHORT_KNEE}, "must have them at 58 deg; add nodes"),
+    ("fit", {}, {}, r"^log: must be the path of a CSV file: kneexo fit LOG\.csv MINE\.yaml$"),
     ("design", {}, {"rod": "Table 1"}, "rod = Table 1: must be table_1, none or a path"),
 )
 """Study, changes of the default scenario and of the settings, and the message."""

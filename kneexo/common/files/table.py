@@ -115,7 +115,12 @@ class Table:
                 raise file_error(self.path, line, message)
 
 
-def read_table(path: str | os.PathLike[str], names: Sequence[str], remedy: str = "") -> Table:
+def read_table(
+    path: str | os.PathLike[str],
+    names: Sequence[str],
+    remedy: str = "",
+    optional: Sequence[str] = (),
+) -> Table:
     """Read columns of a CSV file, or of a .mot or .sto file of OpenSim.
 
     The first record of the file has the names of the columns. In a file of OpenSim the first record
@@ -134,6 +139,8 @@ def read_table(path: str | os.PathLike[str], names: Sequence[str], remedy: str =
         Names of the columns to read. Spaces around a name in the file are ignored.
     remedy
         End of the message about a missing column.
+    optional
+        Names of columns that are read too if the file has them.
 
     Raises
     ------
@@ -159,6 +166,8 @@ def read_table(path: str | os.PathLike[str], names: Sequence[str], remedy: str =
     if all(NUMBER.fullmatch(word.replace(",", ".")) for word in " ".join(header).split()):
         message = "has numbers; must have the names of the columns, without # or %"
         raise file_error(path, first, message)
+    more = [name for name in dict.fromkeys(optional) if name in header and name not in names]
+    names, names_in_file = [*names, *more], [*names_in_file, *more]
     places = [_place(path, header, name, remedy) for name in names_in_file]
     lines: list[int] = []
     values: list[list[float]] = [[] for _ in names]

@@ -1,0 +1,1 @@
+"""Fits a scenario to a log of the real machine: `fit.fit`."""
