@@ -51,7 +51,6 @@ from kneexo.geometry.linkage import eq6_sign, knee_angle_from_encoder, polynomia
 from kneexo.geometry.rod_polynomial import controller_polynomial
 from kneexo.parameters import SampledReference, Scenario, Uncertainty, UncertaintySet
 from kneexo.parameters.fields.fields import allowed_range, limits_of, unit_of
-from kneexo.parameters.fields.replaced import believed
 from kneexo.parameters.paths import has_path, value_at
 from kneexo.parameters.scenario_file import as_scenario
 from kneexo.simulation import compilation
@@ -65,6 +64,7 @@ from kneexo.systems.knee_reference import start_angle_rad
 _OFFSET = "initial_offset_m"
 _START_M = 0.01  # between the rod's start and where the first reading of the encoder sees it
 _DECADE = 10.0  # ends of a range that the user leaves out, as factors of the scenario's value
+_ROUNDED = 1.5  # of the deviation of rounding: less is hardly noise
 _SENSOR = {"delay_s": (0.0, "s"), "gain": (1.0, ""), "bias": (0.0, "")}  # without error
 
 
@@ -271,6 +271,13 @@ def fit(
     notes, whole = [], None
     if at_limit := np.mean(np.abs(held) > AT_LIMIT * scenario.command_limit_rad_s):
         notes.append(f"{COMMAND}: is at its limit in {100.0 * at_limit:.2g} % of the rows")
+    count = scenario.encoder.resolution_rad / math.sqrt(12.0)  # deviation of rounding
+    if found.noise.get("encoder_reading", math.inf) < _ROUNDED * count:
+        notes.append(
+            "encoder_reading: its residuals are those of whole counts, which are no random noise: "
+            "what the angle alone shows can be further off than its interval says; compare "
+            "pressures, and search from several starts"
+        )
     if whole_loop and REFERENCE in logged:
         try:
             model = compilation.compile(start)
@@ -364,14 +371,10 @@ def _at(
             parameters, state, inputs = scenario_run(scenario, model, command)
         except (ParameterError, LinkageError) as error:  # the search must turn back, not end
             raise SimulationError(str(error)) from None
-        # The log can begin in motion. The pump's flow moves the rod, so the oil does not swing.
-        pump, speed = believed(scenario.plant.pump), log.measured.get("motor_speed", (0.0,))[0]
-        flow = speed * pump.displacement_m3_per_rad / pump.gear_ratio
-        velocity = flow / believed(scenario.plant.cylinder).mean_area_m2
-        moving, x = {SPEED: speed, "rod_velocity_m_s": velocity}, state.continuous.copy()
+        speed, x = log.measured.get("motor_speed", (0.0,))[0], state.continuous.copy()
         for place, name in enumerate(model.state_names):
-            if name in plant and plant[name].column in moving:
-                x[place] = moving[plant[name].column] / plant[name].factor
+            if name in plant and plant[name].column == SPEED:  # the log can begin in motion
+                x[place] = speed / plant[name].factor
         return parameters, State(x, state.discrete), inputs
 
     return at

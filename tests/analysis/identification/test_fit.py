@@ -32,7 +32,7 @@ def machine(rows, seed=0, noise=1.0):
     k = np.arange(rows)
     command = 200.0 * np.sin(2.0 * np.pi * 0.8 * k * T) + 60.0 * np.sin(2.0 * np.pi * 6.0 * k * T)
     late = random.uniform(-0.1, 0.1, rows) * T
-    late[0] = 0.0
+    late[0] = 0.4 * T
     y = before = np.zeros(5)
     y[1] = rod_extension(plant.linkage, np.radians(START_DEG))
     seen, step, after = [], expm(a * T), expm(a * (late % T)[:, None, None])
@@ -60,6 +60,7 @@ def require_inside(result, true, most):
 def test_the_numbers_of_an_own_program_are_found_within_their_intervals():
     result = fit(BASE, machine(500), [LAG, PUMP], command_holds="from")
     require_inside(result, TRUE, 0.03)
+    assert result.time_s[:2] == pytest.approx([0.4 * T, T], abs=0.11 * T)
     start = encoder_angle(BASE.plant.linkage, np.radians(START_DEG))
     assert result.predicted["encoder_reading_rad"][0] == pytest.approx(start, abs=0.1 * COUNT)
     assert set(result.open_loop.words.values()) == {"bounded"}
@@ -73,6 +74,13 @@ def test_the_numbers_of_an_own_program_are_found_within_their_intervals():
     residual = result.predicted["motor_speed_rad_s"] - result.measured["motor_speed_rad_s"]
     assert np.std(residual) == pytest.approx(1.0, rel=0.1)
     assert result.open_loop.noise["motor_speed"] == pytest.approx(1.0, rel=0.1)
+    (note,) = result.notes
+    assert note.startswith("encoder_reading: its residuals are those of whole counts")
+
+
+def test_a_log_may_begin_in_motion():
+    log = {name: column[130:] for name, column in machine(500).items()}
+    require_inside(fit(BASE, log, [LAG, PUMP], command_holds="from"), TRUE, 0.03)
 
 
 def test_sensors_and_the_command_of_the_row_before():
