@@ -8,7 +8,7 @@ from kneexo.analysis.identification.fit import fit
 from kneexo.analysis.tracking.tracking import track
 from kneexo.errors import ParameterError, ScenarioError
 from kneexo.geometry.linkage import encoder_angle, knee_angle_from_rod, rod_extension
-from kneexo.parameters import Scenario
+from kneexo.parameters import SampledReference, Scenario
 from kneexo.parameters.paths import value_at
 
 LAG, PUMP = "plant.pump.lag_s", "plant.pump.displacement_m3_per_rad"
@@ -75,7 +75,7 @@ def test_the_numbers_of_an_own_program_are_found_within_their_intervals():
     assert np.std(residual) == pytest.approx(1.0, rel=0.1)
     assert result.open_loop.noise["motor_speed"] == pytest.approx(1.0, rel=0.1)
     (note,) = result.notes
-    assert note.startswith("encoder_reading: its residuals are those of whole counts")
+    assert note.startswith("encoder_reading: its residuals are whole counts")
 
 
 def test_a_log_may_begin_in_motion():
@@ -114,6 +114,28 @@ def test_both_estimates_agree_if_the_controller_is_that_of_the_machine():
     for name, value in TRUE.items():
         assert rows[name]["whole_loop"] == pytest.approx(value, rel=0.05)
         assert abs(rows[name]["difference"]) < 4.0
+
+
+@pytest.mark.slow
+def test_intervals_are_right_for_a_motion_that_does_not_repeat():
+    errors = []
+    for seed in range(6):
+        random, t = np.random.default_rng(seed), np.arange(0.0, 6.001, 0.02)
+        hz = np.array([0.23, 0.61, 1.37, 2.9]) * random.uniform(0.9, 1.1, 4)
+        waves = np.sin(2.0 * np.pi * hz * t[:, None] + random.uniform(0.0, 6.28, 4))
+        angles = 40.0 + waves @ [4.0, 2.5, 1.2, 0.4]
+        base = Scenario(reference=SampledReference(times_s=t, angles_deg=angles))
+        true = base.model_copy(update={"nominal": base.plant}).changed(TRUE)
+        log = dict(track(true, all_signals=True).run.columns)
+        noise = 1.5 * random.standard_normal(log["time_s"].size)
+        log["motor_speed_rad_s"] = log["motor_speed_rad_s"] + noise
+        found = fit(base, log, [LAG, PUMP], whole_loop=False).open_loop
+        deviation = np.sqrt(np.diag(found.covariance))
+        errors.append(
+            [(found.values[n] - TRUE[n]) / d for n, d in zip(TRUE, deviation, strict=False)]
+        )
+    assert 0.4 < np.sqrt(np.mean(np.square(errors))) < 1.6
+    assert np.abs(errors).max() < 4.0
 
 
 LOG = machine(120)
