@@ -45,7 +45,7 @@ Exit codes: 0 success, 2 wrong input or a run that failed (one line says why),
 """
 """The examples below ``kneexo --help``."""
 
-FILES = (".yaml", ".html", ".fmu", ".json", ".py")
+FILES = (".yaml", ".csv", ".html", ".fmu", ".json", ".py")
 """Ends of the metavars of arguments that are files, which a shell completes."""
 
 RENAMED = {

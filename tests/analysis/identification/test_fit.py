@@ -58,7 +58,10 @@ def require_inside(result, true, most):
 
 
 def test_the_numbers_of_an_own_program_are_found_within_their_intervals():
-    result = fit(BASE, machine(500), [LAG, PUMP], command_holds="from")
+    log = machine(500)
+    limit = float(np.abs(log["motor_speed_command_rad_s"]).max())
+    scenario = BASE.changed({"controller.command_limit_rad_s": limit})
+    result = fit(scenario, log, [LAG, PUMP], command_holds="from")
     require_inside(result, TRUE, 0.03)
     assert result.time_s[:2] == pytest.approx([0.4 * T, T], abs=0.11 * T)
     start = encoder_angle(BASE.plant.linkage, np.radians(START_DEG))
@@ -68,13 +71,14 @@ def test_the_numbers_of_an_own_program_are_found_within_their_intervals():
     assert result.whole_loop is None
     for path, value in TRUE.items():
         assert value_at(result.scenario, path) == pytest.approx(value, rel=0.01)
-        assert value_at(result.scenario.nominal, path.partition(".")[2]) != value
+        assert value_at(result.scenario.nominal, path.partition(".")[2]) == value_at(BASE, path)
     assert result.trained.mean() == pytest.approx(0.75, abs=2e-3)
     assert result.trained.argmin() == result.trained.sum()  # the last rows are held out
     residual = result.predicted["motor_speed_rad_s"] - result.measured["motor_speed_rad_s"]
     assert np.std(residual) == pytest.approx(1.0, rel=0.1)
     assert result.open_loop.noise["motor_speed"] == pytest.approx(1.0, rel=0.1)
-    (note,) = result.notes
+    limited, note = result.notes
+    assert limited == "motor_speed_command_rad_s: is at its limit in 0.4 % of the rows"
     assert note.startswith("encoder_reading: its residuals are whole counts")
 
 
@@ -91,10 +95,19 @@ def test_sensors_and_the_command_of_the_row_before():
     result = fit(
         BASE,
         log,
-        [LAG, PUMP, "motor_speed.gain"],
+        [LAG, PUMP, "motor_speed.gain", "encoder_reading.delay_s=0:0.01"],
         columns=["motor_speed_rad_s=speed_rpm*0.10471975511965977"],
     )
     require_inside(result, TRUE | {"motor_speed.gain": 1.05}, 0.03)
+    assert result.open_loop.values["encoder_reading.delay_s"] < 0.3 * T
+    assert result.time_s[0] == pytest.approx(5.0 * T, abs=0.6 * T)  # what came before is not shown
+
+
+def test_the_knee_starts_where_the_encoder_says_and_not_where_the_reference_begins():
+    log = machine(300)
+    log["knee_reference_rad"] = np.full(300, np.radians(START_DEG - 15.0))
+    found = fit(BASE, log, [LAG, PUMP], command_holds="from", whole_loop=False)
+    require_inside(found, TRUE, 0.1)
 
 
 @pytest.mark.slow

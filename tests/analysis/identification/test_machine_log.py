@@ -27,6 +27,7 @@ def test_columns_are_read_by_name_and_in_another_unit(written):
     assert sorted(log) == sorted(["time_s", COMMAND, SPEED])
     np.testing.assert_allclose(log[SPEED], [6.283188, 12.566376])
     np.testing.assert_allclose(log["time_s"], [0.0, 0.002])
+    assert sorted(read_log(written, [], [])) == sorted(["time_s", COMMAND, SPEED])
     arrays = read_log({"time_s": [0.0, 1.0], COMMAND: [1.0, 2.0], "x": [3, 4]}, [f"{SPEED}=x"], [])
     np.testing.assert_allclose(arrays[SPEED], [3.0, 4.0])
 
