@@ -309,11 +309,10 @@ def _unknown(scenario: Scenario, text: str, log: Log) -> Unknown:
         (value, unit), limits, allowed = _SENSOR[last], (-math.inf, math.inf), "finite"
     else:
         if not has_path(scenario, name):
-            scenario.changed({name: 1.0})  # the error says which names there are
-        value = value_at(scenario, name)
+            scenario.changed({name: 1.0})  # its error says which names there are
+        value, owner = value_at(scenario, name), value_at(scenario, holder) if holder else scenario
         if not isinstance(value, float):
-            raise ParameterError(f"{name} = {shown(value)}: must be a real number to be fitted")
-        owner = value_at(scenario, holder) if holder else scenario
+            raise ParameterError(f"{name} = {shown(value)}: must be a real number with a range")
         field = type(owner).model_fields[last]
         limits, allowed, unit = limits_of(field), allowed_range(field), unit_of(field)
     low, high = sorted((value / _DECADE, value * _DECADE))

@@ -180,7 +180,8 @@ def test_swapped_columns_are_named():
 PARAMETERS = {
     "plant.pump.lag": r"plant\.pump\.lag: unknown name; did you mean plant\.pump\.lag_s\?",
     "plant.full_order.dead_volume_m3": r"unknown name; needs plant\.full_order = true",
-    "bus.latency_samples": "= 0: must be a real number to be fitted",
+    "bus.latency_samples": "= 0: must be a real number with a range",
+    "simulation.tolerance": "= None: must be a real number with a range",
     "controller.lambda_per_s": "controller.lambda_per_s: has no effect on a measured output",
     f"{LAG}=0.1:b": "must be NAME or NAME=LOW:HIGH",
     f"{LAG}=0.1:2": r"lag_s = 0\.01 s: the range 0\.1 … 2 must .* >= 0\.0001 and <= 1; give one",
