@@ -274,9 +274,8 @@ def fit(
     count = scenario.encoder.resolution_rad / math.sqrt(12.0)  # deviation of rounding
     if found.noise.get("encoder_reading", math.inf) < _ROUNDED * count:
         notes.append(
-            "encoder_reading: its residuals are whole counts, no random noise: a value can be "
-            "further off than its interval says; log a motion that does not repeat, compare "
-            "pressures, and search from several starts"
+            "encoder_reading: its residuals are whole counts, no random noise, so a value can be "
+            "beyond its interval; log a motion that never repeats, and pressures; try more starts"
         )
     if whole_loop and REFERENCE in logged:
         try:

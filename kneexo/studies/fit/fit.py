@@ -21,12 +21,8 @@ class FitSettings(Parameters):
     measured: tuple[str, ...] = choice((), "columns to compare; left out: encoder, motor speed")
     command_holds: Literal["until", "from"] = choice("until", "time of the row until or from which")
     whole_loop: bool = choice(True, "False: no second estimate")
-    loss: Literal["linear", "huber", "soft_l1", "cauchy"] = choice(
-        "linear", "the others are for outliers"
-    )
-    starts: int = quantity(
-        1, "1", "assumption: the search begins at the scenario alone", ge=1, le=1000
-    )
+    loss: Literal["linear", "huber", "soft_l1", "cauchy"] = choice("linear", "others: outliers")
+    starts: int = quantity(1, "1", "assumption: one search, from the scenario", ge=1, le=1000)
 
 
 def fit_study(
