@@ -94,7 +94,11 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
         initial_states as initial_states,
     )
     from .fmu.variables import FmuParameter as FmuParameter
-    from .identification.fit import Fit as Fit, identify as identify
+    from .identification.fit import (
+        Fit as Fit,
+        identify as identify,
+        sensitivities as sensitivities,
+    )
     from .identification.log import Log as Log, Unknown as Unknown
     from .interruption import interrupt_later as interrupt_later
     from .linear.advice import Obstacle as Obstacle, advice as advice
@@ -170,7 +174,7 @@ else:
         "fmu.fmu": ("FMI_VERSIONS", "Fmu"),
         "fmu.parameters": ("context_parameters", "initial_states"),
         "fmu.variables": ("FmuParameter",),
-        "identification.fit": ("Fit", "identify"),
+        "identification.fit": ("Fit", "identify", "sensitivities"),
         "identification.log": ("Log", "Unknown"),
         "interruption": ("interrupt_later",),
         "linear.advice": ("Obstacle", "advice"),

@@ -294,6 +294,49 @@ def identify(
     return replace(fit, validation=_explained(other, other.solve(z).x, trained=True))
 
 
+def sensitivities(
+    model: CompiledModel,
+    logs: Sequence[Log] | Log,
+    unknowns: Sequence[Unknown],
+    *,
+    parameters: Array | None = None,
+    state: State | None = None,
+    at: At | None = None,
+    **options: Any,
+) -> list[Array]:
+    """Return how much what logs show changes with unknowns, to judge an experiment beforehand.
+
+    The result has an array (rows, elements, unknowns) for each segment: the derivatives J by the
+    place of each unknown in its range, `Unknown.place`. With the noise σ of each element the
+    information about the places is Σ JᵀJ/σ².
+
+    Parameters
+    ----------
+    model, logs
+        The compiled model, and logs of which times and inputs matter. The elements have the order
+        of ``measured``, whose values do not matter.
+    unknowns
+        Numbers that have their starts.
+    parameters, state, at, options
+        As in `identify`.
+
+    Raises
+    ------
+    ParameterError
+        An output or unknown is not of the model.
+    SimulationError
+        A run fails.
+    """
+    logs = [logs] if isinstance(logs, Log) else list(logs)
+    elements = list(dict.fromkeys(name for log in logs for name in log.measured))
+    _require_known("output", elements, [name for name, _ in output_elements(model.outputs)])
+    at = _given(model, logs, parameters, state) if at is None else at
+    longest = max((u.high for u in unknowns if u.name.endswith(".delay_s")), default=0.0)
+    segments = segments_of(logs, elements, longest, 0.0)
+    prediction = Prediction(model, segments, elements, unknowns, at, options)
+    return prediction.jacobian(np.array([unknown.begin for unknown in prediction.unknowns]))
+
+
 def _require_known(kind: str, names: Iterable[str], known: Sequence[str]) -> None:
     for name in names:
         if name not in known:
@@ -313,8 +356,8 @@ def _start(problem: _Problem, notes: list[str]) -> Array:
     first = stacked(problem.jacobian(start))
     if idle := without_effect(first, names):
         raise ParameterError(
-            f"{', '.join(idle)}: has no effect on a measured output at the start; leave out, or "
-            f"measure more"
+            f"{', '.join(idle)}: has no effect on a measured output at the start; start "
+            f"elsewhere, leave out, or measure more"
         )
     notes += combinations(first, names, unknowns)
     return start
@@ -405,12 +448,14 @@ def _trusted(problem: _Problem, best: Any, others: Sequence[Any], notes: list[st
     for element, name in enumerate(prediction.elements):
         used = np.concatenate(problem.used)[:, element]
         column = np.concatenate(weighted)[used, element]
-        outside, white_p[name], lags = whiteness(column)
+        largest, lag, white_p[name] = whiteness(column)
         if white_p[name] < 1.0 - _CONFIDENCE:
             notes.append(
-                f"{name}: the residuals are not white: {100.0 * outside:.0f} % of {lags} "
-                f"autocorrelations are outside ±1.96/√n (5 % expected), correlation time "
-                f"{times_s[element]:.2g} s; the intervals count with it"
+                f"{name}: the residuals are not white (p = {white_p[name]:.2g}; autocorrelation "
+                f"{largest:.2f} at lag {lag}, ±{1.96 / column.size**0.5:.2g} if white): the noise "
+                f"is coloured, or the model lacks something; correlation time "
+                f"{times_s[element]:.2g} s, so the intervals count {column.size} values as "
+                f"{column.size / max(times[element], 1.0):.0f}"
             )
         for (source, _), u in zip(
             output_elements(prediction.model.inputs), np.concatenate(commands)[used].T, strict=False
@@ -418,7 +463,8 @@ def _trusted(problem: _Problem, best: Any, others: Sequence[Any], notes: list[st
             if (share := input_correlation(column, u)) > _FOLLOWS:
                 notes.append(
                     f"{name}: the residuals follow {source}: {100.0 * share:.0f} % of the "
-                    f"correlations are beyond 1.96 σ (5 % expected); the model lacks something"
+                    f"correlations are beyond 1.96 σ (5 % expected); the model lacks something, or "
+                    f"a controller returns coloured noise into {source}"
                 )
     noise, correlation_time_s = (
         dict(zip(prediction.elements, numbers.tolist(), strict=True))

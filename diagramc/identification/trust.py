@@ -175,19 +175,19 @@ def _coloured(basis: Array, models: Sequence[tuple[Array, float]]) -> Array:
     return np.fft.irfft(waves, size, axis=0)[: len(basis)]
 
 
-def whiteness(residuals: Array) -> tuple[float, float, int]:
-    """Return how white residuals (n,) are: share of autocorrelations outside, p-value, lags.
+def whiteness(residuals: Array) -> tuple[float, int, float]:
+    """Return how white residuals (n,) are: largest autocorrelation, its lag, p-value of all.
 
-    White residuals have 5 % of their autocorrelations outside ±1.96/√n. The p-value is that of the
-    statistic by Ljung and Box (1978), n(n + 2) Σ ρ_l²/(n − l).
+    95 % of the autocorrelations of white residuals are within ±1.96/√n. The p-value is that of the
+    statistic by Ljung and Box (1978), n(n + 2) Σ ρ_l²/(n − l), over 40 lags or n/4.
     """
     n = residuals.size
     lags = min(40, n // 4)
     r = residuals - residuals.mean()
     rho = _correlated(r[:, None], r[:, None], n)[1 : lags + 1, 0] / (r @ r)
     statistic = n * (n + 2) * np.sum(rho**2 / (n - np.arange(1, lags + 1)))
-    outside = float(np.mean(np.abs(rho) > 1.96 / math.sqrt(n)))
-    return outside, float(scipy.stats.chi2.sf(statistic, lags)), lags
+    largest = int(np.argmax(np.abs(rho)))
+    return float(rho[largest]), largest + 1, float(scipy.stats.chi2.sf(statistic, lags))
 
 
 def input_correlation(residuals: Array, inputs: Array) -> float:

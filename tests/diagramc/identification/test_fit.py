@@ -1,12 +1,23 @@
 """Fits to logs of an independent program: a motor with lag and dead band moves a spring's mass."""
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from pydrake.symbolic import Variable, max as larger, min as smaller
 from pydrake.systems.primitives import SymbolicVectorSystem
 from scipy.integrate import solve_ivp
 
-from diagramc import InputTable, Log, ParameterError, Unknown, compile_diagram, identify
+from diagramc import (
+    InputTable,
+    Log,
+    ParameterError,
+    Unknown,
+    compile_diagram,
+    identify,
+    sensitivities,
+)
 
 T, HELD, ROWS = 0.01, 15, 495
 X, V = "y0[0]", "y0[1]"
@@ -114,6 +125,21 @@ def test_the_slope_is_the_derivative_of_the_value_by_its_place(low):
     difference = (unknown.value(place + h) - unknown.value(place - h)) / (2.0 * h)
     assert unknown.slope(unknown.value(place)) == pytest.approx(difference, rel=1e-8)
     assert unknown.place(unknown.value(place)) == pytest.approx(place)
+
+
+def test_sensitivities_are_derivatives_by_the_place_of_each_unknown_at_its_start(model, sensors):
+    log = log_of(sensors, rows=60)
+    unknowns = [replace(u, start=v) for u, v in zip(UNKNOWNS[5:], TRUE[5:], strict=True)]
+    (found,) = sensitivities(model, log, unknowns, parameters=TRUE[:5])
+    late = log.time_s >= 0.04  # the longest delay
+    assert found.shape == (np.sum(late), 2, 3)
+    np.testing.assert_allclose(found[:, 0, 1:], [[0.6, 0.0]] * len(found), atol=1e-9)
+    np.testing.assert_allclose(found[:, 1, 1], 0.0)
+    np.testing.assert_allclose(
+        found[:, 1, 2], log.measured[V][late] * np.log(2.0 / 0.5), rtol=1e-4, atol=1e-4
+    )
+    with pytest.raises(ParameterError, match="output 'z': must be one of"):
+        sensitivities(model, replace(log, measured={"z": log.time_s}), unknowns)
 
 
 @pytest.mark.slow(gate=0)
@@ -232,6 +258,36 @@ def test_a_second_minimum_as_good_is_told(model, sensors):
     fit = identify(squared, Log(time_s, {"y0": y}, T), [Unknown(".0[0]", -5.0, 5.0, 1.0)], starts=6)
     assert abs(fit.values[".0[0]"]) == pytest.approx(2.0, rel=1e-2)
     assert fit.words[".0[0]"] == "several minima"
+
+
+def test_a_note_tells_how_far_from_white_the_residuals_are(model, sensors):
+    notes = []
+    for colour in (0.0, 0.8):
+        log = log_of(sensors, 3, 1.0, colour)
+        fit = identify(model, log, UNKNOWNS[5:], parameters=TRUE[:5], validation=0.0)
+        notes.append([note for note in fit.notes if note.startswith(f"{V}: the residuals")])
+    white, (coloured,) = notes
+    assert not white
+    numbers = r"autocorrelation (.*) at lag 1, ±0.089 if white.* time (.*) s, .* 490 values as (.*)"
+    first, time_s, alone = map(float, re.search(numbers, coloured).groups())
+    assert first == pytest.approx(0.8, abs=0.06)
+    assert time_s == pytest.approx(9.0 * T, rel=0.4)  # (1 + 0.8)/(1 - 0.8) rows
+    assert alone == pytest.approx(490 * T / time_s, rel=0.1)
+
+
+def test_a_note_tells_of_residuals_that_follow_an_input(model, sensors):
+    log = log_of(sensors, 3, 1.0, rows=200)
+    told = [
+        [
+            note
+            for note in identify(model, log, asked, parameters=TRUE[:5]).notes
+            if "follow" in note
+        ]
+        for asked in (UNKNOWNS[5:], UNKNOWNS[5:7])  # without the gain of the sensor
+    ]
+    assert not told[0]
+    assert told[1][0].startswith(f"{V}: the residuals follow u0: ")
+    assert told[1][0].endswith("returns coloured noise into u0")
 
 
 @pytest.mark.parametrize(
