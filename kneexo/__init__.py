@@ -10,6 +10,8 @@ The short names for users, as in ``import kneexo as kx``:
 - `kneexo.analysis.design_linkage`: search a four-bar linkage that follows a knee
 - `kneexo.analysis.fit`: fit it to a log of the real machine
 - `kneexo.analysis.batches.batch`: simulate many variants of it
+- `kneexo.analysis.identification.experiment.design_experiment`: choose the motion that tells most
+  about its numbers
 - `kneexo.page.play.play`: make a page with sliders on which a scenario runs in the browser
 - `kneexo.simulation.compile`: machine code of a scenario, or of a Drake diagram with symbolic
   support
@@ -47,6 +49,7 @@ __all__ = [
     "batch",
     "bode",
     "compile",
+    "design_experiment",
     "design_linkage",
     "fit",
     "linearize",
@@ -58,6 +61,7 @@ __all__ = [
 if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and for editors
     from kneexo.analysis import design_linkage as design_linkage, fit as fit, track as track
     from kneexo.analysis.batches import batch as batch
+    from kneexo.analysis.identification.experiment import design_experiment as design_experiment
     from kneexo.analysis.responses import bode as bode, linearize as linearize, step as step
     from kneexo.page.play import play as play
     from kneexo.parameters import Scenario as Scenario
@@ -68,6 +72,7 @@ else:
         "batch": "kneexo.analysis.batches",
         "bode": "kneexo.analysis.responses",
         "compile": "kneexo.simulation",
+        "design_experiment": "kneexo.analysis.identification.experiment",
         "design_linkage": "kneexo.analysis",
         "fit": "kneexo.analysis",
         "linearize": "kneexo.analysis.responses",

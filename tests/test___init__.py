@@ -11,6 +11,7 @@ import pytest
 import kneexo
 from kneexo import analysis, parameters, simulation
 from kneexo.analysis import batches, responses
+from kneexo.analysis.identification import experiment
 from kneexo.page import play
 
 HOMES = {
@@ -18,6 +19,7 @@ HOMES = {
     "batch": batches,
     "bode": responses,
     "compile": simulation,
+    "design_experiment": experiment,
     "design_linkage": analysis,
     "fit": analysis,
     "linearize": responses,
@@ -26,7 +28,7 @@ HOMES = {
     "track": analysis,
 }
 FUNCTIONS = sorted(set(HOMES) - {"Scenario"})
-SLOW = ("design_linkage", "play")  # 3 s, 5 s
+SLOW = ("design_experiment", "design_linkage", "play")  # 6 s, 3 s, 5 s
 EXAMPLES = [pytest.param(n, marks=pytest.mark.slow) if n in SLOW else n for n in HOMES]
 
 

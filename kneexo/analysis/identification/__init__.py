@@ -1,1 +1,1 @@
-"""Fits a scenario to a log of the real machine: `fit.fit`."""
+"""Finds numbers of a scenario: from a log (`fit.fit`), by a designed motion (`experiment`)."""

@@ -30,7 +30,7 @@ CLAUSES = {
     "bandwidth": "−3 dB at {bandwidth_hz:.3g} Hz; walking needs at least "
     f"{GaitReference().frequency_hz:g} Hz",
 }
-"""Templates of `str.format` by name. A metric has the name of its field.
+"""Templates of ``str.format`` by name. A metric has the name of its field.
 
 The page fills them from the numbers that it computes, and leaves out what a terminal adds.
 """
