@@ -17,7 +17,7 @@ class FitSettings(Parameters):
 
     log: str = choice("", "path of the CSV file, the first argument of the command")
     parameters: tuple[str, ...] = choice(("plant.pump.lag_s",), "NAME[=LOW:HIGH] of each number")
-    columns: tuple[str, ...] = choice((), "NAME=COLUMN of other names, with a factor for other units")
+    columns: tuple[str, ...] = choice((), "NAME=COLUMN of other names, with a factor of units")
     measured: tuple[str, ...] = choice((), "columns to compare; left out: encoder, motor speed")
     command_holds: Literal["until", "from"] = choice("until", "time of the row until or from which")
     whole_loop: bool = choice(True, "False: no second estimate")
