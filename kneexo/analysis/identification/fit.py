@@ -293,7 +293,7 @@ def fit(
         time_s[-len(rows) :],
         {name: column[-len(rows) :] for name, column in values.items()},
         {name: rows[:, place] for place, name in enumerate(compared)},
-        np.isfinite(found.residuals[0]).any(axis=1),
+        np.asarray(np.isfinite(found.residuals[0]).any(axis=1)),
         found,
         whole,
         tuple(notes),
