@@ -16,6 +16,7 @@ import kneexo
 BESIDE_PACKAGES = {
     "kneexo.analysis.batches": ("BatchResult", "BatchRow"),
     "kneexo.analysis.identification.experiment": ("Experiment", "standard_candidates"),
+    "kneexo.analysis.identification.fit": ("FittedScenario",),
     "kneexo.errors": ("KneexoError", "ScenarioError", "LinkageError"),
     "kneexo.export.firmware": ("export_firmware", "export_sil"),
     "kneexo.export.fmu": ("export_fmu",),

@@ -8,7 +8,7 @@ The short names for users, as in ``import kneexo as kx``:
 - `kneexo.analysis.responses.bode`: its frequency response
 - `kneexo.analysis.responses.step`: its step response
 - `kneexo.analysis.design_linkage`: search a four-bar linkage that follows a knee
-- `kneexo.analysis.fit`: fit it to a log of the real machine
+- `kneexo.analysis.identification.fit.fit`: fit it to a log of the real machine
 - `kneexo.analysis.batches.batch`: simulate many variants of it
 - `kneexo.analysis.identification.experiment.design_experiment`: choose the motion that tells most
   about its numbers
@@ -59,9 +59,10 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and for editors
-    from kneexo.analysis import design_linkage as design_linkage, fit as fit, track as track
+    from kneexo.analysis import design_linkage as design_linkage, track as track
     from kneexo.analysis.batches import batch as batch
     from kneexo.analysis.identification.experiment import design_experiment as design_experiment
+    from kneexo.analysis.identification.fit import fit as fit
     from kneexo.analysis.responses import bode as bode, linearize as linearize, step as step
     from kneexo.page.play import play as play
     from kneexo.parameters import Scenario as Scenario
@@ -74,7 +75,7 @@ else:
         "compile": "kneexo.simulation",
         "design_experiment": "kneexo.analysis.identification.experiment",
         "design_linkage": "kneexo.analysis",
-        "fit": "kneexo.analysis",
+        "fit": "kneexo.analysis.identification.fit",
         "linearize": "kneexo.analysis.responses",
         "play": "kneexo.page.play",
         "step": "kneexo.analysis.responses",

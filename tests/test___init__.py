@@ -11,7 +11,7 @@ import pytest
 import kneexo
 from kneexo import analysis, parameters, simulation
 from kneexo.analysis import batches, responses
-from kneexo.analysis.identification import experiment
+from kneexo.analysis.identification import experiment, fit as fit_module
 from kneexo.page import play
 
 HOMES = {
@@ -21,7 +21,7 @@ HOMES = {
     "compile": simulation,
     "design_experiment": experiment,
     "design_linkage": analysis,
-    "fit": analysis,
+    "fit": fit_module,
     "linearize": responses,
     "play": play,
     "step": responses,

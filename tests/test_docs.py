@@ -255,7 +255,7 @@ def test_the_short_names_do_what_their_page_shows(tmp_path, monkeypatch, capsys)
     short = "{simulation: {duration_s: 1}, reference: {frequency_hz: 4, amplitude_deg: 0.5}}\n"
     Path("my.yaml").write_text(short, encoding="utf-8")
     text = (DOCS / "results.md").read_text(encoding="utf-8")
-    names, many, _ = re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    names, many, *_ = re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
     exec(names)
     assert "phase margin" in capsys.readouterr().out
     exec(many.replace("500", "3"), {})

@@ -16,7 +16,6 @@ from kneexo.analysis.frequency.frequency_response import (
 )
 from kneexo.analysis.frequency.rate_limit import rate_limit_bandwidth_hz, rate_limited_gain
 from kneexo.analysis.frequency.sine_estimate import SineEstimate, estimate_sine
-from kneexo.analysis.identification.fit import FittedScenario, fit
 from kneexo.analysis.linear.margins import Margins
 from kneexo.analysis.linear.plant_linearization import (
     OperatingPoint,
@@ -85,7 +84,6 @@ __all__ = [
     "EnergyBalance",
     "FaultCase",
     "FaultSurvival",
-    "FittedScenario",
     "FrequencyResponse",
     "InteractionMetrics",
     "LegLength",
@@ -123,7 +121,6 @@ __all__ = [
     "estimate_sine",
     "fault_survival",
     "find_operating_point",
-    "fit",
     "fit_polynomials",
     "fundamental",
     "interaction_metrics",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from matplotlib.figure import Figure
 
-from kneexo.analysis import FittedScenario
+from kneexo.analysis.identification.fit import FittedScenario
 
 
 def figures(result: FittedScenario) -> dict[str, Figure]:

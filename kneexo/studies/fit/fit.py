@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Literal, Unpack
+from typing import TYPE_CHECKING, Literal, Unpack
 
-from kneexo.analysis.identification.fit import FittedScenario, fit
 from kneexo.common.progress import progress_bar
 from kneexo.errors import ParameterError
 from kneexo.parameters import Scenario
 from kneexo.parameters.fields.quantity import Parameters, choice, quantity
 from kneexo.sweeps import SweepOptions
+
+if TYPE_CHECKING:
+    from kneexo.analysis.identification.fit import FittedScenario
 
 
 class FitSettings(Parameters):
@@ -31,7 +33,7 @@ def fit_study(
     settings: FitSettings = FitSettings(),
     **options: Unpack[SweepOptions],
 ) -> FittedScenario:
-    """Fit numbers of a scenario to a log: see `kneexo.analysis.fit`.
+    """Fit numbers of a scenario to a log: see `kneexo.analysis.identification.fit.fit`.
 
     Parameters
     ----------
@@ -45,8 +47,10 @@ def fit_study(
     Raises
     ------
     ParameterError, SimulationError
-        As `kneexo.analysis.fit`, or without a log.
+        As `kneexo.analysis.identification.fit.fit`, or without a log.
     """
+    from kneexo.analysis.identification.fit import fit  # `kneexo params` does without its SciPy
+
     chosen = settings.model_dump()
     log = chosen.pop("log")
     if not log:

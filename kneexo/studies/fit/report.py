@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from kneexo.analysis import FittedScenario
+from kneexo.analysis.identification.fit import FittedScenario
 from kneexo.parameters import Scenario
 from kneexo.studies.template import filled
 

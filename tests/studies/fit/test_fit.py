@@ -22,7 +22,7 @@ def passed(monkeypatch):
         passed.update(scenario=scenario, log=log, **options)
         return made_up()
 
-    monkeypatch.setattr(study, "fit", fitted)
+    monkeypatch.setattr("kneexo.analysis.identification.fit.fit", fitted)
     return passed
 
 
