@@ -1,4 +1,4 @@
-"""Figure of a `kneexo.analysis.FittedScenario`."""
+"""Figure of a `kneexo.analysis.identification.fit.FittedScenario`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Markdown report on a `kneexo.analysis.FittedScenario`."""
+"""Markdown report on a `kneexo.analysis.identification.fit.FittedScenario`."""
 
 from __future__ import annotations
 
