@@ -414,6 +414,10 @@ def _trusted(problem: _Problem, best: Any, others: Sequence[Any], notes: list[st
     residuals = problem.residuals(z)
     weighted = [piece / problem.noise for piece in residuals]
     covariance, white, times = covariance_of(problem.jacobian(z), weighted, problem.loss)
+    # Correlation only widens: residuals that swing about zero, as counts of a slow motion do, would
+    # make intervals narrower than those of white noise, and they are no noise.
+    wider = np.sqrt(np.maximum(np.diag(white) / np.diag(covariance), 1.0))
+    covariance = covariance * np.outer(wider, wider)
     deviation = np.sqrt(np.diag(covariance))
     counts = np.sum([used.sum(axis=0) for used in problem.used], axis=0)
     freedom = max(float(np.sum(counts / np.maximum(times, 1.0))) - z.size, 1.0)
@@ -453,9 +457,13 @@ def _trusted(problem: _Problem, best: Any, others: Sequence[Any], notes: list[st
             notes.append(
                 f"{name}: the residuals are not white (p = {white_p[name]:.2g}; autocorrelation "
                 f"{largest:.2f} at lag {lag}, ±{1.96 / column.size**0.5:.2g} if white): the noise "
-                f"is coloured, or the model lacks something; correlation time "
-                f"{times_s[element]:.2g} s, so the intervals count {column.size} values as "
-                f"{column.size / max(times[element], 1.0):.0f}"
+                f"is coloured, or the model lacks something; "
+                + (
+                    f"correlation time {times_s[element]:.2g} s, so the intervals count "
+                    f"{column.size} values as {column.size / times[element]:.0f}"
+                    if times[element] > 1.0
+                    else "they swing about zero, so the intervals are those of white noise"
+                )
             )
         for (source, _), u in zip(
             output_elements(prediction.model.inputs), np.concatenate(commands)[used].T, strict=False

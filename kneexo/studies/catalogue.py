@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import KW_ONLY, dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from kneexo.common.progress import Stage
@@ -230,8 +230,9 @@ def _fit() -> Computation:
 def _fit_shown() -> Presentation:
     from kneexo.studies.fit import figures, report
 
-    own = Presentation(report.report, figures.figures, scenarios=report.scenarios)
-    return replace(own, comments=report.comments)
+    return Presentation(
+        report.report, figures.figures, scenarios=report.scenarios, comments=report.comments
+    )
 
 
 def _wearer() -> Computation:

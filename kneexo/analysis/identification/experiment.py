@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from os import PathLike
 from pathlib import Path
@@ -15,7 +16,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from diagramc import InputTable, Log, State, Unknown, sensitivities, write_files
-from kneexo.analysis.identification.machine_log import AT_LIMIT, ELEMENT_OF
+from kneexo.analysis.identification.fit import unknown_of
+from kneexo.analysis.identification.machine_log import (
+    AT_LIMIT,
+    COMMAND,
+    ELEMENT_OF,
+    OFFSET,
+    START_M,
+)
 from kneexo.common.result import Array, Result
 from kneexo.errors import (
     KneexoError,
@@ -24,7 +32,7 @@ from kneexo.errors import (
     shown,
 )
 from kneexo.parameters import SampledReference, Scenario, SineReference
-from kneexo.parameters.paths import has_path, value_at
+from kneexo.parameters.paths import value_at
 from kneexo.parameters.scenario_file import as_scenario
 from kneexo.simulation.compiled import compile_open_loop, scenario_run, simulate_together
 
@@ -38,10 +46,7 @@ _RATES_DEG_S = (4.0, 8.0, 15.0)
 _TREADS = (1, 3)
 _BANDS_HZ = (1.0, 3.0, 10.0)
 _SHARES = (1 / 16, 1 / 64)  # of the amplitude of a multisine in half the range
-_COMMAND = "motor_speed_command_rad_s"
 _PRESSURE = "load_pressure_pa"
-_OFFSET = "initial_offset_m"
-_OFFSET_RANGE_M = 0.01
 _PRIOR = 12.0  # 1/variance of a place that may be anywhere from 0 to 1
 _TWO_SIDED = 1.96
 
@@ -148,8 +153,8 @@ def design_experiment(
     Raises
     ------
     ParameterError
-        A path or column is not of the scenario, all candidates are refused, or none is as short as
-        ``duration_s``.
+        A path or column is not of the scenario, a range is not within the declared one, a noise is
+        not above zero, all candidates are refused, or none is as short as ``duration_s``.
     SimulationError
         The scenario cannot follow the sine of Fig. 12.
 
@@ -169,13 +174,22 @@ def design_experiment(
     if scenario.wearer.kind != "none":
         raise ParameterError("design: a wearer moves the knee too; leave the wearer out")
     smooth = scenario.without_quantizers()
-    for path, ends in ranges.items():
-        if not has_path(scenario, path):
-            scenario.changed({path: ends[0]})  # says which paths there are
-    unknowns = [Unknown(path, *ends, value_at(scenario, path)) for path, ends in ranges.items()]
+    if not ranges or not noise or not STEP_S <= duration_s < math.inf:
+        raise ParameterError(
+            f"design: needs a range, a noise and duration_s of {STEP_S:g} s or more; has "
+            f"{len(ranges)}, {len(noise)} and {duration_s:g} s"
+        )
+    # The derivatives are at the numbers of the scenario: `replace` refuses one outside its range.
+    unknowns = [
+        replace(unknown_of(scenario, path, ends), start=value_at(scenario, path))
+        for path, ends in ranges.items()
+    ]
+    for column, sigma in noise.items():
+        if not 0.0 < sigma < math.inf:
+            raise ParameterError(f"noise: {shown(column)} = {sigma:g}: must be finite and above 0")
     for column in set(noise) - set(ELEMENT_OF):
         raise ParameterError(f"noise: {shown(column)} is no column of a run")
-    limits = {_COMMAND: scenario.command_limit_rad_s, _PRESSURE: scenario.pressure_rating_pa}
+    limits = {COMMAND: scenario.command_limit_rad_s, _PRESSURE: scenario.pressure_rating_pa}
     candidates = standard_candidates(scenario) if candidates is None else candidates
     variants, told, refused = {}, {}, dict[str, str]()
     for name, angles in candidates.items():
@@ -277,8 +291,8 @@ def _information(
         if np.max(np.abs(run[column])) >= AT_LIMIT * limit:
             raise ParameterError(f"{column}: reaches its limit, {limit:.4g}")
     model, start = compile_open_loop(scenario), scenario.initial_offset_m
-    offset = Unknown(_OFFSET, start - _OFFSET_RANGE_M, start + _OFFSET_RANGE_M)
-    command = np.append(run[_COMMAND][1:], run[_COMMAND][-1])  # a row has the command until it
+    offset = Unknown(OFFSET, start - START_M, start + START_M)
+    command = np.append(run[COMMAND][1:], run[COMMAND][-1])  # a row has the command until it
     measured = {ELEMENT_OF[column]: run.time_s for column in noise}  # any values
     period_s = scenario.controller.sample_time_s
     log = Log(run.time_s, measured, period_s, {"motor_speed_command": command})

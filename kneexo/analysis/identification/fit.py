@@ -33,8 +33,10 @@ from kneexo.analysis.identification.machine_log import (
     COMMAND,
     ELEMENT_OF,
     ENCODER,
+    OFFSET,
     REFERENCE,
     SPEED,
+    START_M,
     TIME,
     check,
     check_range,
@@ -61,8 +63,6 @@ from kneexo.simulation.compiled import (
 )
 from kneexo.systems.knee_reference import start_angle_rad
 
-_OFFSET = "initial_offset_m"
-_START_M = 0.01  # between the rod's start and where the first reading of the encoder sees it
 _DECADE = 10.0  # ends of a range that the user leaves out, as factors of the scenario's value
 _ROUNDED = 1.5  # of the deviation of rounding: less is hardly noise
 _SENSOR = {"delay_s": (0.0, "s"), "gain": (1.0, ""), "bias": (0.0, "")}  # without error
@@ -253,10 +253,10 @@ def fit(
     model, command = compile_open_loop(smooth), part.table({"motor_speed_command": 1})
     if "knee_reference" in model.inputs:
         command = stack_tables(command, reference_table(start.reference))
-    names = *paths, _OFFSET
+    names = *paths, OFFSET
     at = _at(model, start, names, command)
     with named_in_errors(path), suppress(SimulationError):  # which `identify` raises again
-        numbers, state, inputs = at({_OFFSET: 0.0}, part)
+        numbers, state, inputs = at({OFFSET: 0.0}, part)
         times_s = np.maximum(time_s, 0.0)
         run = model.simulate(numbers, state, times_s[-1], inputs=inputs, record_times_s=times_s)
         places = (ELEMENT_OF[name].rstrip("]").partition("[") for name in compared)
@@ -264,9 +264,9 @@ def fit(
         compare(logged, dict(zip(compared, predicted, strict=True)), scenario)
     with named_in_errors(path):
         check_range(logged, scenario)
-    if _OFFSET not in paths:
+    if OFFSET not in paths:
         begin = start.initial_offset_m
-        unknowns.append(Unknown(_OFFSET, begin - _START_M, begin + _START_M, begin, "m"))
+        unknowns.append(Unknown(OFFSET, begin - START_M, begin + START_M, begin, "m"))
     found = identify(model, part, unknowns, at=at, **options)
     notes, whole = [], None
     if at_limit := np.mean(np.abs(held) > AT_LIMIT * scenario.command_limit_rad_s):
@@ -300,38 +300,61 @@ def fit(
     )
 
 
-def _unknown(scenario: Scenario, text: str, log: Log) -> Unknown:
-    """Return the unknown that ``text``, NAME or NAME=LOW:HIGH, asks for."""
-    name, _, ends = text.partition("=")
-    holder, _, last = name.rpartition(".")
-    if holder in log.measured and last in _SENSOR:
-        (value, unit), limits, allowed = _SENSOR[last], (-math.inf, math.inf), "finite"
-    else:
-        if not has_path(scenario, name):
-            scenario.changed({name: 1.0})  # its error says which names there are
-        value, owner = value_at(scenario, name), value_at(scenario, holder) if holder else scenario
-        if not isinstance(value, float):
-            raise ParameterError(f"{name} = {shown(value)}: must be a real number with a range")
-        field = type(owner).model_fields[last]
-        limits, allowed, unit = limits_of(field), allowed_range(field), unit_of(field)
+def unknown_of(scenario: Scenario, path: str, ends: tuple[float, float] | None = None) -> Unknown:
+    """Return a number of a scenario as an unknown: in a range, or in a decade about its value.
+
+    Raises `ParameterError` if the path is no real number of the scenario, or the range is not
+    within the declared one.
+    """
+    if not has_path(scenario, path):
+        scenario.changed({path: 1.0})  # its error says which names there are
+    holder, _, last = path.rpartition(".")
+    value, owner = value_at(scenario, path), value_at(scenario, holder) if holder else scenario
+    if not isinstance(value, float):
+        raise ParameterError(f"{path} = {shown(value)}: must be a real number with a range")
+    field = type(owner).model_fields[last]
+    return _ranged(path, value, ends, limits_of(field), allowed_range(field), unit_of(field))
+
+
+def _ranged(
+    name: str,
+    value: float,
+    ends: tuple[float, float] | None,
+    limits: tuple[float, float],
+    allowed: str,
+    unit: str,
+) -> Unknown:
     low, high = sorted((value / _DECADE, value * _DECADE))
-    low, high = max(low, limits[0]), min(high, limits[1])
-    if ends:
-        try:
-            low, high = map(float, ends.split(":"))
-        except ValueError:
-            raise ParameterError(f"{shown(text)}: must be NAME or NAME=LOW:HIGH") from None
+    low, high = ends or (max(low, limits[0]), min(high, limits[1]))
     if not limits[0] <= low < high <= limits[1]:
         raise ParameterError(
             f"{name} = {value:g} {unit}: the range {low:g} … {high:g} must have low < high, and be "
             f"{allowed}; give one, such as {name}=LOW:HIGH"
         )
-    if unit == "s" and value > (duration_s := float(np.ptp(log.time_s))):
+    return Unknown(name, low, high, value if low <= value <= high else None, unit)
+
+
+def _unknown(scenario: Scenario, text: str, log: Log) -> Unknown:
+    """Return the unknown that ``text``, NAME or NAME=LOW:HIGH, asks for."""
+    name, _, words = text.partition("=")
+    try:
+        low, high = map(float, words.split(":")) if words else (0.0, 0.0)
+    except ValueError:
+        raise ParameterError(f"{shown(text)}: must be NAME or NAME=LOW:HIGH") from None
+    ends = (low, high) if words else None
+    sensor, _, last = name.rpartition(".")
+    if sensor not in log.measured or last not in _SENSOR:
+        unknown = unknown_of(scenario, name, ends)
+    else:
+        value, unit = _SENSOR[last]
+        unknown = _ranged(name, value, ends, (-math.inf, math.inf), "finite", unit)
+    value = unknown.value(unknown.begin)
+    if unknown.unit == "s" and value > (duration_s := float(np.ptp(log.time_s))):
         raise ParameterError(
             f"{name} = {value:g} s: is longer than the log of {duration_s:.4g} s; must be shorter; "
             f"take a longer log"
         )
-    return Unknown(name, low, high, value if low <= value <= high else None, unit)
+    return unknown
 
 
 def _started(
@@ -354,7 +377,7 @@ def _started(
     samples = SampledReference(
         times_s=tuple(times_s.tolist()), angles_deg=tuple(np.degrees(reference).tolist())
     )
-    return smooth.model_copy(update={"reference": samples, _OFFSET: offset_m})
+    return smooth.model_copy(update={"reference": samples, OFFSET: offset_m})
 
 
 def _at(

@@ -29,6 +29,10 @@ ELEMENT_OF = {
     for index, column in enumerate(columns)
 }
 """Element of an output of a compiled model, by the column of a run that shows it."""
+OFFSET = "initial_offset_m"
+"""Path of the position of the rod at the start, which a log never tells."""
+START_M = 0.01
+"""Search range in m to both sides of where the first reading of the encoder sees the rod."""
 AT_LIMIT = 0.999
 """Share of the limit from which a command counts as limited, because a log rounds."""
 _HOLE = 10.0  # sample times, as in `diagramc.Log`: the held command bridges a shorter one

@@ -114,7 +114,7 @@ const Numbers = (() => {
 
   /** The part of a run for which the largest values count. */
   function ofReach({ metrics: { protection: { stop, fault_s, safe_time_s: safe_s } } }) {
-    return [`largest from the ${stop?.time_s === fault_s ? "stop" : "fault"} on${safe_s === null ? ", never safe" : ""}`, "plain"];
+    return [`largest from the ${stop?.time_s === fault_s ? "stop" : "fault"} on${safe_s === null ? ", until the end" : ""}`, "plain"];
   }
 
   // If a row has `wearer`, it is only for set-ups with a wearer (true) or without a wearer (false).

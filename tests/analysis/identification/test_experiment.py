@@ -169,11 +169,19 @@ def test_standard_candidates_begin_and_end_at_rest_and_have_their_bands_and_rate
         ({"plant.pump.lags": (1.0, 2.0)}, {SPEED: 1.0}, "lags"),
         ({LAG: (0.02, 0.1)}, {SPEED: 1.0}, "start = 0.01 must be within"),
         ({LAG: (0.001, 0.1)}, {"motor_speed": 1.0}, "motor_speed is no column of a run"),
+        ({LAG: (0.001, 2.0)}, {SPEED: 1.0}, "the range 0.001 … 2 must"),
+        ({"controller.kind": (1.0, 2.0)}, {SPEED: 1.0}, "must be a real number with a range"),
+        ({LAG: (0.001, 0.1)}, {SPEED: 0.0}, "motor_speed_rad_s = 0: must be finite and above 0"),
+        ({LAG: (0.001, 0.1)}, {SPEED: np.nan}, "= nan: must be finite"),
+        ({}, {SPEED: 1.0}, "needs a range, a noise"),
+        ({LAG: (0.001, 0.1)}, {}, "needs a range, a noise"),
     ],
 )
 def test_a_wrong_argument_is_refused(ranges, noise, message):
     with pytest.raises(ParameterError, match=message):
         designed(ranges, noise)
+    with pytest.raises(ParameterError, match="duration_s of 0"):
+        designed({LAG: (0.001, 0.1)}, {SPEED: 1.0}, duration_s=np.nan)
     with pytest.raises(ParameterError, match="leave the wearer out"):
         design_experiment(Scenario.preset("wearer"), ranges, noise)
 

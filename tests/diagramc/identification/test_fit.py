@@ -261,18 +261,21 @@ def test_a_second_minimum_as_good_is_told(model, sensors):
 
 
 def test_a_note_tells_how_far_from_white_the_residuals_are(model, sensors):
-    notes = []
-    for colour in (0.0, 0.8):
+    notes, widths = [], []
+    for colour in (0.0, 0.8, -0.8):
         log = log_of(sensors, 3, 1.0, colour)
         fit = identify(model, log, UNKNOWNS[5:], parameters=TRUE[:5], validation=0.0)
         notes.append([note for note in fit.notes if note.startswith(f"{V}: the residuals")])
-    white, (coloured,) = notes
+        widths.append(np.ptp(fit.interval[f"{V}.gain"]))
+    white, (coloured,), (swinging,) = notes
     assert not white
     numbers = r"autocorrelation (.*) at lag 1, ±0.089 if white.* time (.*) s, .* 490 values as (.*)"
     first, time_s, alone = map(float, re.search(numbers, coloured).groups())
     assert first == pytest.approx(0.8, abs=0.06)
     assert time_s == pytest.approx(9.0 * T, rel=0.4)  # (1 + 0.8)/(1 - 0.8) rows
     assert alone == pytest.approx(490 * T / time_s, rel=0.1)
+    assert swinging.endswith("they swing about zero, so the intervals are those of white noise")
+    assert widths[2] == pytest.approx(widths[0], rel=0.1)  # a third, if the sum narrowed them
 
 
 def test_a_note_tells_of_residuals_that_follow_an_input(model, sensors):
