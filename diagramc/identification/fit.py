@@ -188,8 +188,8 @@ class Fit:
         lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
         for output, percent in self.train.items():
             held = self.validation.get(output)
-            rest = "" if held is None else f", {held:.2f} % of the rows held out"
-            lines.append(f"{output}: {percent:.2f} % explained{rest}")
+            rest = "" if held is None else f" of the rows fitted, {held:.2f} % of those held out"
+            lines.append(f"{output}: the model explains {percent:.2f} %{rest}")
         return "\n".join([*lines, *self.notes])
 
 
@@ -271,7 +271,9 @@ def identify(
         _require_known("unknown", asked, [*sensors, *model.parameter_names, *states])
         at = _given(model, (*logs, *held_out), parameters, state)
     if twice := [n for n in asked if [*asked, *{*sensors} & {*model.parameter_names}].count(n) > 1]:
-        raise ParameterError(f"{quoted(twice[0])}: is unknown twice, or names two things")
+        raise ParameterError(
+            f"{quoted(twice[0])}: is listed twice, or is both a sensor and a parameter"
+        )
     longest = max((u.high for u in unknowns if u.name in sensors and "delay" in u.name), default=0)
     segments = segments_of(logs, elements, longest, validation)
     if len(segments) > len(logs) and states.isdisjoint(asked):
@@ -348,7 +350,9 @@ def _start(problem: _Problem, notes: list[str]) -> Array:
     names, unknowns = problem.prediction.names, problem.prediction.unknowns
     given = np.array([unknown.begin for unknown in unknowns])
     if problem.rows <= 2 * given.size:
-        raise ParameterError(f"log: has {problem.rows} values to train {given.size} unknowns")
+        raise ParameterError(
+            f"log: has {problem.rows} values for {given.size} unknowns: must have more than twice as many"
+        )
     start = np.clip(given, _MOVED, 1.0 - _MOVED)
     for name, unknown, place, before in zip(names, unknowns, start, given, strict=True):
         if before in (0.0, 1.0):

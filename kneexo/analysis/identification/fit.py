@@ -274,8 +274,8 @@ def fit(
     count = scenario.encoder.resolution_rad / math.sqrt(12.0)  # deviation of rounding
     if found.noise.get("encoder_reading", math.inf) < _ROUNDED * count:
         notes.append(
-            "encoder_reading: its residuals are whole counts, no random noise, so a value can be "
-            "beyond its interval; log a motion that never repeats, and pressures; try more starts"
+            "encoder_reading: its residuals are mostly rounding, so a true value can lie outside "
+            "its interval; log pressures too, and a motion that never repeats; try more starts"
         )
     if whole_loop and REFERENCE in logged:
         try:

@@ -152,7 +152,7 @@ def check_range(log: Mapping[str, Array], scenario: Scenario) -> None:
 def compare(log: Mapping[str, Array], predicted: Mapping[str, Array], scenario: Scenario) -> None:
     """Raise `ParameterError` where a column opposes its prediction (n,), or has another unit.
 
-    Motor speed and command are swapped if the speed comes before the command.
+    Motor speed and command are swapped if the speed leads the command in time.
     """
     for name, values in predicted.items():
         if not np.ptp(log[name]) * np.ptp(values):
@@ -161,13 +161,13 @@ def compare(log: Mapping[str, Array], predicted: Mapping[str, Array], scenario: 
             early, late = log[SPEED][:-_AHEAD], log[SPEED][_AHEAD:]
             leads = np.corrcoef(early, log[COMMAND][_AHEAD:])[0, 1]
             if 1.0 - leads < 0.5 * (1.0 - np.corrcoef(late, log[COMMAND][:-_AHEAD])[0, 1]):
-                raise ParameterError(f"{SPEED}: comes before {COMMAND}: are the columns swapped?")
+                raise ParameterError(f"{SPEED}: leads {COMMAND} in time: are the columns swapped?")
         follows = float(np.corrcoef(log[name], values)[0, 1])
         ratio = float(np.std(log[name]) / np.std(values))
         if follows < _OPPOSES:
             raise ParameterError(
                 f"{name}: falls where {COMMAND} makes it rise (correlation {follows:.2f}): must "
-                f"have the same sign; turn it by --columns {name}={name}*-1",
+                f"rise too; turn one of them, as by --columns {name}={name}*-1",
             )
         if follows > _FOLLOWS and (unit := _unit(ratio, scenario, name)):
             raise ParameterError(

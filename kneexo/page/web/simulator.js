@@ -651,8 +651,9 @@ const Simulator = (() => {
   }
 
   // When and why the protection stopped the motor, when the knee was safe, and the largest error, turn and torque of
-  // the knee until then. All count from the fault on, or from a stop before the fault. A signal at a sample shows the state before the update at this sample,
-  // so the supervisor decided a sample before, as in kneexo/analysis/tracking/stop.py.
+  // the knee until then. All count from the fault on, or from a stop before the fault. A signal at a sample shows the
+  // state before the update at this sample, so the supervisor decided a sample before, as in
+  // kneexo/analysis/tracking/stop.py.
   function protectionMetrics({ time, state, reason, speed, angle, error, kneeTorque }, { names, standstill_rad_s }, from_s) {
     const [stopped, released] = ["stopped", "released"].map((name) => names.indexOf(name));
     const stop = reason.findIndex((value) => value > 0);

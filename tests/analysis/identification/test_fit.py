@@ -79,7 +79,7 @@ def test_the_numbers_of_an_own_program_are_found_within_their_intervals():
     assert result.open_loop.noise["motor_speed"] == pytest.approx(1.0, rel=0.1)
     limited, note = result.notes
     assert limited == "motor_speed_command_rad_s: is at its limit in 0.4 % of the rows"
-    assert note.startswith("encoder_reading: its residuals are whole counts")
+    assert note.startswith("encoder_reading: its residuals are mostly rounding")
 
 
 def test_a_log_may_begin_in_motion():
@@ -173,7 +173,7 @@ def test_a_wrong_sign_or_unit_is_named(case):
 def test_swapped_columns_are_named():
     command, speed = "motor_speed_command_rad_s", "motor_speed_rad_s"
     log = LOG | {command: LOG[speed], speed: LOG[command]}
-    with pytest.raises(ScenarioError, match=r"speed_rad_s: comes before .*: are the columns swapp"):
+    with pytest.raises(ScenarioError, match=r"speed_rad_s: leads .*: are the columns swapp"):
         fit(BASE, log, [LAG], command_holds="from")
 
 

@@ -312,7 +312,7 @@ def test_a_wrong_log_is_refused(change, message):
     ("changes", "message"),
     [
         ({"unknowns": [Unknown("mass", 1.0, 2.0)]}, "unknown 'mass': must be one of"),
-        ({"unknowns": UNKNOWNS[:1] * 2}, "is unknown twice"),
+        ({"unknowns": UNKNOWNS[:1] * 2}, "is listed twice"),
         ({"loss": "square"}, "a loss of linear"),
         ({"measured": {"z": np.ones(60)}}, "output 'z': must be one of"),
         ({"rows": 15}, "rows from 0 s; must have 20"),
