@@ -271,9 +271,7 @@ def identify(
         _require_known("unknown", asked, [*sensors, *model.parameter_names, *states])
         at = _given(model, (*logs, *held_out), parameters, state)
     if twice := [n for n in asked if [*asked, *{*sensors} & {*model.parameter_names}].count(n) > 1]:
-        raise ParameterError(
-            f"{quoted(twice[0])}: is listed twice, or is both a sensor and a parameter"
-        )
+        raise ParameterError(f"{quoted(twice[0])}: is listed twice, or has two meanings")
     longest = max((u.high for u in unknowns if u.name in sensors and "delay" in u.name), default=0)
     segments = segments_of(logs, elements, longest, validation)
     if len(segments) > len(logs) and states.isdisjoint(asked):
@@ -351,7 +349,8 @@ def _start(problem: _Problem, notes: list[str]) -> Array:
     given = np.array([unknown.begin for unknown in unknowns])
     if problem.rows <= 2 * given.size:
         raise ParameterError(
-            f"log: has {problem.rows} values for {given.size} unknowns: must have more than twice as many"
+            f"log: has {problem.rows} values for {given.size} unknowns: must have more than twice "
+            f"as many"
         )
     start = np.clip(given, _MOVED, 1.0 - _MOVED)
     for name, unknown, place, before in zip(names, unknowns, start, given, strict=True):
