@@ -161,12 +161,12 @@ class FittedScenario(Result):
         for (left, right), (name, values) in zip(axes, self.measured.items(), strict=True):
             left.plot(self.time_s, values, color=GOLD, label="measured")
             left.plot(self.time_s, self.predicted[name], color=BLUE, ls="--", label="predicted")
-            right.plot(self.time_s, self.predicted[name] - values, color=BLUE)
+            right.plot(self.time_s, self.predicted[name] - values, ".", ms=2, color=BLUE)
             left.set(xlabel="time (s)", ylabel=name)
             right.set(xlabel="time (s)", ylabel="predicted less measured")
             for ax in () if self.trained.all() else (left, right):
                 ax.axvspan(self.time_s[self.trained.argmin()], self.time_s[-1], color="0.9")
-        axes[0, 0].legend()
+        axes[0, 0].legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
         return axes
 
 
