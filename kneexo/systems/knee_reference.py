@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import lru_cache
-from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
 
@@ -276,12 +275,14 @@ def reference_range_deg(parameters: Reference) -> tuple[float, float]:
     if not isinstance(parameters, SampledReference):
         return parameters.range_deg
     spline = sampled_spline(parameters)
-    samples = parameters.times_s
-    times = [*samples]
-    for start, end in pairwise(samples):  # the rate is a parabola between two samples
-        rate, slope, curvature = (spline.EvalDerivative(start, n)[0, 0] for n in (1, 2, 3))
-        roots = np.roots([0.5 * curvature, slope, rate])
-        times += [start + t.real for t in roots if t.imag == 0.0 and 0.0 < t.real < end - start]
+    samples = np.array(parameters.times_s)
+    start, length = samples[:-1], np.diff(samples)
+    # The rate is a parabola between two samples: rate + slope t + curvature t²/2.
+    rate, slope, curvature = (spline.derivative(n).vector_values(start)[0] for n in (1, 2, 3))
+    with np.errstate(all="ignore"):  # nan without a real root, and infinity without a parabola
+        q = -0.5 * (slope + np.copysign(np.sqrt(slope**2 - 2.0 * curvature * rate), slope))
+        roots = np.stack([2.0 * q / curvature, rate / q])
+    times = np.concatenate([samples, (start + roots)[(roots > 0.0) & (roots < length)]])
     angles = np.degrees(spline.vector_values(times)[0])
     return float(angles.min()), float(angles.max())
 
