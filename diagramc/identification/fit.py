@@ -32,6 +32,7 @@ _AT_BOUND = 1e-4  # of the range
 _CONFIDENCE = 0.95
 _ALIKE = 0.95  # correlation of two unknowns that a note names
 _FOLLOWS = 0.25  # neighbouring lags are alike, so with 5 % expected a tenth is no rarity
+_LEAST_NOISE = 1e-9  # in spreads: that of the runs themselves
 _REWEIGHTED = 10  # at most, until the noise changes by less than 1 %
 
 
@@ -39,13 +40,21 @@ class _Problem:
     """Least squares of the residuals of a prediction, weighted by the noise of each output."""
 
     def __init__(self, prediction: Prediction, loss: str) -> None:
-        """Begin with the spread of each output in place of its noise."""
+        """Begin with the noise that the measured values show.
+
+        Their third differences have 20 times the variance of white noise, and hardly a smooth
+        motion. With the spread in place of the noise, searches ended in wrong minima: an output
+        that hardly moves weighed too much.
+        """
         self.prediction, self.loss = prediction, loss
         segments = prediction.segments
         self.used = [np.isfinite(s.measured) & s.trained[:, None] for s in segments]
         spread = np.nanstd(np.concatenate([s.measured for s in segments]), axis=0)
         self.spread = np.where(spread > 0.0, spread, 1.0)
-        self.noise = self.spread
+        thirds = [[np.diff(y[np.isfinite(y)], n=3) for y in s.measured.T] for s in segments]
+        columns = [np.concatenate(pieces) for pieces in zip(*thirds, strict=True)]
+        variance = [np.sum(third**2) / 20.0 / max(third.size, 1) for third in columns]
+        self.noise = np.maximum(np.sqrt(variance), _LEAST_NOISE * self.spread)
         self.rows = int(sum(used.sum() for used in self.used))
 
     def residuals(self, z: Array) -> list[Array]:
@@ -54,9 +63,9 @@ class _Problem:
         cases = zip(predicted, self.prediction.segments, self.used, strict=True)
         return [np.where(used, p - s.measured, np.nan) for p, s, used in cases]
 
-    def jacobian(self, z: Array) -> list[Array]:
+    def jacobian(self, z: Array, *, rough: bool = False) -> list[Array]:
         """Return the weighted Jacobian (rows, elements, columns), zero where a row is not used."""
-        jacobian = self.prediction.jacobian(z)
+        jacobian = self.prediction.slopes(z) if rough else self.prediction.jacobian(z)
         noise = self.noise[:, None]
         return [
             np.where(used[:, :, None], piece / noise, 0.0)
@@ -80,7 +89,7 @@ class _Problem:
             return residuals.ravel()[used]
 
         def slopes(places: Array) -> Array:
-            return stacked(self.jacobian(whole(places)))[used][:, free]
+            return stacked(self.jacobian(whole(places), rough=True))[used][:, free]
 
         self.residuals(z)  # a failure at the start is the caller's to know
         if not z[free].size:
@@ -103,7 +112,7 @@ class _Problem:
                 noise = np.sqrt(np.nanmean(errors**2, axis=0) * freedom)
             else:  # the median of outliers is that of the noise
                 noise = 1.4826 * np.nanmedian(np.abs(errors), axis=0)
-            self.noise = np.maximum(noise, 1e-9 * self.spread)  # of the runs themselves
+            self.noise = np.maximum(noise, _LEAST_NOISE * self.spread)
             if np.all(np.abs(self.noise / before - 1.0) < 0.01):
                 break
         return result
@@ -460,7 +469,7 @@ def _trusted(problem: _Problem, best: Any, others: Sequence[Any], notes: list[st
             notes.append(
                 f"{name}: the residuals are not white (p = {white_p[name]:.2g}; autocorrelation "
                 f"{largest:.2f} at lag {lag}, ±{1.96 / column.size**0.5:.2g} if white): the noise "
-                f"is coloured, or the model lacks something; "
+                f"is coloured, the model lacks something, or a wrong minimum was found; "
                 + (
                     f"correlation time {times_s[element]:.2g} s, so the intervals count "
                     f"{column.size} values as {column.size / times[element]:.0f}"

@@ -97,7 +97,7 @@ def covariance_of(
     ``jacobian`` has an array (rows, elements, columns) for each segment, and ``residuals`` an array
     (rows, elements), both weighted. A missing residual is nan, and its row of ``jacobian`` is zero.
     """
-    score, columns = SCORES[loss], jacobian[0].shape[-1]
+    score = SCORES[loss]
     every = np.concatenate(residuals)
     curvature = float(np.nanmean(score(every + 1e-6) - score(every - 1e-6))) / 2e-6
     left, values, right = np.linalg.svd(stacked(jacobian), full_matrices=False)
@@ -109,9 +109,9 @@ def covariance_of(
     ]
     present = [np.isfinite(r) for r in residuals]
     scores = [score(np.nan_to_num(r)) for r in residuals]
-    longest = max(map(len, residuals))
-    total = sum(_correlated(s, s, longest) for s in scores)
-    pairs = sum(_correlated(p.astype(float), p.astype(float), longest) for p in present)
+    lags = min(_MOST_TERMS, max(map(len, residuals)) // 4) + 1
+    total = sum(_correlated(s, s, lags) for s in scores)
+    pairs = sum(_correlated(p.astype(float), p.astype(float), lags) for p in present)
     pairs = np.maximum(np.rint(pairs), 1.0)
     gamma = total / pairs
     for _ in range(_PASSES + 1):
@@ -120,8 +120,7 @@ def covariance_of(
         inner = sum(np.einsum("rej,rek->jk", q, g) for q, g in zip(basis, coloured, strict=True))
         taken = np.zeros_like(total)
         for q, g in zip(basis, coloured, strict=True):
-            for k in range(columns):
-                taken += _correlated(q[:, :, k], 2.0 * g[:, :, k] - q @ inner[:, k], longest)
+            taken += _correlated(q, 2.0 * g - q @ inner, lags)
         gamma = (total + taken) / pairs
     times = np.array([_spectrum(model, 1)[0] for model in models]) / gamma[0]
     white = np.mean(np.concatenate(scores)[np.concatenate(present)] ** 2)
@@ -129,11 +128,16 @@ def covariance_of(
 
 
 def _correlated(a: Array, b: Array, lags: int) -> Array:
-    """Return Σ_t (a_t b_(t+l) + b_t a_(t+l))/2 for the lags l, (lags, elements)."""
-    size = 2 * len(a)
-    product = np.fft.rfft(a, size, axis=0) * np.fft.rfft(b, size, axis=0).conj()
+    """Return Σ_t (a_t b_(t+l) + b_t a_(t+l))/2 for the lags l, (lags, elements).
+
+    a and b have the shape (rows, elements) or (rows, elements, columns), and columns are summed.
+    """
+    a, b = (np.reshape(each, (*each.shape[:2], -1)) for each in (a, b))
     result = np.zeros((lags, a.shape[1]))
-    result[: len(a)] = np.fft.irfft(product.real, size, axis=0)[: len(a)]
+    for lag in range(min(lags, len(a))):
+        late, early = slice(lag, None), slice(len(a) - lag)
+        for first, second in ((a, b), (b, a)):
+            result[lag] += 0.5 * np.einsum("tek,tek->e", first[early], second[late])
     return result
 
 
@@ -144,7 +148,7 @@ def _autoregression(gamma: Array, count: float) -> tuple[Array, float]:
     chooses the number of terms.
     """
     best, result = math.inf, (np.zeros(0), float(gamma[0]))
-    for terms in range(min(_MOST_TERMS, gamma.size // 4) + 1):
+    for terms in range(gamma.size):
         past = gamma[1 : terms + 1]
         a = scipy.linalg.solve_toeplitz(gamma[:terms], past) if terms else past
         variance = float(gamma[0] - a @ past)
@@ -184,7 +188,7 @@ def whiteness(residuals: Array) -> tuple[float, int, float]:
     n = residuals.size
     lags = min(40, n // 4)
     r = residuals - residuals.mean()
-    rho = _correlated(r[:, None], r[:, None], n)[1 : lags + 1, 0] / (r @ r)
+    rho = _correlated(r[:, None], r[:, None], lags + 1)[1:, 0] / (r @ r)
     statistic = n * (n + 2) * np.sum(rho**2 / (n - np.arange(1, lags + 1)))
     largest = int(np.argmax(np.abs(rho)))
     return float(rho[largest]), largest + 1, float(scipy.stats.chi2.sf(statistic, lags))
@@ -201,8 +205,8 @@ def input_correlation(residuals: Array, inputs: Array) -> float:
     if not (r @ r) * (u @ u):
         return 0.0
     lags = min(40, n // 4)
-    auto = [_correlated(s[:, None], s[:, None], n)[:, 0] / (s @ s) for s in (r, u)]
-    both = auto[0][:lags] * auto[1][:lags]
+    auto = [_correlated(s[:, None], s[:, None], lags)[:, 0] / (s @ s) for s in (r, u)]
+    both = auto[0] * auto[1]
     sigma = math.sqrt(max(2.0 * both.sum() - both[0], 1.0) / n)
     cross = np.array([r[lag:] @ u[: n - lag] for lag in range(lags)])
     return float(np.mean(np.abs(cross) > 1.96 * sigma * math.sqrt((r @ r) * (u @ u))))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from kneexo.analysis.faults.thresholds import MARGIN, detector_thresholds
 from kneexo.analysis.identification.fit import fit
 from kneexo.analysis.tracking.tracking import track
 from kneexo.errors import ParameterError, ScenarioError
@@ -129,19 +130,25 @@ def test_both_estimates_agree_if_the_controller_is_that_of_the_machine():
         assert abs(rows[name]["difference"]) < 4.0
 
 
+def motion_that_does_not_repeat(seed):
+    """A believed scenario, its machine with the true numbers, and the log of a run."""
+    random, t = np.random.default_rng(seed), np.arange(0.0, 6.001, 0.02)
+    hz = np.array([0.23, 0.61, 1.37, 2.9]) * random.uniform(0.9, 1.1, 4)
+    waves = np.sin(2.0 * np.pi * hz * t[:, None] + random.uniform(0.0, 6.28, 4))
+    angles = 40.0 + waves @ [4.0, 2.5, 1.2, 0.4]
+    base = Scenario(reference=SampledReference(times_s=t, angles_deg=angles))
+    true = base.model_copy(update={"nominal": base.plant}).changed(TRUE)
+    log = dict(track(true, all_signals=True).run.columns)
+    noise = 1.5 * random.standard_normal(log["time_s"].size)
+    log["motor_speed_rad_s"] = log["motor_speed_rad_s"] + noise
+    return base, true, log
+
+
 @pytest.mark.slow
 def test_intervals_are_right_for_a_motion_that_does_not_repeat():
     errors = []
     for seed in range(6):
-        random, t = np.random.default_rng(seed), np.arange(0.0, 6.001, 0.02)
-        hz = np.array([0.23, 0.61, 1.37, 2.9]) * random.uniform(0.9, 1.1, 4)
-        waves = np.sin(2.0 * np.pi * hz * t[:, None] + random.uniform(0.0, 6.28, 4))
-        angles = 40.0 + waves @ [4.0, 2.5, 1.2, 0.4]
-        base = Scenario(reference=SampledReference(times_s=t, angles_deg=angles))
-        true = base.model_copy(update={"nominal": base.plant}).changed(TRUE)
-        log = dict(track(true, all_signals=True).run.columns)
-        noise = 1.5 * random.standard_normal(log["time_s"].size)
-        log["motor_speed_rad_s"] = log["motor_speed_rad_s"] + noise
+        base, _, log = motion_that_does_not_repeat(seed)
         found = fit(base, log, [LAG, PUMP], whole_loop=False).open_loop
         deviation = np.sqrt(np.diag(found.covariance))
         errors.append(
@@ -149,6 +156,29 @@ def test_intervals_are_right_for_a_motion_that_does_not_repeat():
         )
     assert 0.4 < np.sqrt(np.mean(np.square(errors))) < 1.6
     assert np.abs(errors).max() < 4.0
+
+
+@pytest.mark.slow
+def test_thresholds_of_a_fitted_machine_see_a_drift_that_the_default_ones_miss():
+    base, true, log = motion_that_does_not_repeat(0)
+    fitted = fit(base, log, [LAG, PUMP], whole_loop=False)
+    task = {"reference": "sine", "protection": {}, "simulation.duration_s": 22.0}
+    own = fitted.scenario.changed({"nominal": None, **task})
+    level_mm = detector_thresholds(own, fitted.uncertainty(), 10).largest("flow")
+    narrow = {"protection": {"flow_mm": MARGIN * level_mm}}
+    healthy = detector_thresholds(own.changed(narrow), fitted.uncertainty(), 50, seed=2)
+    assert not healthy.alarms
+    drift = {"place": "encoder", "kind": "drift", "size": 0.5, "start_s": 12.0}
+    unit = {"nominal": own.plant.model_dump(), **task, **narrow}
+    seen = [
+        np.any(
+            track(true.changed(change | {"faults": (drift,)}), all_signals=True).run[
+                "safety_reason"
+            ]
+        )
+        for change in (task, unit)
+    ]
+    assert seen == [False, True]
 
 
 LOG = machine(120)

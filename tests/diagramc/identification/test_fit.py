@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from iminuit import Minuit
 from pydrake.symbolic import Variable, max as larger, min as smaller
 from pydrake.systems.primitives import SymbolicVectorSystem
 from scipy.integrate import solve_ivp
@@ -168,6 +169,40 @@ def test_intervals_hold_what_they_promise_and_errors_are_those_of_cramer_and_rao
         assert 0.935 <= share.mean() <= 0.965
         if not colour:
             assert np.max(np.sqrt(np.mean(np.square(errors), axis=0)) / bound) <= 1.2
+
+
+@pytest.mark.slow(gate=0)
+def test_profiles_are_those_of_minos(model, sensors):
+    """MINOS of iminuit profiles a likelihood with an optimizer of its own (James and Roos 1975)."""
+    places = [0, 2, 4]  # lag, dead band, damping
+    asked = [UNKNOWNS[place] for place in places]
+    log = log_of(sensors, noise=30.0, rows=200)
+    fit = identify(model, log, asked, parameters=TRUE[:5], validation=0.0)
+    measured = np.stack([log.measured[X], log.measured[V]], axis=1)
+
+    def squares(values):
+        parameters = TRUE[:5].copy()
+        parameters[places] = values
+        run = model.simulate(
+            parameters,
+            model.state(),
+            log.time_s[-1],
+            inputs=log.table({"u0": 1}),
+            record_times_s=log.time_s,
+        )
+        return np.sum(((run["y0"] - measured) / [*fit.noise.values()]) ** 2)
+
+    minuit = Minuit(squares, [*fit.values.values()])
+    minuit.limits = [(unknown.low, unknown.high) for unknown in asked]
+    minuit.migrad()
+    minuit.minos(cl=0.95)
+    lag = minuit.merrors[0]
+    assert lag.upper > -1.1 * lag.lower  # an interval to first order would be wrong
+    for unknown, best, error in zip(asked, minuit.values, minuit.merrors.values(), strict=True):
+        assert fit.values[unknown.name] == pytest.approx(best, rel=0.01)
+        np.testing.assert_allclose(
+            fit.profile(unknown.name), [best + error.lower, best + error.upper], rtol=0.02
+        )
 
 
 def test_a_combination_is_named_with_its_partner(model, sensors):
