@@ -11,7 +11,7 @@ import scipy.optimize
 import scipy.stats
 
 from ..arguments import quoted
-from ..errors import ParameterError, SimulationError, shown
+from ..errors import Error, ParameterError, SimulationError, shown
 from ..model import CompiledModel, DiagramModel
 from ..native.runner import output_elements
 from ..run_data import Array, InputTable, State
@@ -33,6 +33,10 @@ _CONFIDENCE = 0.95
 _ALIKE = 0.95  # correlation of two unknowns that a note names
 _FOLLOWS = 0.25  # neighbouring lags are alike, so with 5 % expected a tenth is no rarity
 _LEAST_NOISE = 1e-9  # in spreads: that of the runs themselves
+_RESTARTS = 5  # at most, from places whose misfit is lower by
+_LOWER = 0.5  # which is one standard deviation
+_RIDGE = 0.5  # growth of the misfit, by that of a smooth model, from which on an interval holds
+_LEAST_RIDGE = 0.04  # intervals become five times as wide at most
 _REWEIGHTED = 10  # at most, until the noise changes by less than 1 %
 
 
@@ -71,6 +75,20 @@ class _Problem:
             np.where(used[:, :, None], piece / noise, 0.0)
             for piece, used in zip(jacobian, self.used, strict=True)
         ]
+
+    def costs(self, zs: Array) -> Array:
+        """Return half the sum of the weighted squares of each z; infinite where a run fails."""
+        costs = np.zeros(len(zs))
+        for index, (segment, used) in enumerate(
+            zip(self.prediction.segments, self.used, strict=True)
+        ):
+            for place, run in enumerate(self.prediction.predictions(index, [*zs])):
+                if isinstance(run, Error):
+                    costs[place] = np.inf
+                else:
+                    errors = (run - segment.measured) / self.noise
+                    costs[place] += 0.5 * np.sum(errors[used] ** 2)
+        return costs
 
     def solve(self, z: Array, free: Any = slice(None)) -> Any:
         """Minimize over the ``free`` unknowns from z; ``x`` of the result has all unknowns."""
@@ -290,8 +308,8 @@ def identify(
     notes: list[str] = []
     problem = _Problem(Prediction(model, segments, elements, unknowns, at, options), loss)
     start = _start(problem, notes)
-    best, others = _search(problem, start, starts, seed, notes)
-    fit = _trusted(problem, best, others, notes)
+    best, ridges, others = _search(problem, start, starts, seed, notes)
+    fit = _trusted(problem, best, ridges, others, notes)
     if not held_out:
         return fit
     rest = segments_of(held_out, elements, longest, 0.0)
@@ -399,8 +417,8 @@ def _given(
 
 def _search(
     problem: _Problem, start: Array, starts: int, seed: int, notes: list[str]
-) -> tuple[Any, list[Any]]:
-    """Return the best minimum, and the minima from the other starts that are as good.
+) -> tuple[Any, Array, list[Any]]:
+    """Return the best minimum, its ridges, and the minima from all starts that are as good.
 
     All starts but the first have the weights that the first has found.
     """
@@ -412,14 +430,40 @@ def _search(
         except SimulationError as error:
             notes.append(f"a start was left out: {error}")
     best = min(found, key=lambda result: float(result.cost))
-    if best is not found[0]:
-        best = problem.fit(best.x)
-        found = [problem.solve(result.x) for result in found]
-    equal = best.cost + 0.5 * scipy.stats.chi2.ppf(_CONFIDENCE, 1)
-    return best, [result for result in found if result.cost < equal]
+    best, ridges = _settled(problem, best if best is found[0] else problem.fit(best.x))
+    alike = [problem.solve(each.x) for each in (best, *found) if starts > 1]  # with one weight
+    equal = 0.5 * scipy.stats.chi2.ppf(_CONFIDENCE, 1)
+    return best, ridges, [each for each in alike if each.cost < alike[0].cost + equal]
 
 
-def _trusted(problem: _Problem, best: Any, others: Sequence[Any], notes: list[str]) -> Fit:
+def _settled(problem: _Problem, best: Any) -> tuple[Any, Array]:
+    """Go on from a lower place nearby while there is one; return the result and its ridges.
+
+    Each unknown is moved by two standard deviations to both sides, and the others follow. Where the
+    outputs have kinks, as with friction, ``least_squares`` stops before the minimum. The ridges
+    (unknowns,) are how much the misfit grows there at least, by that of a smooth model.
+    """
+    for _ in range(_RESTARTS):
+        z, jacobian = best.x, stacked(problem.jacobian(best.x))
+        inverse = np.linalg.pinv(jacobian)
+        covariance = inverse @ inverse.T
+        moves = 2.0 * covariance / np.sqrt(np.diag(covariance))[:, None]
+        ends = np.clip(z + np.concatenate([moves, -moves]), 0.0, 1.0)
+        expected = 0.5 * np.sum(((ends - z) @ jacobian.T) ** 2, axis=1)
+        costs = problem.costs(np.concatenate([z[None], ends]))
+        grown = costs[1:] - costs[0]
+        ridges = np.divide(grown, expected, np.ones(grown.size), where=expected > _LOWER)
+        if problem.loss != "linear":  # whose costs these are
+            return best, np.ones(z.size)
+        if grown.min() > -_LOWER:
+            break
+        best = problem.fit(ends[np.argmin(grown)])
+    return best, np.min(ridges.reshape(2, -1), axis=0)
+
+
+def _trusted(
+    problem: _Problem, best: Any, ridges: Array, others: Sequence[Any], notes: list[str]
+) -> Fit:
     """Return the fit with intervals, a word for each unknown, scores and tests of residuals."""
     prediction, z = problem.prediction, best.x
     names, unknowns = prediction.names, prediction.unknowns
@@ -429,6 +473,16 @@ def _trusted(problem: _Problem, best: Any, others: Sequence[Any], notes: list[st
     # Correlation only widens: residuals that swing about zero, as counts of a slow motion do, would
     # make intervals narrower than those of white noise, and they are no noise.
     wider = np.sqrt(np.maximum(np.diag(white) / np.diag(covariance), 1.0))
+    for place, ridge in enumerate(ridges.tolist()):
+        if ridge >= _RIDGE:
+            continue
+        factor = max(ridge, _LEAST_RIDGE) ** -0.5
+        wider[place] *= factor
+        notes.append(
+            f"{names[place]}: the misfit has kinks or other minima: two standard deviations away "
+            f"it grows by {ridge:.2g} of what is expected, so the interval is {factor:.2g} times "
+            f"as wide, and a guess"
+        )
     covariance = covariance * np.outer(wider, wider)
     deviation = np.sqrt(np.diag(covariance))
     counts = np.sum([used.sum(axis=0) for used in problem.used], axis=0)

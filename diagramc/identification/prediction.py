@@ -75,7 +75,7 @@ class Prediction:
         )
         return parameters, State(x, d), table_from(inputs, segment.start_s)
 
-    def _predictions(self, index: int, zs: Sequence[Array]) -> list[Any]:
+    def predictions(self, index: int, zs: Sequence[Array]) -> list[Any]:
         """Return the predicted values (rows, elements) of a segment for ``zs``, or errors.
 
         Those that differ in their sensors alone are one run. Runs that record at the same times go
@@ -132,7 +132,7 @@ class Prediction:
         Raises the error of a run that fails.
         """
         if not np.array_equal(z, self._predicted[0]):
-            runs = (_succeeded(self._predictions(i, [z]))[0] for i in range(len(self.segments)))
+            runs = (_succeeded(self.predictions(i, [z]))[0] for i in range(len(self.segments)))
             self._predicted = z.copy(), [*runs]
         return self._predicted[1]
 
@@ -164,7 +164,7 @@ class Prediction:
                 ends = np.stack([place + np.where(place < 0.5, _STEP, -_STEP), place])
             zs = np.repeat(z[None], 2 * count, axis=0)
             zs[np.arange(2 * count), own * 2] = ends.ravel()
-            runs = np.array(_succeeded(self._predictions(index, list(zs))))
+            runs = np.array(_succeeded(self.predictions(index, list(zs))))
             piece = np.zeros((*segment.measured.shape, z.size))
             differences = (runs[:count] - runs[count:]) / (ends[0] - ends[1])[:, None, None]
             piece[:, :, own] = np.moveaxis(differences, 0, -1)

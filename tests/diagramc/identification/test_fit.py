@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from iminuit import Minuit
-from pydrake.symbolic import Variable, max as larger, min as smaller
+from pydrake.symbolic import Variable, max as larger, min as smaller, sin
 from pydrake.systems.primitives import SymbolicVectorSystem
 from scipy.integrate import solve_ivp
 
@@ -293,6 +293,24 @@ def test_a_second_minimum_as_good_is_told(model, sensors):
     fit = identify(squared, Log(time_s, {"y0": y}, T), [Unknown(".0[0]", -5.0, 5.0, 1.0)], starts=6)
     assert abs(fit.values[".0[0]"]) == pytest.approx(2.0, rel=1e-2)
     assert fit.words[".0[0]"] == "several minima"
+
+
+def test_an_interval_is_wider_where_the_misfit_has_kinks(model):
+    """The output rises and falls with the unknown, so the slope at the result is too steep."""
+    a, x = Variable("a"), Variable("x")
+    waved = a + 0.02 * sin(100.0 * a)
+    kinked = compile_diagram(
+        SymbolicVectorSystem(state=[x], parameter=[a], dynamics=[waved - x], output=[x])
+    )
+    time_s, random = np.arange(300) * T, np.random.default_rng(1)
+    y = (2.0 + 0.02 * np.sin(200.0)) * (1.0 - np.exp(-time_s)) + 0.05 * random.normal(size=300)
+    fit = identify(kinked, Log(time_s, {"y0": y}, T), [Unknown(".0[0]", 1.0, 4.0, 2.0)])
+    (note,) = (note for note in fit.notes if "kinks" in note)
+    wider = float(re.search(r"interval is (\S+) times as wide", note)[1])
+    slope = (1.0 + 2.0 * np.cos(100.0 * fit.values[".0[0]"])) * (1.0 - np.exp(-time_s[:225]))
+    deviation = wider * 0.05 / np.linalg.norm(slope)
+    assert wider > 1.5
+    assert np.ptp(fit.interval[".0[0]"]) == pytest.approx(3.92 * deviation, rel=0.25)
 
 
 def test_a_note_tells_how_far_from_white_the_residuals_are(model, sensors):
