@@ -338,9 +338,11 @@ def _unknown(scenario: Scenario, text: str, log: Log) -> Unknown:
     """Return the unknown that ``text``, NAME or NAME=LOW:HIGH, asks for."""
     name, _, words = text.partition("=")
     try:
-        low, high = map(float, words.split(":")) if words else (0.0, 0.0)
+        low, high = map(float, words.split(":")) if words or not name else (0.0, 0.0)
     except ValueError:
-        raise ParameterError(f"{shown(text)}: must be NAME or NAME=LOW:HIGH") from None
+        raise ParameterError(
+            f"parameters = {shown(text)!r}: must be NAME or NAME=LOW:HIGH"
+        ) from None
     ends = (low, high) if words else None
     sensor, _, last = name.rpartition(".")
     if sensor not in log.measured or last not in _SENSOR:

@@ -214,6 +214,7 @@ PARAMETERS = {
     "simulation.tolerance": "= None: must be a real number with a range",
     "controller.lambda_per_s": "controller.lambda_per_s: has no effect on a measured output",
     f"{LAG}=0.1:b": "must be NAME or NAME=LOW:HIGH",
+    "": "^parameters = '': must be NAME or NAME=LOW:HIGH",
     f"{LAG}=0.1:2": r"lag_s = 0\.01 s: the range 0\.1 … 2 must .* >= 0\.0001 and <= 1; give one",
     "plant.cylinder.stiffness_n_per_m": r"0 … 0 must have low < high.*_m=LOW:HIGH$",
     "encoder_reading.delay_s": r"delay_s = 0 s: the range 0 … 0 must have low < high, and be fin",
