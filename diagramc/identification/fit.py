@@ -443,7 +443,8 @@ def _settled(problem: _Problem, best: Any) -> tuple[Any, Array]:
     outputs have kinks, as with friction, ``least_squares`` stops before the minimum. The ridges
     (unknowns,) are how much the misfit grows there at least, by that of a smooth model.
     """
-    for _ in range(_RESTARTS):
+    ridges = np.ones(2 * best.x.size)
+    for _ in range(_RESTARTS if problem.loss == "linear" else 0):  # whose costs these are
         z, jacobian = best.x, stacked(problem.jacobian(best.x))
         inverse = np.linalg.pinv(jacobian)
         covariance = inverse @ inverse.T
@@ -453,8 +454,6 @@ def _settled(problem: _Problem, best: Any) -> tuple[Any, Array]:
         costs = problem.costs(np.concatenate([z[None], ends]))
         grown = costs[1:] - costs[0]
         ridges = np.divide(grown, expected, np.ones(grown.size), where=expected > _LOWER)
-        if problem.loss != "linear":  # whose costs these are
-            return best, np.ones(z.size)
         if grown.min() > -_LOWER:
             break
         best = problem.fit(ends[np.argmin(grown)])

@@ -295,22 +295,31 @@ def test_a_second_minimum_as_good_is_told(model, sensors):
     assert fit.words[".0[0]"] == "several minima"
 
 
-def test_an_interval_is_wider_where_the_misfit_has_kinks(model):
-    """The output rises and falls with the unknown, so the slope at the result is too steep."""
+def waved(amplitude, k, start, seed):
+    """A fit to an output that rises and falls with the unknown, whose true value is 2."""
     a, x = Variable("a"), Variable("x")
-    waved = a + 0.02 * sin(100.0 * a)
-    kinked = compile_diagram(
-        SymbolicVectorSystem(state=[x], parameter=[a], dynamics=[waved - x], output=[x])
+    rate = a + amplitude * sin(k * a) - x
+    model = compile_diagram(
+        SymbolicVectorSystem(state=[x], parameter=[a], dynamics=[rate], output=[x])
     )
-    time_s, random = np.arange(300) * T, np.random.default_rng(1)
-    y = (2.0 + 0.02 * np.sin(200.0)) * (1.0 - np.exp(-time_s)) + 0.05 * random.normal(size=300)
-    fit = identify(kinked, Log(time_s, {"y0": y}, T), [Unknown(".0[0]", 1.0, 4.0, 2.0)])
+    time_s, random = np.arange(300) * T, np.random.default_rng(seed)
+    y = (2.0 + amplitude * np.sin(2.0 * k)) * (1.0 - np.exp(-time_s))
+    log = Log(time_s, {"y0": y + 0.05 * random.normal(size=300)}, T)
+    return identify(model, log, [Unknown(".0[0]", 1.0, 4.0, start)])
+
+
+def test_an_interval_is_wider_where_the_misfit_has_kinks():
+    fit = waved(0.02, 100.0, 2.0, 1)
     (note,) = (note for note in fit.notes if "kinks" in note)
     wider = float(re.search(r"interval is (\S+) times as wide", note)[1])
-    slope = (1.0 + 2.0 * np.cos(100.0 * fit.values[".0[0]"])) * (1.0 - np.exp(-time_s[:225]))
-    deviation = wider * 0.05 / np.linalg.norm(slope)
+    slope = 1.0 + 2.0 * np.cos(100.0 * fit.values[".0[0]"])  # too steep at the result
+    deviation = 0.05 / np.linalg.norm(slope * (1.0 - np.exp(-np.arange(225) * T)))
     assert wider > 1.5
-    assert np.ptp(fit.interval[".0[0]"]) == pytest.approx(3.92 * deviation, rel=0.25)
+    assert np.ptp(fit.interval[".0[0]"]) == pytest.approx(3.92 * wider * deviation, rel=0.25)
+
+
+def test_a_search_goes_on_from_a_lower_place_nearby():
+    assert waved(0.005, 300.0, 1.9, 2).values[".0[0]"] == pytest.approx(2.0, abs=0.01)
 
 
 def test_a_note_tells_how_far_from_white_the_residuals_are(model, sensors):
