@@ -424,11 +424,11 @@ def _search(
     """
     found = [problem.fit(start)]
     sampler = scipy.stats.qmc.LatinHypercube(start.size, seed=seed)
-    for z in sampler.random(starts - 1):
+    for number, z in enumerate(sampler.random(starts - 1), 2):
         try:
             found.append(problem.solve(z))
         except SimulationError as error:
-            notes.append(f"a start was left out: {error}")
+            notes.append(f"search {number} of {starts} failed: {error}")
     best = min(found, key=lambda result: float(result.cost))
     best, ridges = _settled(problem, best if best is found[0] else problem.fit(best.x))
     alike = [problem.solve(each.x) for each in (best, *found) if starts > 1]  # with one weight
@@ -478,9 +478,9 @@ def _trusted(
         factor = max(ridge, _LEAST_RIDGE) ** -0.5
         wider[place] *= factor
         notes.append(
-            f"{names[place]}: the misfit has kinks or other minima: two standard deviations away "
-            f"it grows by {ridge:.2g} of what is expected, so the interval is {factor:.2g} times "
-            f"as wide, and a guess"
+            f"{names[place]}: two standard deviations away the misfit grows {ridge:.2g} times as "
+            f"much as expected (kinks, curvature or other minima): the interval is a guess, "
+            f"{factor:.2g} times as wide"
         )
     covariance = covariance * np.outer(wider, wider)
     deviation = np.sqrt(np.diag(covariance))
@@ -527,7 +527,7 @@ def _trusted(
                     f"correlation time {times_s[element]:.2g} s, so the intervals count "
                     f"{column.size} values as {column.size / times[element]:.0f}"
                     if times[element] > 1.0
-                    else "they swing about zero, so the intervals are those of white noise"
+                    else "neighbours have opposite signs, so the intervals are those of white noise"
                 )
             )
         for (source, _), u in zip(
@@ -536,7 +536,8 @@ def _trusted(
             if (share := input_correlation(column, u)) > _FOLLOWS:
                 notes.append(
                     f"{name}: the residuals follow {source}: {100.0 * share:.0f} % of the "
-                    f"correlations are beyond 1.96 σ (5 % expected); the model lacks something, or "
+                    f"correlations are beyond 1.96 σ (5 % expected); the model lacks something, "
+                    f"a wrong minimum was found, or "
                     f"a controller returns coloured noise into {source}"
                 )
     noise, correlation_time_s = (

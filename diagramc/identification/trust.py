@@ -63,11 +63,12 @@ def combinations(matrix: Array, names: Sequence[str], unknowns: Sequence[Unknown
         moves = direction * [math.log(u.high / u.low) if u.low > 0 else 1.0 for u in unknowns]
         moves *= math.log(1.1) / moves[np.argmax(np.abs(direction))]  # 10 % of the largest part
         order = np.argsort(-np.abs(direction), kind="stable")
-        large = [c for c in order if abs(direction[c]) >= _NAMED * abs(direction[order[0]])]
+        least = min(_NAMED * abs(direction[order[0]]), abs(direction[order[1]]))  # two at least
+        large = [c for c in order if abs(direction[c]) >= least]
         parts = [_moved(names[c], unknowns[c], moves[c]) for c in large]
         texts.append(
-            f"the log cannot tell {parts[0]} from the opposite of {' and '.join(parts[1:])}: "
-            f"together they change no output; fix {names[pivots[rank]]}, or measure more"
+            f"at the start, {parts[0]} with {' and '.join(parts[1:])} hardly changes an output: "
+            f"fix {names[pivots[rank]]}, or measure more"
         )
     return texts
 

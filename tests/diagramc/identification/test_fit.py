@@ -210,7 +210,7 @@ def test_a_combination_is_named_with_its_partner(model, sensors):
     alone = Log(log.time_s, {V: log.measured[V]}, T, log.inputs)
     unknowns = [UNKNOWNS[1], UNKNOWNS[7]]  # gain of motor and of sensor
     fit = identify(model, alone, unknowns, parameters=TRUE[:5])
-    (note,) = (note for note in fit.notes if "cannot tell" in note)
+    (note,) = (note for note in fit.notes if "hardly changes" in note)
     assert "up 10 %" in note
     assert "down 9.1 %" in note
     assert "fix " in note
@@ -311,7 +311,7 @@ def waved(amplitude, k, start, seed):
 def test_an_interval_is_wider_where_the_misfit_has_kinks():
     fit = waved(0.02, 100.0, 2.0, 1)
     (note,) = (note for note in fit.notes if "kinks" in note)
-    wider = float(re.search(r"interval is (\S+) times as wide", note)[1])
+    wider = float(re.search(r"guess, (\S+) times as wide", note)[1])
     slope = 1.0 + 2.0 * np.cos(100.0 * fit.values[".0[0]"])  # too steep at the result
     deviation = 0.05 / np.linalg.norm(slope * (1.0 - np.exp(-np.arange(225) * T)))
     assert wider > 1.5
@@ -336,7 +336,7 @@ def test_a_note_tells_how_far_from_white_the_residuals_are(model, sensors):
     assert first == pytest.approx(0.8, abs=0.06)
     assert time_s == pytest.approx(9.0 * T, rel=0.4)  # (1 + 0.8)/(1 - 0.8) rows
     assert alone == pytest.approx(490 * T / time_s, rel=0.1)
-    assert swinging.endswith("they swing about zero, so the intervals are those of white noise")
+    assert swinging.endswith("opposite signs, so the intervals are those of white noise")
     assert widths[2] == pytest.approx(widths[0], rel=0.1)  # a third, if the sum narrowed them
 
 
