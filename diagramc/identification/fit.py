@@ -441,13 +441,15 @@ def _settled(problem: _Problem, best: Any) -> tuple[Any, Array]:
 
     Each unknown is moved by two standard deviations to both sides, and the others follow. Where the
     outputs have kinks, as with friction, ``least_squares`` stops before the minimum. The ridges
-    (unknowns,) are how much the misfit grows there at least, by that of a smooth model.
+    (unknowns,) are the least growth of the misfit there, divided by that of a smooth model. After
+    the last restart they are those of the place before, where they are below zero.
     """
     ridges = np.ones(2 * best.x.size)
     for _ in range(_RESTARTS if problem.loss == "linear" else 0):  # whose costs these are
         z, jacobian = best.x, stacked(problem.jacobian(best.x))
         inverse = np.linalg.pinv(jacobian)
         covariance = inverse @ inverse.T
+        # Columns of the covariance are the ways on which the misfit grows least.
         moves = 2.0 * covariance / np.sqrt(np.diag(covariance))[:, None]
         ends = np.clip(z + np.concatenate([moves, -moves]), 0.0, 1.0)
         expected = 0.5 * np.sum(((ends - z) @ jacobian.T) ** 2, axis=1)

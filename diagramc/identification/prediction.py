@@ -139,7 +139,7 @@ class Prediction:
     def slopes(self, z: Array) -> list[Array]:
         """Return the derivatives of `jacobian` to about 0.1 % of each, enough for a search.
 
-        They are those of a place before, if that is as near as the step of the differences.
+        If the search has moved by less than the step of the differences, they are those of before.
         """
         if not np.all(np.abs(z - self._slopes[0]) <= _STEP):
             self._slopes = z.copy(), self._differences(z, central=False)

@@ -26,6 +26,7 @@ from kneexo.systems.knee_reference import (
     require_reference_in_range,
     run_middle_deg,
     run_range_deg,
+    sampled_spline,
 )
 
 TIMES = (0.0, 0.3, 0.5, 1.1, 1.4, 2.0)
@@ -283,3 +284,18 @@ def test_samples_and_ends_of_the_curve_are_the_range_of_a_run():
         at_two = changed(scenario, {"simulation.duration_s": 2.0})
         assert run_range_deg(at_two) == pytest.approx((ends, 50.0))
         assert run_range_deg(scenario) == pytest.approx((10.0, 50.0))
+
+
+@pytest.mark.parametrize("interpolation", ["cubic", "pchip", "linear"])
+def test_the_range_of_a_sampled_reference_is_that_of_the_curve_between_samples(interpolation):
+    for seed in range(30):
+        random = np.random.default_rng(seed)
+        times_s = np.cumsum(random.uniform(0.1, 0.5, 4))
+        angles_deg = np.round(random.uniform(20.0, 60.0, 4), -1)  # some neighbours are equal
+        samples = SampledReference(
+            times_s=times_s, angles_deg=angles_deg, interpolation=interpolation
+        )
+        dense_s = np.union1d(np.linspace(times_s[0], times_s[-1], 2001), times_s)
+        curve_deg = np.degrees(sampled_spline(samples).vector_values(dense_s)[0])
+        expected = curve_deg.min(), curve_deg.max()
+        np.testing.assert_allclose(reference_range_deg(samples), expected, rtol=0.0, atol=5e-3)
