@@ -118,6 +118,7 @@ if TYPE_CHECKING:  # for mypy, which would accept any name of `__getattr__`, and
         TickModel as TickModel,
     )
     from .linear.periodic import PeriodicLoop as PeriodicLoop
+    from .linear.reading import read_for_linearization as read_for_linearization
     from .model import (
         CompiledModel as CompiledModel,
         DiagramModel as DiagramModel,
@@ -185,6 +186,7 @@ else:
         "linear.margins": ("LoopMargins", "margins"),
         "linear.model": ("LinearModel", "OperatingPoint", "TickModel"),
         "linear.periodic": ("PeriodicLoop",),
+        "linear.reading": ("read_for_linearization",),
         "model": (
             *("CompiledModel", "DiagramModel", "Simulation", "compile_by_key", "compile_diagram"),
         ),

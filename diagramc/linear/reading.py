@@ -59,12 +59,7 @@ def read_points(
         in_ports = {name: find_port(root, name, "input") for name in inputs}
         in_ports |= {name: undriven[name] for name in itertools.chain(*values)}
         out_ports = {name: find_port(root, name, "output") for name in outputs}
-        try:  # equations first, because they tell more: see `advice`
-            read = equations_of(root, in_ports, out_ports)
-        except DifferenceError:  # a leaf whose forms disagree has no right derivative
-            raise
-        except CompilationError:
-            read = LeafwiseEquations(root, in_ports, out_ports)
+        read = _read(root, in_ports, out_ports)
     sizes = read.equations.inputs
     states = [read.state(context) for context in contexts]
     points: list[Point] = []
@@ -84,6 +79,38 @@ def read_points(
             point = Point(read, *numbers)
         points.append(point)
     return points
+
+
+def read_for_linearization(
+    diagram: Any, *, inputs: Iterable[str] = (), outputs: Iterable[str] = ()
+) -> DiagramEquations:
+    """Read a diagram once, for many calls of `linearize`, `loop_at` and `find_equilibrium`.
+
+    Other than for `read_diagram`, a leaf system may have no symbolic form. ``inputs`` and
+    ``outputs`` are those of `read_diagram`.
+
+    Raises
+    ------
+    CompilationError
+        A leaf has neither a symbolic form nor derivatives: see `linearize`.
+    """
+    require_system(diagram)
+    root = Node(diagram)
+    in_ports = {port: find_port(root, port, "input") for port in names("inputs", inputs)}
+    out_ports = {port: find_port(root, port, "output") for port in names("outputs", outputs)}
+    return _read(root, in_ports, out_ports)
+
+
+def _read(
+    root: Node, inputs: Mapping[str, Port], outputs: Mapping[str, Port]
+) -> DiagramEquations:
+    """Return the equations of a diagram, or its leaf systems if a leaf has no equations."""
+    try:  # equations first, because they tell more: see `advice`
+        return equations_of(root, inputs, outputs)
+    except DifferenceError:  # a leaf whose forms disagree has no right derivative
+        raise
+    except CompilationError:
+        return LeafwiseEquations(root, inputs, outputs)
 
 
 def read_point(diagram: Any, context: Any, *ports: Any, **options: Any) -> Point:

@@ -52,10 +52,10 @@ class Part(NamedTuple):
     """Output port of each signal that the part offers. None: all ports, by their names."""
     may_offer: Mapping[str, str] = MappingProxyType({})
     """Output port of each signal that the part offers if its system has the port."""
-    key: Callable[[], str] | None = None
+    key: Callable[[], tuple[str, str]] | None = None
     """Function that returns a hash of the equations of a part of the user; None for kneexo's own.
 
-    It raises `ParameterError` if the part has no symbolic equations.
+    It also returns why the part has no symbolic equations, or an empty text.
     """
     through: str = ""
     """Signal that passes through the part, which reads it from the parts before, as ``reads``

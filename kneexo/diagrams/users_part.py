@@ -83,15 +83,12 @@ def users_part(
         state = context.get_continuous_state_vector().CopyToVector()
         return _values(system, context), state.tolist()
 
-    def equations_key() -> str:
+    def equations_key() -> tuple[str, str]:
         system = make()
         try:
-            return read_diagram(system, inputs=list(input_ports(system))).key
+            return read_diagram(system, inputs=list(input_ports(system))).key, ""
         except CompilationError as error:
-            raise ParameterError(
-                f"{subject}: {error}; write the part for Expression too, or run it in "
-                f"Drake's Simulator by scenario.with_engine('drake')"
-            ) from None
+            return "", f"{subject}: {error}"
 
     values, state = remembered(chosen.make, question, values_and_state)
     return replaced._replace(

@@ -142,7 +142,7 @@ def structure_key(scenario: Scenario) -> str:
     if isinstance(scenario.reference, SampledReference):
         fields["reference"] = scenario.reference.kind  # the samples enter by an open input
     if scenario.parts.chosen():
-        fields["parts"] = _users_parts_key(scenario)
+        fields["parts"] = tuple((name, key) for name, (key, _) in _users_parts_keys(scenario).items())
     law = scenario.controller
     if isinstance(law, LawParameters):
         decision = decide(scenario)
@@ -156,10 +156,21 @@ def structure_key(scenario: Scenario) -> str:
     return _key(tuple(fields.items()))
 
 
-def _users_parts_key(scenario: Scenario) -> tuple[tuple[str, str], ...]:
-    """Return the place of each part of the user, and a hash of its equations."""
+def _users_parts_keys(scenario: Scenario) -> dict[str, tuple[str, str]]:
+    """Return what `Part.key` says of each part of the user, by its place."""
+    if not scenario.parts.chosen():
+        return {}
     parts = (*scenario_plant_parts(scenario), *controller_parts(scenario))
-    return tuple((part.name, part.key()) for part in parts if part.key is not None)
+    return {part.name: part.key() for part in parts if part.key is not None}
+
+
+def why_not_compiled(scenario: Scenario) -> str:
+    """Return why Drake's Simulator runs a scenario: a part of the user has no symbolic equations.
+
+    The text is empty if all parts have symbolic equations. Raises the errors of `make_closed_loop`
+    for a part that does not fit.
+    """
+    return "; ".join(filter(None, (why for _, why in _users_parts_keys(scenario).values())))
 
 
 @lru_cache
@@ -298,19 +309,19 @@ def _read_controller(scenario: Scenario) -> _UnknownParts:
 def users_code_key(scenario: Scenario) -> str | None:
     """Return a text by which a later process recognizes law and parts of the user in a scenario.
 
-    A part is known by its equations and numbers. A compiled law is known by its equations. A law
-    that is called as Python is known by the files of its code, and by the commands that it gives at
-    some points, because the values that it reads may come from elsewhere. Returns None for a law
-    whose name in a file does not lead to it.
+    A part is known by its equations and numbers. A compiled law is known by its equations. Code
+    that is called as Python is known by its files, and a law also by the commands that it gives at
+    some points, because the values that it reads may come from elsewhere. Returns None for such
+    code whose name in a file does not lead to it.
     """
     laws = scenario.users_code().values()
     code = " ".join(f"{law.digest} {law.name.rpartition(':')[2]}" for law in laws)
     try:
         parts = repr(scenario_values(scenario)) if scenario.parts.chosen() else ""
-        if why_python(scenario):
-            law = users_law(scenario)
-            points = f"{law.name.rpartition(':')[2]} {commands_at_points(scenario)}"
-            return f"{law.digest} {points}{parts}" if law.digest else None
+        if is_called := bool(why_python(scenario)):
+            code += f" {commands_at_points(scenario)}"
+        if is_called or why_not_compiled(scenario):
+            return f"{code} {parts}" if all(law.digest for law in laws) else None
         if has_unknown_parts(scenario):
             return f"{_unknown_parts(scenario)!r}{parts}"
         return f"{structure_key(scenario)}{parts}"

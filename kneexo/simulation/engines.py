@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -72,7 +73,7 @@ def serve_runs(requests: Mapping[int, RunRequest]) -> Iterator[tuple[int, Run | 
         settings = request.scenario.simulation
         if fault := _too_large(request):
             yield index, fault
-        elif settings.compiled:
+        elif is_compiled(request.scenario):
             signals = None if request.signals is None else tuple(request.signals)
             way = (settings.integrator, settings.step_s, settings.tolerance)
             kinds = tuple((r.kind, r.output, r.minus, r.magnitude) for r in request.reductions)
@@ -276,11 +277,25 @@ def _run(request: RunRequest) -> Run:
         raise
 
 
+def is_compiled(scenario: Scenario) -> bool:
+    """Return True if the compiled engine runs a scenario, and False if Drake's Simulator does.
+
+    Drake's Simulator also runs a scenario whose parts of the user have no symbolic equations.
+    """
+    from kneexo.simulation.compiled import why_not_compiled
+
+    if not scenario.simulation.compiled:
+        return False
+    with suppress(KneexoError):  # of a part that does not fit: the run says it
+        return not why_not_compiled(scenario)
+    return True
+
+
 def can_reduce(scenario: Scenario) -> bool:
     """Return True if the engine and the control law of a scenario are compiled."""
     from kneexo.simulation.compiled import why_python_in_run
 
-    return scenario.simulation.compiled and not why_python_in_run(scenario)
+    return is_compiled(scenario) and not why_python_in_run(scenario)
 
 
 @needs_runs

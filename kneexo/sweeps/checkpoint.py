@@ -197,10 +197,10 @@ def _plain(value: Any) -> Any:
     """
     if isinstance(value, Scenario) and (code := value.users_code()):
         if (key := users_code_key(value)) is None:
+            subject = next(law.subject for law in code.values() if not law.digest)
             raise UnknownLawError(
-                f"{code['controller.function'].subject}: it is called as Python, and its name "
-                f"in no file leads to it, so a later run cannot recognize it and no finished "
-                f"pieces are kept"
+                f"{subject}: it is called as Python, and its name in no file leads to it, so a "
+                f"later run cannot recognize it and no finished pieces are kept"
             )
         makers = {place: {"make"} for place in value.parts.chosen()}
         numbers = value.model_dump_json(exclude={"controller": {"function"}, "parts": makers})

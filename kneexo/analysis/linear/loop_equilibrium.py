@@ -10,7 +10,7 @@ import numpy as np
 from pydrake.systems.analysis import Simulator
 
 import diagramc
-from diagramc import DiagramEquations, read_diagram
+from diagramc import DiagramEquations, read_for_linearization
 from kneexo.analysis.linear.plant_linearization import MID_RANGE_DEG
 from kneexo.analysis.linear.shared_equations import context_with, recent_equations, set_parameters
 from kneexo.common.result import Array
@@ -34,7 +34,7 @@ from kneexo.parameters import (
     StepReference,
 )
 from kneexo.parameters.scenario import require_scenario
-from kneexo.simulation.compiled import structure_key, users_code_key
+from kneexo.simulation.compiled import structure_key, users_code_key, why_not_compiled
 
 _NO_LIMIT = 1e12
 """A speed or an acceleration that no motor reaches, in rad/s or rad/s²."""
@@ -105,8 +105,10 @@ def _shared_equations(scenario: Scenario, law: LawTangent | None) -> DiagramEqua
         inputs = [_reference_port(diagram), command, "knee_reference"]
         if diagram.HasInputPort("biological_moment"):
             inputs.append("biological_moment")
-        return read_diagram(diagram, inputs=dict.fromkeys(inputs), outputs=[command])
+        return read_for_linearization(diagram, inputs=dict.fromkeys(inputs), outputs=[command])
 
+    if why_not_compiled(scenario):  # nobody knows what else is in a part without equations
+        return read()
     if law is not None:  # loops with such laws are alike, except for the laws' numbers of states
         return recent_equations.of(f"{key} {law.sizes}", read)
     if has_unknown_parts(scenario):  # the Context parameters of such parts have no known names

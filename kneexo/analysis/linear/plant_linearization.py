@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.systems.framework import Diagram
 
-from diagramc import DiagramEquations, Transfer, find_equilibrium, linearize, read_diagram
+from diagramc import DiagramEquations, Transfer, find_equilibrium, linearize, read_for_linearization
 from kneexo.analysis.linear.shared_equations import context_with, recent_equations
 from kneexo.analysis.signals import to_rpm
 from kneexo.common.ports import input_ports
@@ -173,7 +173,7 @@ def _operating_point(diagram: Any, context: Any) -> OperatingPoint:
 def _read(diagram: Any, outputs: Sequence[str]) -> DiagramEquations:
     """Return the equations of a plant with open inputs, first the motor speed command."""
     inputs = [*input_ports(diagram)]
-    return read_diagram(diagram, inputs=dict.fromkeys([_COMMAND, *inputs]), outputs=outputs)
+    return read_for_linearization(diagram, inputs=dict.fromkeys([_COMMAND, *inputs]), outputs=outputs)
 
 
 @dataclass(frozen=True, repr=False)

@@ -28,6 +28,7 @@ from kneexo.parameters import (
 from kneexo.parameters.fields.fields import unit_of
 from kneexo.parameters.fields.replaced import believed
 from kneexo.parameters.labels import value_text
+from kneexo.simulation.compiled import why_not_compiled
 from kneexo.systems.knee_reference import run_middle_deg, run_range_deg
 
 LONGEST_HOLD = 0.1
@@ -263,6 +264,7 @@ def model_notices(scenario: Scenario) -> Iterator[str]:
     of the masses, and lines 2 to 5 are left out.
 
     1. A part of the user replaces a part of kneexo, but the controller believes kneexo's numbers.
+       The part has no symbolic equations.
     2. The mass that moves with the rod is beyond the bounds of the sliding-mode controller.
     3. The mass of the rod is so large that it stands for a load of the knee, but it has no weight.
     4. The mass of the rod has no effect, because the load has an inertia.
@@ -276,6 +278,8 @@ def model_notices(scenario: Scenario) -> Iterator[str]:
     if own := scenario.parts.chosen():
         names = ", ".join(f"{place} = {part.make.short_name}" for place, part in own.items())
         yield f"a part of yours replaces {names}; the controller believes kneexo's numbers"
+        if reason := why_not_compiled(scenario):
+            yield f"Drake's Simulator makes the runs, some hundred times slower: {reason}"
     if {"cylinder", "load"} & own.keys():  # of whose masses kneexo knows nothing
         yield from polynomial_notices(scenario)
         return

@@ -19,6 +19,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from contextvars import ContextVar
 from functools import cached_property, lru_cache
+from io import BytesIO
 from numbers import Real
 from pathlib import Path
 from types import BuiltinFunctionType, FunctionType, MethodType, ModuleType
@@ -373,8 +374,9 @@ class Law:
         """Pickle the code and its values, or else the name if it leads to this law."""
         sources = tuple(self.sources.items())
         try:
-            data = cloudpickle.dumps(self.target)
-            return _unpickled, (type(self), data, self.name, self.file, sources)
+            data = BytesIO()
+            _Pickler(data).dump(self.target)
+            return _unpickled, (type(self), data.getvalue(), self.name, self.file, sources)
         except Exception as error:  # pickling a user's object may raise any error
             if sources:
                 return type(self).from_text, (self.name,)
@@ -417,6 +419,26 @@ class Law:
     def __get_pydantic_json_schema__(cls, schema: CoreSchema, handler: Any) -> dict[str, Any]:
         """Return the JSON schema of a law in a scenario file, a text."""
         return {"type": "string"}
+
+
+class _Pickler(cloudpickle.Pickler):
+    """Pickler of what a user gives; it names the metaclass of Drake's classes.
+
+    cloudpickle would copy the metaclass, and a copy of nanobind's cannot be made.
+    """
+
+    def reducer_override(self, obj: Any) -> Any:
+        """Return how an object is made again, as `pickle.Pickler.reducer_override` does."""
+        framework = sys.modules.get("pydrake.systems.framework")
+        if framework is not None and obj is type(framework.System):
+            return _metaclass_of_drake, ()
+        return super().reducer_override(obj)
+
+
+def _metaclass_of_drake() -> type:
+    from pydrake.systems.framework import System
+
+    return type(System)
 
 
 @lru_cache(maxsize=64)  # a worker process gets the same law with each unit of work
