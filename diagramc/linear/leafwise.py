@@ -43,10 +43,13 @@ from ..run_data import Array
 from .point import Obstacle, Point, Slopes
 
 _EQUAL = 1e-9  # relative difference of values of floats and of AutoDiffXd that counts as none
-_STEP = 1e-3
-# The error of central differences with one extrapolation is about _STEP⁴ by truncation and
-# 1e-16/_STEP by rounding, so that both are about 1e-12 for a variable of order one. A step is
-# relative to its variable, which may have any unit: sin u at u = 400 has an error of 3e-5.
+_STEPS = (1e-3, 1e-4, 1e-5, 1e-6)
+"""Relative changes of a variable for central differences.
+
+The error of central differences with one extrapolation is about h⁴ by truncation and 1e-16/h by
+rounding for a step h, so that the largest step is the best for a variable of order one. A smaller
+one is better for what changes within a smaller range, such as the friction near v = 0.
+"""
 _ROUGH_STEPS = (1e-6, 1e-5, 1e-3, 1e-2, 0.1, 1.0)
 """Relative changes of variables at which a value is compared with its linear model."""
 
@@ -301,11 +304,20 @@ class _Call:
         return gradients, ""
 
     def _differences(self, function: Function, local: Array) -> Array:
-        """Return the derivatives by central differences, extrapolated once (Richardson)."""
+        """Return the derivatives by central differences, extrapolated once (Richardson).
+
+        For each derivative the step is the one after which the result changes least (Ridders).
+        """
         local = local.copy()
         for change in self.moving:
-            wide, half = central_differences(function, self.numbers, _STEP * change)
-            local[:, change.argmax()] = (4.0 * half - wide) / (3.0 * _STEP * change.max())
+            columns = []
+            for step in _STEPS:
+                wide, half = central_differences(function, self.numbers, step * change)
+                columns.append((4.0 * half - wide) / (3.0 * step * change.max()))
+            found = np.array(columns)
+            # The change to the next step has the truncation error of one and the rounding of both.
+            best = np.nan_to_num(np.abs(np.diff(found, axis=0)), nan=np.inf).argmin(axis=0)
+            local[:, change.argmax()] = np.take_along_axis(found, best[None], axis=0)[0]
         return local
 
     def _note_rough(self, function: Function, values: Array, local: Array, rows: Array) -> None:

@@ -19,6 +19,7 @@ from ..errors import LinearizationError, ParameterError
 from ..native.timing import timing
 from ..run_data import Array
 from .advice import obstacles
+from .leafwise import LeafwisePoint
 from .model import LinearModel, OperatingPoint, TickModel, over_period
 from .point import EQUILIBRIUM_TOLERANCE, Point, mean_slopes, require_tolerance
 from .reading import read_points, system_of
@@ -86,7 +87,8 @@ def linearize(
         if the model depends on the time.
     beside
         Contexts close to ``context``, on both sides of a corner. The derivatives are then the mean
-        of those in these Contexts, as a small motion across the corner sees them. No warnings then.
+        of those in these Contexts, as a small motion across the corner sees them. A warning then
+        names only leaf systems without symbolic form.
 
     Raises
     ------
@@ -182,7 +184,7 @@ def _model(
     if beside:
         slopes = mean_slopes([near.slopes(out_names) for near in beside])
         point.require_finite(slopes, out_names)
-    else:
+    if not beside or isinstance(point, LeafwisePoint):  # differences reach across a corner
         _warn(point, out_names)
     input_names = point.element_names(in_names)
     n, columns = point.state.size, point.state.size + len(input_names)

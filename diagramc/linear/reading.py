@@ -101,9 +101,7 @@ def read_for_linearization(
     return _read(root, in_ports, out_ports)
 
 
-def _read(
-    root: Node, inputs: Mapping[str, Port], outputs: Mapping[str, Port]
-) -> DiagramEquations:
+def _read(root: Node, inputs: Mapping[str, Port], outputs: Mapping[str, Port]) -> DiagramEquations:
     """Return the equations of a diagram, or its leaf systems if a leaf has no equations."""
     try:  # equations first, because they tell more: see `advice`
         return equations_of(root, inputs, outputs)

@@ -44,6 +44,7 @@ from kneexo.diagrams.part import (
     with_faults,
 )
 from kneexo.diagrams.plant import (
+    further_columns,
     make_plant,
     plant_outputs,
     scenario_plant_parts,
@@ -136,7 +137,7 @@ def make_closed_loop(
         raise ParameterError("reference: must have one output port of size 4")
     if reference is not None and external_reference:
         raise ParameterError("reference: external_reference = True replaces it; leave one out")
-    names, available = chosen_signals(scenario, signals), available_signals(scenario)
+    names, available = chosen_signals(scenario, signals), signal_columns(scenario)
     require_triggers(scenario, available)
     builder = DiagramBuilder()
     parts = loop_parts(
@@ -151,7 +152,8 @@ def make_closed_loop(
     for name in available:
         builder.ExportOutput(ports[name], name)
     if names:
-        mux = builder.AddNamedSystem("signals", Multiplexer([len(SIGNALS[name]) for name in names]))
+        mux_sizes = [len(columns) for columns in names.values()]
+        mux = builder.AddNamedSystem("signals", Multiplexer(mux_sizes))
         for index, name in enumerate(names):
             builder.Connect(ports[name], mux.get_input_port(index))
         log = LogVectorOutput(
@@ -190,7 +192,7 @@ def make_open_loop(scenario: Scenario) -> Diagram:
     builder = DiagramBuilder()
     ports, inputs = wire(builder, [part for part in parts if part.name in kept])
     export_inputs(builder, inputs, by_name("motor_speed_command") | _INPUTS)
-    for name in SIGNALS:
+    for name in SIGNALS | _users_columns(scenario):
         if name in ports:
             builder.ExportOutput(ports[name], name)
     return builder.Build()
@@ -268,7 +270,7 @@ def _plant_part(scenario: Scenario, changes: dict[int, Changes]) -> Part:
         # With another safe state the valve stays closed, and the windings are not shorted.
         safe_state = scenario.protection.safe_state
         reads |= {name: "release" if name == safe_state else NO_SIGNAL for name in RELEASES}
-    offers = by_name(*plant_outputs(scenario.plant))
+    offers = by_name(*plant_outputs(scenario.plant), *_users_columns(scenario))
     if scenario.estimator.kind == "exact" and scenario.controller.kind != "pid":
         offers["estimated_state"] = "rod_state"  # the state of the plant is the estimate
     return Part("plant", lambda: plant_of(scenario, fault_names), reads=reads, offers=offers)
@@ -293,20 +295,36 @@ def _reference_part(scenario: Scenario, reference: System | None, external: bool
 
 
 def available_signals(scenario: Scenario) -> tuple[str, ...]:
-    """Return the names of the `SIGNALS` that the closed loop of a scenario has."""
+    """Return the names of the signals that the closed loop of a scenario has."""
+    return tuple(signal_columns(scenario))
+
+
+def signal_columns(scenario: Scenario) -> dict[str, tuple[str, ...]]:
+    """Return the columns of each signal that the closed loop of a scenario has.
+
+    The signals are in `SIGNALS`. Those that follow are further outputs of parts of the user, such
+    as ``cylinder.friction_force``.
+    """
     offered = {signal for part in loop_parts(scenario) for signal in part.offers or ()}
-    return tuple(name for name in SIGNALS if name in offered)
+    known = SIGNALS | _users_columns(scenario)
+    return {name: names for name, names in known.items() if name in offered}
 
 
-def chosen_signals(scenario: Scenario, signals: Sequence[str] | None) -> tuple[str, ...]:
-    """Return ``signals`` as a tuple, or all `available_signals` if ``signals`` is None.
+def _users_columns(scenario: Scenario) -> dict[str, tuple[str, ...]]:
+    """Return the columns of the signals that only parts of the user offer."""
+    chosen = scenario.parts.chosen()
+    return further_columns(scenario_plant_parts(scenario)) if chosen else {}
+
+
+def chosen_signals(scenario: Scenario, signals: Sequence[str] | None) -> dict[str, tuple[str, ...]]:
+    """Return the columns of each of ``signals``, or of all `available_signals` for None.
 
     Raises `ParameterError` for a signal that `available_signals` does not contain.
     """
     if isinstance(signals, str):
         raise ParameterError(f'signals = {signals!r}: must be a list, such as ["{signals}"]')
-    available = available_signals(scenario)
-    names = available if signals is None else tuple(signals)
+    available = signal_columns(scenario)
+    names = available if signals is None else signals
     for name in names:
         if name not in available:
             if name in SIGNALS:
@@ -314,7 +332,7 @@ def chosen_signals(scenario: Scenario, signals: Sequence[str] | None) -> tuple[s
                 raise ParameterError(f"signal {name!r} is not in this scenario; needs {needed}")
             advice = question(close_names(name, available)) or f"; known: {', '.join(available)}"
             raise ParameterError(f"signal {name!r} is unknown{advice}")
-    return names
+    return {name: available[name] for name in names}
 
 
 def loop_values(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator
 from functools import partial
 from typing import Any
 
@@ -153,7 +153,7 @@ def _trigger_signal(fault: FaultParameters) -> dict[str, str]:
     return {} if fault.signal is None else {"trigger": _signal_of(fault)[0]}
 
 
-def require_triggers(scenario: Scenario, available: Sequence[str]) -> None:
+def require_triggers(scenario: Scenario, available: Collection[str]) -> None:
     """Raise `ParameterError` if a fault starts by a signal that is not among ``available``."""
     for number, fault in enumerate(scenario.faults):
         for signal in _trigger_signal(fault).values():

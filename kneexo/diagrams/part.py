@@ -52,6 +52,9 @@ class Part(NamedTuple):
     """Output port of each signal that the part offers. None: all ports, by their names."""
     may_offer: Mapping[str, str] = MappingProxyType({})
     """Output port of each signal that the part offers if its system has the port."""
+    columns: Mapping[str, tuple[str, ...]] = MappingProxyType({})
+    """Columns of each signal that only this part of the user offers; the signals of kneexo are in
+    `kneexo.diagrams.SIGNALS`."""
     key: Callable[[], tuple[str, str]] | None = None
     """Function that returns a hash of the equations of a part of the user; None for kneexo's own.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, partial
 from typing import Any
 
@@ -137,7 +137,7 @@ def make_plant(
     of_plant = plant_parts(parameters, *start, parts, scenario)
     signals, inputs = wire(builder, with_faults(of_plant, fault_names))
     export_inputs(builder, inputs, _INPUTS | by_name(*(f"{name}_fault" for name in fault_names)))
-    for name in plant_outputs(parameters):
+    for name in [*plant_outputs(parameters), *further_columns(of_plant)]:
         builder.ExportOutput(signals[name], name)
     plant = builder.Build()
     plant.set_name("plant")
@@ -154,6 +154,11 @@ _INPUTS = {
     "bypass": "bypass",
 }
 """By the signals that no part of the plant offers, the inputs of the plant in their order."""
+
+
+def further_columns(parts: Sequence[Part]) -> dict[str, tuple[str, ...]]:
+    """Return the columns of each further output of the parts of the user, by its signal."""
+    return {signal: names for part in parts for signal, names in part.columns.items()}
 
 
 def plant_outputs(parameters: PlantParameters) -> list[str]:

@@ -10,7 +10,7 @@ from pydrake.systems.framework import Diagram
 
 from diagramc import read_diagram
 from kneexo.common.ports import input_ports, output_ports, sizes
-from kneexo.diagrams.part import Part
+from kneexo.diagrams.part import Part, by_name
 from kneexo.errors import CompilationError, ParameterError
 from kneexo.law.decision import remembered
 from kneexo.parameters import Scenario
@@ -64,11 +64,11 @@ def users_part(
     # `start` and `needed` together determine the template, so the question leaves it out.
     question = place, needed, period_s, numbers, text
 
-    def values_and_state() -> tuple[dict[str, float], list[float]]:
-        system = make()
+    def what_is_known() -> dict[str, Any]:
+        system, own = make(), template()
         if isinstance(system, Diagram):
             raise ParameterError(f"{subject}: is a Diagram; must be a LeafSystem")
-        _require_ports(subject, system, template(), needed)
+        _require_ports(subject, system, own, needed)
         context = system.CreateDefaultContext()
         _require_states(subject, system, context, period_s)
         if place == "cylinder":
@@ -80,8 +80,24 @@ def users_part(
                     f"{wanted:.7g} m; must start there: give a function with the argument start, "
                     f"and begin at start['initial_extension_m']"
                 )
-        state = context.get_continuous_state_vector().CopyToVector()
-        return _values(system, context), state.tolist()
+        values = _values(system, context)
+        state = context.get_continuous_state_vector().CopyToVector().tolist()
+        known, columns = output_ports(own), dict[str, tuple[str, ...]]()
+        outputs = sizes(output_ports(system))
+        further = {
+            f"{place}.{name}": name for name in outputs if outputs[name] and name not in known
+        }
+        for signal, name in further.items():
+            indices = [""] if outputs[name] == 1 else [f"[{n}]" for n in range(outputs[name])]
+            columns[signal] = tuple(signal + index for index in indices)
+        return {
+            "values": lambda: values,
+            "states": tuple(StateVariable(f"{place}_state_{n}") for n in range(len(state))),
+            "start": lambda: state,
+            # A further output takes the signal of no other part, even one of the same name.
+            "offers": by_name(*known) | further,
+            "columns": columns,
+        }
 
     def equations_key() -> tuple[str, str]:
         system = make()
@@ -90,12 +106,9 @@ def users_part(
         except CompilationError as error:
             return "", f"{subject}: {error}"
 
-    values, state = remembered(chosen.make, question, values_and_state)
     return replaced._replace(
         make=make,
-        values=lambda: values,
-        states=tuple(StateVariable(f"{place}_state_{n}") for n in range(len(state))),
-        start=lambda: state,
+        **remembered(chosen.make, question, what_is_known),
         key=lambda: remembered(chosen.make, ("key", *question), equations_key),
     )
 

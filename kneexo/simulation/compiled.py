@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import math
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache, lru_cache, partial
@@ -51,7 +51,6 @@ from kneexo.diagrams.controller import (
 )
 from kneexo.diagrams.faults import fault_structure
 from kneexo.diagrams.plant import scenario_plant_parts
-from kneexo.diagrams.signals import SIGNALS, columns
 from kneexo.diagrams.wearer import moment_of, moment_spline
 from kneexo.errors import KneexoError
 from kneexo.law.call import argument_sizes
@@ -142,7 +141,9 @@ def structure_key(scenario: Scenario) -> str:
     if isinstance(scenario.reference, SampledReference):
         fields["reference"] = scenario.reference.kind  # the samples enter by an open input
     if scenario.parts.chosen():
-        fields["parts"] = tuple((name, key) for name, (key, _) in _users_parts_keys(scenario).items())
+        fields["parts"] = tuple(
+            (name, key) for name, (key, _) in _users_parts_keys(scenario).items()
+        )
     law = scenario.controller
     if isinstance(law, LawParameters):
         decision = decide(scenario)
@@ -552,7 +553,7 @@ def simulate_together(
     if LAW_COMMAND in model.inputs:
         for index, arguments in run_arguments.items():
             scenario = scenarios[index]
-            result = _python_run(scenario, model, arguments, names, options)
+            result = _python_run(scenario, model, arguments, tuple(names), options)
             results[index] = _run_of(result, scenario, names, solver)
         return results
     parameters, states, inputs = zip(*run_arguments.values(), strict=True)
@@ -646,22 +647,24 @@ def _joined(reductions: Sequence[Sequence[Reduction]]) -> list[Reduction]:
 def _run_of(
     result: Simulation | KneexoError,
     scenario: Scenario,
-    names: Sequence[str],
+    signals: Mapping[str, tuple[str, ...]],
     solver: dict[str, Any],
 ) -> Run | KneexoError:
-    """Return the records ``names`` of a simulation as a run, whose settings name the ``solver``.
+    """Return the records of a simulation as a run, whose settings name the ``solver``.
 
-    An error is returned unchanged.
+    ``signals`` has the columns of each record. An error is returned unchanged.
     """
     if isinstance(result, KneexoError):
         return result
-    data = [result[name][:, i] for name in names for i in range(len(SIGNALS[name]))]
+    data = {
+        column: result[name][:, index]
+        for name, columns in signals.items()
+        for index, column in enumerate(columns)
+    }
     settings = scenario.simulation
     if any(getattr(settings, name) != value for name, value in solver.items()):
         settings = settings.model_copy(update=solver)
-    return Run(
-        result.time_s, dict(zip(columns(names), data, strict=True)), settings, result.reduced
-    )
+    return Run(result.time_s, data, settings, result.reduced)
 
 
 def _python_run(

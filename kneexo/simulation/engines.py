@@ -9,8 +9,8 @@ from typing import Any
 
 from diagramc import ROUGH_STEP_S, Reduction
 from kneexo.common.result import Array
-from kneexo.diagrams import SIGNALS, available_signals, columns, make_closed_loop
-from kneexo.diagrams.closed_loop import chosen_signals
+from kneexo.diagrams import make_closed_loop
+from kneexo.diagrams.closed_loop import chosen_signals, signal_columns
 from kneexo.errors import (
     KneexoError,
     ParameterError,
@@ -152,20 +152,20 @@ def _records(request: RunRequest) -> float:
 
 def _width(request: RunRequest) -> int:
     """Return the number of columns that a run logs. An unknown signal has no column."""
-    names = request.signals
-    if names is None:
-        names = available_signals(request.scenario)
-    return sum(len(SIGNALS.get(name, ())) for name in names)
+    available = signal_columns(request.scenario)
+    names = available if request.signals is None else request.signals
+    return sum(len(available.get(name, ())) for name in names)
 
 
 def _drake_run(request: RunRequest) -> Run | KneexoError:
     scenario = request.scenario
-    names = available_signals(scenario) if request.signals is None else tuple(request.signals)
     settings = scenario.with_duration().simulation
     try:
-        diagram = make_closed_loop(scenario, signals=names)
+        signals = chosen_signals(scenario, request.signals)
+        diagram = make_closed_loop(scenario, signals=tuple(signals))
+        columns = [column for names in signals.values() for column in names]
         context = diagram.CreateDefaultContext()
-        return simulate_diagram(diagram, context, columns(names), settings, request.progress)
+        return simulate_diagram(diagram, context, columns, settings, request.progress)
     except KneexoError as error:
         fixed = settings.integrator == "runge_kutta3" and not settings.error_controlled
         if isinstance(error, SimulationError) and fixed:

@@ -1,15 +1,19 @@
 """A part of the user in place of a leaf system of kneexo."""
 
+import inspect
 import math
 import pickle
 import re
+import sys
 from functools import partial
 
+import cloudpickle
 import numpy as np
 import pydrake.math as drake_math
 import pytest
 import scipy
-from pydrake.systems.framework import BasicVector_, LeafSystem, LeafSystem_
+from pydrake.common.value import Value
+from pydrake.systems.framework import BasicVector, BasicVector_, LeafSystem, LeafSystem_
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 import kneexo as kx
@@ -19,13 +23,17 @@ from kneexo.analysis import (
     estimate_sine,
     large_signal_bandwidth_hz,
     linearize_loop,
+    linearize_plant,
     stride_load,
 )
+from kneexo.analysis.linear.plant_linearization import plant_at
+from kneexo.analysis.tracking.notices import model_notices
 from kneexo.diagrams import cylinder_start, make_closed_loop, make_plant
-from kneexo.errors import ParameterError
+from kneexo.errors import CompilationError, ParameterError
 from kneexo.parameters import KneeLoadParameters, Scenario
 from kneexo.parameters.scenario_file import dump_scenario, load_scenario, scenario_files
 from kneexo.simulation import simulate
+from kneexo.simulation.compiled import users_code_key
 
 PAPER = Scenario().changed({"simulation.duration_s": 0.2})
 LEG = Scenario.preset("leg").changed({"simulation.duration_s": 0.2})
@@ -390,15 +398,138 @@ class Floats(LeafSystem):
             self.DeclareVectorOutputPort(name, 1, scaled, {command.ticket()})
 
 
-def test_a_part_of_floats_runs_in_drakes_simulator_alone():
+def test_drakes_simulator_runs_a_part_of_floats():
     scenario = PAPER.with_part("motor", Floats)
-    with pytest.raises(ParameterError, match=r"^parts\.motor: .*Floats.*with_engine\('drake'\)$"):
-        simulate(scenario)
-    run = simulate(scenario.with_engine("drake"))
+    run = simulate(scenario)
+    assert run.settings.integrator == "radau3"
     ideal = PAPER.changed({"plant.ideal_motor": True}).with_engine("drake")
     np.testing.assert_allclose(
         run["knee_angle_rad"], simulate(ideal)["knee_angle_rad"], atol=math.radians(0.01)
     )
+    notes = " ".join(model_notices(scenario))
+    assert re.search(r"Drake's Simulator makes the runs, .*: parts\.motor: .*Floats", notes)
+    assert "Simulator" not in " ".join(model_notices(PAPER.with_part("cylinder", rubbing)))
+    with pytest.raises(CompilationError, match=r"motor: Floats does not convert to symbolic"):
+        kx.compile(scenario)
+
+
+def rubbing_floats(start, coulomb_n=20.0):
+    """Return the cylinder `Rubbing_` without its symbolic form."""
+
+    class RubbingFloats(LeafSystem):
+        def __init__(self):
+            super().__init__()
+            own = self.own = rubbing(start, coulomb_n)
+            self.of_own = own.CreateDefaultContext()
+            self.flow = self.DeclareVectorInputPort("load_flow", 1)
+            state = self.of_own.get_continuous_state_vector().CopyToVector()
+            self.DeclareContinuousState(BasicVector(state))
+            for index in range(own.num_output_ports()):
+                port = own.get_output_port(index)
+
+                def calc(context, output, port=port):
+                    self.take(context)
+                    output.SetFromVector(port.Eval(self.of_own))
+
+                needs = {self.all_state_ticket()}
+                self.DeclareVectorOutputPort(port.get_name(), port.size(), calc, needs)
+
+        def take(self, context):
+            self.of_own.SetContinuousState(context.get_continuous_state_vector().CopyToVector())
+
+        def DoCalcTimeDerivatives(self, context, rates):
+            self.take(context)
+            self.own.flow.FixValue(self.of_own, self.flow.Eval(context))
+            found = self.own.EvalTimeDerivatives(self.of_own)
+            rates.SetFromVector(found.CopyToVector())
+
+    return RubbingFloats()
+
+
+def test_a_part_of_floats_has_the_linear_models_of_its_symbolic_form():
+    loops, plants = [], []
+    for part in (rubbing, rubbing_floats):
+        for force in (5.0, 20.0):
+            scenario = Scenario().with_part("cylinder", part, values={"coulomb_n": force})
+            loops.append(linearize_loop(scenario, knee_angle_deg=40.0))
+            plants.append(linearize_plant(plant_at(scenario, 40.0), knee_angle_deg=40.0))
+    assert abs(loops[0].margins().gain_margin - loops[1].margins().gain_margin) > 1e-3
+    for exact, floats in zip(loops[:2], loops[2:], strict=True):
+        np.testing.assert_allclose(floats.eigenvalues, exact.eigenvalues, rtol=1e-7, atol=1e-7)
+        assert floats.margins().gain_margin == pytest.approx(exact.margins().gain_margin, rel=1e-7)
+    for exact, floats in zip(plants[:2], plants[2:], strict=True):
+        np.testing.assert_allclose(floats.poles, exact.poles, rtol=1e-7, atol=1e-6)
+
+
+@pytest.mark.slow(gate=2)
+@pytest.mark.parametrize("part", [rubbing, rubbing_floats])
+def test_worker_processes_get_parts_that_no_file_has(part):
+    # A main module of a name of its own, so that the functions are pickled by value.
+    path = "parts.cylinder.values.coulomb_n"
+    settings = {path: [0.0, 10.0, 20.0]}
+    cloudpickle.register_pickle_by_value(sys.modules[__name__])
+    try:
+        scenario = PAPER.with_part("cylinder", part)
+        alone = kx.batch(scenario, settings)
+        assert kx.batch(scenario, settings, workers=2).rows == alone.rows
+    finally:
+        cloudpickle.unregister_pickle_by_value(sys.modules[__name__])
+
+
+def test_a_part_of_floats_is_known_by_its_file(tmp_path):
+    assert users_code_key(PAPER.with_part("motor", lambda: Floats())) is None
+    code = "from pydrake.systems.framework import LeafSystem\n"
+    code += inspect.getsource(Floats).replace("PAPER", "kx.Scenario()")
+    keys = []
+    for text in ("# one\n", "# two\n"):
+        (tmp_path / "own.py").write_text(f"{text}import kneexo as kx\n{code}", encoding="utf-8")
+        scenario = PAPER.with_part("motor", f"{tmp_path / 'own.py'}:Floats")
+        keys += [users_code_key(scenario) for _ in range(2)]
+    assert keys[0] == keys[1] != keys[2] == keys[3]
+
+
+def test_further_outputs_of_a_part_are_signals():
+    run = simulate(PAPER.with_part("cylinder", watched))
+    assert [*run.columns][-3:] == ["cylinder.motor_speed", "cylinder.x[0]", "cylinder.x[1]"]
+    np.testing.assert_array_equal(run["cylinder.x[0]"], run["rod_extension_m"])
+    np.testing.assert_array_equal(run["cylinder.x[1]"], run["rod_velocity_m_s"])
+    np.testing.assert_array_equal(run["cylinder.motor_speed"], -run["rod_extension_m"])
+    own = simulate(PAPER.with_part("cylinder", rubbing))
+    for column in own.columns:  # the output motor_speed is no motor's
+        np.testing.assert_array_equal(run[column], own[column])
+    scenario = PAPER.with_part("cylinder", watched)
+    drake = simulate(scenario.with_engine("drake"), signals=["cylinder.x"])
+    assert [*drake.data] == ["cylinder.x[0]", "cylinder.x[1]"]
+    np.testing.assert_allclose(drake["cylinder.x[0]"], run["cylinder.x[0]"], atol=1e-6)
+    with pytest.raises(ParameterError, match=r"signal 'cylinder\.y' is unknown; .*cylinder\.x"):
+        simulate(scenario, signals=["cylinder.y"])
+
+
+@TemplateSystem.define("Watched_")
+def Watched_(T):
+    class Impl(Rubbing_[T]):
+        """A cylinder with further outputs, one of which has the name of a signal of the motor."""
+
+        def _construct(self, extension_m=0.1, coulomb_n=20.0, converter=None):
+            Rubbing_[T]._construct(self, extension_m, coulomb_n, converter)
+            for name, values in {
+                "motor_speed": lambda c: [-self.x(c)[0]],
+                "x": lambda c: self.x(c)[:2],
+            }.items():
+                calc = lambda c, o, values=values: o.SetFromVector(values(c))  # noqa: E731
+                size = 2 if name == "x" else 1
+                self.DeclareVectorOutputPort(name, size, calc, {self.all_state_ticket()})
+            nothing = lambda: Value("nothing")  # noqa: E731
+            self.DeclareAbstractOutputPort("text", nothing, lambda c, o: None)
+
+        def _construct_copy(self, other, converter=None):
+            Impl._construct(self, *other.start, converter=converter)
+
+    return Impl
+
+
+def watched(start):
+    return Watched_[None](start["initial_extension_m"])
 
 
 FUNCTIONS = {

@@ -173,7 +173,9 @@ def _operating_point(diagram: Any, context: Any) -> OperatingPoint:
 def _read(diagram: Any, outputs: Sequence[str]) -> DiagramEquations:
     """Return the equations of a plant with open inputs, first the motor speed command."""
     inputs = [*input_ports(diagram)]
-    return read_for_linearization(diagram, inputs=dict.fromkeys([_COMMAND, *inputs]), outputs=outputs)
+    return read_for_linearization(
+        diagram, inputs=dict.fromkeys([_COMMAND, *inputs]), outputs=outputs
+    )
 
 
 @dataclass(frozen=True, repr=False)
