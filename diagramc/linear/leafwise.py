@@ -13,6 +13,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -33,7 +34,7 @@ from ..equations.comparison import (
 )
 from ..equations.equations import Equations
 from ..equations.events import reason_of, refuse_witness_functions
-from ..equations.names import discrete_names, state_names
+from ..equations.names import discrete_names, parameter_groups, state_names
 from ..equations.periods import timing_of
 from ..equations.ports import is_vector, open_inputs, output_routes, size_of
 from ..equations.symbolic import Steps, completed
@@ -57,7 +58,7 @@ _ROUGH_STEPS = (1e-6, 1e-5, 1e-3, 1e-2, 0.1, 1.0)
 class LeafwiseEquations(DiagramEquations):
     """A diagram of which only the names, sizes and sample periods are known as equations.
 
-    The nodes in `equations` are placeholders. Parameters are as in `read_tree`.
+    The nodes in `equations` are placeholders.
     """
 
     def __init__(self, root: Node, inputs: Mapping[str, Port], outputs: Mapping[str, Port]) -> None:
@@ -71,6 +72,7 @@ class LeafwiseEquations(DiagramEquations):
             context = node.system.CreateDefaultContext()
             refuse_witness_functions(node, context)
             states, discrete = len(equations.states), len(equations.discrete)
+            equations.parameters += chain(*parameter_groups(node, context))
             equations.states += state_names(node, context)
             equations.discrete += discrete_names(node, context)
             leaf = self.leaves[node] = _Leaf(

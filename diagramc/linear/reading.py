@@ -86,8 +86,12 @@ def read_for_linearization(
 ) -> DiagramEquations:
     """Read a diagram once, for many calls of `linearize`, `loop_at` and `find_equilibrium`.
 
-    Other than for `read_diagram`, a leaf system may have no symbolic form. ``inputs`` and
-    ``outputs`` are those of `read_diagram`.
+    Other than for `read_diagram`, a leaf system may have no symbolic form.
+
+    Parameters
+    ----------
+    diagram, inputs, outputs
+        As in `read_diagram`.
 
     Raises
     ------

@@ -40,7 +40,8 @@ class Part(NamedTuple):
     values: Callable[[], dict[str, float]] = dict
     """Function that returns a dictionary from the name of a Context parameter to its value.
 
-    A parameter without a name, in a further vector, is called ``vector[index]``.
+    A parameter without a name, in a further vector, is called ``vector[index]``. A name can begin
+    with the path of a leaf inside a Diagram of the user: see `full_name`.
     """
     states: tuple[StateVariable, ...] = ()
     """Continuous states of the system, in the order of the Context."""
@@ -55,6 +56,11 @@ class Part(NamedTuple):
     columns: Mapping[str, tuple[str, ...]] = MappingProxyType({})
     """Columns of each signal that only this part of the user offers; the signals of kneexo are in
     `kneexo.diagrams.SIGNALS`."""
+    state_names: tuple[str, ...] = ()
+    """Names of the continuous states of a part of the user; kneexo's own are ``x[0]``, ``x[1]`` …
+    """
+    discrete_start: Mapping[str, float] = MappingProxyType({})
+    """Initial discrete states of a part of the user, by their names."""
     key: Callable[[], tuple[str, str]] | None = None
     """Function that returns a hash of the equations of a part of the user; None for kneexo's own.
 
@@ -113,7 +119,17 @@ def state_names(part: Part, path: str) -> list[str]:
 
     ``path`` is the path of the part's system in the loop, such as ``plant/motor``.
     """
-    return [f"{path}.x[{index}]" for index in range(len(part.states))]
+    names = part.state_names or [f"x[{index}]" for index in range(len(part.states))]
+    return [full_name(path, name) for name in names]
+
+
+def full_name(path: str, name: str) -> str:
+    """Return the name in the compiled loop of a number of a part's system at a path.
+
+    The number ``gain`` of a leaf system is ``path.gain``, and the number ``filter.gain`` of a
+    Diagram is ``path/filter.gain``.
+    """
+    return f"{path}/{name}" if "." in name else f"{path}.{name}"
 
 
 def wire(builder: Any, parts: Iterable[Part]) -> tuple[dict[str, Any], dict[str, list[Any]]]:

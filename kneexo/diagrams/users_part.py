@@ -6,9 +6,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
-from pydrake.systems.framework import Diagram
-
-from diagramc import read_diagram
+from diagramc import read_diagram, read_for_linearization
 from kneexo.common.ports import input_ports, output_ports, sizes
 from kneexo.diagrams.part import Part, by_name
 from kneexo.errors import CompilationError, ParameterError
@@ -66,8 +64,6 @@ def users_part(
 
     def what_is_known() -> dict[str, Any]:
         system, own = make(), template()
-        if isinstance(system, Diagram):
-            raise ParameterError(f"{subject}: is a Diagram; must be a LeafSystem")
         _require_ports(subject, system, own, needed)
         context = system.CreateDefaultContext()
         _require_states(subject, system, context, period_s)
@@ -80,8 +76,6 @@ def users_part(
                     f"{wanted:.7g} m; must start there: give a function with the argument start, "
                     f"and begin at start['initial_extension_m']"
                 )
-        values = _values(system, context)
-        state = context.get_continuous_state_vector().CopyToVector().tolist()
         known, columns = output_ports(own), dict[str, tuple[str, ...]]()
         outputs = sizes(output_ports(system))
         further = {
@@ -90,27 +84,45 @@ def users_part(
         for signal, name in further.items():
             indices = [""] if outputs[name] == 1 else [f"[{n}]" for n in range(outputs[name])]
             columns[signal] = tuple(signal + index for index in indices)
-        return {
-            "values": lambda: values,
-            "states": tuple(StateVariable(f"{place}_state_{n}") for n in range(len(state))),
-            "start": lambda: state,
+        return _numbers(subject, system) | {
             # A further output takes the signal of no other part, even one of the same name.
             "offers": by_name(*known) | further,
             "columns": columns,
         }
 
-    def equations_key() -> tuple[str, str]:
-        system = make()
-        try:
-            return read_diagram(system, inputs=list(input_ports(system))).key, ""
-        except CompilationError as error:
-            return "", f"{subject}: {error}"
+    return replaced._replace(make=make, **remembered(chosen.make, question, what_is_known))
 
-    return replaced._replace(
-        make=make,
-        **remembered(chosen.make, question, what_is_known),
-        key=lambda: remembered(chosen.make, ("key", *question), equations_key),
+
+def _numbers(subject: str, system: Any) -> dict[str, Any]:
+    """Return the fields of a part that say its numbers, and whether it has symbolic equations."""
+    inputs, key = input_ports(system), ("", "")
+    try:
+        read = read_diagram(system, inputs=inputs)
+        key = read.key, ""
+    except CompilationError as error:
+        key = "", f"{subject}: {error}"
+        try:
+            read = read_for_linearization(system, inputs=inputs)
+        except CompilationError:  # such as a system with events: nobody needs its numbers
+            return {"key": lambda: key}
+    state = read.state()
+
+    def named(names: Sequence[str], values: Any) -> dict[str, float]:
+        names = [name.removeprefix(".") for name in names]  # of a leaf system, not of a Diagram
+        return dict(zip(names, values.tolist(), strict=True))
+
+    values, continuous = (
+        named(read.parameter_names, read.parameters()),
+        named(read.state_names, state.continuous),
     )
+    return {
+        "values": lambda: values,
+        "states": tuple(map(StateVariable, continuous)),
+        "start": lambda: [*continuous.values()],
+        "state_names": tuple(continuous),
+        "discrete_start": named(read.discrete_names, state.discrete),
+        "key": lambda: key,
+    }
 
 
 def _require_ports(subject: str, system: Any, template: Any, needed: Sequence[str]) -> None:
@@ -142,15 +154,3 @@ def _require_states(subject: str, system: Any, context: Any, period_s: float | N
                 f"{subject}: must be sampled, with one update every controller.sample_time_s = "
                 f"{period_s:g} s"
             )
-
-
-def _values(system: Any, context: Any) -> dict[str, float]:
-    """Return the Context parameters of a leaf system, by the names that a compiled model gives."""
-    named = tuple(getattr(system, "parameter_names", ()))
-    values: dict[str, float] = {}
-    for group in range(context.num_numeric_parameter_groups()):
-        vector = context.get_numeric_parameter(group).CopyToVector()
-        is_named = group == 0 and len(named) == vector.size
-        names = named if is_named else [f"{group}[{i}]" for i in range(vector.size)]
-        values |= dict(zip(names, vector.tolist(), strict=True))
-    return values

@@ -50,6 +50,7 @@ from kneexo.diagrams.controller import (
     make_controller,
 )
 from kneexo.diagrams.faults import fault_structure
+from kneexo.diagrams.part import full_name
 from kneexo.diagrams.plant import scenario_plant_parts
 from kneexo.diagrams.wearer import moment_of, moment_spline
 from kneexo.errors import KneexoError
@@ -336,7 +337,7 @@ def users_code_key(scenario: Scenario) -> str | None:
 def scenario_values(scenario: Scenario) -> dict[str, float]:
     """Return a dictionary from the name of a parameter in the compiled model to its value."""
     values = {
-        f"{path}.{name}": value
+        full_name(path, name): value
         for path, values in loop_values(scenario)
         for name, value in values.items()
     }
@@ -352,22 +353,12 @@ def scenario_start(scenario: Scenario) -> dict[str, float]:
     states start at zero. Raises `ParameterError` and `LinkageError` as `make_plant` does.
     """
     start = plant_start(scenario)
-    if scenario.parts.estimator is not None:
-        start |= _users_estimator_start(scenario)
+    for part in controller_parts(scenario) if scenario.parts.estimator is not None else ():
+        own = part.discrete_start.items()
+        start |= {full_name(f"controller/{part.name}", name): value for name, value in own}
     if has_unknown_parts(scenario):
         start |= _unknown_parts(scenario).state
     return start
-
-
-def _users_estimator_start(scenario: Scenario) -> dict[str, float]:
-    """Return the default discrete states of an estimator of the user, by their names."""
-    (part,) = (part for part in controller_parts(scenario) if part.name == "estimator")
-    state = part.make().CreateDefaultContext().get_discrete_state()
-    return {
-        f"controller/estimator.{group}[{index}]": value
-        for group in range(state.num_groups())
-        for index, value in enumerate(state.get_vector(group).CopyToVector())
-    }
 
 
 _NO_INPUTS = InputTable()

@@ -13,7 +13,13 @@ import pydrake.math as drake_math
 import pytest
 import scipy
 from pydrake.common.value import Value
-from pydrake.systems.framework import BasicVector, BasicVector_, LeafSystem, LeafSystem_
+from pydrake.systems.framework import (
+    BasicVector,
+    BasicVector_,
+    DiagramBuilder,
+    LeafSystem,
+    LeafSystem_,
+)
 from pydrake.systems.scalar_conversion import TemplateSystem
 
 import kneexo as kx
@@ -28,6 +34,7 @@ from kneexo.analysis import (
 )
 from kneexo.analysis.linear.plant_linearization import plant_at
 from kneexo.analysis.tracking.notices import model_notices
+from kneexo.common.ports import input_ports, output_ports
 from kneexo.diagrams import cylinder_start, make_closed_loop, make_plant
 from kneexo.errors import CompilationError, ParameterError
 from kneexo.parameters import KneeLoadParameters, Scenario
@@ -37,6 +44,10 @@ from kneexo.simulation.compiled import users_code_key
 
 PAPER = Scenario().changed({"simulation.duration_s": 0.2})
 LEG = Scenario.preset("leg").changed({"simulation.duration_s": 0.2})
+
+
+def full_cylinder(start):
+    return systems.FullCylinder(LEG.plant.cylinder, LEG.plant.full_order, **start)
 
 
 @TemplateSystem.define("Rubbing_")
@@ -94,8 +105,26 @@ def rubbing(start, coulomb_n=20.0):
     return Rubbing_[None](start["initial_extension_m"], coulomb_n)
 
 
+def within(leaf, name="inner"):
+    """Return a Diagram that has a leaf system and its ports."""
+    builder = DiagramBuilder()
+    builder.AddNamedSystem(name, leaf)
+    for port in input_ports(leaf).values():
+        builder.ExportInput(port, port.get_name())
+    for port in output_ports(leaf).values():
+        builder.ExportOutput(port, port.get_name())
+    return builder.Build()
+
+
+def pump_within(lag_s=PAPER.plant.pump.lag_s):
+    return within(systems.BldcPump(PAPER.plant.pump.model_copy(update={"lag_s": lag_s})))
+
+
 OWN = {
     "motor": (PAPER, systems.BldcPump),
+    "motor within Diagrams": (PAPER, lambda: within(pump_within(), "between")),
+    "cylinder within a Diagram": (LEG, lambda start: within(full_cylinder(start))),
+    "estimator within a Diagram": (PAPER, lambda: within(systems.TrackingObserver())),
     "cylinder": (PAPER, lambda start: systems.ReducedCylinder(**start)),
     "estimator": (PAPER, systems.TrackingObserver()),
     "motor beside both chambers": (LEG, systems.BldcPump(LEG.plant.pump)),
@@ -111,6 +140,21 @@ def test_kneexos_own_leaf_as_a_part_gives_the_bits_of_the_run_without_it(name):
     assert run.columns.keys() == expected.columns.keys()
     for column in expected.columns:
         np.testing.assert_array_equal(run[column], expected[column])
+
+
+def test_numbers_inside_a_diagram_of_the_user_are_those_of_the_part():
+    loops, runs = [], []
+    for lag_s in (0.004, 0.02):  # of one structure
+        own = PAPER.with_part("motor", pump_within, values={"lag_s": lag_s})
+        expected = PAPER.changed({"plant.pump.lag_s": lag_s, "nominal": PAPER.plant})
+        for scenario in (own, expected):
+            loops.append(linearize_loop(scenario).eigenvalues)
+            runs.append(simulate(scenario))
+    for one, two in (0, 1), (2, 3):
+        np.testing.assert_allclose(loops[one], loops[two], rtol=1e-12, atol=1e-12)
+        for column in runs[two].columns:
+            np.testing.assert_array_equal(runs[one][column], runs[two][column])
+    assert np.abs(loops[0] - loops[2]).max() > 0.01
 
 
 def test_both_engines_and_a_hand_wired_plant_have_the_part():
@@ -335,7 +379,7 @@ TWICE = systems.BldcPump()
         ),
         ("load", lambda mass_kg: systems.KneeLoad(), r"cannot be made: .*'mass_kg'"),
         ("motor", Sampled, r"parts\.motor: .*Sampled: has discrete states; this place must be con"),
-        ("motor", lambda: make_plant(), r"parts\.motor: .*: is a Diagram; must be a LeafSystem"),
+        ("motor", lambda: make_plant(), r"has disturbance_force of size 1 as input port; input"),
         ("estimator", systems.BackwardDifference, None),
         (
             "estimator",
@@ -544,9 +588,7 @@ FUNCTIONS = {
     "settings": lambda s: kx.batch(s, {"controller.lambda_per_s": [12.0]}).rows[0].metrics,
 }
 FULL = {
-    "cylinder": lambda start: systems.FullCylinder(
-        LEG.plant.cylinder, LEG.plant.full_order, **start
-    ),
+    "cylinder": full_cylinder,
     "motor": systems.BldcPump(LEG.plant.pump),
     "load": systems.KneeLoad(LEG.plant.load),
     "estimator": systems.TrackingObserver(),

@@ -10,6 +10,7 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from kneexo.diagrams.part import full_name
 from kneexo.simulation.compiled import Recent
 
 recent_equations = Recent()
@@ -39,14 +40,14 @@ def set_parameters(
     Systems that are not in the diagram, such as the reference, are ignored.
     """
     for path, named in values:
-        system = _system(diagram, path)
-        if system is None or not named:
-            continue
-        subcontext = system.GetMyMutableContextFromRoot(context)
         for name, value in named.items():
-            numbered = re.fullmatch(r"(\d+)\[(\d+)\]", name)
-            place = numbered.groups() if numbered else (0, system.parameter_names.index(name))
+            leaf, _, own = full_name(path, name).rpartition(".")
+            if (system := _system(diagram, leaf)) is None:
+                break
+            numbered = re.fullmatch(r"(\d+)\[(\d+)\]", own)
+            place = numbered.groups() if numbered else (0, system.parameter_names.index(own))
             group, index = map(int, place)
+            subcontext = system.GetMyMutableContextFromRoot(context)
             subcontext.get_mutable_numeric_parameter(group).SetAtIndex(index, value)
 
 

@@ -279,7 +279,7 @@ def model_notices(scenario: Scenario) -> Iterator[str]:
         names = ", ".join(f"{place} = {part.make.short_name}" for place, part in own.items())
         yield f"a part of yours replaces {names}; the controller believes kneexo's numbers"
         if reason := why_not_compiled(scenario):
-            yield f"Drake's Simulator makes the runs, some hundred times slower: {reason}"
+            yield f"Drake's Simulator makes the runs, about a thousand times slower: {reason}"
     if {"cylinder", "load"} & own.keys():  # of whose masses kneexo knows nothing
         yield from polynomial_notices(scenario)
         return

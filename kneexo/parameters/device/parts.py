@@ -76,8 +76,8 @@ class PartParameters(Parameters):
     """A Drake leaf system of the user in place of one of kneexo, with the same ports.
 
     The system must have the output ports of the leaf system that it replaces in the scenario, and
-    read what acts on that leaf. More states, outputs and Context parameters are welcome.
-    A part without a symbolic form runs in Drake's Simulator alone: see `Scenario.with_engine`.
+    read what acts on that leaf. More states, outputs and Context parameters are welcome. Without a
+    symbolic form of the part, Drake's Simulator makes the runs.
 
     ``make`` is a system, or a class or function that makes one. A function may have the arguments
     ``scenario``, and ``start``, the dictionary that `kneexo.diagrams.cylinder_start` returns. All

@@ -36,6 +36,7 @@ from diagramc import (
     linearize,
     loop_at,
     margins,
+    read_for_linearization,
 )
 
 GRAVITY = 9.81
@@ -106,6 +107,41 @@ def test_differences_of_a_leaf_of_floats_are_as_exact_as_they_say(u):
     with pytest.warns(UserWarning, match="about 1e-11 if the leaf is smooth over 0.1 %"):
         model = linearize(system, context)
     assert model.d[0, 0] == pytest.approx(np.cos(u), abs=1e-10 if u < 1.0 else 1e-7)
+
+
+@pytest.mark.parametrize("width", [1.0, 5e-3, 1e-3])
+def test_differences_take_shorter_steps_where_a_leaf_changes_fast(width):
+    # Friction near rest: u changes the force within `width`, and the state within 1.
+    leaf = Floats(lambda u: np.tanh(u / width) + np.sin(u), 1, 1)
+    context = leaf.CreateDefaultContext()
+    leaf.get_input_port().FixValue(context, [0.1 * width])
+    with pytest.warns(UserWarning, match="central differences"):
+        (found,) = linearize(leaf, context).d.ravel()
+    exact = 1.0 / (width * np.cosh(0.1) ** 2) + np.cos(0.1 * width)
+    assert found == pytest.approx(exact, rel=1e-10 if width == 1.0 else 1e-7)
+
+
+def test_leaves_that_are_not_symbolic_are_read_once_for_many_models():
+    builder = DiagramBuilder()
+    leaf = builder.AddNamedSystem("leaf", float_gain(np.array([[-2.0]])))
+    hold = builder.AddNamedSystem("hold", ZeroOrderHold(0.1, 1))
+    builder.Connect(leaf.get_output_port(), hold.get_input_port())
+    builder.Connect(hold.get_output_port(), leaf.get_input_port())
+    diagram = builder.Build()
+    read = read_for_linearization(diagram, inputs=["leaf:u"], outputs=["hold:y"])
+    for gain, value in ((-2.0, 0.0), (-3.0, 0.5)):
+        leaf.function = lambda u, gain=gain: gain * u
+        context = diagram.CreateDefaultContext()
+        context.SetDiscreteState([value])
+        with pytest.warns(UserWarning, match="leaf: Floats: does not convert to AutoDiffXd"):
+            model = linearize(
+                read,
+                context,
+                inputs=["leaf:u"],
+                outputs=["hold:y"],
+                equilibrium_tolerance=math.inf,
+            )
+        np.testing.assert_allclose([model.a[0, 0], model.b[0, 0]], [gain, gain], rtol=1e-11)
 
 
 def sampled_loop(plant, gain, period_s, delay_s=0.0):
