@@ -340,8 +340,7 @@ def loop_values(
 ) -> Iterator[tuple[str, dict[str, float]]]:
     """Yield path and Context parameters of each system of `make_closed_loop` that has parameters.
 
-    A controller that `has_unknown_parts` is left out. ``law`` replaces the law of the user, and its
-    parameters are left out too.
+    ``law`` replaces the law of the user, and its parameters are left out.
     """
     inner = {"plant": scenario_plant_parts(scenario), "controller": controller_parts(scenario, law)}
     for name, parts in inner.items():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 from pydrake.systems.framework import DiagramBuilder, System
 from pydrake.systems.primitives import Saturation, ZeroOrderHold
@@ -12,7 +13,7 @@ from kneexo.common.ports import output_ports, sizes
 from kneexo.diagrams.part import Part, by_name, export_inputs, leaf_part, wire
 from kneexo.diagrams.protection import protection_parts, raw
 from kneexo.diagrams.signals import CONTROLLER_SIGNALS, PROTECTION_OUTPUTS, SIGNALS
-from kneexo.diagrams.users_part import users_part
+from kneexo.diagrams.users_part import read_numbers, users_part
 from kneexo.errors import ParameterError
 from kneexo.geometry.rod_polynomial import controller_polynomial
 from kneexo.law import FunctionLaw, leaves
@@ -91,7 +92,7 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
         scenario whose controller is not the user's.
     """
     builder = DiagramBuilder()
-    signals, inputs = wire(builder, _parts(scenario, law))
+    signals, inputs = wire(builder, controller_parts(scenario, law))
     export_inputs(builder, inputs, _INPUTS)
     for name, signal in _OUTPUTS.items():
         # A signal comes from kneexo if kneexo computes it, and else from the law.
@@ -132,25 +133,8 @@ def _of_law(name: str) -> str:
 _OFFERS_OF_LAW = {_of_law(name): name for name in CONTROLLER_SIGNALS}
 
 
-def controller_parts(scenario: Scenario, law: System | None = None) -> list[Part]:
-    """Return the leaf systems of `make_controller`, as parts of the diagram.
-
-    The list is empty for a controller that `has_unknown_parts`.
-    """
-    return [] if law is None and has_unknown_parts(scenario) else _parts(scenario, law)
-
-
-def has_unknown_parts(scenario: Scenario) -> bool:
-    """Return True if the controller of a scenario contains a Drake system of the user.
-
-    The values of the Context parameters of such a system are read from the system.
-    """
-    law = scenario.controller
-    return isinstance(law, LawParameters) and law.function.is_system
-
-
-def _parts(scenario: Scenario, replacement: System | None = None) -> list[Part]:
-    """Return the leaf systems of a controller; ``replacement`` replaces the scenario's law."""
+def controller_parts(scenario: Scenario, replacement: System | None = None) -> list[Part]:
+    """Return the systems of `make_controller`; ``replacement`` replaces the scenario's law."""
     believed, polynomial = scenario.believed_plant, controller_polynomial(scenario)
     law = scenario.with_loaded_law().controller
     # The scenario's limit is a whole number of the drive's units, so that a rounded command at the
@@ -190,6 +174,13 @@ def _parts(scenario: Scenario, replacement: System | None = None) -> list[Part]:
     if scenario.protection is not None:
         parts += protection_parts(scenario, scenario.protection)
     return parts
+
+
+def has_users_system(scenario: Scenario) -> bool:
+    """Return True if a law or a part of a scenario is a Drake system of the user."""
+    law = scenario.controller
+    is_system = isinstance(law, LawParameters) and law.function.is_system
+    return is_system or bool(scenario.parts.chosen())
 
 
 _RAW_INPUTS = {"encoder_reading", "knee_reference", "rod_state"}
@@ -232,8 +223,19 @@ def _users_law(
     elif not law.function.is_system:
         yield leaf_part("law", FunctionLaw, leaves, law)
     else:
-        system = users_system(scenario, copied=True)
-        yield Part("law", lambda: system)
+        subject = f"law {law.function.short_name}"
+
+        def make() -> System:
+            return users_system(scenario, copied=True)
+
+        def what_is_known() -> tuple[dict[str, Any], bool]:
+            system = make()
+            groups = system.CreateDefaultContext().num_discrete_state_groups()
+            return read_numbers(subject, system), groups > 0
+
+        question = "numbers", known_text(scenario)
+        numbers, holds = remembered(law.function, question, what_is_known)
+        yield Part("law", make, **numbers)
         limit, sample_time_s = scenario.command_limit_rad_s, scenario.controller.sample_time_s
         yield Part(
             "limit",
@@ -243,7 +245,7 @@ def _users_law(
             through="motor_speed_command",
         )
         # A system with discrete states holds its command by them.
-        if system.CreateDefaultContext().num_discrete_state_groups() == 0:
+        if not holds:
             yield Part(
                 "hold",
                 lambda: ZeroOrderHold(sample_time_s, 1),

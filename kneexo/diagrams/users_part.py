@@ -9,7 +9,7 @@ from typing import Any
 from diagramc import read_diagram, read_for_linearization
 from kneexo.common.ports import input_ports, output_ports, sizes
 from kneexo.diagrams.part import Part, by_name
-from kneexo.errors import CompilationError, ParameterError
+from kneexo.errors import CompilationError, DifferenceError, ParameterError
 from kneexo.law.decision import remembered
 from kneexo.parameters import Scenario
 from kneexo.parameters.device.parts import PartParameters
@@ -84,7 +84,7 @@ def users_part(
         for signal, name in further.items():
             indices = [""] if outputs[name] == 1 else [f"[{n}]" for n in range(outputs[name])]
             columns[signal] = tuple(signal + index for index in indices)
-        return _numbers(subject, system) | {
+        return read_numbers(subject, system) | {
             # A further output takes the signal of no other part, even one of the same name.
             "offers": by_name(*known) | further,
             "columns": columns,
@@ -93,12 +93,17 @@ def users_part(
     return replaced._replace(make=make, **remembered(chosen.make, question, what_is_known))
 
 
-def _numbers(subject: str, system: Any) -> dict[str, Any]:
-    """Return the fields of a part that say its numbers, and whether it has symbolic equations."""
+def read_numbers(subject: str, system: Any) -> dict[str, Any]:
+    """Return the fields of a part that say its numbers, and whether it has symbolic equations.
+
+    Raises `ParameterError`, with the ``subject``, for equations that differ from the calls.
+    """
     inputs, key = input_ports(system), ("", "")
     try:
         read = read_diagram(system, inputs=inputs)
         key = read.key, ""
+    except DifferenceError as error:
+        raise ParameterError(f"{subject}: {error}") from None
     except CompilationError as error:
         key = "", f"{subject}: {error}"
         try:

@@ -23,7 +23,6 @@ from diagramc import (
     write_fmu,
 )
 from kneexo.diagrams.closed_loop import make_closed_loop, plant_states
-from kneexo.diagrams.controller import has_unknown_parts
 from kneexo.errors import KneexoError, ParameterError
 from kneexo.export.target import TOOL, Target, make_target, released_step_s, require_step
 from kneexo.geometry.rod_polynomial import completed
@@ -183,7 +182,7 @@ def _tunable(scenario: Scenario, target: Target, source: CSource) -> Iterator[Fm
     single = dict(zip(names, context_parameters(source), strict=True))
     if target.what == "plant":  # no controller reaches it
         scenario = scenario.model_copy(update={"controller": SlidingModeParameters()})
-    effects = {} if has_unknown_parts(scenario) else parameter_effects(scenario, names)
+    effects = parameter_effects(scenario, names)
     at_rest = _AT_REST if any(_initial(scenario, source)) else ""
     same = {path: effect.same for path, effect in effects.items() if effect.same}
     claims = [name for group in same.values() for name in group]

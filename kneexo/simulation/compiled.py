@@ -17,7 +17,7 @@ from dataclasses import replace
 from functools import cache, lru_cache, partial
 from hashlib import sha256
 from threading import RLock
-from typing import Any, NamedTuple, get_origin
+from typing import Any, get_origin
 
 import numpy as np
 
@@ -31,11 +31,9 @@ from diagramc import (
     State,
     compile_by_key,
     input_table,
-    read_diagram,
     simulate_with_feedback,
     stack_tables,
 )
-from kneexo.common.ports import input_ports
 from kneexo.common.result import Array
 from kneexo.diagrams.closed_loop import (
     chosen_signals,
@@ -46,8 +44,7 @@ from kneexo.diagrams.closed_loop import (
 )
 from kneexo.diagrams.controller import (
     controller_parts,
-    has_unknown_parts,
-    make_controller,
+    has_users_system,
 )
 from kneexo.diagrams.faults import fault_structure
 from kneexo.diagrams.part import full_name
@@ -58,11 +55,8 @@ from kneexo.law.call import argument_sizes
 from kneexo.law.decision import (
     decide,
     held_command,
-    known_text,
     law_inputs,
     makers_called_once,
-    remembered,
-    users_law,
     why_python,
 )
 from kneexo.law.leaves import COMMAND_AND_STATE, LAW_COMMAND
@@ -141,28 +135,25 @@ def structure_key(scenario: Scenario) -> str:
         del fields["load_cell"]
     if isinstance(scenario.reference, SampledReference):
         fields["reference"] = scenario.reference.kind  # the samples enter by an open input
-    if scenario.parts.chosen():
-        fields["parts"] = tuple(
-            (name, key) for name, (key, _) in _users_parts_keys(scenario).items()
-        )
+    if has_users_system(scenario):
+        fields["parts"] = tuple((name, key) for name, (key, _) in _users_keys(scenario).items())
     law = scenario.controller
     if isinstance(law, LawParameters):
         decision = decide(scenario)
         if decision.why_python:
             fields["controller"] = "python", law.sample_time_s, decision.inputs
         else:
-            # Numbers of a system may be constants of its equations, so the key contains these.
-            traced = decision.trace
-            key = _unknown_parts(scenario).key if traced is None else traced.key
+            # The limit of the command of a system, whose key is below, is a constant.
+            key = decision.trace.key if decision.trace else str(scenario.command_limit_rad_s)
             fields["controller"] = law.sample_time_s, key
     return _key(tuple(fields.items()))
 
 
-def _users_parts_keys(scenario: Scenario) -> dict[str, tuple[str, str]]:
-    """Return what `Part.key` says of each part of the user, by its place."""
-    if not scenario.parts.chosen():
+def _users_keys(scenario: Scenario) -> dict[str, tuple[str, str]]:
+    """Return what `Part.key` says of each Drake system of the user, by its place."""
+    if not has_users_system(scenario):
         return {}
-    parts = (*scenario_plant_parts(scenario), *controller_parts(scenario))
+    parts = (*scenario_plant_parts(scenario), *controller_parts(scenario, held_command(scenario)))
     return {part.name: part.key() for part in parts if part.key is not None}
 
 
@@ -172,7 +163,7 @@ def why_not_compiled(scenario: Scenario) -> str:
     The text is empty if all parts have symbolic equations. Raises the errors of `make_closed_loop`
     for a part that does not fit.
     """
-    return "; ".join(filter(None, (why for _, why in _users_parts_keys(scenario).values())))
+    return "; ".join(filter(None, (why for _, why in _users_keys(scenario).values())))
 
 
 @lru_cache
@@ -273,41 +264,6 @@ def _diagram(key: str, scenario: Scenario) -> Any:
     return _diagrams.of(key, lambda: scenario_diagram(scenario))
 
 
-class _UnknownParts(NamedTuple):
-    """Key and numbers of a controller that contains a Drake system of the user.
-
-    kneexo does not know the parameters and states of such a system by name.
-    """
-
-    key: str
-    """Digest of the controller's equations."""
-    values: dict[str, float]
-    """Dictionary from a parameter's name in the closed loop to its value in the default Context."""
-    state: dict[str, float]
-    """Dictionary from a state's name in the closed loop to its value in the default Context."""
-
-
-def _unknown_parts(scenario: Scenario) -> _UnknownParts:
-    key = "read", known_text(scenario)
-    with _lock:
-        return remembered(users_law(scenario), key, lambda: _read_controller(scenario))
-
-
-def _read_controller(scenario: Scenario) -> _UnknownParts:
-    controller = make_controller(scenario, held_command(scenario))
-    read = read_diagram(controller, inputs=input_ports(controller))
-
-    def named(names: Sequence[str], values: Array) -> dict[str, float]:
-        return dict(zip((f"controller/{name}" for name in names), values.tolist(), strict=True))
-
-    state = read.state()
-    return _UnknownParts(
-        read.key,
-        named(read.parameter_names, read.parameters()),
-        named(read.state_names, state.continuous) | named(read.discrete_names, state.discrete),
-    )
-
-
 def users_code_key(scenario: Scenario) -> str | None:
     """Return a text by which a later process recognizes law and parts of the user in a scenario.
 
@@ -319,13 +275,13 @@ def users_code_key(scenario: Scenario) -> str | None:
     laws = scenario.users_code().values()
     code = " ".join(f"{law.digest} {law.name.rpartition(':')[2]}" for law in laws)
     try:
-        parts = repr(scenario_values(scenario)) if scenario.parts.chosen() else ""
+        parts = ""
+        if has_users_system(scenario):
+            parts = repr((scenario_values(scenario), scenario_start(scenario)))
         if is_called := bool(why_python(scenario)):
             code += f" {commands_at_points(scenario)}"
         if is_called or why_not_compiled(scenario):
             return f"{code} {parts}" if all(law.digest for law in laws) else None
-        if has_unknown_parts(scenario):
-            return f"{_unknown_parts(scenario)!r}{parts}"
         return f"{structure_key(scenario)}{parts}"
     except KneexoError as error:  # the run will fail alike
         return f"{code} {error}"
@@ -336,14 +292,11 @@ def users_code_key(scenario: Scenario) -> str | None:
 
 def scenario_values(scenario: Scenario) -> dict[str, float]:
     """Return a dictionary from the name of a parameter in the compiled model to its value."""
-    values = {
+    return {
         full_name(path, name): value
-        for path, values in loop_values(scenario)
+        for path, values in loop_values(scenario, held_command(scenario))
         for name, value in values.items()
     }
-    if has_unknown_parts(scenario):
-        values |= _unknown_parts(scenario).values
-    return values
 
 
 def scenario_start(scenario: Scenario) -> dict[str, float]:
@@ -353,11 +306,10 @@ def scenario_start(scenario: Scenario) -> dict[str, float]:
     states start at zero. Raises `ParameterError` and `LinkageError` as `make_plant` does.
     """
     start = plant_start(scenario)
-    for part in controller_parts(scenario) if scenario.parts.estimator is not None else ():
-        own = part.discrete_start.items()
-        start |= {full_name(f"controller/{part.name}", name): value for name, value in own}
-    if has_unknown_parts(scenario):
-        start |= _unknown_parts(scenario).state
+    for part in controller_parts(scenario, held_command(scenario)):
+        path, own = f"controller/{part.name}", dict(part.discrete_start)
+        own |= dict(zip(part.state_names, part.start_state(), strict=True))
+        start |= {full_name(path, name): value for name, value in own.items()}
     return start
 
 

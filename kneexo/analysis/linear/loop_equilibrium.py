@@ -16,11 +16,9 @@ from kneexo.analysis.linear.shared_equations import context_with, recent_equatio
 from kneexo.common.result import Array
 from kneexo.diagrams import make_closed_loop
 from kneexo.diagrams.closed_loop import loop_values, plant_start
-from kneexo.diagrams.controller import has_unknown_parts
 from kneexo.diagrams.wearer import moment_of, moment_spline
 from kneexo.errors import LinearizationError, NoEquilibriumError
 from kneexo.law.decision import (
-    known_text,
     makers_called_once,
     why_python,
 )
@@ -34,7 +32,7 @@ from kneexo.parameters import (
     StepReference,
 )
 from kneexo.parameters.scenario import require_scenario
-from kneexo.simulation.compiled import structure_key, users_code_key, why_not_compiled
+from kneexo.simulation.compiled import structure_key, why_not_compiled
 
 _NO_LIMIT = 1e12
 """A speed or an acceleration that no motor reaches, in rad/s or rad/s²."""
@@ -111,8 +109,6 @@ def _shared_equations(scenario: Scenario, law: LawTangent | None) -> DiagramEqua
         return read()
     if law is not None:  # loops with such laws are alike, except for the laws' numbers of states
         return recent_equations.of(f"{key} {law.sizes}", read)
-    if has_unknown_parts(scenario):  # the Context parameters of such parts have no known names
-        key += f"{known_text(scenario)} {users_code_key(scenario)}"
     return recent_equations.of(key, read)
 
 

@@ -44,11 +44,15 @@ def set_parameters(
             leaf, _, own = full_name(path, name).rpartition(".")
             if (system := _system(diagram, leaf)) is None:
                 break
-            numbered = re.fullmatch(r"(\d+)\[(\d+)\]", own)
-            place = numbered.groups() if numbered else (0, system.parameter_names.index(own))
-            group, index = map(int, place)
             subcontext = system.GetMyMutableContextFromRoot(context)
-            subcontext.get_mutable_numeric_parameter(group).SetAtIndex(index, value)
+            numbered = re.fullmatch(r"(\d+)\[(\d+)\]", own)
+            names = getattr(system, "parameter_names", ())
+            group, index = map(int, numbered.groups()) if numbered else (0, 0)
+            vector = subcontext.get_mutable_numeric_parameter(group)
+            if numbered or own in names:
+                vector.SetAtIndex(index if numbered else names.index(own), value)
+            else:  # a vector of Drake with accessors, such as ``PendulumParams``
+                getattr(vector, f"set_{own}")(value)
 
 
 def _system(diagram: Any, path: str) -> Any:
