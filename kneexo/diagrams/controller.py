@@ -231,7 +231,7 @@ def _users_law(
         def what_is_known() -> tuple[dict[str, Any], bool]:
             system = make()
             groups = system.CreateDefaultContext().num_discrete_state_groups()
-            return read_numbers(subject, system), groups > 0
+            return read_numbers("law", subject, system), groups > 0
 
         question = "numbers", known_text(scenario)
         numbers, holds = remembered(law.function, question, what_is_known)

@@ -117,7 +117,7 @@ def make_plant(
         For subsystems by name, Context parameters that a fault can change. Such a subsystem has an
         input port for the changes, which the plant exports, such as ``motor_fault``.
     parts
-        Drake leaf systems of the user in place of ``motor``, ``cylinder`` or ``load``, by these
+        Drake systems of the user in place of ``motor``, ``cylinder`` or ``load``, by these
         names, or functions that make them: see `kneexo.parameters.device.parts.PartParameters`.
     scenario
         What such a function gets as ``scenario``.

@@ -1,4 +1,4 @@
-"""Puts a Drake leaf system of the user in the place of a leaf system of kneexo."""
+"""Puts a Drake system of the user in the place of a leaf system of kneexo."""
 
 from __future__ import annotations
 
@@ -76,24 +76,23 @@ def users_part(
                     f"{wanted:.7g} m; must start there: give a function with the argument start, "
                     f"and begin at start['initial_extension_m']"
                 )
-        known, columns = output_ports(own), dict[str, tuple[str, ...]]()
-        outputs = sizes(output_ports(system))
-        further = {
-            f"{place}.{name}": name for name in outputs if outputs[name] and name not in known
-        }
-        for signal, name in further.items():
-            indices = [""] if outputs[name] == 1 else [f"[{n}]" for n in range(outputs[name])]
-            columns[signal] = tuple(signal + index for index in indices)
-        return read_numbers(subject, system) | {
-            # A further output takes the signal of no other part, even one of the same name.
-            "offers": by_name(*known) | further,
-            "columns": columns,
-        }
+        # A further output takes the signal of no other part, even one of the same name.
+        offers, columns = by_name(*output_ports(own)), dict[str, tuple[str, ...]]()
+        for name, size in sizes(output_ports(system)).items():
+            if name not in offers and size:
+                signal, indices = f"{place}.{name}", [f"[{index}]" for index in range(size)]
+                offers[signal] = name
+                columns[signal] = tuple(signal + index for index in indices if size > 1) or (
+                    signal,
+                )
+        if chosen.make.is_object:  # the copy of an object agrees with itself, also if it forgets
+            read_numbers(place, subject, chosen.make.target)
+        return read_numbers(place, subject, system) | {"offers": offers, "columns": columns}
 
     return replaced._replace(make=make, **remembered(chosen.make, question, what_is_known))
 
 
-def read_numbers(subject: str, system: Any) -> dict[str, Any]:
+def read_numbers(place: str, subject: str, system: Any) -> dict[str, Any]:
     """Return the fields of a part that say its numbers, and whether it has symbolic equations.
 
     Raises `ParameterError`, with the ``subject``, for equations that differ from the calls.
@@ -116,13 +115,11 @@ def read_numbers(subject: str, system: Any) -> dict[str, Any]:
         names = [name.removeprefix(".") for name in names]  # of a leaf system, not of a Diagram
         return dict(zip(names, values.tolist(), strict=True))
 
-    values, continuous = (
-        named(read.parameter_names, read.parameters()),
-        named(read.state_names, state.continuous),
-    )
+    values = named(read.parameter_names, read.parameters())
+    continuous = named(read.state_names, state.continuous)
     return {
         "values": lambda: values,
-        "states": tuple(map(StateVariable, continuous)),
+        "states": tuple(StateVariable(f"{place}_state_{n}") for n in range(len(continuous))),
         "start": lambda: [*continuous.values()],
         "state_names": tuple(continuous),
         "discrete_start": named(read.discrete_names, state.discrete),

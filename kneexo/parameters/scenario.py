@@ -268,7 +268,7 @@ class Scenario(Parameters):
         return self.model_copy(update={"controller": controller})
 
     def with_part(self, place: str, part: Any, *, values: Mapping[str, float] = {}) -> Scenario:
-        """Return the scenario with a Drake leaf system of the user in place of one of kneexo.
+        """Return the scenario with a Drake system of the user in place of a leaf system of kneexo.
 
         `PartParameters` says what the system must have. The numbers of the part that it replaces,
         such as ``plant.cylinder``, stay what the controller believes of the plant. Reading them for

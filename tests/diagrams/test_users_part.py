@@ -178,6 +178,7 @@ def Slack_(T):
             self.command = self.DeclareVectorInputPort("motor_speed_command", 1)
             self.pressure = self.DeclareVectorInputPort("load_pressure", 1)
             self.DeclareContinuousState(2)
+            self.dead_band = 3.0
             speed, pressure = {self.all_state_ticket()}, {self.pressure.ticket()}
             for name, needs in {
                 "motor_speed": speed,
@@ -210,7 +211,8 @@ def Slack_(T):
         def DoCalcTimeDerivatives(self, context, rates):
             speed, drive = context.get_continuous_state_vector().CopyToVector()
             command = self.command.Eval(context)[0]
-            beyond = drake_math.max(command - 3.0, 0.0) + drake_math.min(command + 3.0, 0.0)
+            band = self.dead_band
+            beyond = drake_math.max(command - band, 0.0) + drake_math.min(command + band, 0.0)
             rates.get_mutable_vector().SetFromVector(
                 [(drive - speed) / 0.008, (beyond - drive) / 0.004]
             )
@@ -370,7 +372,7 @@ TWICE = systems.BldcPump()
     [
         ("knee", rubbing, r"place = 'knee': must be cylinder, motor, load, estimator; knee, cuff"),
         ("cylinder", 3.0, r"part = 3: must be a function, a Drake system, or their name"),
-        ("cylinder", lambda: None, r"returns NoneType; must return a Drake LeafSystem"),
+        ("cylinder", lambda: None, r"returns NoneType; must return a Drake system"),
         ("motor", lambda: TWICE, r"returns one system twice; must make a new one at each call"),
         (
             "motor",
@@ -402,6 +404,14 @@ def test_a_part_that_does_not_fit_is_one_line(place, part, line):
     with pytest.raises(ParameterError, match=line) as caught:
         make_closed_loop(PAPER.with_part(place, part))
     assert "\n" not in str(caught.value)
+
+
+def test_an_object_whose_copy_forgets_something_is_refused():
+    motor = Slack_[None]()
+    motor.dead_band = 9.0
+    line = r"^parts\.motor: .*: time derivatives: the equations that were read off differ from"
+    with pytest.raises(ParameterError, match=line):
+        simulate(PAPER.with_part("motor", motor))
 
 
 def test_a_part_that_the_scenario_cannot_act_on_is_refused():

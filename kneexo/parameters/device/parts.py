@@ -15,7 +15,7 @@ from kneexo.parameters.fields.quantity import Parameters, choice
 
 
 class PartMaker(Law):
-    """A Drake leaf system of the user, or a class or function that makes one.
+    """A Drake system of the user, or a class or function that makes one.
 
     A function may have the arguments ``scenario`` and ``start``, see `PartParameters`. A maker is
     named and imported as a `Law` is.
@@ -47,7 +47,7 @@ class PartMaker(Law):
             system = self.target(**{n: v for n, v in arguments.items() if n not in offered})
         if not hasattr(type(system), "CreateDefaultContext"):
             raise ParameterError(
-                f"{subject}: returns {type(system).__name__}; must return a Drake LeafSystem"
+                f"{subject}: returns {type(system).__name__}; must return a Drake system"
             )
         if system is self._last:
             raise ParameterError(
@@ -73,7 +73,7 @@ class PartMaker(Law):
 
 
 class PartParameters(Parameters):
-    """A Drake leaf system of the user in place of one of kneexo, with the same ports.
+    """A Drake system of the user in place of a leaf system of kneexo, with the same ports.
 
     The system must have the output ports of the leaf system that it replaces in the scenario, and
     read what acts on that leaf. More states, outputs and Context parameters are welcome. Without a
@@ -85,7 +85,7 @@ class PartParameters(Parameters):
     them by paths such as ``parts.cylinder.values.coulomb_n``.
     """
 
-    make: PartMaker = choice(..., "given by the user: FILE.py:NAME of a Drake leaf system")
+    make: PartMaker = choice(..., "given by the user: FILE.py:NAME of a Drake system")
     values: dict[str, float] = choice({}, "given by the user: numbers of the part, by argument")
 
     def system(self, scenario: Any, start: Mapping[str, Any]) -> Any:
