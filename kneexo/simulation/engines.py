@@ -71,7 +71,7 @@ def serve_runs(requests: Mapping[int, RunRequest]) -> Iterator[tuple[int, Run | 
     ways: dict[Any, list[int]] = {}
     for index, request in requests.items():
         settings = request.scenario.simulation
-        if fault := _too_large(request):
+        if fault := _refusal(request):
             yield index, fault
         elif is_compiled(request.scenario):
             signals = None if request.signals is None else tuple(request.signals)
@@ -122,11 +122,17 @@ def _repeated(
     return run
 
 
-def _too_large(request: RunRequest) -> ParameterError | None:
-    """Return an error if the run would require too much memory or time, otherwise None."""
+def _refusal(request: RunRequest) -> KneexoError | None:
+    """Return an error if the run would require too much memory or time, otherwise None.
+
+    The error of a part of the user that does not fit is returned too.
+    """
     settings, duration_s = request.scenario.simulation, request.scenario.duration_s
     duration = f"simulation.duration_s = {duration_s:g} s"
-    samples, width = _records(request), max(_width(request), 1)  # at least the times
+    try:
+        samples, width = _records(request), max(_width(request), 1)  # at least the times
+    except KneexoError as error:
+        return error
     size = 8.0 * samples * width
     if size > LARGEST_RUN_BYTES:
         return ParameterError(

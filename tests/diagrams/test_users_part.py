@@ -414,6 +414,17 @@ def test_an_object_whose_copy_forgets_something_is_refused():
         simulate(PAPER.with_part("motor", motor))
 
 
+def test_a_part_that_does_not_fit_fails_alone_in_a_batch():
+    def made(start, coulomb_n):
+        return rubbing(start, coulomb_n) if coulomb_n < 15.0 else systems.KneeLoad()
+
+    path = "parts.cylinder.values.coulomb_n"
+    scenario = PAPER.with_part("cylinder", made, values={"coulomb_n": 0.0})
+    good, bad = kx.batch(scenario, {path: [10.0, 20.0]}).rows
+    assert good.metrics.max_error_deg < 1.0
+    assert "has knee_angle of size 1 as input port" in bad.error
+
+
 def test_a_part_that_the_scenario_cannot_act_on_is_refused():
     loaded = PAPER.changed({"plant.load": "knee", "plant.load.inertia_kg_m2": 0.1})
     own = loaded.with_part("cylinder", rubbing)
