@@ -233,7 +233,7 @@ def _users_law(
             groups = system.CreateDefaultContext().num_discrete_state_groups()
             return read_numbers("law", subject, system), groups > 0
 
-        question = "numbers", known_text(scenario)
+        question = "numbers", known_text(scenario) if law.function.takes_scenario else ""
         numbers, holds = remembered(law.function, question, what_is_known)
         yield Part("law", make, **numbers)
         limit, sample_time_s = scenario.command_limit_rad_s, scenario.controller.sample_time_s

@@ -26,7 +26,8 @@ from kneexo.diagrams.closed_loop import make_closed_loop, plant_states
 from kneexo.errors import KneexoError, ParameterError
 from kneexo.export.target import TOOL, Target, make_target, released_step_s, require_step
 from kneexo.geometry.rod_polynomial import completed
-from kneexo.parameters import Scenario, SlidingModeParameters
+from kneexo.law.decision import makers_called_once
+from kneexo.parameters import LawParameters, Scenario, SlidingModeParameters
 from kneexo.parameters.fields.fields import limits_of, source_of as provenance_of
 from kneexo.parameters.fields.quantity import Parameters
 from kneexo.parameters.fields.replaced import is_replaced
@@ -99,6 +100,7 @@ def export_fmu(
     return KneeFmuFile(**vars(written), scenario_parameters=names)
 
 
+@makers_called_once()
 def make_fmu(
     scenario: Scenario = Scenario(),
     what: str = "controller",
@@ -182,7 +184,10 @@ def _tunable(scenario: Scenario, target: Target, source: CSource) -> Iterator[Fm
     single = dict(zip(names, context_parameters(source), strict=True))
     if target.what == "plant":  # no controller reaches it
         scenario = scenario.model_copy(update={"controller": SlidingModeParameters()})
-    effects = parameter_effects(scenario, names)
+    law = scenario.controller
+    # A maker that takes the scenario would be called a thousand times.
+    is_made = isinstance(law, LawParameters) and law.function.takes_scenario
+    effects = {} if is_made else parameter_effects(scenario, names)
     at_rest = _AT_REST if any(_initial(scenario, source)) else ""
     same = {path: effect.same for path, effect in effects.items() if effect.same}
     claims = [name for group in same.values() for name in group]
