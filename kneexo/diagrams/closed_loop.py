@@ -192,7 +192,7 @@ def make_open_loop(scenario: Scenario) -> Diagram:
     builder = DiagramBuilder()
     ports, inputs = wire(builder, [part for part in parts if part.name in kept])
     export_inputs(builder, inputs, by_name("motor_speed_command") | _INPUTS)
-    for name in SIGNALS | _users_columns(scenario):
+    for name in SIGNALS | further_columns(parts):
         if name in ports:
             builder.ExportOutput(ports[name], name)
     return builder.Build()
@@ -270,10 +270,13 @@ def _plant_part(scenario: Scenario, changes: dict[int, Changes]) -> Part:
         # With another safe state the valve stays closed, and the windings are not shorted.
         safe_state = scenario.protection.safe_state
         reads |= {name: "release" if name == safe_state else NO_SIGNAL for name in RELEASES}
-    offers = by_name(*plant_outputs(scenario.plant), *_users_columns(scenario))
+    chosen = scenario.parts.chosen()
+    users = further_columns(scenario_plant_parts(scenario)) if chosen else {}
+    offers = by_name(*plant_outputs(scenario.plant), *users)
     if scenario.estimator.kind == "exact" and scenario.controller.kind != "pid":
         offers["estimated_state"] = "rod_state"  # the state of the plant is the estimate
-    return Part("plant", lambda: plant_of(scenario, fault_names), reads=reads, offers=offers)
+    make = partial(plant_of, scenario, fault_names)
+    return Part("plant", make, reads=reads, offers=offers, columns=users)
 
 
 def _reference_part(scenario: Scenario, reference: System | None, external: bool) -> Part:
@@ -305,15 +308,10 @@ def signal_columns(scenario: Scenario) -> dict[str, tuple[str, ...]]:
     The signals are in `SIGNALS`. Those that follow are further outputs of parts of the user, such
     as ``cylinder.friction_force``.
     """
-    offered = {signal for part in loop_parts(scenario) for signal in part.offers or ()}
-    known = SIGNALS | _users_columns(scenario)
+    parts = loop_parts(scenario)
+    offered = {signal for part in parts for signal in part.offers or ()}
+    known = SIGNALS | further_columns(parts)
     return {name: names for name, names in known.items() if name in offered}
-
-
-def _users_columns(scenario: Scenario) -> dict[str, tuple[str, ...]]:
-    """Return the columns of the signals that only parts of the user offer."""
-    chosen = scenario.parts.chosen()
-    return further_columns(scenario_plant_parts(scenario)) if chosen else {}
 
 
 def chosen_signals(scenario: Scenario, signals: Sequence[str] | None) -> dict[str, tuple[str, ...]]:

@@ -27,6 +27,7 @@ from kneexo.errors import ParameterError
 from kneexo.geometry import linkage
 from kneexo.geometry.rod_inverse import RodInverse, fit_rod_inverse, rounded_rod_extension
 from kneexo.geometry.rod_polynomial import controller_polynomial
+from kneexo.law.decision import found_once
 from kneexo.parameters import (
     KneeLoadParameters,
     LinkageParameters,
@@ -171,7 +172,9 @@ def plant_outputs(parameters: PlantParameters) -> list[str]:
 
 def scenario_plant_parts(scenario: Scenario) -> list[Part]:
     """Return the leaf systems of the plant of a scenario, with the state that it starts from."""
-    return plant_parts(scenario.plant, **start_arguments(scenario))
+    if not scenario.parts.chosen():
+        return plant_parts(scenario.plant, **start_arguments(scenario))
+    return found_once(scenario, lambda: plant_parts(scenario.plant, **start_arguments(scenario)))
 
 
 def start_arguments(scenario: Scenario) -> dict[str, Any]:
@@ -271,10 +274,10 @@ def plant_parts(
     if bypass is not None:
         states = bypass_valve.STATE_VARIABLES
         own.append(leaf_part("bypass", systems.BypassValve, bypass_valve, bypass, states=states))
-    if parts.chosen():
+    if users := parts.chosen():
         places = _users_places(parameters, parts, scenario)
         for index, part in enumerate(own):
-            if chosen := getattr(parts, part.name, None):
+            if chosen := users.get(part.name):
                 template, needed = places[part.name]
                 own[index] = users_part(chosen, part, template, begin(), scenario, needed=needed)
     return [part._replace(reads={"fault": f"{part.name}_fault"}) for part in own]

@@ -40,19 +40,28 @@ def set_parameters(
     Systems that are not in the diagram, such as the reference, are ignored.
     """
     for path, named in values:
-        for name, value in named.items():
-            leaf, _, own = full_name(path, name).rpartition(".")
+        for leaf, numbers in _by_leaf(path, named).items():
             if (system := _system(diagram, leaf)) is None:
-                break
+                continue
             subcontext = system.GetMyMutableContextFromRoot(context)
-            numbered = re.fullmatch(r"(\d+)\[(\d+)\]", own)
             names = getattr(system, "parameter_names", ())
-            group, index = map(int, numbered.groups()) if numbered else (0, 0)
-            vector = subcontext.get_mutable_numeric_parameter(group)
-            if numbered or own in names:
-                vector.SetAtIndex(index if numbered else names.index(own), value)
-            else:  # a vector of Drake with accessors, such as ``PendulumParams``
-                getattr(vector, f"set_{own}")(value)
+            for name, value in numbers.items():
+                numbered = re.fullmatch(r"(\d+)\[(\d+)\]", name)
+                group, index = map(int, numbered.groups()) if numbered else (0, 0)
+                vector = subcontext.get_mutable_numeric_parameter(group)
+                if numbered or name in names:
+                    vector.SetAtIndex(index if numbered else names.index(name), value)
+                else:  # a vector of Drake with accessors, such as ``PendulumParams``
+                    getattr(vector, f"set_{name}")(value)
+
+
+def _by_leaf(path: str, named: dict[str, float]) -> dict[str, dict[str, float]]:
+    """Return the numbers of a part at a path by the paths of its leaf systems, and their names."""
+    leaves: dict[str, dict[str, float]] = {}
+    for name, value in named.items():
+        leaf, _, own = full_name(path, name).rpartition(".")
+        leaves.setdefault(leaf, {})[own] = value
+    return leaves
 
 
 def _system(diagram: Any, path: str) -> Any:
