@@ -126,7 +126,7 @@ def make_plant(
     Raises
     ------
     ParameterError
-        The start lies outside the range of motion or the stroke.
+        The start lies outside the range of motion or the stroke, or a part does not fit.
     LinkageError
         The linkage cannot be assembled.
     """
@@ -140,7 +140,16 @@ def make_plant(
     export_inputs(builder, inputs, _INPUTS | by_name(*(f"{name}_fault" for name in fault_names)))
     for name in [*plant_outputs(parameters), *further_columns(of_plant)]:
         builder.ExportOutput(signals[name], name)
-    plant = builder.Build()
+    try:
+        plant = builder.Build()
+    except RuntimeError as error:  # Drake's, of an algebraic loop, in eight lines
+        if not parts.chosen():
+            raise
+        raise ParameterError(
+            f"parts.{', '.join(parts.chosen())}: an output follows an input at once, which closes "
+            f"an algebraic loop; give each output that does not follow its inputs at once the "
+            f"argument prerequisites_of_calc, such as {{self.all_state_ticket()}}"
+        ) from error
     plant.set_name("plant")
     return plant
 

@@ -8,11 +8,13 @@ from typing import Any
 
 from diagramc import read_diagram, read_for_linearization
 from kneexo.common.ports import input_ports, output_ports, sizes
+from kneexo.common.user_code import user_code
 from kneexo.diagrams.part import Part, by_name
 from kneexo.errors import CompilationError, DifferenceError, ParameterError
 from kneexo.law.decision import remembered
 from kneexo.parameters import Scenario
 from kneexo.parameters.device.parts import PartParameters
+from kneexo.parameters.fields.replaced import believed
 from kneexo.systems import StateVariable
 
 _EXTENSION_TOLERANCE_M = 1e-6  # of the start of an object, which cannot be told where to start
@@ -55,7 +57,9 @@ def users_part(
     ParameterError
         The system has other ports, other kinds of states, or another start.
     """
-    place, make = replaced.name, partial(chosen.system, scenario, start)
+    # A function may read the numbers that its part replaces.
+    known = scenario and scenario.model_copy(update={"plant": believed(scenario.plant)})
+    place, make = replaced.name, partial(chosen.system, known, start)
     subject = f"parts.{place}: {chosen.make.short_name}"
     numbers = repr((start, sorted(chosen.values.items())))
     text = scenario.model_dump_json() if scenario and chosen.make.takes_scenario else ""
@@ -68,7 +72,8 @@ def users_part(
         context = system.CreateDefaultContext()
         _require_states(subject, system, context, period_s)
         if place == "cylinder":
-            extension = system.GetOutputPort("rod_extension").Eval(context)[0]
+            with user_code(f"{subject}: has no rod_extension at the start"):
+                extension = system.GetOutputPort("rod_extension").Eval(context)[0]
             wanted = start["initial_extension_m"]
             if not abs(extension - wanted) <= _EXTENSION_TOLERANCE_M:
                 raise ParameterError(
@@ -133,14 +138,14 @@ def _require_ports(subject: str, system: Any, template: Any, needed: Sequence[st
     The system must have all outputs of the template and the inputs ``needed``. Its other inputs are
     among those of the template.
     """
-    for kind, ports in (("input", input_ports), ("output", output_ports)):
+    for kind, must, ports in (("input", "may", input_ports), ("output", "must", output_ports)):
         found, wanted = sizes(ports(system)), sizes(ports(template))
         table = ", ".join(f"{name} ({size})" for name, size in wanted.items())
         for name in wanted if kind == "output" else {**found, **dict.fromkeys(needed, 0)}:
             if name not in wanted or found.get(name) != wanted[name]:
                 size = f"{name} of size {found[name]}" if name in found else f"no {name}"
                 raise ParameterError(
-                    f"{subject}: has {size} as {kind} port; {kind} ports must be of {table}"
+                    f"{subject}: has {size} as {kind} port; {kind} ports {must} be {table}"
                 )
 
 

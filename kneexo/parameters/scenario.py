@@ -279,15 +279,16 @@ class Scenario(Parameters):
         place
             ``cylinder``, ``motor`` (with the pump), ``load`` or ``estimator``.
         part
-            A leaf system, a class or function that makes one, or the name ``FILE.py:NAME`` of one
-            of these. None: kneexo's own part again.
+            A leaf system or a Diagram, a class or function that makes one, or the name
+            ``FILE.py:NAME`` of one of these. None: kneexo's own part again.
         values
             Numbers of the part, by argument of the function. Left out: the defaults.
 
         Raises
         ------
         ParameterError
-            There is no such place, or the part cannot be used.
+            There is no such place, or the part is none of these. What it makes is checked at its
+            first use.
         """
         if place not in PartsParameters.model_fields:
             raise ParameterError(

@@ -354,6 +354,19 @@ def test_a_scenario_file_names_a_part_and_its_folder_gets_the_code(tmp_path):
     np.testing.assert_array_equal(simulate(again).time_s, simulate(scenario).time_s)
 
 
+class AtOnce(LeafSystem):
+    """A cylinder whose outputs follow its input at once, as Drake's default prerequisites say."""
+
+    def __init__(self, values=(0.1390397,)):
+        super().__init__()
+        self.DeclareVectorInputPort("load_flow", 1)
+        for name in ("rod_velocity", "load_pressure", "rod_force"):
+            self.DeclareVectorOutputPort(name, 1, lambda context, output: None)
+        self.DeclareVectorOutputPort("rod_state", 3, lambda context, output: None)
+        extension = lambda context, output: output.SetFromVector(values)  # noqa: E731
+        self.DeclareVectorOutputPort("rod_extension", 1, extension)
+
+
 class Sampled(LeafSystem):
     def __init__(self):
         super().__init__()
@@ -395,6 +408,8 @@ TWICE = systems.BldcPump()
         ),
         ("cylinder", lambda: systems.FullCylinder(), r"its rod starts"),
         ("load", systems.KneeLoad, None),
+        ("cylinder", AtOnce, r"parts\.cylinder: an output follows an input at once, .*algebraic"),
+        ("cylinder", lambda: AtOnce([1.0, 2.0]), r"has no rod_extension at the start: \w+: "),
     ],
 )
 def test_a_part_that_does_not_fit_is_one_line(place, part, line):
@@ -435,6 +450,16 @@ def test_a_part_that_the_scenario_cannot_act_on_is_refused():
     typo = PAPER.with_part("cylinder", rubbing, values={"coulomb": 1.0})
     with pytest.raises(ParameterError, match=r"has no argument coulomb; did you mean coulomb_n\?"):
         simulate(typo)
+
+
+def test_a_function_may_read_the_numbers_that_its_part_replaces():
+    def pump(scenario):
+        return systems.BldcPump(scenario.plant.pump)
+
+    for lag_s in (0.004, 0.02):
+        scenario = PAPER.changed({"plant.pump.lag_s": lag_s})
+        run, own = simulate(scenario.with_part("motor", pump)), simulate(scenario)
+        np.testing.assert_array_equal(run["knee_angle_rad"], own["knee_angle_rad"])
 
 
 def test_a_load_of_the_user_is_balanced_at_the_start():
@@ -511,6 +536,8 @@ def rubbing_floats(start, coulomb_n=20.0):
     return RubbingFloats()
 
 
+@pytest.mark.slow(gate=1)
+@pytest.mark.filterwarnings("ignore:.*central differences")
 def test_a_part_of_floats_has_the_linear_models_of_its_symbolic_form():
     loops, plants = [], []
     for part in (rubbing, rubbing_floats):
@@ -563,6 +590,7 @@ def test_further_outputs_of_a_part_are_signals():
     for column in own.columns:  # the output motor_speed is no motor's
         np.testing.assert_array_equal(run[column], own[column])
     scenario = PAPER.with_part("cylinder", watched)
+    np.testing.assert_array_equal(kx.track(scenario)["cylinder.x[1]"], run["cylinder.x[1]"])
     drake = simulate(scenario.with_engine("drake"), signals=["cylinder.x"])
     assert [*drake.data] == ["cylinder.x[0]", "cylinder.x[1]"]
     np.testing.assert_allclose(drake["cylinder.x[0]"], run["cylinder.x[0]"], atol=1e-6)

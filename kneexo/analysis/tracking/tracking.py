@@ -25,7 +25,7 @@ from kneexo.analysis.tracking.stop import first_stop
 from kneexo.analysis.tracking.verdict import Verdict, verdict_of
 from kneexo.common.plotting import BLUE, BROWN, GOLD, PURPLE, RED, TEAL, axes_or_new
 from kneexo.common.result import Array, Result, data_frame
-from kneexo.diagrams import available_signals
+from kneexo.diagrams import SIGNALS, available_signals
 from kneexo.diagrams.signals import PROTECTION_OUTPUTS
 from kneexo.law.decision import makers_called_once
 from kneexo.parameters import Scenario
@@ -490,6 +490,7 @@ def _verdict_signals(scenario: Scenario) -> tuple[str, ...]:
     if scenario.controller.kind == "torque" or scenario.protection is not None:
         names += (*TORQUE_SIGNALS, "motor_speed")
     available = available_signals(scenario)
+    names += (name for name in available if name not in SIGNALS)  # of parts of the user
     return tuple(name for name in dict.fromkeys(names) if name in available)
 
 
