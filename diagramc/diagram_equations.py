@@ -12,7 +12,7 @@ from typing import Any
 from pydrake.systems.framework import System
 
 from .arguments import names, quoted
-from .equations.contexts import parameters_of, state_of
+from .equations.contexts import parameters_of, set_parameters, state_of
 from .equations.equations import Equations
 from .equations.graph import Graph
 from .equations.graph_values import values_at
@@ -55,6 +55,10 @@ class DiagramEquations:
         """Return the parameters in ``context``, by default in the diagram's default Context."""
         context = self.diagram.CreateDefaultContext() if context is None else context
         return parameters_of(self.root, context)
+
+    def set_parameters(self, context: Any, parameters: Array) -> None:
+        """Write the parameters, in the order of ``parameter_names``, into a Context."""
+        set_parameters(self.root, context, parameters)
 
     def state(self, context: Any | None = None) -> State:
         """Return the state in ``context``, by default in the diagram's default Context.

@@ -45,11 +45,11 @@ from .point import Obstacle, Point, Slopes
 
 _EQUAL = 1e-9  # relative difference of values of floats and of AutoDiffXd that counts as none
 _STEPS = (1e-3, 1e-4, 1e-5, 1e-6)
-"""Relative changes of a variable for central differences.
+"""Relative changes of a variable for central differences; the last one is for comparison.
 
 The error of central differences with one extrapolation is about h⁴ by truncation and 1e-16/h by
 rounding for a step h, so that the largest step is the best for a variable of order one. A smaller
-one is better for what changes within a smaller range, such as the friction near v = 0.
+step is better for a function that bends within less, such as the friction near v = 0.
 """
 _ROUGH_STEPS = (1e-6, 1e-5, 1e-3, 1e-2, 0.1, 1.0)
 """Relative changes of variables at which a value is compared with its linear model."""
@@ -308,7 +308,8 @@ class _Call:
     def _differences(self, function: Function, local: Array) -> Array:
         """Return the derivatives by central differences, extrapolated once (Richardson).
 
-        For each derivative the step is the one after which the result changes least (Ridders).
+        Each derivative takes the step whose result differs least from that of the next smaller step
+        (Ridders). A result of zero beside others is a step of a table or of rounding, and no zero.
         """
         local = local.copy()
         for change in self.moving:
@@ -317,8 +318,10 @@ class _Call:
                 wide, half = central_differences(function, self.numbers, step * change)
                 columns.append((4.0 * half - wide) / (3.0 * step * change.max()))
             found = np.array(columns)
-            # The change to the next step has the truncation error of one and the rounding of both.
-            best = np.nan_to_num(np.abs(np.diff(found, axis=0)), nan=np.inf).argmin(axis=0)
+            # The difference contains the truncation of the larger step and the rounding of both.
+            differs = np.nan_to_num(np.abs(np.diff(found, axis=0)), nan=np.inf)
+            differs[(found[1:] == 0.0) & (found != 0.0).any(axis=0)] = np.inf
+            best = differs.argmin(axis=0)
             local[:, change.argmax()] = np.take_along_axis(found, best[None], axis=0)[0]
         return local
 

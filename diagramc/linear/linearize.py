@@ -87,8 +87,8 @@ def linearize(
         if the model depends on the time.
     beside
         Contexts close to ``context``, on both sides of a corner. The derivatives are then the mean
-        of those in these Contexts, as a small motion across the corner sees them. A warning then
-        names only leaf systems without symbolic form.
+        of those in these Contexts, as a small motion across the corner sees them. Warnings
+        then come only if a leaf has no symbolic form.
 
     Raises
     ------
@@ -184,7 +184,7 @@ def _model(
     if beside:
         slopes = mean_slopes([near.slopes(out_names) for near in beside])
         point.require_finite(slopes, out_names)
-    if not beside or isinstance(point, LeafwisePoint):  # differences reach across a corner
+    if not beside or isinstance(point, LeafwisePoint):  # a mean has no error, but differences
         _warn(point, out_names)
     input_names = point.element_names(in_names)
     n, columns = point.state.size, point.state.size + len(input_names)

@@ -86,7 +86,7 @@ def read_for_linearization(
 ) -> DiagramEquations:
     """Read a diagram once, for many calls of `linearize`, `loop_at` and `find_equilibrium`.
 
-    Other than for `read_diagram`, a leaf system may have no symbolic form.
+    Unlike `read_diagram`, this function takes leaf systems without symbolic form.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def read_for_linearization(
     Raises
     ------
     CompilationError
-        A leaf has neither a symbolic form nor derivatives: see `linearize`.
+        A leaf has no linear model, such as one with witness functions.
     """
     require_system(diagram)
     root = Node(diagram)

@@ -64,9 +64,10 @@ def simulate(request: Request) -> Outcome:
     from kneexo.command_line.output import to_json, write_csv
     from kneexo.geometry.rod_polynomial import completed
     from kneexo.parameters.scenario_file import scenario_files
+    from kneexo.simulation.engines import is_compiled
     from kneexo.studies.markdown import number
 
-    if scenario.simulation.compiled:
+    if is_compiled(scenario):
         result = track(scenario, all_signals=True)
     else:
         result = _track_with_bar(scenario)

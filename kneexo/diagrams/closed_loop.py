@@ -21,6 +21,7 @@ from kneexo.diagrams.controller import (
     controller_parts,
     controller_signals,
     make_controller,
+    users_systems,
 )
 from kneexo.diagrams.faults import (
     Changes,
@@ -36,6 +37,7 @@ from kneexo.diagrams.part import (
     NO_FAULTS,
     NO_SIGNAL,
     Part,
+    built,
     by_name,
     export_inputs,
     leaf_part,
@@ -160,9 +162,7 @@ def make_closed_loop(
             mux.get_output_port(), builder, publish_period=scenario.controller.sample_time_s
         )
         log.set_name("log")
-    diagram = builder.Build()
-    diagram.set_name("closed_loop")
-    return diagram
+    return built(builder, "closed_loop", users_systems(scenario))
 
 
 _REFERENCE_INPUT = "knee_reference_input"
@@ -322,7 +322,7 @@ def chosen_signals(scenario: Scenario, signals: Sequence[str] | None) -> dict[st
     if isinstance(signals, str):
         raise ParameterError(f'signals = {signals!r}: must be a list, such as ["{signals}"]')
     available = signal_columns(scenario)
-    names = available if signals is None else signals
+    names = tuple(available if signals is None else signals)
     for name in names:
         if name not in available:
             if name in SIGNALS:

@@ -10,7 +10,7 @@ from pydrake.systems.primitives import Saturation, ZeroOrderHold
 
 from kneexo import systems
 from kneexo.common.ports import output_ports, sizes
-from kneexo.diagrams.part import Part, by_name, export_inputs, leaf_part, wire
+from kneexo.diagrams.part import Part, built, by_name, export_inputs, leaf_part, wire
 from kneexo.diagrams.protection import protection_parts, raw
 from kneexo.diagrams.signals import CONTROLLER_SIGNALS, PROTECTION_OUTPUTS, SIGNALS
 from kneexo.diagrams.users_part import read_numbers, users_part
@@ -99,9 +99,7 @@ def make_controller(scenario: Scenario = Scenario(), law: System | None = None) 
         port = signals.get(signal, signals.get(_of_law(name)))
         if port is not None:
             builder.ExportOutput(port, name)
-    controller = builder.Build()
-    controller.set_name("controller")
-    return controller
+    return built(builder, "controller", users_systems(scenario))
 
 
 _INPUTS = {
@@ -176,11 +174,11 @@ def controller_parts(scenario: Scenario, replacement: System | None = None) -> l
     return parts
 
 
-def has_users_system(scenario: Scenario) -> bool:
-    """Return True if a law or a part of a scenario is a Drake system of the user."""
+def users_systems(scenario: Scenario) -> list[str]:
+    """Return the places of the Drake systems of the user: ``law`` and those of the parts."""
     law = scenario.controller
     is_system = isinstance(law, LawParameters) and law.function.is_system
-    return is_system or bool(scenario.parts.chosen())
+    return ["law"] * is_system + [*scenario.parts.chosen()]
 
 
 _RAW_INPUTS = {"encoder_reading", "knee_reference", "rod_state"}

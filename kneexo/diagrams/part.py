@@ -5,13 +5,13 @@ The list is used by the builder of the diagram, compiled runs, linear analysis a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from functools import partial
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from kneexo.common.ports import input_ports, output_ports
-from kneexo.errors import ParameterError
+from kneexo.errors import ParameterError, shortened
 from kneexo.systems import StateVariable
 
 NO_FAULTS: Mapping[str, tuple[str, ...]] = MappingProxyType({})
@@ -62,9 +62,9 @@ class Part(NamedTuple):
     discrete_start: Mapping[str, float] = MappingProxyType({})
     """Initial discrete states of a part of the user, by their names."""
     key: Callable[[], tuple[str, str]] | None = None
-    """Function that returns a hash of the equations of a part of the user; None for kneexo's own.
+    """Function that returns two texts about a system of the user; None for kneexo's own.
 
-    It also returns why the part has no symbolic equations, or an empty text.
+    They are a hash of its equations, and why it has none; one of the two is empty.
     """
     through: str = ""
     """Signal that passes through the part, which reads it from the parts before, as ``reads``
@@ -126,9 +126,11 @@ def state_names(part: Part, path: str) -> list[str]:
 def full_name(path: str, name: str) -> str:
     """Return the name in the compiled loop of a number of a part's system at a path.
 
-    The number ``gain`` of a leaf system is ``path.gain``, and the number ``filter.gain`` of a
-    Diagram is ``path/filter.gain``.
+    The number ``gain`` or ``.gain`` of a leaf system is ``path.gain``, and the number
+    ``filter.gain`` of a Diagram is ``path/filter.gain``.
     """
+    if name.startswith("."):
+        return path + name
     return f"{path}/{name}" if "." in name else f"{path}.{name}"
 
 
@@ -183,6 +185,27 @@ def wire(builder: Any, parts: Iterable[Part]) -> tuple[dict[str, Any], dict[str,
             else:
                 inputs.setdefault(signal, []).append(port)
     return ports, inputs
+
+
+def built(builder: Any, name: str, users: Collection[str]) -> Any:
+    """Return the Diagram of a DiagramBuilder with a name.
+
+    Raises `ParameterError` if Drake cannot order the ports, as in an algebraic loop, and there are
+    systems ``users`` of the user.
+    """
+    try:
+        diagram = builder.Build()
+    except RuntimeError as error:  # of several lines
+        if not users:
+            raise
+        reason = shortened(str(error).splitlines()[0].rstrip(":"), 100)
+        raise ParameterError(
+            f"{name} with your {', '.join(users)}: {reason}; an "
+            f"output port follows all inputs at once, unless DeclareVectorOutputPort gets "
+            f"prerequisites_of_calc, such as {{self.all_state_ticket()}}"
+        ) from error
+    diagram.set_name(name)
+    return diagram
 
 
 def export_inputs(

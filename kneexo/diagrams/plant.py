@@ -15,6 +15,7 @@ from kneexo.common.ports import input_ports
 from kneexo.diagrams.part import (
     NO_FAULTS,
     Part,
+    built,
     by_name,
     export_inputs,
     leaf_part,
@@ -140,18 +141,7 @@ def make_plant(
     export_inputs(builder, inputs, _INPUTS | by_name(*(f"{name}_fault" for name in fault_names)))
     for name in [*plant_outputs(parameters), *further_columns(of_plant)]:
         builder.ExportOutput(signals[name], name)
-    try:
-        plant = builder.Build()
-    except RuntimeError as error:  # Drake's, of an algebraic loop, in eight lines
-        if not parts.chosen():
-            raise
-        raise ParameterError(
-            f"parts.{', '.join(parts.chosen())}: an output follows an input at once, which closes "
-            f"an algebraic loop; give each output that does not follow its inputs at once the "
-            f"argument prerequisites_of_calc, such as {{self.all_state_ticket()}}"
-        ) from error
-    plant.set_name("plant")
-    return plant
+    return built(builder, "plant", parts.chosen())
 
 
 _INPUTS = {

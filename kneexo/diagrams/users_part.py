@@ -90,17 +90,23 @@ def users_part(
                 columns[signal] = tuple(signal + index for index in indices if size > 1) or (
                     signal,
                 )
-        if chosen.make.is_object:  # the copy of an object agrees with itself, also if it forgets
+        numbers = read_numbers(place, subject, system)
+        if chosen.make.is_object:
+            # A conversion that forgets an attribute gives a copy that agrees with itself. So the
+            # object is compared too, which needs equations.
             read_numbers(place, subject, chosen.make.target)
-        return read_numbers(place, subject, system) | {"offers": offers, "columns": columns}
+            if why := numbers["key"]()[1]:
+                raise ParameterError(f"{why}; give its class, or a function that makes it")
+        return numbers | {"offers": offers, "columns": columns}
 
     return replaced._replace(make=make, **remembered(chosen.make, question, what_is_known))
 
 
 def read_numbers(place: str, subject: str, system: Any) -> dict[str, Any]:
-    """Return the fields of a part that say its numbers, and whether it has symbolic equations.
+    """Return the fields of a `Part` for a system: parameters, states, start and equations key.
 
-    Raises `ParameterError`, with the ``subject``, for equations that differ from the calls.
+    Raises `ParameterError`, which begins with the ``subject``, if the equations give other values
+    than the called system.
     """
     inputs, key = input_ports(system), ("", "")
     try:
@@ -112,12 +118,11 @@ def read_numbers(place: str, subject: str, system: Any) -> dict[str, Any]:
         key = "", f"{subject}: {error}"
         try:
             read = read_for_linearization(system, inputs=inputs)
-        except CompilationError:  # such as a system with events: nobody needs its numbers
-            return {"key": lambda: key}
+        except CompilationError:  # a system with events has no linear model, so no numbers
+            return {"values": dict, "states": (), "start": None, "key": lambda: key}
     state = read.state()
 
     def named(names: Sequence[str], values: Any) -> dict[str, float]:
-        names = [name.removeprefix(".") for name in names]  # of a leaf system, not of a Diagram
         return dict(zip(names, values.tolist(), strict=True))
 
     values = named(read.parameter_names, read.parameters())

@@ -185,7 +185,8 @@ def _tunable(scenario: Scenario, target: Target, source: CSource) -> Iterator[Fm
     if target.what == "plant":  # no controller reaches it
         scenario = scenario.model_copy(update={"controller": SlidingModeParameters()})
     law = scenario.controller
-    # A maker that takes the scenario would be called a thousand times.
+    # A maker that takes the scenario would be called a thousand times, so that here the parameters
+    # keep the names of the Context.
     is_made = isinstance(law, LawParameters) and law.function.takes_scenario
     effects = {} if is_made else parameter_effects(scenario, names)
     at_rest = _AT_REST if any(_initial(scenario, source)) else ""

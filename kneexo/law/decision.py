@@ -109,10 +109,10 @@ def remembered(law: Law, key: Hashable, answer: Callable[[], T]) -> T:
 
 
 def found_once(scenario: Scenario, find: Callable[[], T]) -> T:
-    """Return ``find()``, or inside `makers_called_once` what it returned in the last call.
+    """Return ``find()``; inside `makers_called_once`, keep the answer to the last call.
 
-    The last call must have been for the same object, because a comparison would take as long as
-    the answer.
+    The kept answer counts for the same object ``scenario`` only: a comparison of values would take
+    as long as ``find``.
     """
     if (answers := _answers.get()) is None:
         return find()

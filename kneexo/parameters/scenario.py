@@ -124,7 +124,7 @@ class SimulationParameters(Parameters):
 
     @property
     def compiled(self) -> bool:
-        """True if the compiled engine runs the simulation, False if Drake's Simulator runs it."""
+        """True for an integrator of the compiled engine, False for one of Drake's Simulator."""
         return self.integrator in ("exact_hold", "rk4", "rosenbrock")
 
     def with_drake(self) -> SimulationParameters:

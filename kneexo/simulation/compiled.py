@@ -44,19 +44,20 @@ from kneexo.diagrams.closed_loop import (
 )
 from kneexo.diagrams.controller import (
     controller_parts,
-    has_users_system,
+    users_systems,
 )
 from kneexo.diagrams.faults import fault_structure
 from kneexo.diagrams.part import full_name
 from kneexo.diagrams.plant import scenario_plant_parts
 from kneexo.diagrams.wearer import moment_of, moment_spline
-from kneexo.errors import KneexoError
+from kneexo.errors import CompilationError, KneexoError
 from kneexo.law.call import argument_sizes
 from kneexo.law.decision import (
     decide,
     held_command,
     law_inputs,
     makers_called_once,
+    users_law,
     why_python,
 )
 from kneexo.law.leaves import COMMAND_AND_STATE, LAW_COMMAND
@@ -65,6 +66,7 @@ from kneexo.law.trace import (
     replay,
 )
 from kneexo.parameters import (
+    Law,
     LawParameters,
     MomentTable,
     SampledReference,
@@ -135,7 +137,7 @@ def structure_key(scenario: Scenario) -> str:
         del fields["load_cell"]
     if isinstance(scenario.reference, SampledReference):
         fields["reference"] = scenario.reference.kind  # the samples enter by an open input
-    if has_users_system(scenario):
+    if users_systems(scenario):
         fields["parts"] = tuple((name, key) for name, (key, _) in _users_keys(scenario).items())
     law = scenario.controller
     if isinstance(law, LawParameters):
@@ -143,7 +145,8 @@ def structure_key(scenario: Scenario) -> str:
         if decision.why_python:
             fields["controller"] = "python", law.sample_time_s, decision.inputs
         else:
-            # The limit of the command of a system, whose key is below, is a constant.
+            # ``parts`` has the key of a law that is a system. The limit of its command is a
+            # constant of the equations.
             key = decision.trace.key if decision.trace else str(scenario.command_limit_rad_s)
             fields["controller"] = law.sample_time_s, key
     return _key(tuple(fields.items()))
@@ -151,17 +154,17 @@ def structure_key(scenario: Scenario) -> str:
 
 def _users_keys(scenario: Scenario) -> dict[str, tuple[str, str]]:
     """Return what `Part.key` says of each Drake system of the user, by its place."""
-    if not has_users_system(scenario):
+    if not users_systems(scenario):
         return {}
     parts = (*scenario_plant_parts(scenario), *controller_parts(scenario, held_command(scenario)))
     return {part.name: part.key() for part in parts if part.key is not None}
 
 
 def why_not_compiled(scenario: Scenario) -> str:
-    """Return why Drake's Simulator runs a scenario: a part of the user has no symbolic equations.
+    """Return which parts of the user have no symbolic equations, and why.
 
-    The text is empty if all parts have symbolic equations. Raises the errors of `make_closed_loop`
-    for a part that does not fit.
+    Drake's Simulator makes the runs of such a scenario. The text is empty if all parts have
+    equations. Raises the errors of `make_closed_loop` for a part that does not fit.
     """
     return "; ".join(filter(None, (why for _, why in _users_keys(scenario).values())))
 
@@ -194,7 +197,17 @@ def compile_scenario(scenario: Scenario = Scenario()) -> CompiledModel:
     parameters, the state and the inputs of a scenario for this model. A law that is called as
     Python becomes the open input ``law_command`` of the model.
     """
+    _require_symbolic(scenario)
     return _model(structure_key(scenario), scenario)
+
+
+def _require_symbolic(scenario: Scenario) -> None:
+    """Raise `CompilationError` for a part of the user without equations.
+
+    The structures of two such parts may be equal although their equations differ.
+    """
+    if reason := why_not_compiled(scenario):
+        raise CompilationError(reason)
 
 
 def _model(key: str, scenario: Scenario) -> CompiledModel:
@@ -219,6 +232,7 @@ def compile_open_loop(scenario: Scenario) -> CompiledModel:
     The inputs are ``motor_speed_command`` and, with a wearer, ``knee_reference``. `scenario_run`
     takes this model too, with the inputs.
     """
+    _require_symbolic(scenario)
     key, make = f"open loop {structure_key(scenario)}", partial(make_open_loop, scenario)
     inputs = [
         "motor_speed_command",
@@ -264,25 +278,34 @@ def _diagram(key: str, scenario: Scenario) -> Any:
     return _diagrams.of(key, lambda: scenario_diagram(scenario))
 
 
+def called_code(scenario: Scenario) -> list[Law]:
+    """Return the law and the parts of the user that have no equations and are called as Python."""
+    parts = scenario.parts.chosen()
+    called: list[Law] = [users_law(scenario)] if why_python(scenario) else []
+    return called + [parts[name].make for name, (_, why) in _users_keys(scenario).items() if why]
+
+
+def _text_of(law: Law) -> str:
+    return f"{law.digest} {law.name.rpartition(':')[2]}"
+
+
 def users_code_key(scenario: Scenario) -> str | None:
     """Return a text by which a later process recognizes law and parts of the user in a scenario.
 
-    A part is known by its equations and numbers. A compiled law is known by its equations. Code
-    that is called as Python is known by its files, and a law also by the commands that it gives at
-    some points, because the values that it reads may come from elsewhere. Returns None for such
-    code whose name in a file does not lead to it.
+    A part and a compiled law are known by their equations and numbers. `called_code` is known by
+    its files, and a law also by the commands that it gives at some points, because the values that
+    it reads may come from elsewhere. Returns None for such code whose name in a file does not lead
+    to it.
     """
-    laws = scenario.users_code().values()
-    code = " ".join(f"{law.digest} {law.name.rpartition(':')[2]}" for law in laws)
+    code = " ".join(_text_of(law) for law in scenario.users_code().values())
     try:
-        parts = ""
-        if has_users_system(scenario):
-            parts = repr((scenario_values(scenario), scenario_start(scenario)))
-        if is_called := bool(why_python(scenario)):
-            code += f" {commands_at_points(scenario)}"
-        if is_called or why_not_compiled(scenario):
-            return f"{code} {parts}" if all(law.digest for law in laws) else None
-        return f"{structure_key(scenario)}{parts}"
+        known = structure_key(scenario)
+        if users_systems(scenario):
+            known += repr((scenario_values(scenario), scenario_start(scenario)))
+        if why_python(scenario):
+            known += str(commands_at_points(scenario))
+        called = called_code(scenario)
+        return " ".join([known, *map(_text_of, called)]) if all(c.digest for c in called) else None
     except KneexoError as error:  # the run will fail alike
         return f"{code} {error}"
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -71,9 +70,14 @@ def serve_runs(requests: Mapping[int, RunRequest]) -> Iterator[tuple[int, Run | 
     ways: dict[Any, list[int]] = {}
     for index, request in requests.items():
         settings = request.scenario.simulation
-        if fault := _refusal(request):
+        try:
+            fault, compiled = _too_large(request), is_compiled(request.scenario)
+        except KneexoError as error:  # of a part of the user that does not fit
+            yield index, error
+            continue
+        if fault:
             yield index, fault
-        elif is_compiled(request.scenario):
+        elif compiled:
             signals = None if request.signals is None else tuple(request.signals)
             way = (settings.integrator, settings.step_s, settings.tolerance)
             kinds = tuple((r.kind, r.output, r.minus, r.magnitude) for r in request.reductions)
@@ -122,17 +126,11 @@ def _repeated(
     return run
 
 
-def _refusal(request: RunRequest) -> KneexoError | None:
-    """Return an error if the run would require too much memory or time, otherwise None.
-
-    The error of a part of the user that does not fit is returned too.
-    """
+def _too_large(request: RunRequest) -> ParameterError | None:
+    """Return an error if the run would require too much memory or time, otherwise None."""
     settings, duration_s = request.scenario.simulation, request.scenario.duration_s
     duration = f"simulation.duration_s = {duration_s:g} s"
-    try:
-        samples, width = _records(request), max(_width(request), 1)  # at least the times
-    except KneexoError as error:
-        return error
+    samples, width = _records(request), max(_width(request), 1)  # at least the times
     size = 8.0 * samples * width
     if size > LARGEST_RUN_BYTES:
         return ParameterError(
@@ -286,15 +284,12 @@ def _run(request: RunRequest) -> Run:
 def is_compiled(scenario: Scenario) -> bool:
     """Return True if the compiled engine runs a scenario, and False if Drake's Simulator does.
 
-    Drake's Simulator also runs a scenario whose parts of the user have no symbolic equations.
+    Drake's Simulator also runs a scenario with a part of the user that has no symbolic equations.
+    Raises the errors of `make_closed_loop` for a part that does not fit.
     """
     from kneexo.simulation.compiled import why_not_compiled
 
-    if not scenario.simulation.compiled:
-        return False
-    with suppress(KneexoError):  # of a part that does not fit: the run says it
-        return not why_not_compiled(scenario)
-    return True
+    return scenario.simulation.compiled and not why_not_compiled(scenario)
 
 
 def can_reduce(scenario: Scenario) -> bool:

@@ -18,7 +18,7 @@ from kneexo.common.files.locking import LockedFile
 from kneexo.common.files.reading import MIB
 from kneexo.errors import KneexoError, OutputError, shown
 from kneexo.parameters import Scenario
-from kneexo.simulation.compiled import users_code_key
+from kneexo.simulation.compiled import called_code, users_code_key
 from kneexo.version import __version__
 
 _MOST_BYTES = 4096 * MIB  # the results of some million runs
@@ -195,9 +195,9 @@ def _plain(value: Any) -> Any:
 
     Raises `UnknownLawError` as `piece_keys` does, and `TypeError` for a value of another type.
     """
-    if isinstance(value, Scenario) and (code := value.users_code()):
+    if isinstance(value, Scenario) and value.users_code():
         if (key := users_code_key(value)) is None:
-            subject = next(law.subject for law in code.values() if not law.digest)
+            subject = next(law.subject for law in called_code(value) if not law.digest)
             raise UnknownLawError(
                 f"{subject}: it is called as Python, and its name in no file leads to it, so a "
                 f"later run cannot recognize it and no finished pieces are kept"

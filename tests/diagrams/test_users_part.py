@@ -108,7 +108,7 @@ def rubbing(start, coulomb_n=20.0):
 def within(leaf, name="inner"):
     """Return a Diagram that has a leaf system and its ports."""
     builder = DiagramBuilder()
-    builder.AddNamedSystem(name, leaf)
+    builder.AddNamedSystem(name, leaf) if name else builder.AddSystem(leaf)
     for port in input_ports(leaf).values():
         builder.ExportInput(port, port.get_name())
     for port in output_ports(leaf).values():
@@ -116,8 +116,12 @@ def within(leaf, name="inner"):
     return builder.Build()
 
 
-def pump_within(lag_s=PAPER.plant.pump.lag_s):
-    return within(systems.BldcPump(PAPER.plant.pump.model_copy(update={"lag_s": lag_s})))
+def pump_within(lag_s=PAPER.plant.pump.lag_s, name="inner"):
+    return within(systems.BldcPump(PAPER.plant.pump.model_copy(update={"lag_s": lag_s})), name)
+
+
+def pump_without_name(lag_s):
+    return pump_within(lag_s, "")
 
 
 OWN = {
@@ -142,10 +146,11 @@ def test_kneexos_own_leaf_as_a_part_gives_the_bits_of_the_run_without_it(name):
         np.testing.assert_array_equal(run[column], expected[column])
 
 
-def test_numbers_inside_a_diagram_of_the_user_are_those_of_the_part():
+@pytest.mark.parametrize("pump", [pump_within, pump_without_name])
+def test_numbers_inside_a_diagram_of_the_user_are_those_of_the_part(pump):
     loops, runs = [], []
     for lag_s in (0.004, 0.02):  # of one structure
-        own = PAPER.with_part("motor", pump_within, values={"lag_s": lag_s})
+        own = PAPER.with_part("motor", pump, values={"lag_s": lag_s})
         expected = PAPER.changed({"plant.pump.lag_s": lag_s, "nominal": PAPER.plant})
         for scenario in (own, expected):
             loops.append(linearize_loop(scenario).eigenvalues)
@@ -408,7 +413,7 @@ TWICE = systems.BldcPump()
         ),
         ("cylinder", lambda: systems.FullCylinder(), r"its rod starts"),
         ("load", systems.KneeLoad, None),
-        ("cylinder", AtOnce, r"parts\.cylinder: an output follows an input at once, .*algebraic"),
+        ("cylinder", AtOnce, r"^plant with your cylinder: .*algebraic loop.*prerequisites"),
         ("cylinder", lambda: AtOnce([1.0, 2.0]), r"has no rod_extension at the start: \w+: "),
     ],
 )
@@ -438,6 +443,74 @@ def test_a_part_that_does_not_fit_fails_alone_in_a_batch():
     good, bad = kx.batch(scenario, {path: [10.0, 20.0]}).rows
     assert good.metrics.max_error_deg < 1.0
     assert "has knee_angle of size 1 as input port" in bad.error
+    sampled = PAPER.with_part("estimator", systems.TrackingObserver())
+    good, bad = kx.batch(sampled, {"controller.sample_time_s": [0.002, 0.004]}).rows
+    assert good.metrics.max_error_deg < 1.0
+    assert "must be sampled, with one update every controller.sample_time_s" in bad.error
+
+
+def test_an_object_without_symbolic_form_is_refused():
+    line = r"has no symbolic form \(.*; give its class, or a function that makes it$"
+    with pytest.raises(ParameterError, match=line):
+        simulate(PAPER.with_part("motor", Branching_[None]()))
+    assert simulate(PAPER.with_part("motor", Branching_[None])).settings.integrator == "radau3"
+
+
+@TemplateSystem.define("Branching_")
+def Branching_(T):
+    class Impl(Slack_[T]):
+        """A motor that only one branch of its code moves."""
+
+        def _construct(self, converter=None):
+            Slack_[T]._construct(self, converter)
+
+        def _construct_copy(self, other, converter=None):
+            Impl._construct(self, converter)
+
+        def DoCalcTimeDerivatives(self, context, rates):
+            rate = 1.0 if self.command.Eval(context)[0] > 3.0 else 0.0
+            rates.get_mutable_vector().SetFromVector([rate, 0.0])
+
+    return Impl
+
+
+@TemplateSystem.define("Proportional_")
+def Proportional_(T):
+    class Impl(LeafSystem_[T]):
+        """A law u = K (x_d − x); the name of its gain has a dot."""
+
+        parameter_names = ("law.gain",)
+
+        def _construct(self, gain, converter=None):
+            LeafSystem_[T].__init__(self, converter)
+            self.gain = gain
+            self.wanted = self.DeclareVectorInputPort("rod_reference", 4)
+            self.found = self.DeclareVectorInputPort("estimated_state", 3)
+            self.DeclareNumericParameter(BasicVector_[T]([gain]))
+            self.DeclareVectorOutputPort("motor_speed_command", 1, self.command)
+
+        def _construct_copy(self, other, converter=None):
+            Impl._construct(self, other.gain, converter=converter)
+
+        def command(self, context, output):
+            error = self.wanted.Eval(context)[0] - self.found.Eval(context)[0]
+            output.SetFromVector([context.get_numeric_parameter(0)[0] * error])
+
+    return Impl
+
+
+def test_a_law_that_is_made_from_limits_keeps_them_in_its_linear_loop():
+    limit = LEG.plant.pump.speed_limit_rad_s
+
+    def made(scenario):
+        return Proportional_[None](6000.0 * scenario.plant.pump.speed_limit_rad_s / limit)
+
+    loops = [
+        linearize_loop(LEG.with_law(law)).eigenvalues
+        for law in (made, lambda: Proportional_[None](6000.0), lambda: Proportional_[None](2000.0))
+    ]
+    np.testing.assert_allclose(loops[0], loops[1], rtol=1e-9, atol=1e-9)
+    assert np.abs(loops[1] - loops[2]).max() > 1e-3  # loops of one structure
 
 
 def test_a_part_that_the_scenario_cannot_act_on_is_refused():
@@ -499,7 +572,7 @@ def test_drakes_simulator_runs_a_part_of_floats():
     notes = " ".join(model_notices(scenario))
     assert re.search(r"Drake's Simulator makes the runs, .*: parts\.motor: .*Floats", notes)
     assert "Simulator" not in " ".join(model_notices(PAPER.with_part("cylinder", rubbing)))
-    with pytest.raises(CompilationError, match=r"motor: Floats does not convert to symbolic"):
+    with pytest.raises(CompilationError, match=r"motor.*: Floats does not convert to symbolic"):
         kx.compile(scenario)
 
 
@@ -578,6 +651,9 @@ def test_a_part_of_floats_is_known_by_its_file(tmp_path):
         scenario = PAPER.with_part("motor", f"{tmp_path / 'own.py'}:Floats")
         keys += [users_code_key(scenario) for _ in range(2)]
     assert keys[0] == keys[1] != keys[2] == keys[3]
+    laws = [scenario.with_law(lambda gain=gain: Proportional_[None](gain)) for gain in (1.0, 2.0)]
+    keys = [*map(users_code_key, laws)]
+    assert None is not keys[0] != keys[1] is not None
 
 
 def test_further_outputs_of_a_part_are_signals():

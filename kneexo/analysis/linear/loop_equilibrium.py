@@ -18,10 +18,8 @@ from kneexo.diagrams import make_closed_loop
 from kneexo.diagrams.closed_loop import loop_values, plant_start
 from kneexo.diagrams.wearer import moment_of, moment_spline
 from kneexo.errors import LinearizationError, NoEquilibriumError
-from kneexo.law.decision import (
-    makers_called_once,
-    why_python,
-)
+from kneexo.law.decision import law_inputs, makers_called_once, why_python
+from kneexo.law.leaves import HeldCommand
 from kneexo.law.tangent import LawTangent
 from kneexo.law.trace import HIDES_STATE
 from kneexo.parameters import (
@@ -105,7 +103,9 @@ def _shared_equations(scenario: Scenario, law: LawTangent | None) -> DiagramEqua
             inputs.append("biological_moment")
         return read_for_linearization(diagram, inputs=dict.fromkeys(inputs), outputs=[command])
 
-    if why_not_compiled(scenario):  # nobody knows what else is in a part without equations
+    # Parts without equations can differ in more than Context parameters, so their loops share
+    # nothing.
+    if why_not_compiled(scenario):
         return read()
     if law is not None:  # loops with such laws are alike, except for the laws' numbers of states
         return recent_equations.of(f"{key} {law.sizes}", read)
@@ -169,7 +169,15 @@ def find_equilibrium(scenario: Scenario, *, knee_angle_deg: float = MID_RANGE_DE
     loop = equations.diagram
     _require_one_sample_time(loop)
     replaced = None if law is None else law.linear_law()
-    context = context_with(loop, loop_values(unlimited, replaced), [*plant_start(fixed).values()])
+    own, stand_in = dict(loop_values(fixed, replaced)), replaced
+    users = {f"plant/{place}" for place in fixed.parts.chosen()}
+    if isinstance(controller, LawParameters) and controller.function.is_system:
+        stand_in = HeldCommand(controller.sample_time_s, law_inputs(fixed))
+        users.add("controller/law")
+    # A system of the user may compute its numbers from the limits, so it keeps them.
+    values = dict(loop_values(unlimited, stand_in))
+    values = own | {path: named for path, named in values.items() if path not in users}
+    context = context_with(equations, values.items(), [*plant_start(fixed).values()])
     reference = [math.radians(knee_angle_deg), 0.0, 0.0, 0.0]
     loop.GetInputPort("knee_reference").FixValue(context, reference)
     if (moment := moment_of(fixed)) is not None:
@@ -201,7 +209,7 @@ def find_equilibrium(scenario: Scenario, *, knee_angle_deg: float = MID_RANGE_DE
             f"the loop does not rest at knee angle {knee_angle_deg:g} deg: where the search ends, "
             f"{fault}; {remedy}"
         )
-    set_parameters(loop, context, loop_values(fixed, replaced))
+    set_parameters(equations, context, own.items())
     _require_linear(loop, context, fixed)
     angle = float(loop.GetOutputPort("knee_angle").Eval(context)[0])
     ports = _reference_port(loop), _command_port(loop)

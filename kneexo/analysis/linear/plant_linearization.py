@@ -126,7 +126,7 @@ def _at_rest(
         diagram, parts = equations.diagram, plant_parts(plant, angle_rad)
         values = ((part.name, part.values()) for part in parts)
         start = [value for part in parts for value in part.start_state()]
-        context = context_with(diagram, values, start)
+        context = context_with(equations, values, start)
     else:
         if not isinstance(plant, Diagram):
             require_object("plant", plant, PlantParameters, 'Scenario.preset("leg").plant')
@@ -300,8 +300,10 @@ def linearize_plant(
         The knee angle is impossible.
     """
     equations, rest = _at_rest(plant, outputs, knee_angle_deg, knee_torque_n_m, disturbance_n)
-    with warnings.catch_warnings():  # of corners, such as that of the friction at rest
+    with warnings.catch_warnings():
+        # Of corners, such as that of the friction at rest, but not of a leaf without equations.
         warnings.simplefilter("ignore")
+        warnings.filterwarnings("default", ".*central differences|.* no derivative near this point")
         model = linearize(equations, rest, inputs=[_COMMAND], outputs=outputs)
     return PlantLinearization(
         a=model.a,

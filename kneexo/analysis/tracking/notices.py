@@ -264,7 +264,7 @@ def model_notices(scenario: Scenario) -> Iterator[str]:
     of the masses, and lines 2 to 5 are left out.
 
     1. A part of the user replaces a part of kneexo, but the controller believes kneexo's numbers.
-       Or the part has no symbolic equations.
+       A second line says if the part has no symbolic equations.
     2. The mass that moves with the rod is beyond the bounds of the sliding-mode controller.
     3. The mass of the rod is so large that it stands for a load of the knee, but it has no weight.
     4. The mass of the rod has no effect, because the load has an inertia.

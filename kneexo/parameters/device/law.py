@@ -422,9 +422,9 @@ class Law:
 
 
 class _Pickler(cloudpickle.Pickler):
-    """Pickler of what a user gives; it names the metaclass of Drake's classes.
+    """Pickler of the user's code, which pickles the metaclass of Drake's classes by its name.
 
-    cloudpickle would copy the metaclass, and a copy of nanobind's cannot be made.
+    cloudpickle would pickle the metaclass by value, and such a copy cannot be made.
     """
 
     def reducer_override(self, obj: Any) -> Any:

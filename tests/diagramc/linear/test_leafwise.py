@@ -121,6 +121,15 @@ def test_differences_take_shorter_steps_where_a_leaf_changes_fast(width):
     assert found == pytest.approx(exact, rel=1e-10 if width == 1.0 else 1e-7)
 
 
+def test_steps_of_a_table_are_no_zero_derivative():
+    leaf = Floats(lambda u: [np.round(1e4 * u[0]) / 1e4 + u[1]], 2, 1)
+    context = leaf.CreateDefaultContext()
+    leaf.get_input_port().FixValue(context, [0.3, 0.2])
+    with pytest.warns(UserWarning, match="has no derivative near this point"):
+        model = linearize(leaf, context)
+    np.testing.assert_allclose(model.d, [[1.0, 1.0]], rtol=1e-9)
+
+
 def test_leaves_that_are_not_symbolic_are_read_once_for_many_models():
     builder = DiagramBuilder()
     leaf = builder.AddNamedSystem("leaf", float_gain(np.array([[-2.0]])))
