@@ -4,6 +4,7 @@ import inspect
 import math
 import pickle
 import re
+import subprocess
 import sys
 from functools import partial
 
@@ -41,6 +42,7 @@ from kneexo.parameters import KneeLoadParameters, Scenario
 from kneexo.parameters.scenario_file import dump_scenario, load_scenario, scenario_files
 from kneexo.simulation import simulate
 from kneexo.simulation.compiled import users_code_key
+from kneexo.simulation.engines import RunRequest, serve_runs
 
 PAPER = Scenario().changed({"simulation.duration_s": 0.2})
 LEG = Scenario.preset("leg").changed({"simulation.duration_s": 0.2})
@@ -443,6 +445,10 @@ def test_a_part_that_does_not_fit_fails_alone_in_a_batch():
     good, bad = kx.batch(scenario, {path: [10.0, 20.0]}).rows
     assert good.metrics.max_error_deg < 1.0
     assert "has knee_angle of size 1 as input port" in bad.error
+    misfit = PAPER.with_part("cylinder", systems.KneeLoad)
+    answers = dict(serve_runs({0: RunRequest(misfit), 1: RunRequest(PAPER)}))
+    assert isinstance(answers[0], ParameterError)
+    assert answers[1].time_s.size > 2
     sampled = PAPER.with_part("estimator", systems.TrackingObserver())
     good, bad = kx.batch(sampled, {"controller.sample_time_s": [0.002, 0.004]}).rows
     assert good.metrics.max_error_deg < 1.0
@@ -477,26 +483,57 @@ def Branching_(T):
 @TemplateSystem.define("Proportional_")
 def Proportional_(T):
     class Impl(LeafSystem_[T]):
-        """A law u = K (x_d − x); the name of its gain has a dot."""
+        """A law u = K (x_d − x) + t, dt/dt = −t/s; the name of its gain has a dot."""
 
         parameter_names = ("law.gain",)
 
-        def _construct(self, gain, converter=None):
+        def _construct(self, gain, trim=0.0, converter=None):
             LeafSystem_[T].__init__(self, converter)
-            self.gain = gain
+            self.gain, self.trim = gain, trim
+            self.DeclareContinuousState(BasicVector_[T]([trim]))
             self.wanted = self.DeclareVectorInputPort("rod_reference", 4)
             self.found = self.DeclareVectorInputPort("estimated_state", 3)
             self.DeclareNumericParameter(BasicVector_[T]([gain]))
             self.DeclareVectorOutputPort("motor_speed_command", 1, self.command)
 
         def _construct_copy(self, other, converter=None):
-            Impl._construct(self, other.gain, converter=converter)
+            Impl._construct(self, other.gain, other.trim, converter)
+
+        def DoCalcTimeDerivatives(self, context, rates):
+            rates.get_mutable_vector().SetAtIndex(0, -context.get_continuous_state_vector()[0])
 
         def command(self, context, output):
             error = self.wanted.Eval(context)[0] - self.found.Eval(context)[0]
-            output.SetFromVector([context.get_numeric_parameter(0)[0] * error])
+            trim = context.get_continuous_state_vector()[0]
+            output.SetFromVector([context.get_numeric_parameter(0)[0] * error + trim])
 
     return Impl
+
+
+def proportional(gain, trim=0.0):
+    return lambda: Proportional_[None](gain, trim)
+
+
+def test_a_system_as_law_starts_from_its_own_state():
+    runs = [simulate(PAPER.with_law(proportional(0.0, t))) for t in (0.0, 30.0)]
+    assert runs[0]["motor_speed_command_rad_s"][1] == 0.0
+    commands = runs[1]["motor_speed_command_rad_s"][1:]
+    np.testing.assert_allclose(commands, 30.0 * np.exp(-runs[1].time_s[:-1]), rtol=1e-7)
+
+
+def test_a_part_that_is_made_from_limits_keeps_them_in_its_linear_loop():
+    def load(mass_kg):
+        return systems.KneeLoad(KneeLoadParameters(segment_mass_kg=mass_kg))
+
+    def made(scenario):
+        return load(2.0 * scenario.plant.pump.speed_limit_rad_s / limit)
+
+    limit = PAPER.plant.pump.speed_limit_rad_s
+    loops = [
+        linearize_loop(PAPER.with_part("load", part)).eigenvalues
+        for part in (made, lambda: load(2.0))
+    ]
+    np.testing.assert_allclose(loops[0], loops[1], rtol=1e-9, atol=1e-9)
 
 
 def test_a_law_that_is_made_from_limits_keeps_them_in_its_linear_loop():
@@ -507,7 +544,7 @@ def test_a_law_that_is_made_from_limits_keeps_them_in_its_linear_loop():
 
     loops = [
         linearize_loop(LEG.with_law(law)).eigenvalues
-        for law in (made, lambda: Proportional_[None](6000.0), lambda: Proportional_[None](2000.0))
+        for law in (made, proportional(6000.0), proportional(2000.0))
     ]
     np.testing.assert_allclose(loops[0], loops[1], rtol=1e-9, atol=1e-9)
     assert np.abs(loops[1] - loops[2]).max() > 1e-3  # loops of one structure
@@ -628,17 +665,21 @@ def test_a_part_of_floats_has_the_linear_models_of_its_symbolic_form():
 
 @pytest.mark.slow(gate=2)
 @pytest.mark.parametrize("part", [rubbing, rubbing_floats])
-def test_worker_processes_get_parts_that_no_file_has(part):
-    # A main module of a name of its own, so that the functions are pickled by value.
-    path = "parts.cylinder.values.coulomb_n"
-    settings = {path: [0.0, 10.0, 20.0]}
-    cloudpickle.register_pickle_by_value(sys.modules[__name__])
+def test_another_process_gets_a_part_that_no_file_has(part):
+    module = sys.modules[__name__]
+    cloudpickle.register_pickle_by_value(module)  # as of a notebook
     try:
-        scenario = PAPER.with_part("cylinder", part)
-        alone = kx.batch(scenario, settings)
-        assert kx.batch(scenario, settings, workers=2).rows == alone.rows
+        data = pickle.dumps(PAPER.with_part("cylinder", part))
     finally:
-        cloudpickle.unregister_pickle_by_value(sys.modules[__name__])
+        cloudpickle.unregister_pickle_by_value(module)
+    code = (
+        "import pickle, sys; from kneexo.simulation import simulate; "
+        "print(repr(simulate(pickle.load(sys.stdin.buffer))['rod_extension_m'][-1].item()))"
+    )
+    command = [sys.executable, "-c", code]
+    there = subprocess.run(command, input=data, capture_output=True, check=True).stdout
+    here = simulate(PAPER.with_part("cylinder", part))["rod_extension_m"][-1]
+    assert float(there) == here
 
 
 def test_a_part_of_floats_is_known_by_its_file(tmp_path):
@@ -651,7 +692,7 @@ def test_a_part_of_floats_is_known_by_its_file(tmp_path):
         scenario = PAPER.with_part("motor", f"{tmp_path / 'own.py'}:Floats")
         keys += [users_code_key(scenario) for _ in range(2)]
     assert keys[0] == keys[1] != keys[2] == keys[3]
-    laws = [scenario.with_law(lambda gain=gain: Proportional_[None](gain)) for gain in (1.0, 2.0)]
+    laws = [scenario.with_law(proportional(gain)) for gain in (1.0, 2.0)]
     keys = [*map(users_code_key, laws)]
     assert None is not keys[0] != keys[1] is not None
 

@@ -29,6 +29,8 @@ from kneexo.parameters import (
     Scenario,
     StepReference,
 )
+from kneexo.parameters.device.parts import PartsParameters
+from kneexo.parameters.fields.replaced import believed
 from kneexo.parameters.scenario import require_scenario
 from kneexo.simulation.compiled import structure_key, why_not_compiled
 
@@ -170,12 +172,13 @@ def find_equilibrium(scenario: Scenario, *, knee_angle_deg: float = MID_RANGE_DE
     _require_one_sample_time(loop)
     replaced = None if law is None else law.linear_law()
     own, stand_in = dict(loop_values(fixed, replaced)), replaced
-    users = {f"plant/{place}" for place in fixed.parts.chosen()}
+    users = {f"plant/{place}" for place in fixed.parts.chosen()} | {"controller/estimator"}
     if isinstance(controller, LawParameters) and controller.function.is_system:
         stand_in = HeldCommand(controller.sample_time_s, law_inputs(fixed))
         users.add("controller/law")
     # A system of the user may compute its numbers from the limits, so it keeps them.
-    values = dict(loop_values(unlimited, stand_in))
+    without = {"parts": PartsParameters(), "plant": believed(unlimited.plant)}
+    values = dict(loop_values(unlimited.model_copy(update=without), stand_in))
     values = own | {path: named for path, named in values.items() if path not in users}
     context = context_with(equations, values.items(), [*plant_start(fixed).values()])
     reference = [math.radians(knee_angle_deg), 0.0, 0.0, 0.0]
