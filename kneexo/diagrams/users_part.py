@@ -143,15 +143,15 @@ def _require_ports(subject: str, system: Any, template: Any, needed: Sequence[st
     The system must have all outputs of the template and the inputs ``needed``. Its other inputs are
     among those of the template.
     """
-    for kind, must, ports in (("input", "may", input_ports), ("output", "must", output_ports)):
+    for kind, ports in (("input", input_ports), ("output", output_ports)):
         found, wanted = sizes(ports(system)), sizes(ports(template))
         table = ", ".join(f"{name} ({size})" for name, size in wanted.items())
+        rule = f"must be {table}" if kind == "output" else f"may be {table}"
+        rule += f"; must have {', '.join(needed)}" if kind == "input" and needed else ""
         for name in wanted if kind == "output" else {**found, **dict.fromkeys(needed, 0)}:
             if name not in wanted or found.get(name) != wanted[name]:
                 size = f"{name} of size {found[name]}" if name in found else f"no {name}"
-                raise ParameterError(
-                    f"{subject}: has {size} as {kind} port; {kind} ports {must} be {table}"
-                )
+                raise ParameterError(f"{subject}: has {size} as {kind} port; {kind} ports {rule}")
 
 
 def _require_states(subject: str, system: Any, context: Any, period_s: float | None) -> None:

@@ -251,7 +251,7 @@ class Law:
             if clone is None or [*input_ports(clone)] != [*input_ports(self.target)]:
                 raise ParameterError(
                     f"{self.subject}: Drake cannot clone this system; give its class, or a "
-                    f"function without arguments that makes the system"
+                    f"function that makes the system"
                 )
             return clone
         takes = "takes a scenario" if self.takes_scenario else "takes no argument"
