@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
-from diagramc import read_diagram, read_for_linearization
+from diagramc import read_diagram
 from kneexo.common.ports import input_ports, output_ports, sizes
 from kneexo.common.user_code import user_code
 from kneexo.diagrams.part import Part, by_name
@@ -115,6 +115,8 @@ def read_numbers(place: str, subject: str, system: Any) -> dict[str, Any]:
     except DifferenceError as error:
         raise ParameterError(f"{subject}: {error}") from None
     except CompilationError as error:
+        from diagramc import read_for_linearization  # it imports Drake's geometry
+
         key = "", f"{subject}: {error}"
         try:
             read = read_for_linearization(system, inputs=inputs)
