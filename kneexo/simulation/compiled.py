@@ -329,6 +329,8 @@ def scenario_start(scenario: Scenario) -> dict[str, float]:
     states start at zero. Raises `ParameterError` and `LinkageError` as `make_plant` does.
     """
     start = plant_start(scenario)
+    if not users_systems(scenario):
+        return start
     for part in controller_parts(scenario, held_command(scenario)):
         path, own = f"controller/{part.name}", dict(part.discrete_start)
         own |= dict(zip(part.state_names, part.start_state(), strict=True))
