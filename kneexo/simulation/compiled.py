@@ -329,9 +329,8 @@ def scenario_start(scenario: Scenario) -> dict[str, float]:
     states start at zero. Raises `ParameterError` and `LinkageError` as `make_plant` does.
     """
     start = plant_start(scenario)
-    if not users_systems(scenario):
-        return start
-    for part in controller_parts(scenario, held_command(scenario)):
+    law = held_command(scenario)
+    for part in controller_parts(scenario, law) if users_systems(scenario) else ():
         path, own = f"controller/{part.name}", dict(part.discrete_start)
         own |= dict(zip(part.state_names, part.start_state(), strict=True))
         start |= {full_name(path, name): value for name, value in own.items()}
